@@ -1,0 +1,65 @@
+"""Sphinx configuration; build with ``python -m sphinx --fail-on-warning docs docs/_build``."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from typing import ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from sphinx.application import Sphinx
+
+from raystream import __version__
+
+project = "raystream"
+copyright = "the raystream authors"
+release = __version__
+version = __version__.rpartition(".")[0]
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+    "numpydoc",
+]
+exclude_patterns = ["_build"]
+default_role = "code"
+
+html_theme = "furo"
+html_title = "raystream"
+html_static_path: list[str] = []
+
+add_module_names = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings state shape, dtype and unit
+numpydoc_show_class_members = False  # api.rst lists them
+
+
+class CommandHelp(Directive):
+    """``.. command-help:: render`` shows what ``raystream render --help`` prints."""
+
+    optional_arguments: ClassVar[int] = 1
+    final_argument_whitespace: ClassVar[bool] = True
+
+    def run(self) -> list[nodes.Node]:
+        """Run the command line and keep its text."""
+        arguments = [*shlex.split(self.arguments[0] if self.arguments else ""), "--help"]
+        code = f"import sys; from raystream.cli import main; sys.argv = {['raystream', *arguments]}"
+        result = subprocess.run(
+            [sys.executable, "-c", f"{code}; main()"],
+            env={**os.environ, "COLUMNS": "88", "NO_COLOR": "1", "TERM": "dumb"},
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+        )
+        if result.returncode:
+            raise self.error(f"raystream {shlex.join(arguments)}: {result.stderr}")
+        text = "\n".join(line.rstrip() for line in result.stdout.strip("\n").splitlines())
+        return [nodes.literal_block(text, text, language="text")]
+
+
+def setup(app: Sphinx) -> None:
+    """Register the directive."""
+    app.add_directive("command-help", CommandHelp)

@@ -1,0 +1,97 @@
+"""raystream: a programmable ray tracing engine in which rays are streams.
+
+>>> import raystream as rs
+>>> scene = rs.load("cornell")
+>>> tracer = rs.Tracer(scene)
+>>> hits = tracer.first_hit([278.0, 273.0, -800.0], [0.0, 0.0, 1.0])
+>>> float(hits.t)
+1091.9...
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from raystream._version import __version__
+
+if TYPE_CHECKING:
+    from raystream.core.errors import FileFormatError, RaystreamError, RaystreamWarning
+    from raystream.core.hits import Hits, MultiHits
+    from raystream.core.rays import RayStatus
+    from raystream.jit.threads import set_thread_count, thread_count
+    from raystream.render import Image, render
+    from raystream.scene.camera import Camera
+    from raystream.scene.lights import AreaLight, DirectionalLight, EnvironmentLight, PointLight
+    from raystream.scene.load import load
+    from raystream.scene.material import Material
+    from raystream.scene.mesh import Mesh
+    from raystream.scene.scene import Scene
+    from raystream.scene.texture import Texture
+    from raystream.tracer import Tracer, register_device
+
+# Names are imported when they are first used: `import raystream` costs neither numba nor
+# trimesh, and a command that only prints help stays quick.
+_HOMES = {
+    "AreaLight": "scene.lights",
+    "Camera": "scene.camera",
+    "DirectionalLight": "scene.lights",
+    "EnvironmentLight": "scene.lights",
+    "FileFormatError": "core.errors",
+    "Hits": "core.hits",
+    "Image": "render",
+    "Material": "scene.material",
+    "Mesh": "scene.mesh",
+    "MultiHits": "core.hits",
+    "PointLight": "scene.lights",
+    "RayStatus": "core.rays",
+    "RaystreamError": "core.errors",
+    "RaystreamWarning": "core.errors",
+    "Scene": "scene.scene",
+    "Texture": "scene.texture",
+    "Tracer": "tracer",
+    "load": "scene.load",
+    "register_device": "tracer",
+    "set_thread_count": "jit.threads",
+    "thread_count": "jit.threads",
+}
+
+__all__ = [
+    "AreaLight",
+    "Camera",
+    "DirectionalLight",
+    "EnvironmentLight",
+    "FileFormatError",
+    "Hits",
+    "Image",
+    "Material",
+    "Mesh",
+    "MultiHits",
+    "PointLight",
+    "RayStatus",
+    "RaystreamError",
+    "RaystreamWarning",
+    "Scene",
+    "Texture",
+    "Tracer",
+    "__version__",
+    "load",
+    "register_device",
+    "render",
+    "set_thread_count",
+    "thread_count",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "render":  # the room is callable, see there
+        return importlib.import_module("raystream.render")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'raystream' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"raystream.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,3 @@
+"""The version of raystream, read by the build and by ``raystream.__version__``."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,104 @@
+"""Progress bars on stderr: for people who wait, and for nobody else."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+
+__all__ = ["Bars"]
+
+#: Seconds of work after which a bar appears.
+DELAY = 1.0
+
+
+class Bars:
+    """Shows the step that a command is at, once it has taken a second, on a terminal.
+
+    A context manager; nothing of the bars stays on the screen after it.
+    """
+
+    def __init__(self) -> None:
+        self._progress: RichProgress | None = None
+        self._lock = threading.Lock()
+        self._is_over = False
+        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+            self._progress = _make_progress()
+        self._timer = threading.Timer(DELAY, self._show)
+        self._timer.daemon = True
+
+    def __enter__(self) -> Bars:
+        if self._progress is not None:
+            self._timer.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._timer.cancel()
+        with self._lock:
+            self._is_over = True
+            if self._progress is not None:
+                self._progress.stop()
+
+    def _show(self) -> None:
+        with self._lock:
+            if self._progress is not None and not self._is_over:
+                self._progress.start()
+
+    @contextlib.contextmanager
+    def step(self, title: str) -> Iterator[Callable[[int, int], None] | None]:
+        """Show a step while the block runs.
+
+        Parameters
+        ----------
+        title : str
+            Such as "tracing".
+
+        Yields
+        ------
+        callable or None
+            The progress callback, called with (done, total); until it is called, the step
+            shows as a spinner. None where nobody would see it.
+        """
+        progress = self._progress
+        if progress is None:
+            yield None
+            return
+        task = progress.add_task(title, total=None)
+        try:
+            yield lambda done, total: progress.update(task, completed=done, total=total)
+        finally:
+            progress.remove_task(task)
+
+
+def _make_progress() -> RichProgress:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )

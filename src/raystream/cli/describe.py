@@ -1,0 +1,126 @@
+"""Figures about a scene and its structure, as ``raystream info --json`` prints them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from raystream.cli.opening import Stopwatch
+    from raystream.scene.mesh import Mesh
+    from raystream.scene.scene import Scene
+    from raystream.tracer import Tracer
+
+__all__ = ["describe"]
+
+#: What a mesh may have for each vertex.
+ATTRIBUTES = ("normals", "colors", "texcoords")
+
+
+def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
+    """Collect the figures, as ``--json`` prints them.
+
+    Returns
+    -------
+    dict
+        ``scene``, ``name``: as asked for; as the file says.
+        ``triangles``, ``degenerate_triangles``, ``nonfinite_triangles``, ``vertices``.
+        ``bounds``: ``low`` and ``high`` of what can be hit; null where nothing can.
+        ``camera``: ``eye``, ``look_at``, ``up``, ``fov``. ``background``.
+        ``meshes``: ``name``, ``triangles``, ``vertices``, ``attributes`` of each.
+        ``materials``: ``name``, ``triangles``, colours, ``textures`` of each.
+        ``lights``: ``type`` of each, and what it has; area lights come last.
+        ``memory``: bytes of the ``scene`` (its meshes), the ``triangles`` as structures
+        share them, and the ``structure``.
+        ``structure``: ``name``, ``seconds``, ``quality``. ``seconds``: ``load``, ``build``.
+    """
+    scene, structure = tracer.scene, tracer.structure
+    triangles = structure.triangles
+    low, high = triangles.world_bounds.tolist()
+    camera = scene.camera
+    return {
+        "scene": source,
+        "name": scene.name,
+        "triangles": len(triangles),
+        "degenerate_triangles": triangles.degenerate_count,
+        "nonfinite_triangles": triangles.nonfinite_count,
+        "vertices": sum(len(mesh.vertices) for mesh in scene.meshes),
+        "bounds": {"low": low, "high": high} if len(triangles.prim_ids) else None,
+        "camera": {
+            "eye": list(camera.eye),
+            "look_at": list(camera.look_at),
+            "up": list(camera.up),
+            "fov": camera.fov,
+        },
+        "background": list(scene.background),
+        "meshes": _describe_meshes(scene),
+        "materials": _describe_materials(scene),
+        "lights": _describe_lights(scene),
+        "memory": {
+            "scene": sum(_mesh_byte_count(mesh) for mesh in scene.meshes),
+            "triangles": triangles.corners.nbytes + triangles.prim_ids.nbytes,
+            "structure": structure.report.byte_count,
+        },
+        "structure": {
+            "name": structure.name,
+            "seconds": round(structure.report.seconds, 6),
+            "quality": dict(structure.report.quality),
+        },
+        "seconds": watch.rounded(),
+    }
+
+
+def _mesh_byte_count(mesh: Mesh) -> int:
+    arrays = (mesh.vertices, mesh.faces, mesh.material_ids, *_attributes(mesh).values())
+    return sum(array.nbytes for array in arrays)
+
+
+def _attributes(mesh: Mesh) -> dict[str, np.ndarray]:
+    found = {name: getattr(mesh, name) for name in ATTRIBUTES}
+    return {name: array for name, array in found.items() if array is not None}
+
+
+def _describe_meshes(scene: Scene) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": mesh.name,
+            "triangles": len(mesh.faces),
+            "vertices": len(mesh.vertices),
+            "attributes": list(_attributes(mesh)),
+        }
+        for mesh in scene.meshes
+    ]
+
+
+def _describe_materials(scene: Scene) -> list[dict[str, Any]]:
+    counts = np.zeros(len(scene.materials), np.int64)
+    for mesh in scene.meshes:
+        counts += np.bincount(mesh.material_ids, minlength=len(counts))
+    described = []
+    for material, count in zip(scene.materials, counts.tolist(), strict=True):
+        figures: dict[str, Any] = {"name": material.name, "triangles": count}
+        for field in dataclasses.fields(material):
+            value = getattr(material, field.name)
+            figures[field.name] = list(value) if isinstance(value, tuple) else value
+        figures["textures"] = {role: image.name for role, image in material.textures.items()}
+        described.append(figures)
+    return described
+
+
+def _describe_lights(scene: Scene) -> list[dict[str, Any]]:
+    described: list[dict[str, Any]] = []
+    for light in scene.lights:
+        kind = type(light).__name__.removesuffix("Light").lower()
+        described.append({"type": kind, **dataclasses.asdict(light)})
+    described += [
+        {
+            "type": "area",
+            "mesh_id": light.mesh_id,
+            "triangles": len(light.prim_ids),
+            "radiance": list(light.radiance),
+        }
+        for light in scene.area_lights
+    ]
+    return described

@@ -1,0 +1,233 @@
+"""Options that commands share: their types, how their text is read, and how it is completed.
+
+Nothing here imports the library's heavy rooms, so that ``--help`` and completion are quick.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from raystream.cli.messages import BadInput
+
+__all__ = [
+    "DEVICES",
+    "MODES",
+    "SCENES",
+    "STRUCTURES",
+    "Device",
+    "Json",
+    "SceneName",
+    "Structure",
+    "Threads",
+    "Time",
+    "Triangles",
+    "check_output",
+    "complete",
+    "complete_scenes",
+    "parse_camera",
+    "parse_size",
+    "positive",
+    "one_of",
+]
+
+#: The names that the library has, for help and completion; a test compares them.
+SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
+MODES = ("raycast", "vis")
+STRUCTURES = ("bvh", "brute")
+DEVICES = ("cpu",)
+
+CAMERA_PARTS = {
+    "eye": "eye=X,Y,Z",
+    "look_at": "look_at=X,Y,Z",
+    "up": "up=X,Y,Z",
+    "fov": "fov=DEGREES",
+}
+
+
+def complete(names: Sequence[str]) -> Callable[[str], list[str]]:
+    """Make a completion function for fixed names."""
+    return lambda incomplete: [name for name in names if name.startswith(incomplete)]
+
+
+def complete_scenes(incomplete: str) -> Iterator[tuple[str, str]]:
+    """Complete names of scenes; where none begins so, the shell goes on to files."""
+    from raystream.scene.procedural import BUILTIN
+    from raystream.scene.samples import SAMPLES
+
+    for name, builtin in BUILTIN.items():
+        if name.startswith(incomplete):
+            yield name, builtin.description
+    for name in SAMPLES:
+        if name.startswith(incomplete):
+            yield name, "sample"
+
+
+def one_of(names: Sequence[str]) -> Callable[[str | None], str | None]:
+    """Make an option callback that accepts these names only."""
+
+    def check(value: str | None) -> str | None:
+        if value is not None and value not in names:
+            raise typer.BadParameter(f"expected {' or '.join(names)}, got {value!r}")
+        return value
+
+    return check
+
+
+def finite(value: float) -> float:
+    """Accept a number that is neither NaN nor infinite."""
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"expected a finite number, got {value}")
+    return value
+
+
+def positive(value: float) -> float:
+    """Accept a finite number above 0."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise typer.BadParameter(f"expected a number above 0, got {value}")
+    return value
+
+
+SCENE_HELP = (
+    "A model file (OBJ, PLY, STL, OFF, glTF, GLB, AFF, NFF; also packed as .gz), a structure "
+    f"saved by Tracer.save (.npz), a built-in scene ({', '.join(SCENES)}; 'forest:1000000' has "
+    "about a million triangles), or a sample, such as bunny."
+)
+
+SceneName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE", help=SCENE_HELP, autocompletion=complete_scenes, show_default=False
+    ),
+]
+Structure = Annotated[
+    str | None,
+    typer.Option(
+        help=f"Acceleration structure: {' or '.join(STRUCTURES)}; {STRUCTURES[0]} without it.",
+        metavar="NAME",
+        show_default=False,
+        callback=one_of(STRUCTURES),
+        autocompletion=complete(STRUCTURES),
+    ),
+]
+Device = Annotated[
+    str,
+    typer.Option(
+        help="Where rays are traced.",
+        metavar="NAME",
+        callback=one_of(DEVICES),
+        autocompletion=complete(DEVICES),
+    ),
+]
+Threads = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        show_default=False,
+        help="Number of threads; without it, what RAYSTREAM_THREADS says, or one a core.",
+    ),
+]
+Time = Annotated[
+    float,
+    typer.Option(metavar="T", callback=finite, help="For animated scenes (AFF): the time to show."),
+]
+Triangles = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        show_default=False,
+        help="For built-in scenes: about how many triangles.",
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read a picture's size, such as ``1024x768``.
+
+    Raises
+    ------
+    BadInput
+        If it is none.
+    """
+    match = re.fullmatch(r"0*([1-9]\d{0,8})x0*([1-9]\d{0,8})", text.strip().lower(), re.ASCII)
+    if match is None:
+        raise BadInput(f"--size: expected WIDTHxHEIGHT, such as 1024x768, got {text!r}")
+    return int(match[1]), int(match[2])
+
+
+def parse_camera(text: str) -> dict[str, Any]:
+    """Read parts of a camera, such as ``eye=3,2,1 look_at=0,0,0 up=0,1,0 fov=40``.
+
+    Returns
+    -------
+    dict of str to tuple of float or float
+        The parts that are there.
+
+    Raises
+    ------
+    BadInput
+        If a part is unknown, given twice, or not made of finite numbers.
+    """
+    parts: dict[str, Any] = {}
+    for word in text.split():
+        name, _, value = word.partition("=")
+        name = name.replace("-", "_")
+        if name not in CAMERA_PARTS:
+            raise BadInput(f"--camera: expected {', '.join(CAMERA_PARTS.values())}; got {word!r}")
+        if name in parts:
+            raise BadInput(f"--camera: {name} is given twice")
+        numbers = _numbers(value)
+        if len(numbers) != (1 if name == "fov" else 3):
+            raise BadInput(f"--camera: expected {CAMERA_PARTS[name]}, got {word!r}")
+        parts[name] = numbers[0] if name == "fov" else numbers
+    return parts
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(number) for number in text.split(","))
+    except ValueError:
+        return ()
+    return numbers if all(map(math.isfinite, numbers)) else ()
+
+
+def check_output(path: Path, suffixes: Sequence[str], inputs: Sequence[str] = ()) -> None:
+    """Refuse an output that could not be written, before any work is done for it.
+
+    Parameters
+    ----------
+    path : Path
+    suffixes : sequence of str
+        What its name may end in.
+    inputs : sequence of str, optional
+        Files that must not be overwritten.
+
+    Raises
+    ------
+    BadInput
+        If the name ends in something else, is a folder's or an input's, or the folder is not
+        there or not writable.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise BadInput(f"{path}: the name must end in {' or '.join(suffixes)}")
+    folder = path.parent
+    if not folder.is_dir():
+        raise BadInput(f"{path}: there is no folder {folder}")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder, not a file")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise BadInput(f"{path}: the folder {folder} is not writable")
+    if path.exists() and any(os.path.exists(name) and path.samefile(name) for name in inputs):
+        raise BadInput(f"{path}: is an input, and would be overwritten")
+    if path.suffix.lower() == ".exr" and importlib.util.find_spec("OpenEXR") is None:
+        raise BadInput(f"{path}: writing .exr needs OpenEXR: pip install 'raystream[exr]'")

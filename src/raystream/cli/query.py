@@ -1,0 +1,215 @@
+"""``raystream query``: rays from a file, hits to a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.bars import Bars
+from raystream.cli.messages import BadInput, one_line, refuse, write_json, write_line
+from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from raystream.core.hits import Hits, MultiHits
+    from raystream.jit.threads import Progress
+    from raystream.tracer import Tracer
+
+__all__ = ["query"]
+
+CROSSINGS = ("triangles", "surfaces")
+
+#: What a file of rays may hold; the first two it must.
+RAY_ARRAYS = ("origins", "directions", "t_min", "t_max")
+
+#: What is written of the hits that a query finds.
+COLUMNS = {
+    "first": ("t", "u", "v", "prim_id", "mesh_id", "status"),
+    "multi": ("ray_splits", "t", "u", "v", "prim_id", "status"),
+}
+
+
+def query(
+    scene: options.SceneName,
+    rays: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RAYS",
+            help="An .npz file with arrays origins and directions of shape (..., 3), and perhaps "
+            "t_min and t_max.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help="The hits: .npz.", show_default=False),
+    ],
+    first: Annotated[
+        bool, typer.Option("--first", help="The nearest hit of each ray; the default.")
+    ] = False,
+    anything: Annotated[
+        bool, typer.Option("--any", help="Whether anything is in each ray's way.")
+    ] = False,
+    multi: Annotated[bool, typer.Option("--multi", help="All hits of each ray.")] = False,
+    count: Annotated[bool, typer.Option("--count", help="The number of hits of each ray.")] = False,
+    max_hits: Annotated[
+        int | None,
+        typer.Option(
+            min=0, metavar="K", show_default=False, help="With --multi: the nearest K of each ray."
+        ),
+    ] = None,
+    crossings: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHAT",
+            help="With --multi or --count: triangles, a ray through an edge meets all that share "
+            "it; or surfaces, it meets one for each surface. triangles without it.",
+            show_default=False,
+            callback=options.one_of(CROSSINGS),
+            autocompletion=options.complete(CROSSINGS),
+        ),
+    ] = None,
+    structure: options.Structure = None,
+    device: options.Device = "cpu",
+    threads: options.Threads = None,
+    time: options.Time = 0.0,
+    triangles: options.Triangles = None,
+    json: options.Json = False,
+) -> None:
+    """Trace the rays of a file, and write their hits to a file.
+
+    The hits are arrays: t, u, v, prim_id, mesh_id, status with --first; hit with --any;
+    ray_splits, t, u, v, prim_id, status with --multi; count with --count.
+    """
+    chosen = {"first": first, "any": anything, "multi": multi, "count": count}
+    question = _Question(_only(chosen), max_hits, crossings)
+    options.check_output(output, (".npz",), inputs=[scene, str(rays)])
+    choose_threads(threads)
+    from raystream.core.npz import write_npz
+
+    watch = Stopwatch()
+    with Bars() as bars:
+        given = _read_rays(rays)
+        tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)
+        with watch.measure("trace"), bars.step("tracing") as progress:
+            answer = question.ask(tracer, given, progress)
+        with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
+            write_npz(output, answer.arrays)
+    speed = rays_per_second(answer.ray_count, watch.seconds["trace"])
+    triangle_count = len(tracer.structure.triangles)
+    if json:
+        write_json(
+            {
+                "output": str(output),
+                "scene": scene,
+                "query": question.kind,
+                "structure": tracer.structure.name,
+                "device": device,
+                "triangles": triangle_count,
+                "rays": answer.ray_count,
+                "invalid_rays": answer.invalid_count,
+                "rays_hit": answer.rays_hit,
+                "hits": answer.hit_count,
+                "seconds": watch.rounded(),
+                "mrays_per_second": speed,
+            }
+        )
+    else:
+        invalid = f" ({answer.invalid_count:,} invalid)" if answer.invalid_count else ""
+        write_line(
+            f"{one_line(str(output))}: {answer.ray_count:,} rays{invalid}, {answer.rays_hit:,} "
+            f"hit, {answer.hit_count:,} hits; {triangle_count:,} triangles; {watch.text()}; "
+            f"{speed:g} Mrays/s"
+        )
+
+
+def _only(chosen: dict[str, bool]) -> str:
+    names = [name for name, is_chosen in chosen.items() if is_chosen]
+    if len(names) > 1:
+        raise BadInput(f"{' and '.join(f'--{name}' for name in names)}: choose one")
+    return names[0] if names else "first"
+
+
+def _read_rays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read a file of rays, and check their shapes and dtypes."""
+    from raystream.core.errors import FileFormatError
+    from raystream.core.npz import read_npz
+    from raystream.core.rays import RayBatch
+
+    arrays = read_npz(path)
+    for name in arrays:
+        if name not in RAY_ARRAYS:
+            raise FileFormatError(path, f"holds {name!r}; expected {', '.join(RAY_ARRAYS)}")
+    for name in RAY_ARRAYS[:2]:
+        if name not in arrays:
+            raise FileFormatError(path, f"lacks the array {name!r}")
+    with refuse(ValueError, TypeError, where=str(path)):
+        RayBatch(**arrays)
+    return arrays
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Arrays for the file, and figures about them."""
+
+    arrays: dict[str, NDArray[Any]]
+    ray_count: int
+    invalid_count: int | None  # where the query tells
+    rays_hit: int
+    hit_count: int
+
+
+@dataclass(frozen=True)
+class _Question:
+    """A query with its options."""
+
+    kind: str
+    max_hits: int | None
+    crossings: str | None
+
+    def __post_init__(self) -> None:
+        if self.max_hits is not None and self.kind != "multi":
+            raise BadInput("--max-hits: only with --multi")
+        if self.crossings is not None and self.kind not in ("multi", "count"):
+            raise BadInput("--crossings: only with --multi or --count")
+
+    def ask(
+        self, tracer: Tracer, rays: dict[str, NDArray[Any]], progress: Progress | None
+    ) -> _Answer:
+        """Trace the rays.
+
+        Parameters
+        ----------
+        tracer : Tracer
+        rays : dict of str to ndarray
+            Arguments of a query, by name.
+        progress : callable or None
+        """
+        import numpy as np
+
+        options: dict[str, Any] = {**rays, "progress": progress}
+        if self.crossings is not None:
+            options["crossings"] = self.crossings
+        if self.kind == "any":
+            seen = tracer.any_hit(**options)
+            hit_count = int(np.count_nonzero(seen))
+            return _Answer({"hit": seen}, seen.size, None, hit_count, hit_count)
+        if self.kind == "count":
+            counts = tracer.count_hits(**options)
+            rays_hit, hit_count = int(np.count_nonzero(counts)), int(counts.sum())
+            return _Answer({"count": counts}, counts.size, None, rays_hit, hit_count)
+        hits: Hits | MultiHits
+        if self.kind == "multi":
+            hits = tracer.multi_hit(**options, max_hits=self.max_hits)
+            rays_hit, hit_count = int(np.count_nonzero(hits.counts)), len(hits.t)
+        else:
+            hits = tracer.first_hit(**options)
+            rays_hit = hit_count = int(np.count_nonzero(hits.is_hit))
+        arrays = {name: getattr(hits, name) for name in COLUMNS[self.kind]}
+        invalid_count = int(np.count_nonzero(hits.status))
+        return _Answer(arrays, hits.status.size, invalid_count, rays_hit, hit_count)

@@ -1,0 +1,105 @@
+"""``raystream render``: a picture of a scene."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.bars import Bars
+from raystream.cli.messages import BadInput, one_line, refuse, write_json, write_line
+from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
+
+__all__ = ["DEFAULT_SCENE", "render"]
+
+DEFAULT_SCENE = "robots"
+
+
+def render(
+    scene: options.SceneName = DEFAULT_SCENE,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help="The picture: .png or .exr."),
+    ] = Path("out.png"),
+    mode: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help=f"Renderer: {' or '.join(options.MODES)}.",
+            callback=options.one_of(options.MODES),
+            autocompletion=options.complete(options.MODES),
+        ),
+    ] = "raycast",
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size in pixels.")] = "1024x768",
+    samples: Annotated[int, typer.Option(min=1, metavar="N", help="Rays for each pixel.")] = 1,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PARTS",
+            help="Parts of the view that replace the scene's own, as in 'eye=3,2,1 "
+            "look_at=0,0,0 up=0,1,0 fov=40' (degrees, vertical).",
+            show_default=False,
+        ),
+    ] = None,
+    exposure: Annotated[
+        float,
+        typer.Option(
+            metavar="FACTOR", callback=options.positive, help="Factor on the colours of a PNG."
+        ),
+    ] = 1.0,
+    structure: options.Structure = None,
+    device: options.Device = "cpu",
+    threads: options.Threads = None,
+    time: options.Time = 0.0,
+    triangles: options.Triangles = None,
+    json: options.Json = False,
+) -> None:
+    """Render a picture of a scene; without SCENE, of robots in a city."""
+    width, height = options.parse_size(size)
+    parts = {} if camera is None else options.parse_camera(camera)
+    options.check_output(output, (".png", ".exr"), inputs=[scene])
+    choose_threads(threads)
+    import raystream.render as renderers
+    from raystream.render.picture import MAX_PIXELS
+
+    if width * height > MAX_PIXELS:
+        raise BadInput(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
+    watch = Stopwatch()
+    with Bars() as bars:
+        tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)
+        with refuse(ValueError, where="--camera"):
+            view = dataclasses.replace(tracer.scene.camera, **parts)
+        with watch.measure("trace"), bars.step("rendering") as progress:
+            image = renderers.render(
+                tracer, mode, (width, height), samples, camera=view, progress=progress
+            )
+        with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
+            image.save(output, exposure=exposure)
+    ray_count = width * height * samples
+    speed = rays_per_second(ray_count, watch.seconds["trace"])
+    triangle_count = len(tracer.structure.triangles)
+    if json:
+        write_json(
+            {
+                "output": str(output),
+                "scene": scene,
+                "mode": mode,
+                "width": width,
+                "height": height,
+                "samples": samples,
+                "structure": tracer.structure.name,
+                "device": device,
+                "triangles": triangle_count,
+                "rays": ray_count,
+                "seconds": watch.rounded(),
+                "mrays_per_second": speed,
+            }
+        )
+    else:
+        write_line(
+            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles; "
+            f"{watch.text()}; {speed:g} Mrays/s"
+        )

@@ -1,0 +1,223 @@
+"""Hits and MultiHits: what the queries return."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.arrays import as_real_array
+from raystream.core.spawn import spawn_origins
+from raystream.core.triangles import Triangles
+
+__all__ = ["Hits", "MultiHits"]
+
+
+class _HitColumns:
+    """Hits as columns of any one shape, and what follows from them."""
+
+    #: Distance along the ray in direction lengths, float32. A miss has inf.
+    t: NDArray[np.float32]
+    #: Weight of vertex 1, float32; 0 for a miss.
+    u: NDArray[np.float32]
+    #: Weight of vertex 2, float32; vertex 0 has 1 - u - v. 0 for a miss.
+    v: NDArray[np.float32]
+    #: Triangle, counted over the whole scene, int32. A miss has -1.
+    prim_id: NDArray[np.int32]
+
+    _triangles: Triangles
+
+    @cached_property
+    def mesh_id(self) -> NDArray[np.int32]:
+        """Mesh of the triangle, int32, of the hits' shape; a miss has -1."""
+        mesh = np.searchsorted(self._triangles.mesh_splits, self.prim_id, side="right") - 1
+        return np.where(self.prim_id < 0, -1, mesh).astype(np.int32)
+
+    @cached_property
+    def mesh_prim_id(self) -> NDArray[np.int32]:
+        """Triangle, counted within its mesh, int32, of the hits' shape; a miss has -1."""
+        first = self._triangles.mesh_splits[self.mesh_id]
+        return np.where(self.prim_id < 0, -1, self.prim_id - first).astype(np.int32)
+
+    @cached_property
+    def positions(self) -> NDArray[np.float64]:
+        """Points on the triangles, shape (..., 3), float64, world space; a miss has NaN.
+
+        Interpolated from the vertices, not stepped along the ray: they lie on the triangle
+        however far away the ray began.
+        """
+        return self._triangles.to_world(self._local_positions())
+
+    @cached_property
+    def normals(self) -> NDArray[np.float32]:
+        """Unit normals of the triangles' planes, shape (..., 3), float32; a miss has NaN.
+
+        They point to the side from which the vertices run counter-clockwise, whichever side
+        the ray came from.
+        """
+        return self._local_normals().astype(np.float32)
+
+    def _corners(self) -> NDArray[np.float64]:
+        """Shape (..., 3, 3), float64, local frame; NaN for misses."""
+        if len(self._triangles) == 0:
+            return np.full((*self.prim_id.shape, 3, 3), np.nan)
+        corners = self._triangles.corners[self.prim_id].astype(np.float64)
+        corners[self.prim_id < 0] = np.nan
+        return corners
+
+    def _local_positions(self) -> NDArray[np.float64]:
+        corners = self._corners()
+        u, v = self.u[..., None].astype(np.float64), self.v[..., None].astype(np.float64)
+        first = corners[..., 0, :]
+        along_u, along_v = corners[..., 1, :] - first, corners[..., 2, :] - first
+        result: NDArray[np.float64] = first + u * along_u + v * along_v
+        return result
+
+    def _local_normals(self) -> NDArray[np.float64]:
+        corners = self._corners()
+        first = corners[..., 0, :]
+        normal = np.cross(corners[..., 1, :] - first, corners[..., 2, :] - first)
+        # Scaled before it is measured: the square of a small area would vanish.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            normal /= np.abs(normal).max(axis=-1, keepdims=True)
+            normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        return normal
+
+    def spawn(self, directions: Any) -> tuple[NDArray[np.float64], NDArray[Any]]:
+        """Make rays that leave the surfaces hit, and do not hit the same triangles again.
+
+        The origins lie off the hit triangles' planes, on the side to which the directions
+        point, by a bound of the rounding errors that follow (not a fixed epsilon), so no
+        ``t_min`` is needed. They may lie behind *another* surface that is nearer to the hit
+        than that bound, which is below 2**-20 of the scene's size.
+
+        Parameters
+        ----------
+        directions : array_like that broadcasts to the hits' shape + (3,), real
+            World space; need not be unit length.
+
+        Returns
+        -------
+        origins : ndarray of the hits' shape + (3,), float64
+            World space. NaN for misses: such a ray is INVALID and misses.
+        directions : ndarray of the hits' shape + (3,), float32 or float64
+
+        Raises
+        ------
+        ValueError
+            If the shape of `directions` does not fit.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> tracer = rs.Tracer(rs.load("cornell"))
+        >>> hits = tracer.first_hit([[278.0, 273.0, -800.0]], [[0.0, 0.0, 1.0]])
+        >>> back = tracer.first_hit(*hits.spawn([0.0, 0.0, -1.0]))
+        >>> bool(back.prim_id[0] == hits.prim_id[0])
+        False
+        """
+        wanted = (*self.prim_id.shape, 3)
+        array = as_real_array("directions", directions)
+        try:
+            array = np.broadcast_to(array, wanted)
+        except ValueError:
+            raise ValueError(
+                f"directions: shape {array.shape} does not broadcast to the hits' {wanted}"
+            ) from None
+        local = spawn_origins(
+            self._triangles, self._local_positions(), self._corners(), self._local_normals(), array
+        )
+        return self._triangles.to_world(local), array
+
+
+class Hits(_HitColumns):
+    """The nearest hit of each ray, in the rays' leading shape S.
+
+    Attributes
+    ----------
+    t, u, v : ndarray of shape S, float32
+        Distance in direction lengths (a miss has inf), and the weights of vertices 1 and 2
+        (a miss has 0).
+    prim_id : ndarray of shape S, int32
+        Triangle, counted over the whole scene; a miss has -1.
+    status : ndarray of shape S, uint8
+        A `RayStatus` for each ray.
+    """
+
+    def __init__(
+        self,
+        t: NDArray[np.float32],
+        u: NDArray[np.float32],
+        v: NDArray[np.float32],
+        prim_id: NDArray[np.int32],
+        status: NDArray[np.uint8],
+        triangles: Triangles,
+    ) -> None:
+        self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
+        self._triangles = triangles
+
+    def __getitem__(self, index: Any) -> Hits:
+        """Pick rays, with any index that NumPy takes for the leading shape."""
+        return Hits(
+            np.asarray(self.t[index]),
+            np.asarray(self.u[index]),
+            np.asarray(self.v[index]),
+            np.asarray(self.prim_id[index]),
+            np.asarray(self.status[index]),
+            self._triangles,
+        )
+
+    @property
+    def is_hit(self) -> NDArray[np.bool_]:
+        """Whether each ray hit anything, shape S, bool."""
+        return self.prim_id >= 0
+
+    def __repr__(self) -> str:
+        hit_count = int(np.count_nonzero(self.is_hit))
+        return f"Hits(shape={self.t.shape}, {hit_count:,} of {self.t.size:,} rays hit)"
+
+
+class MultiHits(_HitColumns):
+    """Many hits of each ray, by increasing distance, as rows delimited by `ray_splits`.
+
+    Attributes
+    ----------
+    ray_splits : ndarray of shape (N + 1,), int64
+        Ray i owns the rows ray_splits[i] to ray_splits[i + 1] of the other arrays; rays are
+        numbered in the C order of their leading shape.
+    t, u, v : ndarray of shape (K,), float32
+        Distances in direction lengths, increasing within a ray; weights of vertices 1, 2.
+    prim_id : ndarray of shape (K,), int32
+        Triangles, counted over the whole scene; increasing within a ray where t is equal.
+    status : ndarray of shape S, uint8
+        A `RayStatus` for each ray, in the rays' leading shape.
+    """
+
+    def __init__(
+        self,
+        ray_splits: NDArray[np.int64],
+        t: NDArray[np.float32],
+        u: NDArray[np.float32],
+        v: NDArray[np.float32],
+        prim_id: NDArray[np.int32],
+        status: NDArray[np.uint8],
+        triangles: Triangles,
+    ) -> None:
+        self.ray_splits = ray_splits
+        self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
+        self._triangles = triangles
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Number of hits of each ray, in the rays' leading shape, int64."""
+        return np.diff(self.ray_splits).reshape(self.status.shape)
+
+    @cached_property
+    def ray_id(self) -> NDArray[np.int64]:
+        """Ray of each row, shape (K,), int64."""
+        return np.repeat(np.arange(len(self.ray_splits) - 1), np.diff(self.ray_splits))
+
+    def __repr__(self) -> str:
+        return f"MultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

@@ -1,0 +1,72 @@
+"""Origins for rays that leave a surface: how far off the triangle they must be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+
+__all__ = ["spawn_origins"]
+
+_UNIT = 2.0**-24  # half a step of float32, relative
+
+#: Rounding in the triangle test acts as if each vertex moved by at most about 6 units of the
+#: vertices' distance from the origin, which is near the triangle; doubled for the two
+#: products of an edge, and a margin of a third.
+_EXTENT_UNITS = 16.0
+
+#: Rounding of the origin's three coordinates to float32: at most 1 unit each.
+_REACH_UNITS = 4.0
+
+#: The boxes' padding is 16 units (`kernels.ray.PAD`). An origin within it is inside the
+#: triangle's own padded box, whose interval then holds t < 0: the clamp cannot raise a
+#: negative distance to a hit.
+_MOST_UNITS = 14.0
+
+
+def spawn_origins(
+    triangles: Triangles,
+    positions: NDArray[np.float64],
+    corners: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    directions: NDArray[Any],
+) -> NDArray[np.float64]:
+    """Move points off their triangles to the side that the directions point to.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    positions : ndarray of shape (..., 3), float64
+        Points on the triangles, local frame.
+    corners : ndarray of shape (..., 3, 3), float64
+        Their vertices, local frame.
+    normals : ndarray of shape (..., 3), float64
+        Unit normals.
+    directions : ndarray of shape (..., 3), real
+
+    Returns
+    -------
+    ndarray of shape (..., 3), float64
+        Local frame.
+
+    Notes
+    -----
+    A ray from there has the triangle's plane behind it by `offset` at t = 0, and moves away
+    from it. The test's rounding is that of a triangle whose vertices moved by less than
+    `offset`, so it finds the plane at t < 0.
+    """
+    extent = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
+    reach = np.abs(positions).max(axis=-1)
+    offset = _UNIT * np.minimum(
+        _EXTENT_UNITS * extent + _REACH_UNITS * reach,
+        _MOST_UNITS * (float(triangles.extreme) + reach),
+    )
+    # The world position is float64: far from the origin its own step may be larger.
+    world_reach = np.abs(triangles.center).max() * triangles.scale
+    offset += 2.0**-50 * world_reach
+    away = np.sign(np.einsum("...k,...k->...", normals, directions))
+    away = np.where(away == 0.0, 1.0, away)
+    return positions + (away * offset)[..., None] * normals

@@ -1,0 +1,206 @@
+"""Triangles: the float32 triangle store that every structure is built from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MAX_COORDINATE", "MAX_TRIANGLES", "Triangles"]
+
+#: Coordinates beyond this count as non-finite: products of three would leave float64.
+MAX_COORDINATE = 2.0**200
+
+#: prim_id is int32.
+MAX_TRIANGLES = 2**31 - 2
+
+#: A scene is moved when it lies further from the origin than this many times its extent:
+#: below, float32 loses at most 4 of its 24 bits to the distance.
+RECENTRE_RATIO = 16.0
+
+#: Local coordinates outside these powers of two are scaled, so that products of three
+#: coordinates neither overflow nor vanish in float32.
+SCALE_EXPONENTS = (-10, 20)
+
+
+class Triangles:
+    """Triangles of a scene, in a local frame where float32 suffices.
+
+    ``local = (world - center) * scale``. The centre is zero and the scale is one for
+    ordinary scenes. Else both are exact: the centre is a multiple of a power of two as large
+    as the scene, the scale is a power of two, and the subtraction is done in float64.
+
+    Parameters
+    ----------
+    meshes : sequence of (vertices, faces)
+        Arrays of shape (V, 3), float, and (F, 3), int32, with indices in range.
+
+    Attributes
+    ----------
+    corners : ndarray of shape (F, 3, 3), float32
+        Vertices 0, 1, 2 of each triangle, local frame; row = `prim_id`.
+    prim_ids : ndarray of shape (A,), int32
+        The triangles that can be hit, in increasing order: the finite ones with an area.
+    mesh_splits : ndarray of shape (M + 1,), int64
+        Mesh i owns the prim_ids in [mesh_splits[i], mesh_splits[i + 1]).
+    center : ndarray of shape (3,), float64
+        World position of the local origin.
+    scale : float
+        Local units in a world unit.
+    bounds : ndarray of shape (2, 3), float32
+        Low and high corner of the box around `prim_ids`, local frame; zeros without any.
+    extreme : float32
+        Largest absolute coordinate of `prim_ids`, local frame.
+    degenerate_count, nonfinite_count : int
+        Triangles left out: without area, or with a vertex that is NaN, infinite or beyond
+        `MAX_COORDINATE`.
+    """
+
+    corners: NDArray[np.float32]
+    prim_ids: NDArray[np.int32]
+    mesh_splits: NDArray[np.int64]
+    center: NDArray[np.float64]
+    scale: float
+    bounds: NDArray[np.float32]
+    extreme: np.float32
+    degenerate_count: int
+    nonfinite_count: int
+
+    def __init__(self, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> None:
+        counts = [len(faces) for _, faces in meshes]
+        self.mesh_splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        count = int(self.mesh_splits[-1])
+        if count > MAX_TRIANGLES:
+            raise ValueError(f"scene: {count:,} triangles are more than {MAX_TRIANGLES:,}")
+
+        usable = [_usable_vertices(vertices) for vertices, _ in meshes]
+        finite = np.ones(count, bool)
+        for (_, faces), good, first in zip(meshes, usable, self.mesh_splits, strict=False):
+            if not good.all():
+                finite[first : first + len(faces)] = good[faces].all(axis=1)
+        self.nonfinite_count = count - int(np.count_nonzero(finite))
+
+        low, high = _finite_bounds(meshes, finite, self.mesh_splits)
+        self.center, self.scale = local_frame(low, high)
+
+        self.corners = np.empty((count, 3, 3), np.float32)
+        for (vertices, faces), good, first in zip(meshes, usable, self.mesh_splits, strict=False):
+            local = self.to_local(vertices)
+            if not good.all():
+                local[~good] = np.nan
+            self.corners[first : first + len(faces)] = local[faces]
+
+        self._set_corners(finite)
+
+    @classmethod
+    def from_local(
+        cls,
+        corners: NDArray[np.float32],
+        mesh_splits: NDArray[np.int64],
+        center: NDArray[np.float64],
+        scale: float,
+    ) -> Triangles:
+        """Make the store of corners that are in a local frame already, as from a file."""
+        triangles = cls.__new__(cls)
+        triangles.corners, triangles.mesh_splits = corners, mesh_splits
+        triangles.center, triangles.scale = center, scale
+        finite: NDArray[np.bool_] = np.all(np.isfinite(corners), axis=(1, 2))
+        triangles.nonfinite_count = len(corners) - int(np.count_nonzero(finite))
+        triangles._set_corners(finite)
+        return triangles
+
+    def _set_corners(self, finite: NDArray[np.bool_]) -> None:
+        """Find what can be hit, and its bounds."""
+        count = len(self.corners)
+        solid = finite & _has_area(self.corners)
+        self.prim_ids = np.flatnonzero(solid).astype(np.int32)
+        self.degenerate_count = count - self.nonfinite_count - len(self.prim_ids)
+        self.bounds = np.zeros((2, 3), np.float32)
+        if len(self.prim_ids):
+            corners = self.corners
+            if len(self.prim_ids) < count:
+                corners = corners[self.prim_ids]
+            self.bounds[:] = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        self.extreme = np.float32(np.abs(self.bounds).max())
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+    def to_local(self, points: NDArray[Any]) -> NDArray[np.float32]:
+        """Move world-space points of shape (..., 3) into the local frame."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            if self.scale == 1.0 and not self.center.any():
+                return np.array(points, np.float32)
+            return ((np.asarray(points, np.float64) - self.center) * self.scale).astype(np.float32)
+
+    def to_world(self, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Move local points of shape (..., 3) into world space."""
+        return np.asarray(points, np.float64) / self.scale + self.center
+
+    @property
+    def world_bounds(self) -> NDArray[np.float64]:
+        """`bounds` in world space, shape (2, 3), float64."""
+        return self.to_world(self.bounds) if len(self.prim_ids) else np.zeros((2, 3))
+
+
+def local_frame(
+    low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """Choose the centre and the power-of-two scale for a scene with these world bounds."""
+    center = np.zeros(3)
+    extent = float((high - low).max())
+    reach = float(np.maximum(np.abs(low), np.abs(high)).max())
+    if extent > 0.0 and reach > RECENTRE_RATIO * extent:
+        grid = 2.0 ** math.ceil(math.log2(extent))
+        center = np.round((low + (high - low) / 2) / grid) * grid
+        reach = float(np.maximum(np.abs(low - center), np.abs(high - center)).max())
+    exponent = math.frexp(reach)[1] if reach > 0.0 else 0
+    ordinary = reach == 0.0 or SCALE_EXPONENTS[0] <= exponent <= SCALE_EXPONENTS[1]
+    return center, 1.0 if ordinary else 2.0**-exponent
+
+
+def _usable_vertices(vertices: NDArray[Any]) -> NDArray[np.bool_]:
+    if vertices.dtype == np.float32:
+        return np.isfinite(vertices).all(axis=1)  # MAX_COORDINATE is beyond float32
+    with np.errstate(invalid="ignore"):
+        return (np.abs(vertices) <= MAX_COORDINATE).all(axis=1)
+
+
+def _finite_bounds(
+    meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]],
+    finite: NDArray[np.bool_],
+    splits: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of the box around the vertices that finite triangles use."""
+    lows, highs = [], []
+    for (vertices, faces), first in zip(meshes, splits, strict=False):
+        kept = finite[first : first + len(faces)]
+        if not kept.any():
+            continue
+        used = np.zeros(len(vertices), bool)
+        used[faces if kept.all() else faces[kept]] = True
+        points = vertices[used].astype(np.float64)
+        lows.append(points.min(axis=0))
+        highs.append(points.max(axis=0))
+    if not lows:
+        return np.zeros(3), np.zeros(3)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _has_area(corners: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Whether the corners are not on one line.
+
+    In float64 the differences of float32 numbers are exact (but for extreme ratios), and
+    the two products of a collinear triangle are the same number, rounded the same way.
+    """
+    result = np.empty(len(corners), bool)
+    block = 1 << 18  # keeps the float64 temporaries small
+    for first in range(0, len(corners), block):
+        part = corners[first : first + block].astype(np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):
+            normal = np.cross(part[:, 1] - part[:, 0], part[:, 2] - part[:, 0])
+        result[first : first + block] = (normal != 0.0).any(axis=1)
+    return result

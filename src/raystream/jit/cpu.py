@@ -1,0 +1,45 @@
+"""The decorators that compile kernels and device functions for the CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numba
+
+from raystream.jit.cache import KernelCache
+
+__all__ = ["device", "device_call", "kernel"]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+# error_model: slab tests divide by numbers that may be tiny, and Python's check for zero
+# costs a branch in each division. fastmath=False is said although it is the default: it is
+# then part of the function and not taken from its caller. boundscheck=False likewise, so
+# that NUMBA_BOUNDSCHECK cannot half-apply.
+_FLAGS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": False,
+    "boundscheck": False,
+}
+
+
+def kernel(function: Function) -> Function:
+    """Compile a function that Python calls, when it is first called, and cache it on disk.
+
+    It runs without the interpreter lock, so that threads run it in parallel.
+    """
+    dispatcher = numba.njit(**_FLAGS)(function)
+    dispatcher._cache = KernelCache(function)
+    return dispatcher
+
+
+def device(function: Function) -> Function:
+    """Compile a function that kernels call; it is inlined into each of them."""
+    return numba.njit(forceinline=True, **_FLAGS)(function)
+
+
+def device_call(function: Function) -> Function:
+    """Compile a function that kernels call without inlining it: for rare, long branches."""
+    return numba.njit(**_FLAGS)(function)

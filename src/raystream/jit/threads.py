@@ -1,0 +1,178 @@
+"""Parallel loops over ranges: threads that run compiled kernels without the interpreter lock."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+__all__ = ["Progress", "parallel_for", "set_thread_count", "thread_count", "thread_pool"]
+
+#: Called with how much is done and how much there is to do, from the calling thread.
+Progress = Callable[[int, int], object]
+
+#: Seconds between two calls of a progress callback.
+PROGRESS_INTERVAL = 0.05
+
+_chosen_count: int | None = None
+_pool: ThreadPoolExecutor | None = None
+_pool_size = 0
+_lock = threading.Lock()
+
+
+def thread_count() -> int:
+    """Number of threads that work is spread over.
+
+    `set_thread_count` decides, else ``RAYSTREAM_THREADS``, else the cores that this process
+    may use.
+
+    Raises
+    ------
+    ValueError
+        If ``RAYSTREAM_THREADS`` is not a positive integer.
+    """
+    if _chosen_count is not None:
+        return _chosen_count
+    text = os.environ.get("RAYSTREAM_THREADS", "").strip()
+    if text:
+        if not text.isdecimal() or int(text) < 1:
+            raise ValueError(f"RAYSTREAM_THREADS: expected a positive integer, got {text!r}")
+        return int(text)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def set_thread_count(count: int | None) -> None:
+    """Choose the number of threads for this process; None goes back to the default.
+
+    Raises
+    ------
+    ValueError
+        If `count` is below 1.
+    """
+    global _chosen_count
+    if count is not None and count < 1:
+        raise ValueError(f"threads: expected at least 1, got {count}")
+    _chosen_count = count
+
+
+def thread_pool() -> ThreadPoolExecutor:
+    """The shared pool, with `thread_count` threads."""
+    global _pool, _pool_size
+    count = thread_count()
+    with _lock:
+        if _pool is None or _pool_size != count:
+            if _pool is not None:
+                _pool.shutdown(wait=False)
+            _pool = ThreadPoolExecutor(count, thread_name_prefix="raystream")
+            _pool_size = count
+        return _pool
+
+
+def _forget_pool() -> None:
+    """A forked child has none of its parent's threads, and perhaps a lock held by one."""
+    global _pool, _lock
+    _pool = None
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool)
+
+
+def parallel_for(
+    body: Callable[[int, int], object],
+    count: int,
+    chunk: int,
+    progress: Progress | None = None,
+) -> None:
+    """Run ``body(begin, end)`` over [0, count) in chunks, on all threads.
+
+    The calling thread works too, so that a small loop needs no hand-over, and Ctrl-C is
+    noticed between two of its chunks: the other threads then finish the chunk they are in,
+    and KeyboardInterrupt is raised. An exception in any chunk stops the loop likewise.
+
+    Parameters
+    ----------
+    body : callable
+        Called with begin < end; must release the interpreter lock to run in parallel.
+    count : int
+        Length of the range.
+    chunk : int
+        Most that one call of `body` gets: decides the balance between threads and how soon
+        an interrupt takes effect.
+    progress : callable, optional
+        Called with (done, count) from the calling thread, not more often than every
+        `PROGRESS_INTERVAL` seconds, and once at the end.
+    """
+    if count <= 0:
+        return
+    begins = itertools.count(0, chunk)  # next() is atomic under the interpreter lock
+    finished = itertools.count(1)
+    state = _LoopState()
+    thread_total = min(thread_count(), -(-count // chunk))
+
+    def work(report: Progress | None) -> None:
+        shown = time.monotonic()
+        while not state.stop:
+            begin = next(begins)
+            if begin >= count:
+                return
+            body(begin, min(begin + chunk, count))
+            state.chunks_done = next(finished)
+            if report and time.monotonic() - shown >= PROGRESS_INTERVAL:
+                shown = time.monotonic()
+                report(min(state.chunks_done * chunk, count), count)
+
+    def work_in_pool() -> None:
+        try:
+            work(None)
+        except BaseException:
+            state.stop = True
+            raise
+
+    others: list[Future[None]] = []
+    try:
+        if thread_total > 1:
+            pool = thread_pool()
+            others = [pool.submit(work_in_pool) for _ in range(thread_total - 1)]
+        work(progress)
+        _wait(others, lambda: state.chunks_done * chunk, count, progress)
+    except BaseException:
+        state.stop = True
+        for other in others:
+            other.cancel()
+        for other in others:
+            if not other.cancelled():
+                other.exception()
+        raise
+    if progress:
+        progress(count, count)
+
+
+class _LoopState:
+    stop = False
+    chunks_done = 0
+
+
+def _wait(
+    others: list[Future[None]],
+    done: Callable[[], int],
+    count: int,
+    progress: Progress | None,
+) -> None:
+    """Wait for the other threads, in slices, so that Ctrl-C gets through on every platform."""
+    for other in others:
+        while True:
+            try:
+                other.result(timeout=PROGRESS_INTERVAL)
+                break
+            except TimeoutError:
+                if other.done():
+                    raise
+                if progress:
+                    progress(min(done(), count), count)

@@ -1,0 +1,1 @@
+"""Device functions that every structure shares: ray set-up, slab test, triangle test, queries."""

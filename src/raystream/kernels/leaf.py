@@ -1,0 +1,66 @@
+"""Testing a run of triangles and keeping or counting the hits: the leaf of every traversal."""
+
+from __future__ import annotations
+
+from raystream.jit.cpu import device
+from raystream.kernels.collect import keep_hit
+from raystream.kernels.triangle import intersect
+
+__all__ = ["test_triangles"]
+
+
+@device
+def test_triangles(
+    ray,
+    corners,
+    prim_ids,
+    begin,
+    end,
+    t_min,
+    t_far,
+    surfaces,
+    keep,
+    count,
+    capacity,
+    first,
+    out,
+):
+    """Test triangles begin to end against a ray.
+
+    Parameters
+    ----------
+    ray : Ray
+    corners, prim_ids : arrays of shape (A, 3, 3), float32, and (A,), int32
+        The triangles, and their numbers in the scene.
+    begin, end : int
+        Rows of `corners`.
+    t_min, t_far : float32
+        Closed interval in which a hit is wanted.
+    surfaces : bool
+        The rule at edges and vertices, see `intersect`.
+    keep : bool
+        Keep the nearest hits in `out`, else only count them.
+    count, capacity : int
+        Hits so far, and how many are wanted at most.
+    first, out : int, HitArrays
+        Where hits are kept.
+
+    Returns
+    -------
+    count : int
+    t_far : float32
+        Hits beyond are no longer wanted.
+    """
+    for i in range(begin, end):
+        hit, t, u, v = intersect(ray, corners, i, surfaces)
+        # Written so that a NaN would fail.
+        if hit and t >= t_min and t <= t_far:
+            if keep:
+                count = keep_hit(out, first, count, capacity, t, u, v, prim_ids[i])
+                if count == capacity:
+                    t_far = out.t[first]
+            else:
+                count += 1
+                if count == capacity:
+                    break
+    return count, t_far

@@ -1,0 +1,134 @@
+"""render: from a scene to an image, by any of the renderers."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from raystream.jit.threads import Progress
+from raystream.render.eye_rays import eye_rays
+from raystream.render.film import Film
+from raystream.render.image import Image
+from raystream.render.lighting import area_patches, lights_or_headlight
+from raystream.render.looks import Looks
+from raystream.render.raycast import RAYCAST
+from raystream.render.stages import Frame, Renderer, run_stages
+from raystream.render.surfaces import Surfaces
+from raystream.render.vis import VIS
+from raystream.scene.camera import Camera
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = ["MAX_PIXELS", "MODES", "RENDERERS", "render"]
+
+RENDERERS: dict[str, Renderer] = {renderer.name: renderer for renderer in (RAYCAST, VIS)}
+
+#: What each mode shows, by its name.
+MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDERERS.items()}
+
+#: Larger pictures are refused: their film alone would take 12 bytes a pixel.
+MAX_PIXELS = 1 << 30
+
+#: Pixels that go through the stages at a time: bounds memory at about 40 MB, and is how
+#: often progress is reported.
+_PIXELS_PER_BAND = 1 << 17
+
+
+def render(
+    scene: Scene | Tracer,
+    mode: str = "raycast",
+    size: tuple[int, int] = (1024, 768),
+    samples: int = 1,
+    structure: str = "bvh",
+    device: str = "cpu",
+    *,
+    camera: Camera | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Image:
+    """Render a picture of a scene.
+
+    Parameters
+    ----------
+    scene : Scene or Tracer
+        A tracer saves building the structure again for every picture.
+    mode : {"raycast", "vis"}
+        The renderer, see `MODES`.
+    size : (int, int)
+        Width and height in pixels.
+    samples : int
+        Rays for each pixel. One goes through the centre; more smooth the edges.
+    structure, device, **options
+        See `Tracer`; not to be given together with one.
+    camera : Camera, optional
+        The view; without it, the scene's.
+    seed : int
+        For the places of the samples: the same seed gives the same picture.
+    progress : callable, optional
+        Called with (rays done, rays). An exception that it raises ends the rendering.
+
+    Returns
+    -------
+    Image
+        Linear RGB.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or a number out of range.
+    TypeError
+        If `scene` is neither a scene nor a tracer.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> image = rs.render(rs.load("cornell"), size=(32, 24))
+    >>> image.pixels.shape
+    (24, 32, 3)
+    """
+    if mode not in RENDERERS:
+        known = ", ".join(repr(known) for known in RENDERERS)
+        raise ValueError(f"mode: expected one of {known}, got {mode!r}")
+    width, height = _checked_size(size)
+    samples = operator.index(samples)
+    if samples < 1:
+        raise ValueError(f"samples: expected at least 1, got {samples}")
+    if isinstance(scene, Tracer):
+        if structure != "bvh" or device != "cpu" or options:
+            raise ValueError("structure, device, options: the tracer given has its own")
+        tracer = scene
+    else:
+        tracer = Tracer(scene, structure, device, **options)
+    frame = _make_frame(tracer, camera, Film(width, height))
+
+    rows_per_band = max(1, _PIXELS_PER_BAND // width)
+    done, total = 0, width * height * samples
+    for first in range(0, height, rows_per_band):
+        rows = range(first, min(first + rows_per_band, height))
+        for sample in range(samples):
+            stream = eye_rays(frame.camera, width, height, rows, sample, samples, seed)
+            done += len(stream)
+            run_stages(RENDERERS[mode].stages, stream, frame)
+            if progress:
+                progress(done, total)
+    return frame.film.image(samples)
+
+
+def _make_frame(tracer: Tracer, camera: Camera | None, film: Film) -> Frame:
+    scene = tracer.scene
+    camera = camera or scene.camera
+    patches = area_patches(scene)
+    lights = lights_or_headlight(scene, camera, bool(patches))
+    looks = Looks(scene.materials)
+    return Frame(tracer, scene, camera, Surfaces(scene), looks, lights, patches, film)
+
+
+def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        width, height = (operator.index(length) for length in size)
+    except (TypeError, ValueError):
+        raise ValueError(f"size: expected (width, height), got {size!r}") from None
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        raise ValueError(f"size: expected 1 to {MAX_PIXELS:,} pixels, got {width}x{height}")
+    return width, height

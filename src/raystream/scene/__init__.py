@@ -1,0 +1,1 @@
+"""Scenes: meshes, materials, textures, lights and cameras, from files or generated."""

@@ -1,0 +1,86 @@
+"""Formats: which reader reads which files, and what holds for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+from raystream.core.errors import FileFormatError, RaystreamError
+from raystream.scene.io.files import model_suffix
+from raystream.scene.io.partial import check_loaded
+from raystream.scene.scene import Scene
+
+__all__ = ["SUFFIXES", "read_model"]
+
+#: Module and function that read each format; a module is imported when it is first needed.
+_READERS = {
+    ".obj": ("obj", "read_obj"),
+    ".ply": ("ply", "read_ply"),
+    ".stl": ("stl", "read_stl"),
+    ".off": ("off", "read_off"),
+    ".gltf": ("gltf", "read_gltf"),
+    ".glb": ("gltf", "read_gltf"),
+    ".aff": ("aff", "read_aff"),
+    ".nff": ("aff", "read_aff"),
+}
+
+#: Formats whose scenes move.
+ANIMATED = frozenset({".aff", ".nff"})
+
+#: The suffixes of all formats; each may be followed by ``.gz``.
+SUFFIXES = tuple(_READERS)
+
+
+def read_model(path: Path, *, time: float = 0.0) -> Scene:
+    """Read a model file of any format.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix tells the format; a ``.gz`` after it is unpacked.
+    time : float
+        For animated formats: the time to show, in the file's units.
+
+    Returns
+    -------
+    Scene
+        With at least one triangle.
+
+    Raises
+    ------
+    FileFormatError
+        For whatever is wrong with the file: one line that names it.
+    ValueError
+        If `time` is given for a format without animation.
+
+    Warns
+    -----
+    RaystreamWarning
+        For parts of the file that could not be used.
+    """
+    suffix = model_suffix(path)
+    if suffix not in _READERS:
+        known = " ".join(SUFFIXES)
+        raise FileFormatError(path, f"its suffix tells no known format; known are {known}")
+    if suffix not in ANIMATED and time != 0.0:
+        raise ValueError(
+            f"time: {suffix} files are not animated, only {' '.join(sorted(ANIMATED))}"
+        )
+    try:
+        return check_loaded(path, _reader(suffix, time)(path))
+    except (RaystreamError, Warning):  # warnings are errors when the user makes them so
+        raise
+    except MemoryError:
+        raise FileFormatError(path, "is too large for this machine's memory") from None
+    except Exception as error:  # whatever a hostile file found that the readers did not expect
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise FileFormatError(path, f"cannot be read as {suffix} ({reason[:200]})") from error
+
+
+def _reader(suffix: str, time: float) -> Callable[[Path], Scene]:
+    module, name = _READERS[suffix]
+    function: Callable[..., Scene] = getattr(import_module(f"raystream.scene.io.{module}"), name)
+    if suffix in ANIMATED:
+        return lambda path: function(path, time=time)
+    return function

@@ -1,0 +1,235 @@
+"""glTF container: the JSON document, checked access to it, and its buffers."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import math
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from raystream.core.errors import FileFormatError
+from raystream.scene.io.files import find_sibling, read_model_bytes
+from raystream.scene.io.text import shown
+
+__all__ = ["GltfFile", "Node"]
+
+Node = dict[str, Any]
+
+_GLB_MAGIC = b"glTF"
+_JSON_CHUNK = 0x4E4F534A
+_BINARY_CHUNK = 0x004E4942
+
+#: Required extensions that the reader knows, or may ignore without misreading geometry.
+KNOWN_EXTENSIONS = frozenset(
+    {
+        "EXT_texture_webp",
+        "KHR_lights_punctual",
+        "KHR_mesh_quantization",
+        "KHR_texture_transform",
+    }
+)
+
+
+class GltfFile:
+    """A glTF 2.0 document with its buffers.
+
+    Every access checks the JSON type, so that a damaged file ends in one `FileFormatError`.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.gltf`` or ``.glb`` file.
+
+    Attributes
+    ----------
+    path : Path
+    root : dict
+        The JSON document.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        content = read_model_bytes(path)
+        self._binary: bytes | None = None
+        text = self._chunks(content) if content[:4] == _GLB_MAGIC else content
+        try:
+            root = json.loads(text.decode("utf-8-sig"))
+        except (ValueError, RecursionError):
+            raise self.error("is not a glTF file: its JSON part cannot be read") from None
+        if not isinstance(root, dict):
+            raise self.error("is not a glTF file: its JSON part is not an object")
+        self.root: Node = root
+        self._buffers: dict[int, bytes] = {}
+        self._check_version()
+
+    def error(self, reason: str) -> FileFormatError:
+        """Make the error for this file."""
+        return FileFormatError(self.path, reason)
+
+    def _chunks(self, content: bytes) -> bytes:
+        """Cut a GLB file; return the JSON and keep the binary chunk."""
+        if len(content) < 20:
+            raise self.error("is truncated: a GLB file has at least 20 bytes")
+        version, length = (int.from_bytes(content[i : i + 4], "little") for i in (4, 8))
+        if version != 2:
+            raise self.error(f"GLB version {version} is not supported, only 2")
+        if length > len(content):
+            raise self.error(f"is truncated: it promises {length:,} bytes and has {len(content):,}")
+        text, position = b"", 12
+        while position + 8 <= length:
+            size, kind = (
+                int.from_bytes(content[position + i : position + i + 4], "little") for i in (0, 4)
+            )
+            position += 8
+            if position + size > length:
+                raise self.error("is damaged: a GLB chunk is longer than the file")
+            if kind == _JSON_CHUNK and not text:
+                text = content[position : position + size]
+            elif kind == _BINARY_CHUNK and self._binary is None:
+                self._binary = content[position : position + size]
+            position += size
+        return text.rstrip(b"\0")
+
+    def _check_version(self) -> None:
+        asset = self.child(self.root, "asset")
+        version = asset.get("version", "2.0")
+        if not isinstance(version, str) or not version.startswith("2"):
+            raise self.error(f"glTF version {shown(str(version).encode())} is not supported")
+        for name in self.entries(self.root, "extensionsRequired"):
+            if not isinstance(name, str) or not (
+                name in KNOWN_EXTENSIONS or name.startswith("KHR_materials_")
+            ):
+                raise self.error(
+                    f"needs the extension {shown(str(name).encode())}, which is not supported"
+                )
+
+    # Checked access.
+
+    def child(self, parent: Node, key: str) -> Node:
+        """Get an object; empty when absent."""
+        value = parent.get(key, {})
+        if not isinstance(value, dict):
+            raise self.error(f"is damaged: {key} is not an object")
+        return value
+
+    def extension(self, parent: Node, name: str) -> Node | None:
+        """Get an extension's object; None when absent."""
+        extensions = self.child(parent, "extensions")
+        return self.child(extensions, name) if name in extensions else None
+
+    def entries(self, parent: Node, key: str) -> list[Any]:
+        """Get a list; empty when absent."""
+        value = parent.get(key, [])
+        if not isinstance(value, list):
+            raise self.error(f"is damaged: {key} is not a list")
+        return value
+
+    def entry(self, key: str, index: int) -> Node:
+        """Get one object of a list of the document, such as ``meshes``."""
+        items = self.entries(self.root, key)
+        if not 0 <= index < len(items):
+            raise self.error(f"is damaged: {key} has no number {index}")
+        if not isinstance(items[index], dict):
+            raise self.error(f"is damaged: {key} number {index} is not an object")
+        item: Node = items[index]
+        return item
+
+    def integer(self, parent: Node, key: str, default: int | None = None) -> int:
+        """Get a whole number >= 0; without a default it must be there."""
+        value = parent.get(key, default)
+        if isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
+            raise self.error(f"is damaged: {key} is not a whole number >= 0")
+        return value
+
+    def index(self, parent: Node, key: str) -> int | None:
+        """Get an index; None when absent."""
+        return self.integer(parent, key) if key in parent else None
+
+    def number(self, parent: Node, key: str, default: float) -> float:
+        """Get a finite number."""
+        return self._finite(parent.get(key, default), key)
+
+    def numbers(self, parent: Node, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
+        """Get as many finite numbers as the default has."""
+        values = parent.get(key, default)
+        if not isinstance(values, (list, tuple)) or len(values) != len(default):
+            raise self.error(f"is damaged: {key} is not a list of {len(default)} numbers")
+        return tuple(self._finite(value, key) for value in values)
+
+    def _finite(self, value: Any, key: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(f"is damaged: {key} is not a number")
+        try:
+            result = float(value)
+        except OverflowError:
+            result = math.inf
+        if not math.isfinite(result):
+            raise self.error(f"is damaged: {key} is not a finite number")
+        return result
+
+    # Buffers.
+
+    def buffer(self, index: int) -> bytes:
+        """Read a buffer: the binary chunk, a data URI, or a file next to the model."""
+        if index not in self._buffers:
+            entry = self.entry("buffers", index)
+            promised = self.integer(entry, "byteLength")
+            content = self._buffer_content(index, entry)
+            if promised > len(content):
+                raise self.error(
+                    f"is truncated: buffer {index} promises {promised:,} bytes "
+                    f"and has {len(content):,}"
+                )
+            self._buffers[index] = content
+        return self._buffers[index]
+
+    def _buffer_content(self, index: int, entry: Node) -> bytes:
+        if "uri" not in entry:
+            if index == 0 and self._binary is not None:
+                return self._binary
+            raise self.error(f"is damaged: buffer {index} has no uri")
+        uri = self.uri(entry)
+        if uri.startswith("data:"):
+            return self.decoded(uri)
+        found = self.sibling(uri)
+        if found is None:
+            raise self.error(f"its buffer file {shown(uri.encode())} was not found next to it")
+        return read_model_bytes(found)
+
+    def uri(self, entry: Node) -> str:
+        """Get the uri of a buffer or image."""
+        uri = entry.get("uri")
+        if not isinstance(uri, str):
+            raise self.error("is damaged: a uri is not text")
+        return uri
+
+    def sibling(self, uri: str) -> Path | None:
+        """Find the file that a relative uri names."""
+        return find_sibling(self.path, unquote(uri))
+
+    def decoded(self, uri: str) -> bytes:
+        """Decode a data URI."""
+        head, comma, payload = uri.partition(",")
+        try:
+            if not comma:
+                raise ValueError("no comma")
+            if head.endswith(";base64"):
+                return base64.b64decode(payload)
+            return unquote(payload).encode("latin-1")
+        except (ValueError, binascii.Error):
+            raise self.error("is damaged: a data URI cannot be decoded") from None
+
+    def view(self, index: int) -> tuple[memoryview, int]:
+        """Get the bytes of a buffer view, and its stride (0: packed)."""
+        view = self.entry("bufferViews", index)
+        buffer = self.buffer(self.integer(view, "buffer"))
+        start = self.integer(view, "byteOffset", 0)
+        length = self.integer(view, "byteLength")
+        if start + length > len(buffer):
+            raise self.error(f"is damaged: buffer view {index} leaves its buffer")
+        return memoryview(buffer)[start : start + length], self.integer(view, "byteStride", 0)

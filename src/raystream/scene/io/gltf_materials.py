@@ -1,0 +1,142 @@
+"""glTF materials: metallic-roughness parameters, textures and images."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+from raystream.scene.io.gltf_file import GltfFile, Node
+from raystream.scene.io.partial import warn_partial
+from raystream.scene.io.text import shown
+from raystream.scene.material import Color, Material
+from raystream.scene.texture import Texture
+
+__all__ = ["read_materials", "texcoord_set"]
+
+_CLAMP_TO_EDGE = 33071
+_REPEAT = 10497
+
+
+def read_materials(file: GltfFile) -> list[Material]:
+    """Read all materials, and after them the default one for primitives that name none.
+
+    The base colour becomes `diffuse`, whatever the metallic factor is; `roughness`, `metallic`
+    and ``KHR_materials_`` `emissive_strength`, `ior` and `transmission` are kept. Factors
+    are to be multiplied with the textures of the same role.
+
+    Parameters
+    ----------
+    file : GltfFile
+        The document.
+
+    Returns
+    -------
+    list of Material
+
+    Raises
+    ------
+    FileFormatError
+        If an entry is of the wrong type or refers to nothing.
+
+    Warns
+    -----
+    RaystreamWarning
+        Once, for images that are missing.
+    """
+    reader = _TextureReader(file)
+    count = len(file.entries(file.root, "materials"))
+    materials = [_material(file, file.entry("materials", i), reader) for i in range(count)]
+    if reader.missing:
+        warn_partial(file.path, f"images not found: {', '.join(reader.missing[:5])}")
+    return [*materials, Material()]
+
+
+def texcoord_set(file: GltfFile, material: int | None) -> int:
+    """Tell which set of texture coordinates a material's base colour uses."""
+    if material is None:
+        return 0
+    surface = file.child(file.entry("materials", material), "pbrMetallicRoughness")
+    return file.integer(file.child(surface, "baseColorTexture"), "texCoord", 0)
+
+
+def _material(file: GltfFile, entry: Node, reader: _TextureReader) -> Material:
+    surface = file.child(entry, "pbrMetallicRoughness")
+    red, green, blue, alpha = file.numbers(surface, "baseColorFactor", (1.0, 1.0, 1.0, 1.0))
+    base = _positive((red, green, blue))
+    glow = file.extension(entry, "KHR_materials_emissive_strength") or {}
+    strength = max(0.0, file.number(glow, "emissiveStrength", 1.0))
+    emission = _positive(file.numbers(entry, "emissiveFactor", (0.0, 0.0, 0.0)))
+    refraction = file.extension(entry, "KHR_materials_ior") or {}
+    glass = file.extension(entry, "KHR_materials_transmission") or {}
+    through = min(1.0, max(0.0, file.number(glass, "transmissionFactor", 0.0)))
+    solid = entry.get("alphaMode", "OPAQUE") == "OPAQUE"
+    roles = {
+        "diffuse": file.child(surface, "baseColorTexture"),
+        "metallic_roughness": file.child(surface, "metallicRoughnessTexture"),
+        "normal": file.child(entry, "normalTexture"),
+        "occlusion": file.child(entry, "occlusionTexture"),
+        "emission": file.child(entry, "emissiveTexture"),
+    }
+    textures = {role: reader.texture(use) for role, use in roles.items() if use}
+    return Material(
+        name=str(entry.get("name", "")),
+        diffuse=base,
+        transmission=(through * base[0], through * base[1], through * base[2]),
+        ior=max(0.0, file.number(refraction, "ior", 1.5)),
+        emission=(emission[0] * strength, emission[1] * strength, emission[2] * strength),
+        opacity=1.0 if solid else min(1.0, max(0.0, alpha)),
+        roughness=file.number(surface, "roughnessFactor", 1.0),
+        metallic=file.number(surface, "metallicFactor", 1.0),
+        double_sided=entry.get("doubleSided", False) is True,
+        textures=MappingProxyType({r: t for r, t in textures.items() if t is not None}),
+    )
+
+
+def _positive(values: tuple[float, ...]) -> Color:
+    red, green, blue = (min(max(0.0, value), 1e30) for value in values)
+    return red, green, blue
+
+
+class _TextureReader:
+    """Makes textures, one for each image and wrapping."""
+
+    def __init__(self, file: GltfFile) -> None:
+        self.file = file
+        self.missing: list[str] = []
+        self._made: dict[tuple[int, bool], Texture | None] = {}
+
+    def texture(self, use: Node) -> Texture | None:
+        """Make the texture that a material's ``...Texture`` entry names."""
+        file = self.file
+        entry = file.entry("textures", file.integer(use, "index"))
+        webp = file.extension(entry, "EXT_texture_webp")
+        image = file.index(entry, "source")
+        image = file.index(webp, "source") if webp else image
+        if image is None:
+            return None
+        sampler = file.index(entry, "sampler")
+        wraps = {} if sampler is None else file.entry("samplers", sampler)
+        clamp = all(
+            file.integer(wraps, key, _REPEAT) == _CLAMP_TO_EDGE for key in ("wrapS", "wrapT")
+        )
+        key = (image, clamp)
+        if key not in self._made:
+            self._made[key] = self._image(image, clamp)
+        return self._made[key]
+
+    def _image(self, index: int, clamp: bool) -> Texture | None:
+        file = self.file
+        entry = file.entry("images", index)
+        name = str(entry.get("name", "")) or f"image {index}"
+        view = file.index(entry, "bufferView")
+        if view is not None:
+            return Texture(
+                bytes(file.view(view)[0]), name=name, wrap="clamp" if clamp else "repeat"
+            )
+        uri = file.uri(entry)
+        if uri.startswith("data:"):
+            return Texture(file.decoded(uri), name=name, wrap="clamp" if clamp else "repeat")
+        found = file.sibling(uri)
+        if found is None:
+            self.missing.append(shown(uri.encode()))
+            return None
+        return Texture(found, wrap="clamp" if clamp else "repeat")

@@ -1,0 +1,213 @@
+"""MTL: Wavefront's material libraries."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import MappingProxyType
+
+from raystream.scene.io.files import find_sibling, read_model_bytes
+from raystream.scene.io.partial import warn_partial
+from raystream.scene.io.text import plain_text
+from raystream.scene.material import Color, Material
+from raystream.scene.texture import Texture
+
+__all__ = ["read_mtl"]
+
+#: Illumination models with ray traced reflection (Wavefront's numbering).
+MIRROR_MODELS = frozenset({3, 4, 5, 6, 7})
+
+#: Illumination models with ray traced refraction.
+GLASS_MODELS = frozenset({4, 6, 7, 9})
+
+_TEXTURE_ROLES = {
+    "map_kd": "diffuse",
+    "map_ks": "specular",
+    "map_ke": "emission",
+    "map_d": "opacity",
+    "map_bump": "bump",
+    "bump": "bump",
+    "norm": "normal",
+}
+
+#: Texture options and how many words follow them; of ``-o -s -t`` the last two may lack.
+_OPTION_WORDS = {
+    "-blendu": 1,
+    "-blendv": 1,
+    "-boost": 1,
+    "-bm": 1,
+    "-cc": 1,
+    "-clamp": 1,
+    "-imfchan": 1,
+    "-mm": 2,
+    "-texres": 1,
+    "-type": 1,
+    "-o": 3,
+    "-s": 3,
+    "-t": 3,
+}
+
+
+def read_mtl(path: Path) -> dict[str, Material]:
+    """Read a material library.
+
+    Colours are taken as linear numbers. The ambient colour is not used: `Ka` repeats `Kd` in
+    practice. Models 3 to 7 reflect with `Ks`; of the refracting models 4, 6, 7 and 9 the
+    transmittance is `Tf`, and a `d` below 1 belongs to the refraction there. Numbers that
+    make no sense are left at their defaults.
+
+    Parameters
+    ----------
+    path : Path
+        An ``.mtl`` file.
+
+    Returns
+    -------
+    dict of str to Material
+        By name, in the file's order; of materials with one name the first counts.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read.
+
+    Warns
+    -----
+    RaystreamWarning
+        Once, for textures that are missing.
+    """
+    text = plain_text(read_model_bytes(path)).decode("utf-8", "replace")
+    materials: dict[str, dict[str, str]] = {}
+    current: dict[str, str] = {}
+    for line in text.split("\n"):
+        words = line.split(None, 1)
+        if not words or words[0].startswith("#"):
+            continue
+        word, rest = words[0].lower(), words[1].strip() if len(words) > 1 else ""
+        if word == "newmtl":
+            current = {}
+            materials.setdefault(_without_comment(rest), current)
+        else:
+            current[word] = rest
+    missing: list[str] = []
+    textures: dict[tuple[str, bool], Texture | None] = {}
+    made = {
+        name: _material(path, name, entries, textures, missing)
+        for name, entries in materials.items()
+    }
+    if missing:
+        listed = ", ".join(repr(name[:60]) for name in missing[:5])
+        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+        warn_partial(path, f"textures not found next to it: {listed}{more}")
+    return made
+
+
+def _material(
+    path: Path,
+    name: str,
+    entries: dict[str, str],
+    textures: dict[tuple[str, bool], Texture | None],
+    missing: list[str],
+) -> Material:
+    default = Material()
+    model = int(_number(entries.get("illum", ""), 2.0))
+    specular = _color(entries.get("ks", ""), default.specular)
+    filter_color = _color(entries.get("tf", ""), (1.0, 1.0, 1.0))
+    opacity = _opacity(entries)
+    refracts = model in GLASS_MODELS
+    maps: dict[str, Texture] = {}
+    for word, role in _TEXTURE_ROLES.items():
+        if entries.get(word):
+            texture = _texture(path, entries[word], textures, missing)
+            if texture is not None:
+                maps[role] = texture
+    return Material(
+        name=name,
+        diffuse=_color(entries.get("kd", ""), default.diffuse),
+        specular=specular,
+        shininess=max(0.0, _number(entries.get("ns", ""), default.shininess)),
+        reflection=specular if model in MIRROR_MODELS else default.reflection,
+        transmission=filter_color if refracts else default.transmission,
+        ior=max(0.0, _number(entries.get("ni", ""), default.ior)) or default.ior,
+        emission=_color(entries.get("ke", ""), default.emission),
+        opacity=1.0 if refracts else opacity,
+        textures=MappingProxyType(maps),
+    )
+
+
+def _opacity(entries: dict[str, str]) -> float:
+    """Read ``d``, else 1 - ``Tr``: the two are each other's complement."""
+    if "d" in entries:
+        return min(1.0, max(0.0, _number(entries["d"].replace("-halo", ""), 1.0)))
+    return 1.0 - min(1.0, max(0.0, _number(entries.get("tr", ""), 0.0)))
+
+
+def _without_comment(text: str) -> str:
+    return text.partition(" #")[0].strip()
+
+
+def _number(text: str, default: float) -> float:
+    """Read the first word as a finite number."""
+    try:
+        value = float(text.split()[0])
+    except (IndexError, ValueError):
+        return default
+    return value if math.isfinite(value) else default
+
+
+def _color(text: str, default: Color) -> Color:
+    """Read three numbers, or one for all three; ``spectral`` and ``xyz`` are not read."""
+    words = _without_comment(text).split()[:3]
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return default
+    if len(values) == 1:
+        values *= 3
+    if len(values) != 3 or not all(math.isfinite(v) and v >= 0.0 for v in values):
+        return default
+    return values[0], values[1], values[2]
+
+
+def _texture(
+    path: Path,
+    statement: str,
+    textures: dict[tuple[str, bool], Texture | None],
+    missing: list[str],
+) -> Texture | None:
+    name, clamp = _texture_name(statement)
+    key = (name, clamp)
+    if key not in textures:
+        found = find_sibling(path, name)
+        if found is None and name not in missing:
+            missing.append(name)
+        textures[key] = Texture(found, wrap="clamp" if clamp else "repeat") if found else None
+    return textures[key]
+
+
+def _texture_name(statement: str) -> tuple[str, bool]:
+    """Split a texture statement into the file's name, which may hold spaces, and ``-clamp``."""
+    rest = _without_comment(statement)
+    clamp = False
+    while rest.startswith("-"):
+        words = rest.split()
+        option = words[0].lower()
+        if option not in _OPTION_WORDS:
+            break
+        skip = 1 + _OPTION_WORDS[option]
+        if option in ("-o", "-s", "-t"):
+            skip = 1 + sum(1 for _ in _leading_numbers(words[1:4]))
+        clamp = clamp or (option == "-clamp" and words[1:2] == ["on"])
+        parts = rest.split(None, skip)
+        rest = parts[skip] if len(parts) > skip else ""
+    return rest, clamp
+
+
+def _leading_numbers(words: list[str]) -> list[float]:
+    numbers: list[float] = []
+    for word in words:
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            break
+    return numbers

@@ -1,0 +1,224 @@
+"""Corners of OBJ faces: indices resolved, polygons cut, vertices shared where they may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.scene.io.partial import faces_in_range, warn_partial
+from raystream.scene.io.polygons import distinct_corners, fan_corners
+from raystream.scene.io.text import Lines, parse_integers, shown
+
+__all__ = ["Corners", "read_corners"]
+
+_SLASH = ord("/")
+
+#: In place of an index: none was written, or the table has no such row.
+_ABSENT, _MISSING = -1, -2
+
+
+@dataclass
+class Corners:
+    """The usable triangles of a file, in its order.
+
+    Attributes
+    ----------
+    vertex_count : int
+        Vertices in the file.
+    indices : ndarray of shape (F, 3, 3), int64
+        For each corner: vertex, texture coordinate (-1: none) and normal, in the tables.
+    lines : ndarray of shape (F,), int64
+        The line that each triangle comes from, never decreasing.
+    texcoords, normals : ndarray of shape (T, 2) and (N, 3), float32
+        `normals` is extended by those of triangles which the file gave none.
+    has_texcoords, has_normals : bool
+        Whether any corner has one.
+    """
+
+    vertex_count: int
+    indices: NDArray[np.int64]
+    lines: NDArray[np.int64]
+    texcoords: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    has_texcoords: bool
+    has_normals: bool
+
+    def texcoords_of(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Look up texture coordinates; a corner without gets (0, 0)."""
+        return np.where(rows[:, None] >= 0, self.texcoords[rows], np.float32(0.0))
+
+    def shared(
+        self, first: int, stop: int, *, whole: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """Find the distinct corners of triangles first .. stop - 1.
+
+        Parameters
+        ----------
+        first, stop : int
+            The triangles.
+        whole : bool
+            Whether these are all of them, so that vertices may stay where they are.
+
+        Returns
+        -------
+        used : ndarray of shape (V, 3), int64
+            Vertex, texture coordinate and normal of each vertex of the mesh, by vertex.
+        faces : ndarray of shape (stop - first, 3), int32
+        """
+        if whole and not self.has_texcoords and not self.has_normals:
+            used = np.zeros((self.vertex_count, 3), np.int64)
+            used[:, 0] = np.arange(self.vertex_count)
+            return used, self.indices[:, :, 0].astype(np.int32)
+        indices = self.indices[first:stop].reshape(-1, 3)
+        rows, places = distinct_corners(indices if self.has_normals else indices[:, :2])
+        return indices[rows], places.reshape(-1, 3).astype(np.int32)
+
+
+def read_corners(
+    path: Path,
+    lines: Lines,
+    is_face: NDArray[np.bool_],
+    seen: list[NDArray[np.int64]],
+    tables: tuple[NDArray[Any], NDArray[np.float32], NDArray[np.float32]],
+) -> Corners:
+    """Read the ``f`` lines.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    lines : Lines
+        All lines.
+    is_face : ndarray of shape (L,), bool
+        Which of them are faces.
+    seen : list of 3 ndarrays of shape (L,), int64
+        How many v, vt and vn lines there are up to each line; relative indices count back.
+    tables : tuple of 3 ndarrays
+        Vertices, texture coordinates, normals.
+
+    Returns
+    -------
+    Corners
+
+    Raises
+    ------
+    FileFormatError
+        If an index is not a number, or no triangle is usable.
+    """
+    vertices, texcoords, normals = tables
+    face_lines = np.flatnonzero(is_face)
+    counts = lines.word_counts[face_lines] - 1
+    corners = _corner_indices(path, lines, is_face, counts)
+    line_of_corner = np.repeat(face_lines, counts)
+    for column, (rows, table) in enumerate(zip(seen, tables, strict=True)):
+        corners[:, column] = _resolved(corners[:, column], rows[line_of_corner], len(table))
+
+    too_few = int(np.count_nonzero(counts < 3))
+    if too_few:
+        warn_partial(path, f"left out {too_few:,} faces with fewer than three corners")
+    fans, polygon_ids = fan_corners(counts, np.cumsum(counts) - counts)
+    triangles = corners[fans]
+    good = faces_in_range(path, triangles[:, :, 0], len(vertices))
+    triangles, triangle_lines = triangles[good], face_lines[polygon_ids[good]]
+    _forget_missing(path, triangles)
+
+    has_normals = bool((triangles[:, :, 2] >= 0).any())
+    if has_normals:
+        normals = _with_face_normals(triangles, vertices, normals)
+    has_texcoords = bool((triangles[:, :, 1] >= 0).any())
+    return Corners(
+        len(vertices), triangles, triangle_lines, texcoords, normals, has_texcoords, has_normals
+    )
+
+
+def _corner_indices(
+    path: Path, lines: Lines, is_face: NDArray[np.bool_], counts: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Parse ``v``, ``v/vt``, ``v//vn`` and ``v/vt/vn``; shape (C, 3), as written, 0: none."""
+    text = lines.join(is_face).replace(b"fo", b"f").replace(b"f", b" ")
+    if b"//" in text:
+        text = text.replace(b"//", b"/0/")
+    if b"/ " in text or b"/\n" in text:
+        text = text.replace(b"/ ", b" ").replace(b"/\n", b"\n")
+    letters = np.frombuffer(text, np.uint8)
+    filled = letters > 32
+    begins = filled.copy()
+    begins[1:] &= ~filled[:-1]
+    slashes = np.searchsorted(np.flatnonzero(letters == _SLASH), np.flatnonzero(begins))
+    slash_count = int(np.count_nonzero(letters == _SLASH))
+    widths = np.diff(slashes, append=slash_count) + 1
+    try:
+        if len(widths) != int(counts.sum()) or (len(widths) and int(widths.max()) > 3):
+            raise ValueError("too many parts")
+        numbers = parse_integers(text.replace(b"/", b" "), int(widths.sum()))
+    except ValueError:
+        raise _bad_face(path, lines, is_face) from None
+    offsets = np.cumsum(widths) - widths
+    corners = np.zeros((len(widths), 3), np.int64)
+    corners[:, 0] = numbers[offsets]
+    for column in (1, 2):
+        there = widths > column
+        corners[there, column] = numbers[offsets[there] + column]
+    return corners
+
+
+def _bad_face(path: Path, lines: Lines, is_face: NDArray[np.bool_]) -> FileFormatError:
+    for index in np.flatnonzero(is_face).tolist():
+        line = lines.line(index)
+        for word in line.split()[1:]:
+            parts = word.split(b"/")
+            number = [part.removeprefix(b"-").removeprefix(b"+").isdigit() for part in parts]
+            empty = [part == b"" for part in parts]
+            if len(parts) > 3 or not all(n or e for n, e in zip(number, empty, strict=True)):
+                return FileFormatError(path, f"cannot read the face {shown(line)}")
+            if not number[0]:
+                return FileFormatError(path, f"a corner has no vertex in {shown(line)}")
+    return FileFormatError(path, "cannot read its faces")
+
+
+def _resolved(
+    written: NDArray[np.int64], seen: NDArray[np.int64], table_length: int
+) -> NDArray[np.int64]:
+    """Turn indices from 1, or relative to the line, into indices from 0.
+
+    `_ABSENT` where none is written, `_MISSING` where the table is shorter.
+    """
+    limit = table_length + 1
+    bounded = np.clip(written, -limit, limit)  # so that no sum overflows
+    rows = np.where(bounded > 0, bounded - 1, bounded + seen)
+    bad = (rows < 0) | (rows >= table_length)
+    return np.where(bounded == 0, _ABSENT, np.where(bad, _MISSING, rows))
+
+
+def _forget_missing(path: Path, triangles: NDArray[np.int64]) -> None:
+    """Turn references to texture coordinates and normals that are not there into none."""
+    bad = triangles[:, :, 1:] == _MISSING
+    count = int(np.count_nonzero(bad))
+    if count:
+        warn_partial(
+            path,
+            f"{count:,} corners refer to texture coordinates or normals that are not there",
+        )
+        triangles[:, :, 1:][bad] = _ABSENT
+
+
+def _with_face_normals(
+    triangles: NDArray[np.int64], vertices: NDArray[Any], normals: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Give triangles that lack a normal their own one, appended to the table."""
+    lacking = np.flatnonzero((triangles[:, :, 2] < 0).any(axis=1))
+    if len(lacking) == 0:
+        return normals
+    points = vertices[triangles[lacking, :, 0]]
+    with np.errstate(all="ignore"):
+        made = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+        made /= np.linalg.norm(made, axis=1)[:, None]
+    own = len(normals) + np.arange(len(lacking))
+    part = triangles[lacking, :, 2]
+    triangles[lacking, :, 2] = np.where(part < 0, own[:, None], part)
+    return np.concatenate([normals, np.nan_to_num(made).astype(np.float32)])

@@ -1,0 +1,146 @@
+"""OFF: the Object File Format of Geomview, text only."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.scene.io.colors import byte_colors_to_linear, srgb_to_linear
+from raystream.scene.io.files import read_model_bytes
+from raystream.scene.io.partial import faces_in_range
+from raystream.scene.io.polygons import fan_corners
+from raystream.scene.io.text import Lines, parse_floats, plain_text, shown
+from raystream.scene.mesh import Mesh
+from raystream.scene.scene import Scene
+
+__all__ = ["read_off"]
+
+_KEYWORD = re.compile(rb"(ST)?(C)?(N)?(4)?(n)?OFF(?=\s)")
+_COMMENT = re.compile(rb"#[^\n]*")
+
+
+def read_off(path: Path) -> Scene:
+    """Read an OFF, COFF, NOFF or CNOFF file into a scene of one mesh.
+
+    Polygons become fans of triangles in the file's order; colours of faces are not used.
+
+    Parameters
+    ----------
+    path : Path
+        An ``.off`` or ``.off.gz`` file.
+
+    Returns
+    -------
+    Scene
+        Vertex colours are taken as sRGB, whole numbers as 0 .. 255, and stored linear.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read, is not OFF, is truncated, or holds no triangles.
+
+    Warns
+    -----
+    RaystreamWarning
+        For triangles that had to be left out.
+    """
+    text = _COMMENT.sub(b"", plain_text(read_model_bytes(path)))
+    flags, body = _keyword(path, text)
+    lines = Lines(plain_text(body))
+    rows = np.flatnonzero(lines.word_counts)
+    vertex_count, face_count, rows = _counts(path, lines, rows)
+    if vertex_count + face_count > len(rows):
+        raise FileFormatError(
+            path,
+            f"is truncated: the header promises {vertex_count:,} vertices and {face_count:,} "
+            f"faces, there are {len(rows):,} lines",
+        )
+    vertex_rows = rows[:vertex_count]
+    face_rows = rows[vertex_count : vertex_count + face_count]
+    vertices, normals, colors = _vertices(path, lines, vertex_rows, flags)
+    faces = _faces(path, lines, face_rows)
+    if len(faces) == 0:
+        raise FileFormatError(path, "holds no triangles")
+    faces = faces[faces_in_range(path, faces, vertex_count)]
+    mesh = Mesh(vertices, faces, normals=normals, colors=colors)
+    return Scene([mesh], name=path.name)
+
+
+def _keyword(path: Path, text: bytes) -> tuple[frozenset[str], bytes]:
+    """Read the first word, which may lack: what each vertex has besides a position."""
+    text = text.lstrip()
+    match = _KEYWORD.match(text)
+    if match is None:
+        if text[:1].isdigit():
+            return frozenset(), text
+        raise FileFormatError(path, "is not an OFF file: it does not begin with 'OFF'")
+    texture, color, normal, four, dimension = match.groups()
+    if texture or four or dimension:
+        raise FileFormatError(path, f"{shown(match.group())} files are not supported")
+    body = text[match.end() :]
+    if body.lstrip().startswith(b"BINARY"):
+        raise FileFormatError(path, "binary OFF files are not supported")
+    flags = {name for name, given in (("color", color), ("normal", normal)) if given}
+    return frozenset(flags), body
+
+
+def _counts(
+    path: Path, lines: Lines, rows: NDArray[np.int64]
+) -> tuple[int, int, NDArray[np.int64]]:
+    words = lines.line(int(rows[0])).split() if len(rows) else []
+    if len(words) < 2 or not all(word.isdigit() and len(word) < 19 for word in words[:2]):
+        raise FileFormatError(path, "the OFF header gives no numbers of vertices and faces")
+    return int(words[0]), int(words[1]), rows[1:]
+
+
+def _numbers(
+    path: Path, lines: Lines, rows: NDArray[np.int64], least: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Parse the numbers of lines, and count them line by line."""
+    counts = lines.word_counts[rows]
+    if len(counts) and int(counts.min()) < least:
+        row = int(rows[int(counts.argmin())])
+        raise FileFormatError(path, f"expected {least} numbers in {shown(lines.line(row))}")
+    selected = np.zeros(len(lines), bool)
+    selected[rows] = True
+    try:
+        return parse_floats(lines.join(selected), int(counts.sum())), counts
+    except ValueError:
+        raise FileFormatError(path, "something among its values is not a number") from None
+
+
+def _vertices(
+    path: Path, lines: Lines, rows: NDArray[np.int64], flags: frozenset[str]
+) -> tuple[NDArray[np.float64], NDArray[Any] | None, NDArray[np.float32] | None]:
+    """Read position, normal and colour; a colour may be there without being announced."""
+    normal_width = 3 if "normal" in flags else 0
+    least = 3 + normal_width
+    numbers, counts = _numbers(path, lines, rows, least)
+    starts = (np.cumsum(counts) - counts)[:, None]
+    vertices = numbers[starts + np.arange(3)]
+    normals = None
+    if normal_width:
+        with np.errstate(over="ignore"):
+            normals = numbers[starts + np.arange(3, 6)].astype(np.float32)
+    if "color" not in flags or not len(counts) or int(counts.min()) < least + 3:
+        return vertices, normals, None
+    encoded = numbers[starts + np.arange(least, least + 3)]
+    whole = bool((encoded == np.floor(encoded)).all() and encoded.max() > 1.0)
+    return vertices, normals, byte_colors_to_linear(encoded) if whole else srgb_to_linear(encoded)
+
+
+def _faces(path: Path, lines: Lines, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    numbers, words = _numbers(path, lines, rows, 1)
+    starts = np.cumsum(words) - words
+    sizes = numbers[starts]
+    if not ((sizes >= 0) & (sizes == np.floor(sizes)) & (sizes < words)).all():
+        raise FileFormatError(path, "a face has fewer corners than it says")
+    corners, _ = fan_corners(sizes.astype(np.int64), starts + 1)
+    indices = numbers[corners]
+    whole = (indices == np.floor(indices)) & (np.abs(indices) < 2.0**40)
+    return np.where(whole, indices, -1.0).astype(np.int64)

@@ -1,0 +1,110 @@
+"""Partial: what is done about files of which only a part can be used."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError, RaystreamWarning
+from raystream.scene.scene import Scene
+
+__all__ = ["IndexCheck", "check_loaded", "faces_in_range", "warn_partial"]
+
+
+def warn_partial(path: Path, reason: str) -> None:
+    """Give one `RaystreamWarning` that names the file and what was left out."""
+    warnings.warn(f"{path}: {reason}", RaystreamWarning, stacklevel=2)
+
+
+class IndexCheck:
+    """Finds triangles that refer to vertices which are not there, over a whole file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the messages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.triangle_count = 0
+        self.bad_count = 0
+
+    def usable(self, faces: NDArray[Any], vertex_count: int) -> NDArray[np.bool_]:
+        """Tell which triangles refer to vertices that exist.
+
+        Parameters
+        ----------
+        faces : ndarray of shape (F, 3), integer
+            Vertex indices, any value.
+        vertex_count : int
+            Indices 0 .. vertex_count - 1 exist.
+
+        Returns
+        -------
+        ndarray of shape (F,), bool
+        """
+        good = np.logical_and.reduce((faces >= 0) & (faces < vertex_count), axis=1)
+        self.triangle_count += len(faces)
+        self.bad_count += len(faces) - int(np.count_nonzero(good))
+        return good
+
+    def report(self) -> None:
+        """Warn about what was found, once.
+
+        Raises
+        ------
+        FileFormatError
+            If there were triangles and none is usable.
+        """
+        if self.bad_count == 0:
+            return
+        reason = f"{self.bad_count:,} triangles refer to vertices that are not there"
+        if self.bad_count == self.triangle_count:
+            raise FileFormatError(self.path, f"all {reason}")
+        warn_partial(self.path, f"dropped: {reason}")
+
+
+def faces_in_range(path: Path, faces: NDArray[Any], vertex_count: int) -> NDArray[np.bool_]:
+    """Check the triangles of a file that has one mesh; see `IndexCheck`."""
+    check = IndexCheck(path)
+    good = check.usable(faces, vertex_count)
+    check.report()
+    return good
+
+
+def check_loaded(path: Path, scene: Scene) -> Scene:
+    """Refuse a scene without triangles, and warn about triangles that can never be hit.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the messages.
+    scene : Scene
+        What was read from it.
+
+    Returns
+    -------
+    Scene
+        The same scene.
+
+    Raises
+    ------
+    FileFormatError
+        If it holds no triangles.
+    """
+    if scene.triangle_count == 0:
+        raise FileFormatError(path, "holds no triangles")
+    triangles = scene.triangles
+    parts = []
+    if triangles.degenerate_count:
+        parts.append(f"{triangles.degenerate_count:,} without area")
+    if triangles.nonfinite_count:
+        parts.append(f"{triangles.nonfinite_count:,} with a vertex that is not finite")
+    if parts:
+        warn_partial(path, f"triangles that can never be hit: {', '.join(parts)}")
+    return scene

@@ -1,0 +1,280 @@
+"""PLY values: the numbers of each element, from text or from binary data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.scene.io.ply_layout import Element
+from raystream.scene.io.text import parse_floats, plain_text, shown
+
+__all__ = ["Values", "read_values"]
+
+
+@dataclass
+class Values:
+    """What was read of one element.
+
+    Attributes
+    ----------
+    scalars : dict of str to ndarray of shape (count,)
+        By property; none of an element whose lists differ in length.
+    lists : dict of str to (counts, values)
+        The length of each row's list, and all lists one after another.
+    """
+
+    scalars: dict[str, NDArray[Any]] = field(default_factory=dict)
+    lists: dict[str, tuple[NDArray[np.int64], NDArray[Any]]] = field(default_factory=dict)
+
+
+def read_values(
+    path: Path, content: bytes, encoding: str, elements: list[Element], start: int
+) -> dict[str, Values]:
+    """Read all elements; of elements with one name the last counts.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    content : bytes
+        The whole file.
+    encoding, elements, start
+        From `read_header`.
+
+    Returns
+    -------
+    dict of str to Values
+        By element.
+
+    Raises
+    ------
+    FileFormatError
+        If there is less than the header promises, or something is not a number.
+    """
+    source = _Text(path, content[start:]) if encoding == "ascii" else None
+    binary = _Binary(path, content, start, encoding) if source is None else None
+    reader = source or binary
+    assert reader is not None
+    found = {}
+    for element in elements:
+        if element.properties and element.count:
+            least = sum(reader.size(p.count_type or p.value_type) for p in element.properties)
+            if element.count > reader.remaining() // least:
+                raise _truncated(path, element)
+            found[element.name] = reader.read(element)
+        else:
+            found[element.name] = Values()
+    return found
+
+
+def _truncated(path: Path, element: Element) -> FileFormatError:
+    return FileFormatError(
+        path,
+        f"is truncated: the header promises {element.count:,} of element "
+        f"{shown(element.name.encode())}, which the file is too small to hold",
+    )
+
+
+class _Text:
+    """Values as words; positions count words."""
+
+    def __init__(self, path: Path, text: bytes) -> None:
+        self.path = path
+        self.position = 0
+        words = plain_text(text)
+        try:
+            self.numbers = parse_floats(words, len(words.split()))
+        except ValueError:
+            raise FileFormatError(path, "something among its values is not a number") from None
+
+    def size(self, value_type: str) -> int:
+        del value_type
+        return 1
+
+    def remaining(self) -> int:
+        return len(self.numbers) - self.position
+
+    def read(self, element: Element) -> Values:
+        """Read an element: at once when the lists of all rows are as long as the first's."""
+        counts, width = self._first_row(element)
+        if width * element.count <= self.remaining():
+            stop = self.position + width * element.count
+            table = self.numbers[self.position : stop].reshape(element.count, width)
+            values = _columns(element, table, counts)
+            if values is not None:
+                self.position = stop
+                return values
+        return self._walk(element)
+
+    def _first_row(self, element: Element) -> tuple[list[int], int]:
+        counts, position = [], self.position
+        for prop in element.properties:
+            count = 0
+            if prop.count_type and position < len(self.numbers):
+                count = _list_count(self.path, self.numbers[position], self.remaining())
+            counts.append(count)
+            position += 1 + count if prop.count_type else 1
+        return counts, position - self.position
+
+    def _walk(self, element: Element) -> Values:
+        numbers, position, limit = self.numbers, self.position, len(self.numbers)
+        rows: dict[str, tuple[list[int], list[NDArray[Any]]]] = {
+            prop.name: ([], []) for prop in element.properties if prop.count_type
+        }
+        for _ in range(element.count):
+            for prop in element.properties:
+                if position >= limit:
+                    raise _truncated(self.path, element)
+                if prop.count_type:
+                    count = _list_count(self.path, numbers[position], limit)
+                    rows[prop.name][0].append(count)
+                    rows[prop.name][1].append(numbers[position + 1 : position + 1 + count])
+                    position += count
+                position += 1
+        if position > limit:
+            raise _truncated(self.path, element)
+        self.position = position
+        return Values(
+            lists={
+                name: (np.asarray(counts, np.int64), np.concatenate(parts))
+                for name, (counts, parts) in rows.items()
+            }
+        )
+
+
+def _list_count(path: Path, value: float, limit: int) -> int:
+    if not 0 <= value <= limit or value != int(value):
+        raise FileFormatError(path, f"a list of {value:g} values makes no sense")
+    return int(value)
+
+
+def _columns(element: Element, table: NDArray[Any], counts: list[int]) -> Values | None:
+    """Cut a table into properties; None when a list is not as long as in the first row."""
+    values = Values()
+    column = 0
+    for prop, count in zip(element.properties, counts, strict=True):
+        if prop.count_type:
+            if not (table[:, column] == count).all():
+                return None
+            entries = table[:, column + 1 : column + 1 + count]
+            values.lists[prop.name] = (np.full(len(table), count, np.int64), entries.reshape(-1))
+            column += count
+        else:
+            values.scalars[prop.name] = table[:, column]
+        column += 1
+    return values
+
+
+class _Binary:
+    """Values as bytes; positions count bytes."""
+
+    def __init__(self, path: Path, content: bytes, start: int, order: str) -> None:
+        self.path = path
+        self.content = content
+        self.position = start
+        self.order = order
+
+    def size(self, value_type: str) -> int:
+        return np.dtype(value_type).itemsize
+
+    def remaining(self) -> int:
+        return max(0, len(self.content) - self.position)
+
+    def read(self, element: Element) -> Values:
+        """Read an element: at once when the lists of all rows are as long as the first's."""
+        row = self._row_type(element)
+        if row is not None and row.itemsize * element.count <= self.remaining():
+            table = np.frombuffer(self.content, row, element.count, self.position)
+            values = _fields(element, table)
+            if values is not None:
+                self.position += row.itemsize * element.count
+                return values
+        return self._walk(element)
+
+    def _row_type(self, element: Element) -> np.dtype[Any] | None:
+        """Describe the first row; None when its lists leave the file."""
+        fields: list[Any] = []
+        position = self.position
+        for index, prop in enumerate(element.properties):
+            value_type = np.dtype(self.order + prop.value_type)
+            if not prop.count_type:
+                fields.append((f"{index}", value_type))
+                position += value_type.itemsize
+                continue
+            count_type = np.dtype(self.order + prop.count_type)
+            if position + count_type.itemsize > len(self.content):
+                return None
+            count = int(np.frombuffer(self.content, count_type, 1, position)[0])
+            position += count_type.itemsize + count * value_type.itemsize
+            if count < 0 or position > len(self.content) or count > 1 << 20:
+                return None
+            fields += [(f"{index}n", count_type), (f"{index}", value_type, (count,))]
+        return np.dtype(fields)
+
+    def _walk(self, element: Element) -> Values:
+        content, position = self.content, self.position
+        byte_order = "little" if self.order == "<" else "big"
+        layout = [
+            (
+                self.size(p.count_type) if p.count_type else 0,
+                p.count_type.startswith("i"),
+                self.size(p.value_type),
+                p.name,
+            )
+            for p in element.properties
+        ]
+        rows: dict[str, tuple[list[int], list[int]]] = {
+            p.name: ([], []) for p in element.properties if p.count_type
+        }
+        for _ in range(element.count):
+            for count_size, signed, value_size, name in layout:
+                if count_size == 0:
+                    position += value_size
+                    continue
+                raw = content[position : position + count_size]
+                count = int.from_bytes(raw, byte_order, signed=signed)  # type: ignore[arg-type]
+                if count < 0:
+                    raise FileFormatError(self.path, f"a list of {count} values makes no sense")
+                rows[name][0].append(count)
+                rows[name][1].append(position + count_size)
+                position += count_size + count * value_size
+            if position > len(content):
+                raise _truncated(self.path, element)
+        self.position = position
+        values = Values()
+        for prop in element.properties:
+            if prop.count_type:
+                counts, starts = (np.asarray(column, np.int64) for column in rows[prop.name])
+                values.lists[prop.name] = (counts, self._gather(counts, starts, prop.value_type))
+        return values
+
+    def _gather(
+        self, counts: NDArray[np.int64], starts: NDArray[np.int64], value_type: str
+    ) -> NDArray[Any]:
+        """Copy lists that lie anywhere into one array."""
+        size = self.size(value_type)
+        within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+        places = np.repeat(starts, counts) + within * size
+        letters = np.frombuffer(self.content, np.uint8)
+        taken = letters[places[:, None] + np.arange(size)]
+        return np.frombuffer(taken.tobytes(), self.order + value_type)
+
+
+def _fields(element: Element, table: NDArray[Any]) -> Values | None:
+    """Cut a record array into properties; None when the lists differ in length."""
+    values = Values()
+    for index, prop in enumerate(element.properties):
+        column = table[f"{index}"]
+        if not prop.count_type:
+            values.scalars[prop.name] = column
+            continue
+        counts = table[f"{index}n"]
+        if not (counts == column.shape[1]).all():
+            return None
+        values.lists[prop.name] = (counts.astype(np.int64), column.reshape(-1))
+    return values

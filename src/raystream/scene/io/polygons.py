@@ -1,0 +1,64 @@
+"""Polygons: cut into fans of triangles in the order given; corners that are alike, shared."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["distinct_corners", "fan_corners"]
+
+
+def fan_corners(
+    counts: NDArray[np.int64], starts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut polygons into triangles that share the polygon's first corner.
+
+    Parameters
+    ----------
+    counts : ndarray of shape (P,), int64
+        Corners of each polygon; those with fewer than 3 give no triangle.
+    starts : ndarray of shape (P,), int64
+        Where each polygon's corners begin in the caller's list of corners.
+
+    Returns
+    -------
+    corners : ndarray of shape (F, 3), int64
+        Positions in the caller's list of corners.
+    polygon_ids : ndarray of shape (F,), int64
+        The polygon that each triangle was cut from, never decreasing.
+    """
+    fans = np.maximum(counts - 2, 0)
+    polygon_ids = np.repeat(np.arange(len(counts)), fans)
+    first_triangle = np.cumsum(fans) - fans
+    step = np.arange(len(polygon_ids)) - first_triangle[polygon_ids]
+    first = starts[polygon_ids]
+    return np.stack([first, first + step + 1, first + step + 2], axis=1), polygon_ids
+
+
+def distinct_corners(
+    indices: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Find the distinct combinations of indices, such as vertex, texture coordinate, normal.
+
+    Parameters
+    ----------
+    indices : ndarray of shape (C, K), int64
+        A row for each corner of a triangle; K >= 1.
+
+    Returns
+    -------
+    rows : ndarray of shape (V,), int64
+        A corner for each combination, in the order of the first index, then of the others.
+    places : ndarray of shape (C,), int64
+        Which combination each corner is.
+    """
+    places = indices[:, 0]
+    rows = np.arange(len(indices))
+    if len(indices) == 0:
+        return rows, rows
+    for column in range(max(1, indices.shape[1] - 1)):
+        other = indices[:, min(column + 1, indices.shape[1] - 1)]
+        other = other - other.min()
+        keys = (places - places.min()) * (int(other.max()) + 1) + other
+        _, rows, places = np.unique(keys, return_index=True, return_inverse=True)
+    return rows, places.reshape(-1)

@@ -1,0 +1,93 @@
+"""STL: stereolithography files, text and binary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.scene.io.files import read_model_bytes
+from raystream.scene.io.text import parse_floats
+from raystream.scene.mesh import Mesh
+from raystream.scene.scene import Scene
+
+__all__ = ["read_stl"]
+
+_HEADER_BYTES = 84
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(path: Path) -> Scene:
+    """Read an STL file into a scene of one mesh.
+
+    Corners are not welded: every triangle has its own three vertices. Facet normals are not
+    used: they repeat what the corners say.
+
+    Parameters
+    ----------
+    path : Path
+        An ``.stl`` or ``.stl.gz`` file.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read, is not STL, is truncated, or holds no triangles.
+    """
+    content = read_model_bytes(path)
+    corners = (
+        _binary_corners(path, content) if _is_binary(content) else _text_corners(path, content)
+    )
+    if len(corners) == 0:
+        raise FileFormatError(path, "holds no triangles")
+    faces = np.arange(len(corners) * 3, dtype=np.int64).reshape(-1, 3)
+    return Scene([Mesh(corners.reshape(-1, 3), faces)], name=path.name)
+
+
+def _is_binary(content: bytes) -> bool:
+    """Decide by size: some binary files begin with "solid", as text must."""
+    if len(content) >= _HEADER_BYTES and len(content) == _promised_bytes(content):
+        return True
+    head = content[:4096].lower()
+    return not (head.lstrip().startswith(b"solid") and b"\0" not in head)
+
+
+def _promised_bytes(content: bytes) -> int:
+    return _HEADER_BYTES + _FACET.itemsize * int.from_bytes(content[80:84], "little")
+
+
+def _binary_corners(path: Path, content: bytes) -> NDArray[Any]:
+    if len(content) < _HEADER_BYTES:
+        raise FileFormatError(path, "is not an STL file: neither text nor long enough for binary")
+    promised = _promised_bytes(content)
+    count = (promised - _HEADER_BYTES) // _FACET.itemsize
+    if promised > len(content):
+        raise FileFormatError(
+            path,
+            f"is truncated or not STL: {count:,} triangles need {promised:,} bytes, "
+            f"it has {len(content):,}",
+        )
+    facets = np.frombuffer(content, _FACET, count, _HEADER_BYTES)
+    return facets["corners"].astype(np.float32)
+
+
+def _text_corners(path: Path, content: bytes) -> NDArray[Any]:
+    words = content.lower().split()
+    places = [i for i, word in enumerate(words) if word == b"vertex"]
+    if len(places) % 3:
+        raise FileFormatError(path, f"is truncated: {len(places):,} corners are not triangles")
+    if places and places[-1] + 3 >= len(words):
+        raise FileFormatError(path, "is truncated: the last corner has no position")
+    numbers = b" ".join([b" ".join(words[i + 1 : i + 4]) for i in places])
+    try:
+        corners = parse_floats(numbers, 3 * len(places)).reshape(-1, 3, 3)
+    except ValueError:
+        raise FileFormatError(path, "a corner's position is not three numbers") from None
+    with np.errstate(over="ignore"):
+        return corners.astype(np.float32)

@@ -1,0 +1,109 @@
+"""Text: fast reading of numbers in model files that are text."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Lines", "parse_floats", "parse_integers", "plain_text", "shown"]
+
+#: Control characters count as spaces, except for line feeds.
+_PLAIN = bytes(10 if c == 10 else 32 if c < 32 or c == 127 else c for c in range(256))
+
+
+def plain_text(content: bytes) -> bytes:
+    r"""Make every line end in ``\n`` and every other control character a space.
+
+    Line ends may be CR LF, LF or CR; a byte order mark is removed.
+    """
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in content:
+        lone = b"\n" not in content
+        content = content.replace(b"\r", b"\n") if lone else content.replace(b"\r\n", b"\n")
+    content = content.translate(_PLAIN)
+    return content if content.endswith(b"\n") else content + b"\n"
+
+
+def shown(text: bytes) -> str:
+    """Quote a piece of a file for an error message: printable, at most 40 characters."""
+    piece = text[:41].decode("latin-1").strip()
+    piece = "".join(c if c.isprintable() and ord(c) < 127 else "?" for c in piece)
+    return f'"{piece[:37]}..."' if len(piece) > 40 or len(text) > 41 else f'"{piece}"'
+
+
+def parse_floats(text: bytes, count: int) -> NDArray[np.float64]:
+    """Parse exactly `count` numbers separated by white space.
+
+    Raises
+    ------
+    ValueError
+        If something is not a number, or there are more or fewer.
+    """
+    return _parse(text, count, np.float64)
+
+
+def parse_integers(text: bytes, count: int) -> NDArray[np.int64]:
+    """Parse exactly `count` integers; see `parse_floats`. Too large ones become extreme."""
+    return _parse(text, count, np.int64)
+
+
+def _parse(text: bytes, count: int, dtype: Any) -> NDArray[Any]:
+    with warnings.catch_warnings():
+        # Older NumPy warns about what newer NumPy refuses.
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            numbers = np.fromstring(text, dtype, sep=" ") if text.strip() else np.empty(0, dtype)
+        except (ValueError, DeprecationWarning) as error:
+            raise ValueError("not a number") from error
+    if len(numbers) != count:
+        raise ValueError(f"expected {count} numbers, got {len(numbers)}")
+    return numbers
+
+
+class Lines:
+    """Plain text seen as lines of words, found with array operations.
+
+    Parameters
+    ----------
+    text : bytes
+        From `plain_text`.
+
+    Attributes
+    ----------
+    starts, ends : ndarray of shape (L,), int64
+        Where each line's first word begins, and the line feed that ends the line.
+    word_counts : ndarray of shape (L,), int64
+        Words in each line.
+    """
+
+    def __init__(self, text: bytes) -> None:
+        self.text = text
+        letters = np.frombuffer(text, np.uint8)
+        self.ends = np.flatnonzero(letters == 10)
+        filled = letters > 32
+        word_begins = filled.copy()
+        word_begins[1:] &= ~filled[:-1]
+        words = np.flatnonzero(word_begins)
+        splits = np.searchsorted(words, self.ends)
+        first_word = np.concatenate([[0], splits[:-1]])
+        self.word_counts = np.diff(splits, prepend=0)
+        words = np.append(words, len(text))
+        self.starts = np.minimum(words[first_word], self.ends)
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    def line(self, index: int) -> bytes:
+        """One line, without leading white space and line feed."""
+        return self.text[self.starts[index] : self.ends[index]]
+
+    def join(self, selected: NDArray[np.bool_]) -> bytes:
+        """Join the selected lines, each with its line feed; runs are copied in one piece."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], selected.view(np.int8), [0]])))
+        begins, stops = edges[::2], edges[1::2]
+        text = self.text
+        spans = zip(self.starts[begins].tolist(), self.ends[stops - 1].tolist(), strict=True)
+        return b"".join([text[begin : end + 1] for begin, end in spans])

@@ -1,0 +1,138 @@
+"""load: a scene from a file, a built-in scene or a sample, by name."""
+
+from __future__ import annotations
+
+import math
+from difflib import get_close_matches
+from os import PathLike, fspath
+from pathlib import Path
+
+from raystream.core.errors import FileFormatError
+from raystream.scene.io.formats import SUFFIXES, read_model
+from raystream.scene.scene import Scene
+
+__all__ = ["load"]
+
+
+def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | None = None) -> Scene:
+    """Load a scene.
+
+    Parameters
+    ----------
+    source : str or path
+        A model file: OBJ, PLY, STL, OFF, glTF, GLB, or BART's AFF and NFF, each also packed
+        with gzip. Or the name of a built-in scene, such as ``"cornell"``, where a number of
+        triangles may follow, such as ``"forest:1000000"``. Or the name of a sample, such as
+        ``"bunny"``. What has a suffix or a slash is a file.
+    time : float, optional
+        For animated scenes (AFF): the time to show, in the file's units.
+    triangles : int, optional
+        For built-in scenes: about how many triangles.
+
+    Returns
+    -------
+    Scene
+        Its triangles keep the file's order; polygons are cut into fans.
+
+    Raises
+    ------
+    FileFormatError
+        If there is no such file or name, or the file cannot be used: one line that says why.
+    ValueError
+        If `time` or `triangles` does not suit the source.
+
+    Warns
+    -----
+    RaystreamWarning
+        If only a part of the file could be used: triangles without area or with indices
+        out of range, textures that are missing.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> scene = rs.load("cornell")  # doctest: +SKIP
+    >>> rs.load("kitchen.aff", time=5.0)  # doctest: +SKIP
+    """
+    if not math.isfinite(time):
+        raise ValueError(f"time: expected a finite number, got {time}")
+    name = fspath(source)
+    if not isinstance(name, str):
+        raise TypeError(f"source: expected text or a path, got {type(source).__name__}")
+    if not isinstance(source, str) or _names_file(name):
+        if triangles is not None:
+            raise ValueError("triangles: only for built-in scenes, not for files")
+        return _load_file(name, time)
+    return _load_name(name, time, triangles)
+
+
+def _names_file(source: str) -> bool:
+    """Whether text has a separator, or a suffix that is not in the part after a colon."""
+    bare, colon, _ = source.partition(":")
+    if "/" in source or "\\" in source:
+        return True
+    return bool(Path(bare).suffix) if colon else bool(Path(source).suffix)
+
+
+def _load_file(name: str, time: float) -> Scene:
+    path = Path(name).expanduser()
+    try:
+        missing = not path.exists()
+    except (OSError, ValueError):  # a name that is too long, or has a zero in it
+        missing = True
+    if missing:
+        stem = path.name.partition(".")[0]
+        hint = f"; there is {stem!r} without a suffix" if stem in _known_names() else ""
+        raise FileFormatError(name, f"there is no such file{hint}")
+    return read_model(path, time=time)
+
+
+def _load_name(source: str, time: float, triangles: int | None) -> Scene:
+    from raystream.scene import procedural, samples
+
+    name, colon, size = source.partition(":")
+    if name in procedural.BUILTIN:
+        if time != 0.0:
+            raise ValueError(f"time: the built-in scene {name!r} is not animated")
+        if colon:
+            if triangles is not None:
+                raise ValueError("triangles: given twice, in the name and as an argument")
+            triangles = _size(source, size)
+        return procedural.generate(name, triangles)
+    if source in samples.SAMPLES:
+        if triangles is not None:
+            raise ValueError("triangles: only for built-in scenes, not for samples")
+        scene = read_model(samples.fetch(source), time=time)
+        view = samples.camera(source)
+        if view is not None and not scene.has_own_camera:
+            scene.camera = view
+        return scene
+    raise FileFormatError(source, _unknown(name))
+
+
+def _size(source: str, size: str) -> int:
+    digits = size.replace("_", "").replace(",", "")
+    if not digits.isascii() or not digits.isdigit() or len(digits) > 10 or int(digits) == 0:
+        raise FileFormatError(
+            source,
+            f"expected a number of triangles after the colon, as in 'forest:1000000', got {size!r}",
+        )
+    return int(digits)
+
+
+def _known_names() -> tuple[str, ...]:
+    from raystream.scene import procedural, samples
+
+    return (*procedural.BUILTIN, *samples.SAMPLES)
+
+
+def _unknown(name: str) -> str:
+    """Say what there is instead of a name that is not."""
+    from raystream.scene import procedural, samples
+
+    close = get_close_matches(name.lower(), _known_names(), n=1)
+    hint = f"; did you mean {close[0]!r}?" if close else "."
+    return (
+        f"is neither a built-in scene nor a sample{hint} Built-in scenes: "
+        f"{', '.join(procedural.BUILTIN)}. Samples: {', '.join(samples.SAMPLES)}. "
+        f"Files: {' '.join(SUFFIXES)}, also with .gz"
+    )

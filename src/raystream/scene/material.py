@@ -1,0 +1,79 @@
+"""Material and Texture: how a surface looks, kept as read for the renderers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from raystream.scene.texture import Texture
+
+__all__ = ["Color", "Material"]
+
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Material:
+    """The looks of a surface, in the terms that MTL, glTF and BART share.
+
+    Colours are linear RGB. Renderers use what they know and leave the rest.
+
+    Parameters
+    ----------
+    name : str
+        For people; need not be unique.
+    diffuse : Color
+        Diffuse reflectance (MTL ``Kd``, glTF base colour).
+    specular : Color
+        Reflectance of the glossy highlight (MTL ``Ks``).
+    shininess : float
+        Phong exponent of the highlight (MTL ``Ns``).
+    reflection : Color
+        Mirror reflectance, for reflected rays.
+    transmission : Color
+        Transmittance, for refracted rays (MTL ``Tf``, BART ``T``).
+    ior : float
+        Index of refraction (MTL ``Ni``).
+    emission : Color
+        Radiance that the front side emits (MTL ``Ke``); non-zero makes area lights.
+    opacity : float
+        1 is solid, 0 is invisible (MTL ``d``, glTF alpha).
+    roughness, metallic : float or None
+        glTF's parameters; None where the file gave none.
+    double_sided : bool
+        False when only the front is to be seen (glTF); tracing hits both sides.
+    textures : mapping of str to Texture
+        By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
+        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``.
+    """
+
+    name: str = ""
+    diffuse: Color = (0.8, 0.8, 0.8)
+    specular: Color = (0.0, 0.0, 0.0)
+    shininess: float = 0.0
+    reflection: Color = (0.0, 0.0, 0.0)
+    transmission: Color = (0.0, 0.0, 0.0)
+    ior: float = 1.0
+    emission: Color = (0.0, 0.0, 0.0)
+    opacity: float = 1.0
+    roughness: float | None = None
+    metallic: float | None = None
+    double_sided: bool = True
+    textures: Mapping[str, Texture] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        for name in ("diffuse", "specular", "reflection", "transmission", "emission"):
+            color = tuple(float(c) for c in getattr(self, name))
+            if len(color) != 3 or not all(math.isfinite(c) and c >= 0.0 for c in color):
+                raise ValueError(f"{name}: expected three finite numbers >= 0, got {color}")
+            object.__setattr__(self, name, color)
+        for name in ("shininess", "ior", "opacity"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name}: expected a finite number, got {getattr(self, name)}")
+
+    @property
+    def emits(self) -> bool:
+        """Whether triangles of this material are lights."""
+        return any(c > 0.0 for c in self.emission)

@@ -1,0 +1,134 @@
+"""Mesh: the triangles of one object with their vertex attributes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Mesh"]
+
+
+class Mesh:
+    """Triangles over shared vertices, with optional attributes.
+
+    Parameters
+    ----------
+    vertices : array_like of shape (V, 3), float
+        Positions in world space, scene units. float32 stays float32, every other dtype
+        becomes float64. A NaN or infinite position is allowed: triangles that use it are
+        never hit, and :attr:`Scene.skipped_count` counts them.
+    faces : array_like of shape (F, 3), integer
+        Vertex indices of each triangle, counter-clockwise seen from the front.
+    normals : array_like of shape (V, 3), float, optional
+        Shading normals; need not be unit length.
+    colors : array_like of shape (V, 3), float, optional
+        Linear RGB in [0, 1], multiplied with the material's diffuse colour.
+    texcoords : array_like of shape (V, 2), float, optional
+        Texture coordinates; (0, 0) is the lower left corner of the image.
+    material_ids : int or array_like of shape (F,), integer, optional
+        Index of each triangle's material in :attr:`Scene.materials`.
+    name : str, optional
+        For people; need not be unique.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, or an index lies outside its array.
+    TypeError
+        If an array's dtype is of the wrong kind.
+    """
+
+    __slots__ = ("colors", "faces", "material_ids", "name", "normals", "texcoords", "vertices")
+
+    vertices: NDArray[Any]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32] | None
+    colors: NDArray[np.float32] | None
+    texcoords: NDArray[np.float32] | None
+    material_ids: NDArray[np.int32]
+    name: str
+
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        *,
+        normals: ArrayLike | None = None,
+        colors: ArrayLike | None = None,
+        texcoords: ArrayLike | None = None,
+        material_ids: ArrayLike = 0,
+        name: str = "",
+    ) -> None:
+        self.vertices = _vertices(vertices)
+        self.faces = _faces(faces, len(self.vertices))
+        self.normals = _attribute("normals", normals, (len(self.vertices), 3))
+        self.colors = _attribute("colors", colors, (len(self.vertices), 3))
+        self.texcoords = _attribute("texcoords", texcoords, (len(self.vertices), 2))
+        self.material_ids = _material_ids(material_ids, len(self.faces))
+        self.name = str(name)
+
+    @property
+    def triangle_count(self) -> int:
+        """Number of triangles."""
+        return len(self.faces)
+
+    def __repr__(self) -> str:
+        name = f"{self.name!r}, " if self.name else ""
+        return f"Mesh({name}{len(self.vertices):,} vertices, {len(self.faces):,} triangles)"
+
+
+def _vertices(vertices: ArrayLike) -> NDArray[Any]:
+    array = np.asarray(vertices)
+    if array.size == 0:
+        array = array.reshape(0, 3).astype(np.float32)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"vertices: expected real numbers, got dtype {array.dtype}")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"vertices: expected shape (V, 3), got {array.shape}")
+    dtype = np.float32 if array.dtype == np.float32 else np.float64
+    return np.ascontiguousarray(array, dtype)
+
+
+def _faces(faces: ArrayLike, vertex_count: int) -> NDArray[np.int32]:
+    array = np.asarray(faces)
+    if array.size == 0:
+        return np.zeros((0, 3), np.int32)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"faces: expected integers, got dtype {array.dtype}")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"faces: expected shape (F, 3), got {array.shape}")
+    low, high = int(array.min()), int(array.max())
+    if low < 0 or high >= vertex_count:
+        bad = low if low < 0 else high
+        raise ValueError(f"faces: vertex index {bad} is outside 0..{vertex_count - 1}")
+    return np.ascontiguousarray(array, np.int32)
+
+
+def _attribute(
+    name: str, values: ArrayLike | None, shape: tuple[int, int]
+) -> NDArray[np.float32] | None:
+    if values is None:
+        return None
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
+    if array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape} to match the vertices, got {array.shape}")
+    return np.ascontiguousarray(array, np.float32)
+
+
+def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]:
+    array = np.asarray(material_ids)
+    if array.size == 0:
+        array = array.astype(np.int32)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"material_ids: expected integers, got dtype {array.dtype}")
+    if array.ndim == 0:
+        array = np.full(face_count, array)
+    if array.shape != (face_count,):
+        raise ValueError(f"material_ids: expected shape ({face_count},), got {array.shape}")
+    if face_count and int(array.min()) < 0:
+        raise ValueError(f"material_ids: {int(array.min())} is negative")
+    return np.ascontiguousarray(array, np.int32)

@@ -1,0 +1,106 @@
+"""Built-in scenes: generated, deterministic, of any size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+from raystream.scene.procedural import boxes as _boxes
+from raystream.scene.procedural import building as _building
+from raystream.scene.procedural import cornell as _cornell
+from raystream.scene.procedural import forest as _forest
+from raystream.scene.procedural import robots as _robots
+from raystream.scene.procedural import spheres as _spheres
+from raystream.scene.procedural.size import MAX_TRIANGLES, MIN_TRIANGLES
+from raystream.scene.scene import Scene
+
+__all__ = ["BUILTIN", "MAX_TRIANGLES", "MIN_TRIANGLES", "Builtin", "generate"]
+
+
+class Builtin(NamedTuple):
+    """A built-in scene.
+
+    Parameters
+    ----------
+    make : callable
+        ``make(triangles)`` returns the `Scene`.
+    description : str
+        One line for people.
+    triangles : int
+        The target count when none is asked for.
+    """
+
+    make: Callable[[int], Scene]
+    description: str
+    triangles: int
+
+
+#: The built-in scenes by name, in the order in which they are listed to people.
+BUILTIN: Mapping[str, Builtin] = MappingProxyType(
+    {
+        "cornell": Builtin(
+            _cornell.cornell,
+            "the Cornell box: five walls, a light and two blocks (Christen's scene A)",
+            _cornell.DEFAULT_TRIANGLES,
+        ),
+        "spheres": Builtin(
+            _spheres.spheres,
+            "mirrors, glass and cubes in a room (after Christen's scene B)",
+            _spheres.DEFAULT_TRIANGLES,
+        ),
+        "boxes": Builtin(
+            _boxes.boxes,
+            "plain and rounded boxes in a room (after Christen's scene C)",
+            _boxes.DEFAULT_TRIANGLES,
+        ),
+        "building": Builtin(
+            _building.building,
+            "an office building, outside and inside (for Purcell's Soda Hall)",
+            _building.DEFAULT_TRIANGLES,
+        ),
+        "forest": Builtin(
+            _forest.forest,
+            "trees of many tiny triangles on hilly ground (for Purcell's forest)",
+            _forest.DEFAULT_TRIANGLES,
+        ),
+        "robots": Builtin(
+            _robots.robots,
+            "detailed robots in a huge, plain city (for BART's robots)",
+            _robots.DEFAULT_TRIANGLES,
+        ),
+    }
+)
+
+
+def generate(name: str, triangles: int | None = None) -> Scene:
+    """Make a built-in scene.
+
+    The same arguments give the same arrays, bit for bit, on one machine and one version of
+    NumPy; elsewhere, sines and cosines may differ in the last bit.
+
+    Parameters
+    ----------
+    name : str
+        A key of `BUILTIN`.
+    triangles : int, optional
+        How many triangles to aim at, `MIN_TRIANGLES` to `MAX_TRIANGLES`; without it, the
+        count of the paper's scene. Each scene says how close it comes; none differs by
+        more than half the target.
+
+    Returns
+    -------
+    Scene
+        With a camera, lights and materials, and without degenerate triangles.
+
+    Raises
+    ------
+    ValueError
+        If there is no such scene, or the target is out of range.
+    TypeError
+        If the target is not an integer.
+    """
+    if name not in BUILTIN:
+        raise ValueError(f"no built-in scene {name!r}: expected one of {', '.join(BUILTIN)}")
+    scene = BUILTIN[name]
+    return scene.make(scene.triangles if triangles is None else triangles)

@@ -1,0 +1,189 @@
+"""Scene: meshes with materials, lights and a camera."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.scene.camera import Camera
+from raystream.scene.lights import AreaLight, Light
+from raystream.scene.material import Color, Material
+from raystream.scene.mesh import Mesh
+
+__all__ = ["Scene"]
+
+
+class Scene:
+    """What rays are traced against, and what a picture of it needs.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+        Their triangles are numbered one mesh after another: `prim_id` counts over them all.
+    materials : sequence of Material, optional
+        What each mesh's ``material_ids`` refer to; without any, one grey material.
+    lights : sequence of PointLight, DirectionalLight or EnvironmentLight, optional
+        Area lights are not listed: they follow from emissive materials.
+    camera : Camera, optional
+        The view to use when a caller names none; without it, one that frames the scene.
+    up : array_like of shape (3,), optional
+        The world's up direction, used to frame the scene.
+    background : Color, optional
+        What rays that miss see, linear RGB.
+    name : str, optional
+        For people.
+
+    Raises
+    ------
+    ValueError
+        If a mesh refers to a material that is not there.
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[Mesh] = (),
+        *,
+        materials: Sequence[Material] = (),
+        lights: Sequence[Light] = (),
+        camera: Camera | None = None,
+        up: ArrayLike = (0.0, 1.0, 0.0),
+        background: Color = (0.0, 0.0, 0.0),
+        name: str = "",
+    ) -> None:
+        self.meshes = tuple(meshes)
+        self.materials = tuple(materials) or (Material(),)
+        self.lights = tuple(lights)
+        self.name = str(name)
+        self.up = np.asarray(up, np.float64)
+        self.background = background
+        self._camera = camera
+        self._has_own_camera = camera is not None
+        self._triangles: Triangles | None = None
+        for index, mesh in enumerate(self.meshes):
+            if len(mesh.faces) and int(mesh.material_ids.max()) >= len(self.materials):
+                raise ValueError(
+                    f"mesh {index} ({mesh.name!r}) uses material {int(mesh.material_ids.max())}, "
+                    f"but the scene has {len(self.materials)}"
+                )
+
+    @classmethod
+    def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, **attributes: Any) -> Scene:
+        """Make a scene of one mesh.
+
+        Parameters
+        ----------
+        vertices : array_like of shape (V, 3), float
+            Positions in world space.
+        faces : array_like of shape (F, 3), integer
+            Vertex indices of each triangle.
+        **attributes
+            ``normals``, ``colors``, ``texcoords``, ``material_ids``, ``name``: see `Mesh`.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an array's shape, dtype or index range is wrong.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> scene = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        >>> scene.triangle_count
+        1
+        """
+        return cls([Mesh(vertices, faces, **attributes)])
+
+    @classmethod
+    def from_triangles(cls, triangles: Triangles) -> Scene:
+        """Make a scene of a triangle store: the same triangles and meshes, and nothing else."""
+        corners = triangles.to_world(triangles.corners)
+        meshes = []
+        for first, end in itertools.pairwise(triangles.mesh_splits):
+            faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)
+            meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces))
+        scene = cls(meshes)
+        scene._triangles = triangles
+        return scene
+
+    @property
+    def triangles(self) -> Triangles:
+        """The triangles of all meshes in the form that structures are built from; made once."""
+        if self._triangles is None:
+            self._triangles = Triangles([(mesh.vertices, mesh.faces) for mesh in self.meshes])
+        return self._triangles
+
+    @property
+    def triangle_count(self) -> int:
+        """Number of triangles over all meshes, skipped ones included."""
+        return sum(len(mesh.faces) for mesh in self.meshes)
+
+    @property
+    def skipped_count(self) -> int:
+        """Number of triangles that can never be hit: degenerate, or with a non-finite vertex."""
+        triangles = self.triangles
+        return triangles.degenerate_count + triangles.nonfinite_count
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Corners of the box around all triangles that can be hit.
+
+        Returns
+        -------
+        ndarray of shape (2, 3), float64
+            Rows: low and high, world space; both zero for a scene with nothing to hit.
+        """
+        return self.triangles.world_bounds
+
+    @property
+    def camera(self) -> Camera:
+        """The scene's own camera, else one that frames its bounds."""
+        if self._camera is None:
+            low, high = self.bounds
+            self._camera = Camera.framing(low, high, up=self.up)
+        return self._camera
+
+    @camera.setter
+    def camera(self, camera: Camera) -> None:
+        self._camera = camera
+        self._has_own_camera = True
+
+    @property
+    def has_own_camera(self) -> bool:
+        """Whether the camera was given, and does not just frame the bounds."""
+        return self._has_own_camera
+
+    @property
+    def area_lights(self) -> list[AreaLight]:
+        """The emissive triangles, one entry for each mesh and emissive material.
+
+        Materials whose emission is a texture glow, but do not count: such textures are
+        mostly black.
+        """
+        lights = []
+        first = 0
+        emissive = {
+            index: material.emission
+            for index, material in enumerate(self.materials)
+            if material.emits and "emission" not in material.textures
+        }
+        for mesh_id, mesh in enumerate(self.meshes):
+            for material_id, radiance in emissive.items():
+                faces = np.flatnonzero(mesh.material_ids == material_id)
+                if len(faces):
+                    prim_ids = (first + faces).astype(np.int32)
+                    lights.append(AreaLight(mesh_id, prim_ids, radiance))
+            first += len(mesh.faces)
+        return lights
+
+    def __repr__(self) -> str:
+        name = f"{self.name!r}, " if self.name else ""
+        return f"Scene({name}{len(self.meshes)} meshes, {self.triangle_count:,} triangles)"

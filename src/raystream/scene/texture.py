@@ -1,0 +1,90 @@
+"""Texture: a bitmap that is read when it is first asked for."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+
+__all__ = ["MAX_TEXTURE_PIXELS", "Texture"]
+
+#: Larger images are refused before they are decoded: a few kilobytes can claim terabytes.
+MAX_TEXTURE_PIXELS = 1 << 28
+
+
+class Texture:
+    """A bitmap, from a file or from memory.
+
+    Parameters
+    ----------
+    source : path, bytes or ndarray of shape (H, W, C), uint8
+        The image file, its encoded content, or decoded pixels with the top row first.
+    name : str, optional
+        Defaults to the file's name.
+    wrap : {"repeat", "clamp"}
+        What happens outside [0, 1].
+    """
+
+    def __init__(
+        self,
+        source: Path | bytes | NDArray[np.uint8],
+        *,
+        name: str = "",
+        wrap: Literal["repeat", "clamp"] = "repeat",
+    ) -> None:
+        if wrap not in ("repeat", "clamp"):
+            raise ValueError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
+        self.path = source if isinstance(source, Path) else None
+        self.name = name or (self.path.name if self.path else "")
+        self.wrap = wrap
+        self._encoded = source if isinstance(source, bytes) else None
+        self._pixels = source if isinstance(source, np.ndarray) else None
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """Decode the image, once.
+
+        Returns
+        -------
+        ndarray of shape (H, W, C), uint8
+            C is 1, 3 or 4; encoded values (sRGB for colours), top row first.
+
+        Raises
+        ------
+        FileFormatError
+            If the image cannot be read, or has more than `MAX_TEXTURE_PIXELS` pixels.
+        """
+        if self._pixels is None:
+            self._pixels = self._decode()
+        return self._pixels
+
+    def _decode(self) -> NDArray[np.uint8]:
+        from PIL import Image
+
+        label = str(self.path) if self.path else self.name or "embedded image"
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+                source = self.path if self.path else io.BytesIO(self._encoded or b"")
+                with Image.open(source) as image:
+                    width, height = image.size
+                    if width * height > MAX_TEXTURE_PIXELS:
+                        raise FileFormatError(label, f"image of {width}x{height} is too large")
+                    mode = (
+                        "RGBA" if "A" in image.getbands() or "transparency" in image.info else "RGB"
+                    )
+                    mode = "L" if image.mode == "L" else mode
+                    pixels = np.asarray(image.convert(mode), np.uint8)
+        except FileFormatError:
+            raise
+        except Exception as error:  # Pillow raises many kinds for damaged files
+            raise FileFormatError(label, f"cannot read this image ({error})") from error
+        return pixels[:, :, None] if pixels.ndim == 2 else pixels
+
+    def __repr__(self) -> str:
+        return f"Texture({self.name!r}, wrap={self.wrap!r})"

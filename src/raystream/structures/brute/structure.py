@@ -1,0 +1,66 @@
+"""Brute: the structure that is none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.kernels.queries import ray_queries
+from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
+from raystream.structures.brute.traversal import BruteArrays, traverse
+
+__all__ = ["Brute"]
+
+#: Triangle tests in one call of a compiled loop: about 50 ms.
+_TESTS_PER_CALL = 1 << 23
+
+
+class Brute(Structure):
+    """Every ray is tested against every triangle (Foley 2005, section 4).
+
+    Slow on all but the smallest scenes, and the definition of the right answer.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    """
+
+    name = "brute"
+    queries = ray_queries(traverse, 1)
+
+    def __init__(self, triangles: Triangles) -> None:
+        started = time.perf_counter()
+        self.triangles = triangles
+        if len(triangles.prim_ids) == len(triangles):
+            corners = triangles.corners
+        else:
+            corners = triangles.corners[triangles.prim_ids]
+        self._arrays = BruteArrays(corners, triangles.prim_ids)
+        self.report = BuildReport(
+            seconds=time.perf_counter() - started,
+            byte_count=sum(array.nbytes for array in self._arrays),
+            quality={"tests per ray": float(len(triangles.prim_ids))},
+        )
+
+    @property
+    def arrays(self) -> BruteArrays:
+        """The triangles that can be hit, in the order of their numbers."""
+        return self._arrays
+
+    def saved_arrays(self) -> dict[str, NDArray[Any]]:
+        """Nothing: it is the triangles themselves."""
+        return {}
+
+    @classmethod
+    def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Brute:
+        """Make it anew: nothing of it needs saving."""
+        return cls(triangles)
+
+    def rays_per_call(self) -> int:
+        """Fewer rays on larger scenes, so that a call stays short."""
+        tests = max(1, len(self.triangles.prim_ids))
+        return max(1, min(RAYS_PER_CALL, _TESTS_PER_CALL // tests))

@@ -1,0 +1,5 @@
+"""Bounding volume hierarchy: boxes around boxes around triangles."""
+
+from raystream.structures.bvh.structure import Bvh
+
+__all__ = ["Bvh"]

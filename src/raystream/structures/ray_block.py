@@ -1,0 +1,72 @@
+"""RayBlock: rays of a batch as a structure takes them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress, parallel_for
+from raystream.kernels.local_frame import SceneFrame, TScale, to_local_rays, to_world_t
+from raystream.kernels.queries import LocalRays
+
+__all__ = ["LIGHT_CHUNK", "RayBlock"]
+
+#: Rays that one call of a loop over rays without traversal gets: about a millisecond.
+LIGHT_CHUNK = 1 << 15
+
+
+class RayBlock:
+    """Some rays of a batch in a scene's local frame, and the way back for their distances.
+
+    Parameters
+    ----------
+    batch : RayBatch
+    rows : slice
+        Which of its rays.
+    frame : SceneFrame
+    status : ndarray of shape (N,), uint8
+        Of the whole batch; these rays' rows are written.
+    progress : callable, optional
+        Called with (rays of the batch done, rays of the batch).
+
+    Attributes
+    ----------
+    rows : slice
+    rays : LocalRays
+    progress : callable or None
+        To be called with (rays of the block done, rays of the block).
+    """
+
+    def __init__(
+        self,
+        batch: RayBatch,
+        rows: slice,
+        frame: SceneFrame,
+        status: NDArray[np.uint8],
+        progress: Progress | None,
+    ) -> None:
+        self.rows = rows
+        count = rows.stop - rows.start
+        self.rays = LocalRays.empty(count)
+        self._t_scale = TScale(np.empty(count), np.empty(count))
+        origins = np.ascontiguousarray(batch.origins[rows])
+        directions = np.ascontiguousarray(batch.directions[rows])
+        limits = np.ascontiguousarray(batch.t_min[rows]), np.ascontiguousarray(batch.t_max[rows])
+        results = self.rays, self._t_scale, status[rows]
+
+        def localise(begin: int, end: int) -> None:
+            to_local_rays(begin, end, origins, directions, *limits, frame, *results)
+
+        parallel_for(localise, count, LIGHT_CHUNK)
+        self.progress: Progress | None = None
+        if progress is not None:
+            self.progress = lambda done, _: progress(rows.start + done, len(batch))
+
+    def to_world(self, t: NDArray[np.float32], splits: NDArray[np.int64]) -> None:
+        """Turn rows splits[i] to splits[i + 1] of t, which belong to ray i, to world distances."""
+
+        def convert(begin: int, end: int) -> None:
+            to_world_t(begin, end, splits, self._t_scale, t)
+
+        parallel_for(convert, len(splits) - 1, LIGHT_CHUNK)

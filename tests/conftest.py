@@ -1,0 +1,54 @@
+"""Fixtures that tests share."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import raystream as rs
+
+#: Every way to trace: structure and the options of its tracer. A new structure, machine or
+#: device gets its line here, and is then compared with brute force in every query.
+TRACERS = {
+    "brute": {"structure": "brute"},
+    "bvh": {"structure": "bvh"},
+    "bvh, leaves of 1": {"structure": "bvh", "max_leaf_size": 1},
+    "bvh, leaves of 16": {"structure": "bvh", "max_leaf_size": 16},
+}
+
+
+@pytest.fixture(params=TRACERS)
+def make_tracer(request):
+    """Make a tracer for a scene, once for each structure, machine and device."""
+    return lambda scene: rs.Tracer(scene, **TRACERS[request.param])
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(2013)
+
+
+@pytest.fixture(scope="session")
+def scenes_folder() -> Path:
+    """The folder of public models; tests that need it skip without it."""
+    folder = os.environ.get("RAYSTREAM_SCENES")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("needs public models: set RAYSTREAM_SCENES to their folder")
+    return Path(folder)
+
+
+def child_environment(**changes: str) -> dict[str, str]:
+    """The environment for a process that imports what this one does."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **changes}
+
+
+def assert_same_bits(a, b) -> None:
+    """Floats are compared as integers: -0 is not 0, and NaN is NaN."""
+    a, b = np.asarray(a), np.asarray(b)
+    assert a.dtype == b.dtype
+    assert a.shape == b.shape
+    assert a.tobytes() == b.tobytes(), np.flatnonzero(a.ravel() != b.ravel())[:5]

@@ -1,0 +1,156 @@
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from conftest import child_environment
+from raystream.jit import threads
+from raystream.jit.threads import parallel_for, set_thread_count, thread_count
+
+
+@pytest.fixture(autouse=True)
+def default_threads():
+    yield
+    set_thread_count(None)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+@pytest.mark.parametrize(("length", "chunk"), [(0, 4), (1, 4), (10, 3), (100, 1), (5, 100)])
+def test_every_index_is_done_once(count, length, chunk):
+    set_thread_count(count)
+    done = [0] * length
+
+    def body(begin, end):
+        assert 0 < end - begin <= chunk
+        for i in range(begin, end):
+            done[i] += 1
+
+    parallel_for(body, length, chunk)
+    assert done == [1] * length
+
+
+def test_threads_run_at_the_same_time():
+    set_thread_count(3)
+    together = threading.Barrier(3, timeout=20)
+    parallel_for(lambda begin, end: together.wait(), 3, 1)
+
+
+def test_small_loops_stay_on_the_calling_thread():
+    set_thread_count(4)
+    names = []
+    parallel_for(lambda begin, end: names.append(threading.current_thread()), 10, 10)
+    assert names == [threading.current_thread()]
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_an_error_stops_the_loop_and_is_raised(count):
+    set_thread_count(count)
+    calls = []
+
+    def body(begin, end):
+        calls.append(begin)
+        if begin == 5:
+            raise ArithmeticError("five")
+        time.sleep(0.001)
+
+    with pytest.raises(ArithmeticError, match="five"):
+        parallel_for(body, 100_000, 1)
+    assert len(calls) < 1000
+
+
+def test_progress_comes_from_the_calling_thread_and_ends_at_the_whole():
+    set_thread_count(2)
+    seen = []
+
+    def progress(done, total):
+        assert threading.current_thread() is threading.main_thread()
+        seen.append(done)
+
+    parallel_for(lambda begin, end: time.sleep(0.01), 60, 1, progress)
+    assert len(seen) >= 3
+    assert seen == sorted(seen)
+    assert seen[-1] == 60
+
+
+def test_the_environment_chooses(monkeypatch):
+    monkeypatch.setenv("RAYSTREAM_THREADS", "3")
+    assert thread_count() == 3
+    set_thread_count(5)
+    assert thread_count() == 5
+    set_thread_count(None)
+    monkeypatch.delenv("RAYSTREAM_THREADS")
+    assert thread_count() >= 1
+
+
+@pytest.mark.parametrize("text", ["0", "-2", "two", "1.5"])
+def test_a_bad_choice_is_named(monkeypatch, text):
+    monkeypatch.setenv("RAYSTREAM_THREADS", text)
+    with pytest.raises(ValueError, match="RAYSTREAM_THREADS"):
+        thread_count()
+    with pytest.raises(ValueError, match="threads"):
+        set_thread_count(0)
+
+
+INTERRUPTED = """
+import os, signal, threading, time
+import numpy as np
+import raystream as rs
+
+rng = np.random.default_rng(0)
+scene = rs.Scene.from_arrays(rng.random((60_000, 3)), np.arange(60_000).reshape(-1, 3))
+tracer = rs.Tracer(scene, "brute")
+tracer.first_hit([0, 0, 0], [1, 1, 1])  # compiled by now
+threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+started = time.perf_counter()
+try:
+    tracer.first_hit(rng.random((400_000, 3)), rng.normal(size=(400_000, 3)))  # minutes
+except KeyboardInterrupt:
+    print("interrupted", time.perf_counter() - started)
+print("still works", tracer.any_hit([0, 0, 0], [1, 1, 1]).shape)
+"""
+
+
+def test_ctrl_c_ends_a_long_query():
+    run = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=child_environment(RAYSTREAM_THREADS="2"),
+        check=True,
+    )
+    word, seconds = run.stdout.split("\n")[0].split()
+    assert word == "interrupted"
+    assert float(seconds) < 10
+    assert "still works" in run.stdout
+
+
+FORKED = """
+import os
+from raystream.jit.threads import parallel_for, set_thread_count
+set_thread_count(2)
+parallel_for(lambda begin, end: None, 4, 1)
+pid = os.fork()
+done = []
+parallel_for(lambda begin, end: done.append(begin), 4, 1)
+assert sorted(done) == [0, 1, 2, 3]
+if pid:
+    assert os.waitpid(pid, 0)[1] == 0
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_child_has_threads_of_its_own():
+    set_thread_count(2)
+    parallel_for(lambda begin, end: None, 4, 1)
+    assert threads._pool is not None
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKED],
+        timeout=60,
+        env=child_environment(),
+        check=False,
+    )
+    assert run.returncode == 0

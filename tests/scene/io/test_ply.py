@@ -1,0 +1,163 @@
+"""PLY, text and binary."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from raystream.core.errors import FileFormatError, RaystreamWarning
+from raystream.scene.io.ply import read_ply
+from raystream.scene.mesh import Mesh
+from scene.io import tiny
+
+
+def read(tmp_path: Path, content: bytes) -> Mesh:
+    path = tmp_path / "a.ply"
+    path.write_bytes(content)
+    (mesh,) = read_ply(path).meshes
+    return mesh
+
+
+def header(*lines: str, encoding: str = "ascii") -> bytes:
+    return "\n".join(["ply", f"format {encoding} 1.0", *lines, "end_header\n"]).encode()
+
+
+XYZ = ("property float x", "property float y", "property float z")
+SQUARE = b"0 0 0\n1 0 0\n1 1 0\n0 1 0\n.5 2 0\n"
+
+
+@pytest.mark.parametrize("content", [tiny.ply_text(), tiny.ply_binary("<"), tiny.ply_binary(">")])
+def test_encodings_agree(tmp_path: Path, content: bytes) -> None:
+    mesh = read(tmp_path, content)
+    np.testing.assert_array_equal(mesh.vertices, tiny.TETRAHEDRON)
+    np.testing.assert_array_equal(mesh.faces, tiny.SIDES)
+    assert mesh.vertices.dtype == np.float32
+
+
+@pytest.mark.parametrize("end", [b"\r\n", b"\r"])
+def test_line_ends(tmp_path: Path, end: bytes) -> None:
+    mesh = read(tmp_path, tiny.ply_text().replace(b"\n", end))
+    np.testing.assert_array_equal(mesh.faces, tiny.SIDES)
+
+
+FANS = [[0, 1, 2], [0, 1, 2], [0, 2, 4], [0, 4, 3], [0, 1, 3], [1, 2, 3], [1, 3, 0]]
+
+
+def test_polygons_keep_the_order(tmp_path: Path) -> None:
+    head = header(
+        "element vertex 5", *XYZ, "element face 4", "property list uchar int vertex_index"
+    )
+    mesh = read(tmp_path, head + SQUARE + b"3 0 1 2\n5 0 1 2 4 3\n3 0 1 3\n4 1 2 3 0\n")
+    assert mesh.faces.tolist() == FANS
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_binary_polygons_among_other_properties(tmp_path: Path, order: str) -> None:
+    head = header(
+        "element vertex 5",
+        *(line.replace("float", "double") for line in XYZ),
+        "element face 4",
+        "property uchar flag",
+        "property list ushort uint vertex_indices",
+        "property list char float texcoord",
+        "element extra 2",
+        "property list uchar short junk",
+        encoding="binary_little_endian" if order == "<" else "binary_big_endian",
+    )
+    points = np.array([float(x) for x in SQUARE.split()])
+    content = head + points.astype(f"{order}f8").tobytes()
+    for polygon in ([0, 1, 2], [0, 1, 2, 4, 3], [0, 1, 3], [1, 2, 3, 0]):
+        count = len(polygon)
+        content += struct.pack(f"{order}BH{count}I", 7, count, *polygon)
+        content += struct.pack(f"{order}b2f", 2, 0.5, 0.5)
+    content += struct.pack(f"{order}BhB", 1, 5, 0)
+    mesh = read(tmp_path, content)
+    assert mesh.faces.tolist() == FANS
+    assert mesh.vertices.dtype == np.float64
+
+
+def test_attributes(tmp_path: Path) -> None:
+    head = header(
+        "element vertex 3",
+        *XYZ,
+        "property float nx",
+        "property float ny",
+        "property float nz",
+        "property uchar red",
+        "property uchar green",
+        "property uchar blue",
+        "property float s",
+        "property float t",
+        "element face 1",
+        "property list uchar int vertex_indices",
+    )
+    rows = b"0 0 0 0 0 1 255 0 128 0 0\n1 0 0 0 0 1 0 0 0 1 0\n0 1 0 0 0 1 255 255 255 0 1\n"
+    mesh = read(tmp_path, head + rows + b"3 0 1 2\n")
+    assert mesh.normals is not None
+    assert mesh.texcoords is not None
+    assert mesh.colors is not None
+    assert mesh.normals.tolist() == [[0, 0, 1]] * 3
+    assert mesh.texcoords.tolist() == [[0, 0], [1, 0], [0, 1]]
+    np.testing.assert_allclose(mesh.colors[0], [1, 0, 0.2158605], atol=1e-6)
+
+
+def test_strips_turn_every_other_triangle(tmp_path: Path) -> None:
+    head = header(
+        "element vertex 5", *XYZ, "element tristrips 1", "property list int int vertex_indices"
+    )
+    mesh = read(tmp_path, head + SQUARE + b"9 0 1 2 3 4 -1 0 1 2\n")
+    assert mesh.faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [0, 1, 2]]
+
+
+def test_bad_indices(tmp_path: Path) -> None:
+    head = header(
+        "element vertex 5", *XYZ, "element face 4", "property list uchar int vertex_indices"
+    )
+    with pytest.warns(RaystreamWarning, match="dropped: 3 triangles"):
+        mesh = read(tmp_path, head + SQUARE + b"3 0 1 2\n3 0 1 5\n3 0 -1 2\n3 0 1.5 nan\n")
+    assert mesh.faces.tolist() == [[0, 1, 2]]
+    with pytest.raises(FileFormatError, match="all 4 triangles"):
+        read(tmp_path, head + SQUARE + b"3 0 1 9\n" * 4)
+
+
+FACE = ("element face 1", "property list uchar int vertex_indices")
+HUGE = "999999999999999"
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"plyx", "not a PLY file"),
+        (b"solid x", "not a PLY file"),
+        (b"ply\nformat ascii 1.0\n", "no end_header"),
+        (header("element vertex -1", *XYZ), "element vertex -1"),
+        (header("element vertex 1", "property quad x"), "property quad x"),
+        (header("property float x"), "property float x"),
+        (header("element vertex 1", *XYZ, encoding="middle_endian"), "middle_endian"),
+        (b"ply\nelement vertex 1\nend_header\n", "no format"),
+        (header("element vertex 5", *XYZ, *FACE) + SQUARE[:20], "truncated"),
+        (header(f"element vertex {HUGE}", *XYZ, *FACE) + SQUARE, "truncated"),
+        (
+            header(f"element vertex {HUGE}", *XYZ, encoding="binary_little_endian") + SQUARE,
+            "truncated",
+        ),
+        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"3 0 1", "truncated"),
+        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"-3 0 1 2", "makes no sense"),
+        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"1e300 0 1 2", "makes no sense"),
+        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"3 0 one 2", "not a number"),
+        (header("element vertex 5", *XYZ) + SQUARE, "point cloud"),
+        (header("element vertex 5", *XYZ, "element face 0", FACE[1]) + SQUARE, "no triangles"),
+        (
+            header("element vertex 1", "property float x", *FACE) + b"1 3 0 0 0",
+            "no vertices with x",
+        ),
+        (header(f"element foo {HUGE}", "element vertex 5", *XYZ) + SQUARE, "point cloud"),
+        (tiny.ply_binary()[:-1], "truncated"),
+    ],
+)
+def test_unusable_files(tmp_path: Path, content: bytes, reason: str) -> None:
+    with pytest.raises(FileFormatError, match=reason):
+        read(tmp_path, content)

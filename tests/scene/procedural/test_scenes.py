@@ -1,0 +1,181 @@
+"""The built-in scenes: as large as asked for, repeatable, sound, and lit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from raystream.scene.procedural import BUILTIN, MAX_TRIANGLES, MIN_TRIANGLES, generate
+from raystream.scene.procedural.building import inside_camera
+from raystream.scene.procedural.forest import inside_camera as forest_inside_camera
+from raystream.scene.procedural.forest import top_camera
+from scene.procedural.closed import open_edges
+
+#: Largest share by which the count may differ from targets of at least these.
+CLOSENESS = ((0, 0.5), (36, 0.34), (100, 0.15), (10_000, 0.05), (100_000, 0.02))
+
+#: Meshes with edges that belong to one triangle only.
+OPEN = {
+    "cornell": {"floor", "ceiling", "back wall", "right wall", "left wall", "light"},
+    "boxes": {"lamp"},
+    "building": {"lawn"},
+    "forest": {"ground", "leaves"},
+    "robots": {"ground"},
+}
+
+#: The counts of the papers' scenes, and how near the defaults come.
+DEFAULTS = {
+    "cornell": (36, 0),
+    "spheres": (2064, 0),
+    "boxes": (61_562, 0),
+    "building": (1_500_000, 15_000),
+    "forest": (1_000_000, 1_000),
+    "robots": (71_708, 10),
+}
+
+
+def assert_close(name, target, count):
+    share = [share for least, share in CLOSENESS if target >= least][-1]
+    assert abs(count - target) <= share * target, f"{name}: {count} for {target}"
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_counts_come_close_to_targets(name):
+    targets = [24, *range(36, 51), 60, 77, 99, 100, 150, 311, 480, 1000, 2222, 9999, 31_000]
+    for target in targets:
+        assert_close(name, target, generate(name, target).triangle_count)
+
+
+@pytest.mark.parametrize("target", [100_000, 1_000_000])
+@pytest.mark.parametrize("name", BUILTIN)
+def test_large_counts_come_close_to_targets(name, target):
+    assert_close(name, target, generate(name, target).triangle_count)
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_defaults_are_the_papers_counts(name):
+    count, tolerance = DEFAULTS[name]
+    assert BUILTIN[name].triangles == count
+    assert abs(generate(name).triangle_count - count) <= tolerance
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+@pytest.mark.parametrize("target", [24, 50, 333, 1000, 20_000])
+def test_meshes_are_sound(name, target):
+    scene = generate(name, target)
+    assert scene.skipped_count == 0
+    for mesh in scene.meshes:
+        assert mesh.triangle_count > 0
+        assert np.isfinite(mesh.vertices).all()
+        assert len(np.unique(mesh.faces)) == len(mesh.vertices), f"{mesh}: unused vertices"
+        if mesh.name not in OPEN.get(name, ()):
+            assert open_edges(mesh.faces) == 0, mesh
+        if mesh.normals is not None:
+            np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-4)
+        if mesh.colors is not None:
+            assert mesh.colors.min() >= 0.0
+            assert mesh.colors.max() <= 1.0
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_no_triangle_of_a_large_scene_is_degenerate(name):
+    assert generate(name, 300_000).skipped_count == 0
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_same_arguments_give_the_same_bits(name):
+    for first, second in zip(
+        generate(name, 30_000).meshes, generate(name, 30_000).meshes, strict=True
+    ):
+        for attribute in ("vertices", "faces", "normals", "colors", "texcoords", "material_ids"):
+            one, other = getattr(first, attribute), getattr(second, attribute)
+            assert (one is None) == (other is None)
+            if one is not None:
+                assert one.tobytes() == other.tobytes(), (first.name, attribute)
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_scenes_have_lights_and_use_their_materials(name):
+    scene = generate(name)
+    assert scene.lights or scene.area_lights
+    used = np.unique(np.concatenate([mesh.material_ids for mesh in scene.meshes]))
+    np.testing.assert_array_equal(used, np.arange(len(scene.materials)))
+    assert scene.name == name
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+@pytest.mark.parametrize("target", [36, 20_000, None])
+def test_cameras_see_much_of_the_scene(name, target):
+    scene = generate(name, target)
+    assert visible_share(scene, scene.camera) > 0.2
+
+
+def visible_share(scene, camera):
+    """Share of vertices, those of the largest mesh, that lie within a picture of 4:3."""
+    mesh = max(scene.meshes, key=lambda mesh: mesh.triangle_count)
+    right, up, ahead = camera.basis() @ (mesh.vertices - np.asarray(camera.eye)).T
+    reach = np.tan(np.radians(camera.fov) / 2) * ahead
+    return float(np.mean((ahead > 0) & (np.abs(up) < reach) & (np.abs(right) < reach * 4 / 3)))
+
+
+def test_light_of_the_cornell_box_shines_down_from_below_the_ceiling():
+    scene = generate("cornell", 500)
+    (light,) = scene.area_lights
+    corners = scene.triangles.corners[light.prim_ids].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 1] < 0.0).all()
+    assert np.abs(normals[:, 1]).sum() / 2 == pytest.approx(130 * 105, rel=1e-5)
+    assert 540.0 < corners[..., 1].max() < 548.8
+
+
+def test_walls_of_the_cornell_box_face_inward():
+    scene = generate("cornell")
+    for mesh in scene.meshes[:5]:
+        corners = mesh.vertices[mesh.faces].astype(np.float64)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        inward = np.array([278.0, 274.0, 280.0]) - corners.mean(axis=1)
+        assert (np.einsum("fk,fk->f", normals, inward) > 0.0).all(), mesh.name
+
+
+def test_robots_are_small_and_dense_in_a_huge_city():
+    scene = generate("robots")
+    robots = next(mesh for mesh in scene.meshes if mesh.name == "robots")
+    extent = scene.bounds[1] - scene.bounds[0]
+    crowd = robots.vertices.max(axis=0) - robots.vertices.min(axis=0)
+    assert robots.triangle_count > 0.8 * scene.triangle_count
+    assert np.prod(crowd) < 1e-6 * np.prod(extent)
+    assert robots.vertices[:, 1].min() >= -1e-4
+
+
+def test_other_views_stand_inside_and_above():
+    building, forest = generate("building", 50_000), generate("forest", 50_000)
+    for scene, view in (
+        (building, inside_camera(building)),
+        (forest, forest_inside_camera(forest)),
+    ):
+        low, high = scene.bounds
+        assert (low < view.eye).all()
+        assert (view.eye < high).all()
+    view = top_camera(forest)
+    assert view.eye[1] > forest.bounds[1, 1]
+    assert visible_share(forest, view) > 0.8
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_sizes_out_of_range_are_refused(name):
+    for size in (0, -1, MIN_TRIANGLES - 1, MAX_TRIANGLES + 1, 2**31, 10**12):
+        with pytest.raises(ValueError, match="triangles: expected 24 to 500,000,000"):
+            generate(name, size)
+    for size in (1e6, "1000", True):
+        with pytest.raises(TypeError, match="triangles: expected an integer"):
+            generate(name, size)
+
+
+def test_numpy_integers_are_sizes():
+    assert generate("spheres", np.int64(2064)).triangle_count == 2064
+
+
+def test_unknown_names_are_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"no built-in scene 'castle'.*cornell.*robots"):
+        generate("castle")
+    assert all("\n" not in builtin.description for builtin in BUILTIN.values())

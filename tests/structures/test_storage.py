@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import assert_same_bits
+from meshes import dented_sphere, soup
+from raystream.core.npz import read_npz, write_npz
+
+
+@pytest.fixture
+def scene():
+    vertices, faces = dented_sphere(3)
+    # A part of it far from finite and without area: both are kept, and never hit.
+    vertices = np.vstack([vertices * 1e-3 + 5e4, [np.nan] * 3])
+    faces = np.vstack([faces, [[0, 1, len(vertices) - 1], [0, 0, 1]]])
+    return rs.Scene([rs.Mesh(vertices, faces), rs.Mesh(vertices, faces[:10])])
+
+
+@pytest.fixture
+def rays(scene, rng):
+    low, high = scene.bounds
+    origins = low + rng.random((2000, 3)) * (high - low)
+    return origins, rng.normal(size=(2000, 3))
+
+
+def test_a_loaded_tracer_answers_alike(make_tracer, scene, rays, tmp_path):
+    tracer = make_tracer(scene)
+    tracer.save(tmp_path / "x.npz")
+    for loaded in (rs.Tracer.load(tmp_path / "x.npz"), rs.Tracer.load(tmp_path / "x.npz", scene)):
+        assert loaded.structure.name == tracer.structure.name
+        hits, expected = loaded.first_hit(*rays), tracer.first_hit(*rays)
+        for column in ("t", "u", "v", "prim_id", "mesh_id", "positions", "normals"):
+            assert_same_bits(getattr(hits, column), getattr(expected, column))
+    assert rs.Tracer.load(tmp_path / "x.npz").scene.triangle_count == scene.triangle_count
+    assert rs.Tracer.load(tmp_path / "x.npz", scene).scene is scene
+
+
+def test_an_empty_scene(make_tracer, tmp_path):
+    make_tracer(rs.Scene()).save(tmp_path / "x.npz")
+    assert not rs.Tracer.load(tmp_path / "x.npz").any_hit([0, 0, 0], [1, 0, 0])
+
+
+def test_another_scene_is_refused(make_tracer, scene, tmp_path):
+    make_tracer(scene).save(tmp_path / "x.npz")
+    with pytest.raises(rs.FileFormatError, match="other triangles"):
+        rs.Tracer.load(tmp_path / "x.npz", rs.Scene.from_arrays(*soup(10)))
+
+
+def test_foreign_files_are_refused(tmp_path):
+    np.savez(tmp_path / "x.npz", origins=np.zeros((2, 3)))
+    with pytest.raises(rs.FileFormatError, match=r"x\.npz: was not written by Tracer\.save"):
+        rs.Tracer.load(tmp_path / "x.npz")
+    with pytest.raises(rs.FileFormatError, match="no such file"):
+        rs.Tracer.load(tmp_path / "none.npz")
+
+
+def changed(path, name, change):
+    """The file with one array changed."""
+    arrays = read_npz(path)
+    arrays[name] = change(arrays[name].copy())
+    target = path.with_name("changed.npz")
+    write_npz(target, arrays)
+    return target
+
+
+def put(index, value):
+    def change(array):
+        array[index] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("structure.children", put((0, 0, 0), 10**6)),  # out of range
+        ("structure.children", put((5, 0), (0, 0))),  # a cycle
+        ("structure.children", put((0, 0), (-5, 0))),
+        ("structure.children", put((0, 0), (0, 2**31 - 1))),
+        ("structure.children", put((0, 0), (-3, 4))),
+        ("structure.children", put((0, 0, 1), -1)),  # absent, but has a box
+        ("structure.children", lambda a: a[:-1]),
+        ("structure.children", lambda a: a.astype(np.int64)),
+        ("structure.boxes", lambda a: a.reshape(-1)),
+        ("structure.boxes", lambda a: np.array(1.0, np.float32)),
+        ("structure.prim_ids", put(0, 10**6)),
+        ("structure.prim_ids", put(0, -1)),
+        ("structure.prim_ids", lambda a: np.concatenate([a, a])),
+        ("triangles.corners", lambda a: a[:-1]),
+        ("triangles.corners", lambda a: a.astype(np.float64)),
+        ("triangles.corners", lambda a: a[:, :2]),
+        ("triangles.mesh_splits", lambda a: a[::-1].copy()),
+        ("triangles.mesh_splits", lambda a: a[:0]),
+        ("triangles.center", put(0, np.nan)),
+        ("triangles.scale", lambda a: np.array(0.0)),
+        ("triangles.scale", lambda a: np.array(3.0)),
+        ("triangles.scale", lambda a: np.array(np.inf)),
+        ("header", lambda a: a[:-3]),
+        ("header", lambda a: np.frombuffer(b"[]", np.uint8)),
+        ("header", lambda a: np.frombuffer(b"[" * 100_000, np.uint8)),
+    ],
+)
+def test_hostile_files_are_refused(scene, tmp_path, name, change):
+    rs.Tracer(scene).save(tmp_path / "x.npz")
+    path = changed(tmp_path / "x.npz", name, change)
+    with pytest.raises(rs.FileFormatError, match=r"changed\.npz: "):
+        rs.Tracer.load(path)
+
+
+def test_other_versions_are_refused_with_advice(scene, tmp_path):
+    rs.Tracer(scene, "brute").save(tmp_path / "x.npz")
+
+    def newer(header):
+        text = header.tobytes().replace(b'"version": 1', b'"version": 99')
+        return np.frombuffer(text, np.uint8)
+
+    with pytest.raises(rs.FileFormatError, match=r"version 99.*build the structure anew"):
+        rs.Tracer.load(changed(tmp_path / "x.npz", "header", newer))
+
+
+def test_a_cycle_deep_in_the_tree_is_found(scene, tmp_path):
+    """A child that points back would make a traversal endless."""
+    rs.Tracer(scene, max_leaf_size=1).save(tmp_path / "x.npz")
+
+    def cycle(children):
+        inner = np.argwhere(children[:, :, 1] == 0)
+        node, child = inner[-1]
+        children[node, child, 0] = node
+        return children
+
+    with pytest.raises(rs.FileFormatError, match="out of range"):
+        rs.Tracer.load(changed(tmp_path / "x.npz", "structure.children", cycle))

@@ -1,0 +1,142 @@
+"""Every structure, machine and device gives brute force's bits, in every query.
+
+And brute force agrees with an independent oracle in float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from cases import CASES, Case
+from conftest import assert_same_bits
+from oracles import check_counts, check_first, judge
+
+
+@pytest.fixture(params=CASES)
+def case(request, rng) -> Case:
+    return CASES[request.param](rng)
+
+
+def rays_of(case: Case):
+    return {
+        "origins": case.origins,
+        "directions": case.directions,
+        "t_min": case.t_min,
+        "t_max": case.t_max,
+    }
+
+
+def assert_same_answers(tracer: rs.Tracer, oracle: rs.Tracer, rays) -> None:
+    """All four queries, with all their options."""
+    first, expected = tracer.first_hit(**rays), oracle.first_hit(**rays)
+    for column in ("t", "u", "v", "prim_id", "mesh_id", "status"):
+        assert_same_bits(getattr(first, column), getattr(expected, column))
+    assert_same_bits(tracer.any_hit(**rays), oracle.any_hit(**rays))
+    for crossings in ("triangles", "surfaces"):
+        counts = oracle.count_hits(**rays, crossings=crossings)
+        assert_same_bits(tracer.count_hits(**rays, crossings=crossings), counts)
+        for max_hits in (None, 0, 1, 3):
+            options = {"crossings": crossings, "max_hits": max_hits}
+            many, expected = (
+                tracer.multi_hit(**rays, **options),
+                oracle.multi_hit(**rays, **options),
+            )
+            for column in ("ray_splits", "t", "u", "v", "prim_id", "status"):
+                assert_same_bits(getattr(many, column), getattr(expected, column))
+
+
+def test_structures_equal_brute_force(make_tracer, case):
+    assert_same_answers(make_tracer(case.scene), rs.Tracer(case.scene, "brute"), rays_of(case))
+
+
+def test_brute_force_agrees_with_float64(case):
+    tracer = rs.Tracer(case.scene, "brute")
+    rays = rays_of(case)
+    verdict = judge(case.vertices, case.faces, case.origins, case.directions, *case.limits())
+    check_counts(verdict, tracer.count_hits(**rays))
+    hits = tracer.first_hit(**rays)
+    check_first(verdict, hits.t, hits.prim_id)
+
+
+def test_the_oracle_is_rarely_in_doubt():
+    """Else it would agree with anything."""
+    for name in ("random_soup", "closed_mesh", "huge_offset", "tiny_scale", "limited_intervals"):
+        case = CASES[name](np.random.default_rng(1))
+        verdict = judge(case.vertices, case.faces, case.origins, case.directions, *case.limits())
+        assert verdict.sure.sum() > 100
+        assert verdict.doubt.sum() < 0.02 * verdict.sure.sum(), name
+
+
+def test_queries_agree_with_each_other(case):
+    """any = first exists; count = rows; first = first row; k rows = the first k of all."""
+    tracer = rs.Tracer(case.scene)
+    rays = rays_of(case)
+    hits, many = tracer.first_hit(**rays), tracer.multi_hit(**rays)
+    np.testing.assert_array_equal(tracer.any_hit(**rays), hits.is_hit)
+    np.testing.assert_array_equal(many.counts > 0, hits.is_hit)
+    np.testing.assert_array_equal(many.counts, tracer.count_hits(**rays))
+    first_rows = many.ray_splits[:-1][hits.is_hit]
+    for column in ("t", "u", "v", "prim_id"):
+        np.testing.assert_array_equal(
+            getattr(many, column)[first_rows], getattr(hits, column)[hits.is_hit]
+        )
+    same_ray = np.diff(many.ray_id) == 0
+    assert (np.diff(many.t)[same_ray] >= 0).all()
+    three = tracer.multi_hit(**rays, max_hits=3)
+    within = np.arange(len(many.t)) - many.ray_splits[many.ray_id] < 3
+    np.testing.assert_array_equal(three.prim_id, many.prim_id[within])
+
+
+def test_no_triangles_at_all(make_tracer):
+    empty = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
+    only_degenerate = rs.Scene.from_arrays(np.zeros((3, 3)), [[0, 1, 2]])
+    for scene in (empty, only_degenerate, rs.Scene()):
+        tracer = make_tracer(scene)
+        rays = {"origins": np.zeros((5, 3)), "directions": np.ones((5, 3))}
+        hits = tracer.first_hit(**rays)
+        assert np.isinf(hits.t).all()
+        assert (hits.prim_id == -1).all()
+        assert (hits.mesh_id == -1).all()
+        assert np.isnan(hits.positions).all()
+        assert not tracer.any_hit(**rays).any()
+        assert not tracer.count_hits(**rays).any()
+        assert tracer.multi_hit(**rays).ray_splits.tolist() == [0] * 6
+
+
+def test_no_rays_at_all(make_tracer):
+    tracer = make_tracer(CASES["one_triangle"](np.random.default_rng(0)).scene)
+    for shape in ((0, 3), (4, 0, 3)):
+        hits = tracer.first_hit(np.zeros(shape), np.zeros(shape))
+        assert hits.t.shape == shape[:-1]
+        assert tracer.any_hit(np.zeros(shape), np.zeros(shape)).shape == shape[:-1]
+        assert tracer.multi_hit(np.zeros(shape), np.zeros(shape)).ray_splits.tolist() == [0]
+
+
+def test_invalid_rays_miss_and_say_so(make_tracer):
+    tracer = make_tracer(CASES["random_soup"](np.random.default_rng(0)).scene)
+    bad = [np.nan, np.inf, -np.inf]
+    good = ([0.5, 0.5, -5.0], [0.0, 0.0, 1.0])
+    origins, directions = [], []
+    for axis in range(3):
+        for value in bad:
+            for which in range(2):
+                ray = [list(good[0]), list(good[1])]
+                ray[which][axis] = value
+                origins.append(ray[0])
+                directions.append(ray[1])
+    origins += [good[0], good[0], good[0]]
+    directions += [[0, 0, 0], [-0.0, 0, 0], good[1]]
+    hits = tracer.first_hit(origins, directions)
+    invalid = np.arange(len(origins)) < len(origins) - 1
+    np.testing.assert_array_equal(hits.status == rs.RayStatus.INVALID, invalid)
+    assert (hits.prim_id[invalid] == -1).all()
+    assert hits.prim_id[-1] >= 0
+    assert not tracer.any_hit(origins, directions)[invalid].any()
+    many = tracer.multi_hit(origins, directions)
+    assert many.counts[invalid].sum() == 0
+    np.testing.assert_array_equal(many.status, hits.status)
+    nan_limit = tracer.first_hit([good[0]] * 2, [good[1]] * 2, t_min=[np.nan, 0], t_max=[9, np.nan])
+    assert (nan_limit.status == rs.RayStatus.INVALID).all()
+    assert not nan_limit.is_hit.any()

@@ -1,0 +1,46 @@
+"""``import raystream`` is cheap: what is not needed yet is not imported."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import raystream
+
+LATER = ("numba", "llvmlite", "trimesh", "PIL", "typer", "rich", "pooch", "OpenEXR", "scipy")
+
+
+def modules_after(statement: str) -> set[str]:
+    """Top-level packages in ``sys.modules`` of a new interpreter that ran the statement."""
+    code = f"import sys\n{statement}\nprint(*{{name.partition('.')[0] for name in sys.modules}})"
+    assert raystream.__file__ is not None
+    source = str(Path(raystream.__file__).resolve().parents[1])
+    path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stderr
+    return set(result.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import raystream",
+        "import raystream as rs; rs.Scene.from_arrays([[0, 0, 0]], [[0, 0, 0]])",
+        "import raystream as rs; rs.Camera(eye=(0, 0, 1), look_at=(0, 0, 0)).rays(4, 3)",
+    ],
+    ids=["package", "scene", "camera"],
+)
+def test_import_brings_in_only_what_it_needs(statement: str) -> None:
+    modules = modules_after(statement)
+    assert "raystream" in modules
+    assert not modules & set(LATER)

@@ -1,0 +1,188 @@
+"""The house: which room may import which, and how long a file may be."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[1] / "src" / "raystream"
+
+#: A room may import itself and the rooms before it.
+ROOMS = (
+    "core",
+    "jit",
+    "kernels",
+    "scene",
+    "structures",
+    "streams",
+    "programs",
+    "machines",
+    "tracer",
+    "physics",
+    "render",
+    "graphics",
+    "lab",
+    "cluster",
+    "viewer",
+    "cli",
+)
+
+#: Modules outside the rooms: they put the package together.
+EXEMPT = ("__init__", "__main__", "_version")
+
+#: Who may import these packages of others; anyone may import the rest.
+RESERVED = {"numba": {"jit"}, "llvmlite": {"jit"}, "numba_cuda": {"jit"}}
+
+#: The stream programming model knows nothing of rays: of the rooms before it, only these.
+STREAMS_MAY_IMPORT = ("raystream.core.errors", "raystream.jit")
+
+MAX_LINES = 400
+
+
+def imported_names(tree: ast.AST, package: str) -> Iterator[tuple[int, str]]:
+    """Yield line and dotted name of every import, in functions and type-checking blocks too.
+
+    ``from a import b`` gives ``a.b``, whether b is a module or a name in one.
+    """
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parents = package.split(".")
+                parents = parents[: len(parents) - node.level + 1]
+                base = ".".join([*parents, base] if base else parents)
+            for alias in node.names:
+                yield node.lineno, f"{base}.{alias.name}"
+
+
+def import_fault(room: str, name: str) -> str | None:
+    """Say what is wrong with importing this dotted name in this room."""
+    top, _, rest = name.partition(".")
+    if top != "raystream":
+        allowed = RESERVED.get(top)
+        if allowed is not None and room not in allowed:
+            return f"{room} imports {top}: only {', '.join(sorted(allowed))} may"
+        return None
+    target = rest.partition(".")[0]
+    if target == "_version" or target == room:
+        return None
+    if target not in ROOMS:
+        return f"{room} imports {name}: not a room"
+    if ROOMS.index(target) > ROOMS.index(room):
+        return f"{room} imports {name}: {target} comes later in the house"
+    if room == "streams" and not f"{name}.".startswith(tuple(f"{n}." for n in STREAMS_MAY_IMPORT)):
+        return f"streams imports {name}: it knows nothing of rays"
+    return None
+
+
+def find_violations(source: Path) -> list[str]:
+    """Check every module of a package laid out as raystream."""
+    violations = []
+    for path in sorted(source.rglob("*.py")):
+        parts = path.relative_to(source).with_suffix("").parts
+        room = parts[0]
+        if room in EXEMPT:
+            continue
+        place = path.relative_to(source).as_posix()
+        if room not in ROOMS:
+            violations.append(f"{place}: {room} is not a room")
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"), place)
+        says = parts in ((room,), (room, "__init__"))
+        if says and not ast.get_docstring(tree):
+            violations.append(f"{place}:1: does not say what {room} holds")
+        package = ".".join(("raystream", *parts[:-1]))
+        for line, name in imported_names(tree, package):
+            fault = import_fault(room, name)
+            if fault:
+                violations.append(f"{place}:{line}: {fault}")
+    return violations
+
+
+def test_rooms_import_only_rooms_before_them() -> None:
+    violations = find_violations(SOURCE)
+    assert not violations, "\n".join(violations)
+
+
+def test_no_file_is_longer_than_one_idea() -> None:
+    counts = {
+        path.relative_to(SOURCE).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
+        for path in sorted(SOURCE.rglob("*.py"))
+    }
+    assert counts, f"no modules in {SOURCE}"
+    long = [f"{name}: {count} lines" for name, count in counts.items() if count > MAX_LINES]
+    assert not long, f"longer than {MAX_LINES} lines:\n" + "\n".join(long)
+
+
+# The checker itself.
+
+DOCSTRING = '"""What it holds."""\n'
+
+
+def plant(root: Path, place: str, text: str) -> Path:
+    path = root / place
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("place", "statement", "fault"),
+    [
+        ("kernels/slab.py", "import raystream.scene", "scene comes later"),
+        ("kernels/slab.py", "import raystream.scene.mesh as m", "scene comes later"),
+        ("kernels/slab.py", "from raystream.scene import Mesh", "scene comes later"),
+        ("kernels/slab.py", "from raystream import scene", "scene comes later"),
+        ("kernels/slab.py", "from ..scene.mesh import Mesh", "scene comes later"),
+        ("kernels/slab.py", "from .. import scene", "scene comes later"),
+        ("kernels/slab.py", "def f():\n    from raystream.cli import main", "cli comes later"),
+        ("kernels/slab.py", "if TYPE_CHECKING:\n    import raystream.cli", "cli comes later"),
+        ("structures/bvh/layout.py", "from ...tracer import Tracer", "tracer comes later"),
+        ("core/rays.py", "from raystream.jit import cpu", "jit comes later"),
+        ("tracer.py", "from raystream.graphics import device", "graphics comes later"),
+        ("kernels/slab.py", "import raystream", "not a room"),
+        ("kernels/slab.py", "from raystream import load", "not a room"),
+        ("kernels/slab.py", "import numba", "imports numba"),
+        ("kernels/slab.py", "def f():\n    from numba.core import types", "imports numba"),
+        ("streams/kernel.py", "from raystream.core.rays import Rays", "nothing of rays"),
+        ("streams/kernel.py", "from raystream.scene import Scene", "nothing of rays"),
+        ("shaders/slab.py", "", "shaders is not a room"),
+    ],
+)
+def test_planted_violation_is_found(tmp_path: Path, place: str, statement: str, fault: str) -> None:
+    violations = find_violations(plant(tmp_path, place, f"{DOCSTRING}{statement}\n"))
+    assert len(violations) == 1
+    assert violations[0].startswith(place)
+    assert fault in violations[0]
+
+
+@pytest.mark.parametrize("place", ["core/__init__.py", "tracer.py"])
+def test_room_without_docstring_is_found(tmp_path: Path, place: str) -> None:
+    violations = find_violations(plant(tmp_path, place, "X = 1\n"))
+    assert len(violations) == 1
+    assert "does not say" in violations[0]
+
+
+@pytest.mark.parametrize(
+    ("place", "statement"),
+    [
+        ("kernels/slab.py", "from raystream.core.bounds import Bounds"),
+        ("kernels/slab.py", "from raystream.kernels import triangle"),
+        ("kernels/slab.py", "from . import triangle"),
+        ("kernels/slab.py", "from raystream import core"),
+        ("structures/store.py", "from raystream._version import __version__"),
+        ("streams/kernel.py", "from raystream.jit.cpu import kernel"),
+        ("streams/kernel.py", "from raystream.core.errors import RaystreamError"),
+        ("jit/cpu.py", "import numba"),
+        ("__init__.py", "from raystream.cli import main"),
+        ("cli.py", "import numbers, numpy"),
+    ],
+)
+def test_allowed_import_passes(tmp_path: Path, place: str, statement: str) -> None:
+    assert find_violations(plant(tmp_path, place, f"{DOCSTRING}{statement}\n")) == []
