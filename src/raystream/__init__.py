@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from raystream.tracer import Tracer, register_device
 
 # Names are imported when they are first used: `import raystream` costs neither numba nor
-# trimesh, and a command that only prints help stays quick.
+# Pillow, and a command that only prints help stays quick.
 _HOMES = {
     "AreaLight": "scene.lights",
     "Camera": "scene.camera",

@@ -13,7 +13,7 @@ import typer
 
 from raystream._version import __version__
 from raystream.cli.info import info
-from raystream.cli.messages import one_line, show_warnings, silence_stdout
+from raystream.cli.messages import one_line, open_streams, show_warnings, silence_stdout
 from raystream.cli.query import query
 from raystream.cli.render import render
 from raystream.core.errors import RaystreamError
@@ -87,6 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     settings = _Settings(debug=os.environ.get("RAYSTREAM_DEBUG", "") not in ("", "0"))
     command = typer.main.get_command(app)
     given = None if arguments is None else list(arguments)
+    open_streams()
     try:
         with show_warnings():
             code = command.main(given, "raystream", standalone_mode=False, obj=settings)

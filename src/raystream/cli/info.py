@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import shutil
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -44,7 +46,6 @@ def info(
 
 
 def _show(figures: dict[str, Any]) -> None:
-    _write_table(["", ""], _facts(figures))
     meshes = [
         (i, mesh["name"], mesh["triangles"], mesh["vertices"], " ".join(mesh["attributes"]))
         for i, mesh in enumerate(figures["meshes"])
@@ -59,12 +60,19 @@ def _show(figures: dict[str, Any]) -> None:
         )
         for i, material in enumerate(figures["materials"])
     ]
-    _write_largest("meshes", ["id", "mesh", "triangles", "vertices", "attributes"], meshes)
-    _write_largest("materials", ["id", "material", "triangles", "diffuse", "textures"], materials)
+    write_line(_table(["", ""], _facts(figures)))
+    if meshes:
+        write_line()
+        write_line(_largest("meshes", ["id", "mesh", "triangles", "vertices", "has"], meshes))
+    write_line()
+    columns = ["id", "material", "triangles", "diffuse", "textures"]
+    write_line(_largest("materials", columns, materials))
 
 
 def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
     """What there is one of, by name."""
+    from rich.filesize import decimal
+
     bounds, camera = figures["bounds"], figures["camera"]
     memory, structure = figures["memory"], figures["structure"]
     parts = [f"{part}={_vector(camera[part], ',')}" for part in ("eye", "look_at", "up")]
@@ -83,7 +91,7 @@ def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
         ("low corner", _vector(bounds["low"]) if bounds else "nothing can be hit"),
         ("high corner", _vector(bounds["high"]) if bounds else ""),
         ("camera", " ".join([*parts, f"fov={camera['fov']:g}"])),
-        ("memory", " + ".join(f"{size / 1e6:,.1f} MB {name}" for name, size in memory.items())),
+        ("memory", " + ".join(f"{decimal(size)} {name}" for name, size in memory.items())),
         ("load", f"{figures['seconds']['load']:.2f} s"),
         ("structure", f"{structure['name']}, built in {structure['seconds']:.2f} s"),
         *((f"  {name}", f"{value:,.6g}") for name, value in structure["quality"].items()),
@@ -94,18 +102,17 @@ def _vector(numbers: Sequence[float], separator: str = " ") -> str:
     return separator.join(f"{number:.6g}" for number in numbers)
 
 
-def _write_largest(what: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> None:
-    """Write the rows with the most triangles, which are the third column."""
+def _largest(what: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> str:
+    """Set the rows with the most triangles, which are the third column."""
     shown = sorted(rows, key=lambda row: -row[2])[:MAX_ROWS]
-    if shown:
-        write_line()
-        _write_table(columns, shown)
+    text = _table(columns, shown)
     if len(rows) > len(shown):
-        write_line(f"and {len(rows) - len(shown):,} more {what} (--json lists all)")
+        text += f"\nand {len(rows) - len(shown):,} more {what} (--json lists all)"
+    return text
 
 
-def _write_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Write aligned columns, integers to the right; in colour and wrapped on a terminal only."""
+def _table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Align columns, integers to the right; bold and wrapped for a terminal only."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -116,13 +123,18 @@ def _write_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     for row in rows:
         cells = (f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row)
         table.add_row(*(Text(_printable(cell)) for cell in cells))
-    console = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH, highlight=False)
+    is_shown = sys.stdout.isatty()
+    console = Console(
+        file=io.StringIO(),
+        force_terminal=is_shown,
+        width=shutil.get_terminal_size().columns if is_shown else PIPED_WIDTH,
+    )
     with console.capture() as capture:
         console.print(table)
-    for line in capture.get().splitlines():
-        write_line(line.rstrip())
+    return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
 def _printable(text: str) -> str:
+    """Keep the indent, and nothing that could move the cursor."""
     indent = len(text) - len(text.lstrip(" "))
     return " " * indent + one_line(text)

@@ -14,8 +14,9 @@ from typing import Any
 from raystream.core.errors import RaystreamError, RaystreamWarning
 
 __all__ = [
-    "BadInput",
+    "BadInputError",
     "one_line",
+    "open_streams",
     "refuse",
     "show_warnings",
     "silence_stdout",
@@ -24,13 +25,13 @@ __all__ = [
 ]
 
 
-class BadInput(RaystreamError):
+class BadInputError(RaystreamError):
     """Something that the user can put right: one line, without a traceback."""
 
 
 @contextlib.contextmanager
 def refuse(*kinds: type[Exception], where: str = "") -> Iterator[None]:
-    """Turn these exceptions into `BadInput`.
+    """Turn these exceptions into `BadInputError`.
 
     Only for calls whose documented errors of these kinds blame an argument: anywhere else
     they are bugs, and must show as such.
@@ -48,7 +49,7 @@ def refuse(*kinds: type[Exception], where: str = "") -> Iterator[None]:
         reason = str(error)
         if isinstance(error, OSError) and error.strerror:
             reason = error.strerror
-        raise BadInput(f"{where}: {reason}" if where else reason) from error
+        raise BadInputError(f"{where}: {reason}" if where else reason) from error
 
 
 def one_line(text: str) -> str:
@@ -79,7 +80,7 @@ def write_line(text: str = "") -> None:
 
     Raises
     ------
-    BadInput
+    BadInputError
         If stdout is a file on a full disk, say.
     BrokenPipeError
         If nobody reads it any more.
@@ -92,7 +93,7 @@ def write_line(text: str = "") -> None:
         print(text.encode("ascii", "backslashreplace").decode(), flush=True)  # noqa: T201
     except OSError as error:
         silence_stdout()
-        raise BadInput(f"stdout: {error.strerror}") from error
+        raise BadInputError(f"stdout: {error.strerror}") from error
 
 
 def write_json(figures: Mapping[str, Any]) -> None:
@@ -105,6 +106,14 @@ def write_json(figures: Mapping[str, Any]) -> None:
 
 def _on_one_line(numbers: re.Match[str]) -> str:
     return "".join(numbers[0].split()).replace(",", ", ")
+
+
+def open_streams() -> None:
+    """Give a process that was started without stdout or stderr somewhere to write."""
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 def silence_stdout() -> None:

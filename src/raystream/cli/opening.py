@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from raystream.cli.bars import Bars
-from raystream.cli.messages import BadInput, refuse
+from raystream.cli.messages import BadInputError, refuse
 
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
@@ -85,7 +85,7 @@ def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
     ------
     FileFormatError
         If there is no such scene, or it cannot be used.
-    BadInput
+    BadInputError
         If an option does not suit the scene.
     """
     from raystream.tracer import Tracer
@@ -109,12 +109,12 @@ def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
     from raystream.tracer import Tracer
 
     if source.time != 0.0 or source.triangles is not None:
-        raise BadInput(f"{source.name}: a saved structure has neither --time nor --triangles")
+        raise BadInputError(f"{source.name}: a saved structure has neither --time nor --triangles")
     with watch.measure("load"), bars.step("loading"):
         tracer = Tracer.load(source.name)
     watch.seconds["build"] = 0.0
     if source.structure not in (None, tracer.structure.name):
-        raise BadInput(
+        raise BadInputError(
             f"{source.name}: holds a {tracer.structure.name!r} structure, "
             f"not {source.structure!r}; leave --structure out"
         )

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from raystream.cli.messages import BadInput
+from raystream.cli.messages import BadInputError
 
 __all__ = [
     "DEVICES",
@@ -32,10 +32,10 @@ __all__ = [
     "check_output",
     "complete",
     "complete_scenes",
+    "one_of",
     "parse_camera",
     "parse_size",
     "positive",
-    "one_of",
 ]
 
 #: The names that the library has, for help and completion; a test compares them.
@@ -156,12 +156,12 @@ def parse_size(text: str) -> tuple[int, int]:
 
     Raises
     ------
-    BadInput
+    BadInputError
         If it is none.
     """
     match = re.fullmatch(r"0*([1-9]\d{0,8})x0*([1-9]\d{0,8})", text.strip().lower(), re.ASCII)
     if match is None:
-        raise BadInput(f"--size: expected WIDTHxHEIGHT, such as 1024x768, got {text!r}")
+        raise BadInputError(f"--size: expected WIDTHxHEIGHT, such as 1024x768, got {text!r}")
     return int(match[1]), int(match[2])
 
 
@@ -175,7 +175,7 @@ def parse_camera(text: str) -> dict[str, Any]:
 
     Raises
     ------
-    BadInput
+    BadInputError
         If a part is unknown, given twice, or not made of finite numbers.
     """
     parts: dict[str, Any] = {}
@@ -183,12 +183,14 @@ def parse_camera(text: str) -> dict[str, Any]:
         name, _, value = word.partition("=")
         name = name.replace("-", "_")
         if name not in CAMERA_PARTS:
-            raise BadInput(f"--camera: expected {', '.join(CAMERA_PARTS.values())}; got {word!r}")
+            raise BadInputError(
+                f"--camera: expected {', '.join(CAMERA_PARTS.values())}; got {word!r}"
+            )
         if name in parts:
-            raise BadInput(f"--camera: {name} is given twice")
+            raise BadInputError(f"--camera: {name} is given twice")
         numbers = _numbers(value)
         if len(numbers) != (1 if name == "fov" else 3):
-            raise BadInput(f"--camera: expected {CAMERA_PARTS[name]}, got {word!r}")
+            raise BadInputError(f"--camera: expected {CAMERA_PARTS[name]}, got {word!r}")
         parts[name] = numbers[0] if name == "fov" else numbers
     return parts
 
@@ -214,20 +216,20 @@ def check_output(path: Path, suffixes: Sequence[str], inputs: Sequence[str] = ()
 
     Raises
     ------
-    BadInput
+    BadInputError
         If the name ends in something else, is a folder's or an input's, or the folder is not
         there or not writable.
     """
     if path.suffix.lower() not in suffixes:
-        raise BadInput(f"{path}: the name must end in {' or '.join(suffixes)}")
+        raise BadInputError(f"{path}: the name must end in {' or '.join(suffixes)}")
     folder = path.parent
     if not folder.is_dir():
-        raise BadInput(f"{path}: there is no folder {folder}")
+        raise BadInputError(f"{path}: there is no folder {folder}")
     if path.is_dir():
-        raise BadInput(f"{path}: is a folder, not a file")
+        raise BadInputError(f"{path}: is a folder, not a file")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise BadInput(f"{path}: the folder {folder} is not writable")
+        raise BadInputError(f"{path}: the folder {folder} is not writable")
     if path.exists() and any(os.path.exists(name) and path.samefile(name) for name in inputs):
-        raise BadInput(f"{path}: is an input, and would be overwritten")
+        raise BadInputError(f"{path}: is an input, and would be overwritten")
     if path.suffix.lower() == ".exr" and importlib.util.find_spec("OpenEXR") is None:
-        raise BadInput(f"{path}: writing .exr needs OpenEXR: pip install 'raystream[exr]'")
+        raise BadInputError(f"{path}: writing .exr needs OpenEXR: pip install 'raystream[exr]'")

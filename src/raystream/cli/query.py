@@ -10,7 +10,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.messages import BadInput, one_line, refuse, write_json, write_line
+from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 
 if TYPE_CHECKING:
@@ -121,17 +121,17 @@ def query(
         )
     else:
         invalid = f" ({answer.invalid_count:,} invalid)" if answer.invalid_count else ""
+        hits = f", {answer.hit_count:,} hits" if question.kind in ("multi", "count") else ""
         write_line(
             f"{one_line(str(output))}: {answer.ray_count:,} rays{invalid}, {answer.rays_hit:,} "
-            f"hit, {answer.hit_count:,} hits; {triangle_count:,} triangles; {watch.text()}; "
-            f"{speed:g} Mrays/s"
+            f"of them hit{hits}; {triangle_count:,} triangles; {watch.text()}; {speed:g} Mrays/s"
         )
 
 
 def _only(chosen: dict[str, bool]) -> str:
     names = [name for name, is_chosen in chosen.items() if is_chosen]
     if len(names) > 1:
-        raise BadInput(f"{' and '.join(f'--{name}' for name in names)}: choose one")
+        raise BadInputError(f"{' and '.join(f'--{name}' for name in names)}: choose one")
     return names[0] if names else "first"
 
 
@@ -174,9 +174,9 @@ class _Question:
 
     def __post_init__(self) -> None:
         if self.max_hits is not None and self.kind != "multi":
-            raise BadInput("--max-hits: only with --multi")
+            raise BadInputError("--max-hits: only with --multi")
         if self.crossings is not None and self.kind not in ("multi", "count"):
-            raise BadInput("--crossings: only with --multi or --count")
+            raise BadInputError("--crossings: only with --multi or --count")
 
     def ask(
         self, tracer: Tracer, rays: dict[str, NDArray[Any]], progress: Progress | None

@@ -10,7 +10,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.messages import BadInput, one_line, refuse, write_json, write_line
+from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 
 __all__ = ["DEFAULT_SCENE", "render"]
@@ -66,7 +66,7 @@ def render(
     from raystream.render.picture import MAX_PIXELS
 
     if width * height > MAX_PIXELS:
-        raise BadInput(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
+        raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
     watch = Stopwatch()
     with Bars() as bars:
         tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)

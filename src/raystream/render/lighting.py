@@ -13,7 +13,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
 from raystream.scene.scene import Scene
 
-__all__ = ["PatchLight", "area_patches", "arriving_light", "lights_or_headlight"]
+__all__ = ["PatchLight", "area_patches", "arriving_light", "classic_lights"]
 
 #: Unit vectors to a light, and the irradiance that it gives to a facing surface.
 Arriving = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -69,11 +69,34 @@ def area_patches(scene: Scene) -> list[PatchLight]:
     return patches
 
 
-def lights_or_headlight(scene: Scene, camera: Camera, has_patches: bool) -> tuple[Light, ...]:
-    """The scene's lights; for a scene without any, a white one at the eye."""
-    if scene.lights or has_patches:
-        return scene.lights
-    return (PointLight(camera.eye, (1.0, 1.0, 1.0), falloff="none"),)
+def classic_lights(
+    scene: Scene, camera: Camera, patches: Sequence[PatchLight]
+) -> tuple[Light, ...]:
+    """The scene's lights, and those that a classic pipeline adds so that all can be seen.
+
+    Parameters
+    ----------
+    scene : Scene
+    camera : Camera
+    patches : sequence of PatchLight
+        The scene's area lights.
+
+    Returns
+    -------
+    tuple of Light
+        A scene without any light gets a white one at the eye. A scene with area lights gets
+        an ambient one, for what its surfaces would reflect on each other: as much as a
+        closed box of the scene's size would, every wall of which reflects half.
+    """
+    if patches:
+        extent = scene.bounds[1] - scene.bounds[0]
+        box_area = 2.0 * float(extent @ np.roll(extent, 1))
+        # Of the power pi * radiance * area the walls send back 1/2 + 1/4 + ... = all, spread
+        # evenly; a uniform radiance L gives each wall an irradiance of pi * L.
+        radiance = sum((patch.power for patch in patches), np.zeros(3)) / box_area
+        ambient = float(radiance[0]), float(radiance[1]), float(radiance[2])
+        return (*scene.lights, EnvironmentLight(ambient))
+    return scene.lights or (PointLight(camera.eye, (1.0, 1.0, 1.0), falloff="none"),)
 
 
 def arriving_light(

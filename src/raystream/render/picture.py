@@ -9,7 +9,7 @@ from raystream.jit.threads import Progress
 from raystream.render.eye_rays import eye_rays
 from raystream.render.film import Film
 from raystream.render.image import Image
-from raystream.render.lighting import area_patches, lights_or_headlight
+from raystream.render.lighting import area_patches, classic_lights
 from raystream.render.looks import Looks
 from raystream.render.raycast import RAYCAST
 from raystream.render.stages import Frame, Renderer, run_stages
@@ -119,7 +119,7 @@ def _make_frame(tracer: Tracer, camera: Camera | None, film: Film) -> Frame:
     scene = tracer.scene
     camera = camera or scene.camera
     patches = area_patches(scene)
-    lights = lights_or_headlight(scene, camera, bool(patches))
+    lights = classic_lights(scene, camera, patches)
     looks = Looks(scene.materials)
     return Frame(tracer, scene, camera, Surfaces(scene), looks, lights, patches, film)
 

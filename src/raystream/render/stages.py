@@ -83,7 +83,7 @@ class Frame:
     looks : Looks
         The materials.
     lights : sequence of Light
-        The scene's, or the one that stands in where it has none.
+        The scene's, and what `lighting.classic_lights` adds.
     patches : sequence of PatchLight
         The scene's area lights, for shading without sampling.
     film : Film

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from raystream.scene.texture import Texture
 
@@ -61,7 +60,7 @@ class Material:
     roughness: float | None = None
     metallic: float | None = None
     double_sided: bool = True
-    textures: Mapping[str, Texture] = field(default_factory=lambda: MappingProxyType({}))
+    textures: Mapping[str, Texture] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("diffuse", "specular", "reflection", "transmission", "emission"):

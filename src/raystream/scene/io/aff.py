@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,7 +192,7 @@ class _Builder:
             material = _material(self._material)
             texture = self._texture(texture_name) if texture_name else None
             if texture is not None:
-                textures = MappingProxyType({"diffuse": texture})
+                textures = {"diffuse": texture}
                 material = replace(material, textures=textures)
             self.materials.append(material)
             self._ambients.append(self._material.ambient)

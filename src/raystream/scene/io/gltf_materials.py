@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
-
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import shown
@@ -87,7 +85,7 @@ def _material(file: GltfFile, entry: Node, reader: _TextureReader) -> Material:
         roughness=file.number(surface, "roughnessFactor", 1.0),
         metallic=file.number(surface, "metallicFactor", 1.0),
         double_sided=entry.get("doubleSided", False) is True,
-        textures=MappingProxyType({r: t for r, t in textures.items() if t is not None}),
+        textures={r: t for r, t in textures.items() if t is not None},
     )
 
 

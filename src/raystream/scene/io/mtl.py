@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from types import MappingProxyType
 
 from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.partial import warn_partial
@@ -131,7 +130,7 @@ def _material(
         ior=max(0.0, _number(entries.get("ni", ""), default.ior)) or default.ior,
         emission=_color(entries.get("ke", ""), default.emission),
         opacity=1.0 if refracts else opacity,
-        textures=MappingProxyType(maps),
+        textures=maps,
     )
 
 

@@ -1,0 +1,82 @@
+"""Progress bars on stderr."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+from collections.abc import Callable
+
+import pytest
+
+from raystream.cli import bars
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def to_terminal(monkeypatch) -> Callable[[], Terminal]:
+    """Make stderr a terminal; called by the test, for pytest sets stderr after fixtures."""
+
+    def replace() -> Terminal:
+        stream = Terminal()
+        monkeypatch.setattr(sys, "stderr", stream)
+        monkeypatch.setenv("TERM", "xterm")
+        for name in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+            monkeypatch.delenv(name, raising=False)
+        return stream
+
+    return replace
+
+
+def wait_for(stream: Terminal, text: str) -> None:
+    end = time.monotonic() + 10
+    while text not in stream.getvalue():
+        assert time.monotonic() < end, f"{text!r} is not in {stream.getvalue()!r}"
+        time.sleep(0.01)
+
+
+def test_long_work_shows_its_steps(to_terminal, monkeypatch):
+    terminal = to_terminal()
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    with bars.Bars() as shown:
+        with shown.step("loading"):
+            wait_for(terminal, "loading")
+        with shown.step("tracing") as progress:
+            progress(1, 4)
+            wait_for(terminal, "25%")
+    written = terminal.getvalue()
+    assert written.rindex("\x1b[2K") > written.rindex("tracing")  # the bar is wiped off
+
+
+def test_short_work_shows_nothing(to_terminal):
+    terminal = to_terminal()
+    with bars.Bars() as shown, shown.step("loading") as progress:
+        progress(1, 2)
+    assert terminal.getvalue() == ""
+
+
+def test_bar_is_wiped_off_after_an_error(to_terminal, monkeypatch):
+    terminal = to_terminal()
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    with pytest.raises(KeyboardInterrupt), bars.Bars() as shown, shown.step("loading"):
+        wait_for(terminal, "loading")
+        raise KeyboardInterrupt
+    assert "\x1b[?25h" in terminal.getvalue()  # the cursor is back
+
+
+@pytest.mark.parametrize("kind", ["no terminal", "dumb terminal"])
+def test_nobody_to_see_it(to_terminal, monkeypatch, kind):
+    terminal = to_terminal()
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    if kind == "dumb terminal":
+        monkeypatch.setenv("TERM", "dumb")
+    else:
+        monkeypatch.setattr(Terminal, "isatty", lambda self: False)
+    with bars.Bars() as shown, shown.step("loading") as progress:
+        assert progress is None
+        time.sleep(0.05)
+    assert terminal.getvalue() == ""

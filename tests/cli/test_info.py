@@ -1,0 +1,112 @@
+"""``raystream info``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+
+
+def test_figures_as_json(run, square):
+    figures = run("info", square, "--json").figures
+    assert figures["scene"] == str(square)
+    assert figures["triangles"] == 2
+    assert figures["degenerate_triangles"] == figures["nonfinite_triangles"] == 0
+    assert figures["vertices"] == 4
+    assert figures["bounds"] == {"low": [0, 0, 0], "high": [1, 1, 0]}
+    camera = rs.load(square).camera
+    assert figures["camera"] == {
+        "eye": pytest.approx(camera.eye),
+        "look_at": [0.5, 0.5, 0.0],
+        "up": [0.0, 1.0, 0.0],
+        "fov": 40.0,
+    }
+    assert figures["background"] == [0, 0, 0]
+    assert [mesh["triangles"] for mesh in figures["meshes"]] == [2]
+    assert set(figures["meshes"][0]) == {"name", "triangles", "vertices", "attributes"}
+    red = next(m for m in figures["materials"] if m["name"] == "red")
+    assert red["triangles"] == 2
+    assert red["diffuse"] == [0.8, 0.1, 0.1]
+    assert red["textures"] == {}
+    assert figures["lights"] == []
+    assert set(figures["memory"]) == {"scene", "triangles", "structure"}
+    assert all(size > 0 for size in figures["memory"].values())
+    assert figures["structure"]["name"] == "bvh"
+    assert figures["structure"]["quality"]["nodes"] >= 1
+    assert set(figures["seconds"]) == {"load", "build"}
+
+
+def test_lights_as_json(run):
+    area = run("info", "cornell", "--json").figures["lights"]
+    assert area == [{"type": "area", "mesh_id": 7, "triangles": 2, "radiance": [17, 12, 4]}]
+    lights = run("info", "robots:500", "--json").figures["lights"]
+    assert [light["type"] for light in lights] == ["directional", "environment"]
+    assert len(lights[0]["direction"]) == 3
+
+
+def test_skipped_triangles_are_counted(run, tmp_path):
+    (tmp_path / "bad.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv inf 0 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\nf 1 2 5\nf 1 1 2\n"
+    )
+    figures = run("info", "bad.obj", "--json").figures
+    assert figures["degenerate_triangles"] == 2
+    assert figures["nonfinite_triangles"] == 1
+    assert figures["triangles"] == 4
+    assert figures["bounds"] == {"low": [0, 0, 0], "high": [1, 1, 0]}
+
+
+def test_nothing_to_hit_has_no_bounds(run, tmp_path):
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    result = run("info", "flat.obj", "--json")
+    assert result.figures["bounds"] is None
+    assert "nothing can be hit" in run("info", "flat.obj").out
+
+
+def test_table_for_people(run, square):
+    result = run("info", square)
+    assert result.code == 0
+    assert result.err == ""
+    lines = [line.split() for line in result.out.splitlines()]
+    assert ["triangles", "2"] in lines
+    assert ["high", "corner", "1", "1", "0"] in lines
+    assert ["0", "red", "2", "0.8", "0.1", "0.1"] in [line for line in lines if "red" in line]
+    assert "\x1b" not in result.out
+    assert not any(line != line.rstrip() for line in result.out.splitlines())
+
+
+def test_camera_is_shown_as_render_takes_it(run):
+    out = run("info", "cornell").out
+    line = next(line for line in out.splitlines() if line.startswith("camera"))
+    shown = line.removeprefix("camera").strip()
+    assert shown == "eye=278,273,-800 look_at=278,273,0 up=0,1,0 fov=39.3"
+    assert run("render", "cornell", "--size", "8x6", "--camera", shown).code == 0
+
+
+def test_many_meshes_are_cut_short_for_people_only(run, tmp_path):
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    parts = [f"newmtl m{i}\nKd 0 0 0.{i:02}\n" for i in range(30)]
+    (tmp_path / "many.mtl").write_text("".join(parts))
+    faces = "".join(f"usemtl m{i}\nf 1 2 3\n" for i in range(30))
+    (tmp_path / "many.obj").write_text(f"mtllib many.mtl\n{corners}{faces}")
+    assert "and 18 more materials (--json lists all)" in run("info", "many.obj").out
+    assert len(run("info", "many.obj", "--json").figures["materials"]) == 30
+
+
+def test_names_cannot_move_the_cursor(run, monkeypatch, square):
+    scene = rs.Scene.from_arrays(np.eye(3), [[0, 1, 2]], name="\x1b[2Jcube\n[bold]")
+    monkeypatch.setattr("raystream.scene.load.load", lambda *_, **__: scene)
+    out = run("info", square).out
+    assert "\x1b" not in out
+    assert " ?[2Jcube [bold] " in out
+
+
+@pytest.mark.parametrize("structure", ["bvh", "brute"])
+def test_saved_structure(run, tmp_path, square, structure):
+    rs.Tracer(rs.load(square), structure).save(tmp_path / "saved.npz")
+    figures = run("info", "saved.npz", "--json").figures
+    assert figures["structure"]["name"] == structure
+    assert figures["triangles"] == 2
+    other = {"bvh": "brute", "brute": "bvh"}[structure]
+    assert "saved.npz" in run("info", "saved.npz", "--structure", other).complaint
+    assert "saved.npz" in run("info", "saved.npz", "--triangles", 5).complaint

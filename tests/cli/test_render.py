@@ -1,0 +1,185 @@
+"""``raystream render``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import raystream as rs
+from raystream.cli.render import DEFAULT_SCENE
+
+FIGURES = {
+    "output",
+    "scene",
+    "mode",
+    "width",
+    "height",
+    "samples",
+    "structure",
+    "device",
+    "triangles",
+    "rays",
+    "seconds",
+    "mrays_per_second",
+}
+
+
+def pixels(path) -> np.ndarray:
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def test_picture_shows_the_model(run, square):
+    """Seen from above, the square fills the middle half: red there, black around."""
+    view = "eye=0.5,0.5,2 look_at=0.5,0.5,0 fov=53.13"
+    result = run("render", square, "-o", "seen.png", "--size", "40x40", "--camera", view)
+    assert result.code == 0
+    assert result.err == ""
+    picture = pixels("seen.png").astype(int)
+    assert picture.shape == (40, 40, 3)
+    inside = np.zeros((40, 40), bool)
+    inside[10:30, 10:30] = True
+    assert ((picture[..., 0] > picture[..., 1] + 30) == inside).all()
+    assert picture[~inside].max() == 0
+
+
+def test_picture_is_the_librarys(run):
+    run("render", "cornell", "-o", "a.png", "--size", "32x24", "--mode", "vis", "--samples", 2)
+    image = rs.render(rs.load("cornell"), mode="vis", size=(32, 24), samples=2)
+    np.testing.assert_array_equal(pixels("a.png"), image.to_bytes())
+
+
+def test_one_line_of_figures(run):
+    result = run("render", "cornell", "--size", "32x24")
+    number = r"[\d.e+-]+"
+    assert re.fullmatch(
+        rf"out\.png: 32x24, 36 triangles; load {number} s, build {number} s, trace {number} s, "
+        rf"save {number} s; {number} Mrays/s\n",
+        result.out,
+    )
+    assert Path("out.png").exists()
+
+
+def test_figures_as_json(run):
+    figures = run("render", "cornell", "--size", "32x24", "--samples", 3, "--json").figures
+    assert set(figures) == FIGURES
+    assert set(figures["seconds"]) == {"load", "build", "trace", "save"}
+    assert figures["rays"] == 32 * 24 * 3
+    assert (figures["width"], figures["height"], figures["samples"]) == (32, 24, 3)
+    assert (figures["structure"], figures["mode"]) == ("bvh", "raycast")
+    assert (figures["output"], figures["triangles"]) == ("out.png", 36)
+    assert figures["mrays_per_second"] == pytest.approx(
+        32 * 24 * 3 / figures["seconds"]["trace"] / 1e6, rel=1e-2
+    )
+
+
+def test_without_scene_a_built_in_one(run):
+    figures = run("render", "--size", "16x12", "--triangles", 1000, "--json").figures
+    assert figures["scene"] == DEFAULT_SCENE
+    assert 500 < figures["triangles"] < 1500
+    assert pixels("out.png").std() > 10
+
+
+def test_structures_give_one_picture(run):
+    for structure in ("bvh", "brute"):
+        result = run(
+            *("render", "cornell", "--size", "32x24", "--structure", structure, "--json"),
+            *("-o", f"{structure}.png", "--threads", 1),
+        )
+        assert result.figures["structure"] == structure
+    np.testing.assert_array_equal(pixels("bvh.png"), pixels("brute.png"))
+
+
+def test_exposure_brightens_a_png(run):
+    run("render", "cornell", "-o", "a.png", "--size", "16x12")
+    run("render", "cornell", "-o", "b.png", "--size", "16x12", "--exposure", 4)
+    assert pixels("b.png").mean() > pixels("a.png").mean() + 10
+
+
+def test_exr_keeps_linear_colours(run):
+    openexr = pytest.importorskip("OpenEXR")
+    assert run("render", "cornell", "-o", "a.exr", "--size", "16x12").code == 0
+    with openexr.File("a.exr") as file:
+        found = file.channels()["RGB"].pixels
+    expected = rs.render(rs.load("cornell"), size=(16, 12)).pixels
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_camera_replaces_only_the_parts_given(run):
+    """A narrower view of the same point shows the middle of the picture, larger."""
+    run("render", "cornell", "-o", "wide.png", "--size", "90x90", "--mode", "vis")
+    # 39.3 degrees is the scene's; a third of the tangent of its half.
+    run(
+        *("render", "cornell", "-o", "narrow.png", "--size", "30x30", "--mode", "vis"),
+        *("--camera", "fov=13.57697"),
+    )
+    middle = pixels("wide.png")[30:60, 30:60]
+    assert np.mean(np.abs(pixels("narrow.png").astype(int) - middle) > 2) < 0.02
+
+
+def test_scene_with_nothing_to_hit_is_legal(run, tmp_path):
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    assert run("render", "flat.obj", "--size", "8x8").code == 0
+    assert pixels("out.png").max() == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--mode", "radiosity"], "--mode"),
+        (["--size", "640"], "--size"),
+        (["--size", "0x10"], "--size"),
+        (["--size", "-1x10"], "--size"),
+        (["--size", "99999x99999"], "--size"),
+        (["--samples", "0"], "--samples"),
+        (["--exposure", "nan"], "--exposure"),
+        (["--exposure", "0"], "--exposure"),
+        (["--camera", "eye=1,2"], "eye=1,2"),
+        (["--camera", "eye=1,2,inf"], "eye=1,2,inf"),
+        (["--camera", "eye"], "eye"),
+        (["--camera", "lens=50"], "lens=50"),
+        (["--camera", "fov=40 fov=50"], "fov is given twice"),
+        (["--camera", "fov=180"], "fov"),
+        (["--camera", "eye=1,2,3 look-at=1,2,3"], "look_at"),
+        (["--camera", "up=0,0,1"], "up"),
+        (["-o", "out.jpg"], "out.jpg"),
+        (["-o", "out"], "out"),
+        (["-o", "nowhere/out.png"], "nowhere"),
+        (["-o", "folder.png"], "folder.png"),
+    ],
+)
+def test_bad_option_is_refused_in_one_line(run, tmp_path, arguments, named):
+    (tmp_path / "folder.png").mkdir()
+    assert named in run("render", "cornell", *arguments).complaint
+
+
+def test_output_is_checked_before_the_work(run):
+    """The scene is bad as well, and would be found first otherwise."""
+    assert run("render", "nosuch.obj", "-o", "out.gif").complaint.startswith("out.gif: ")
+
+
+def test_folder_that_is_not_writable(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    assert "not writable" in run("render", "cornell").complaint
+
+
+def test_exr_without_openexr_is_refused_before_the_work(run, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert "raystream[exr]" in run("render", "nosuch.obj", "-o", "out.exr").complaint
+
+
+def test_disk_that_fills_up_leaves_the_old_picture(run, tmp_path, monkeypatch):
+    from raystream.render.image import Image as Picture
+
+    def fill_up(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "out.png").write_bytes(b"the old one")
+    monkeypatch.setattr(Picture, "save", fill_up)
+    result = run("render", "cornell", "--size", "8x8")
+    assert result.complaint == "out.png: No space left on device"
+    assert (tmp_path / "out.png").read_bytes() == b"the old one"
