@@ -140,3 +140,38 @@ def test_invalid_rays_miss_and_say_so(make_tracer):
     nan_limit = tracer.first_hit([good[0]] * 2, [good[1]] * 2, t_min=[np.nan, 0], t_max=[9, np.nan])
     assert (nan_limit.status == rs.RayStatus.INVALID).all()
     assert not nan_limit.is_hit.any()
+
+
+def test_the_size_of_blocks_and_the_number_of_threads_change_nothing(make_tracer, monkeypatch, rng):
+    case = CASES["random_soup"](rng)
+    tracer, rays = make_tracer(case.scene), rays_of(case)
+    expected = rs.Tracer(case.scene, "brute")
+    for block, threads in ((1 << 20, 1), (7, 2), (399, 3)):
+        monkeypatch.setattr("raystream.tracer.RAYS_PER_BLOCK", block)
+        try:
+            rs.set_thread_count(threads)
+            assert_same_answers(tracer, expected, rays)
+        finally:
+            rs.set_thread_count(None)
+
+
+@pytest.mark.parametrize(
+    ("max_hits", "error"), [(2.5, TypeError), ("3", TypeError), (-1, ValueError)]
+)
+def test_max_hits_is_checked(max_hits, error):
+    tracer = rs.Tracer(rs.Scene())
+    with pytest.raises(error):
+        tracer.multi_hit([0, 0, 0], [1, 0, 0], max_hits=max_hits)
+    assert tracer.multi_hit([0, 0, 0], [1, 0, 0], max_hits=2**70).t.size == 0
+    with pytest.raises(ValueError, match="crossings"):
+        tracer.count_hits([0, 0, 0], [1, 0, 0], crossings="walls")
+
+
+def test_more_hits_than_memory_are_refused(monkeypatch):
+    """Nothing is cut off silently, and the system need not kill the process."""
+    tracer = rs.Tracer(CASES["one_triangle"](np.random.default_rng(0)).scene)
+    monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
+    with pytest.raises(MemoryError, match=r"multi_hit: 1 hits would take .* give max_hits"):
+        tracer.multi_hit([0.2, 0.2, 1], [0, 0, -1])
+    with pytest.raises(MemoryError, match="a picture of 100x100 would"):
+        rs.render(rs.Scene(), size=(100, 100))

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
     from raystream.scene.texture import Texture
-    from raystream.tracer import Tracer, register_device
+    from raystream.structures.devices import register_device
+    from raystream.tracer import Tracer
 
 # Names are imported when they are first used: `import raystream` costs neither numba nor
 # Pillow, and a command that only prints help stays quick.
@@ -51,7 +52,7 @@ _HOMES = {
     "Texture": "scene.texture",
     "Tracer": "tracer",
     "load": "scene.load",
-    "register_device": "tracer",
+    "register_device": "structures.devices",
     "set_thread_count": "jit.threads",
     "thread_count": "jit.threads",
 }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import operator
+from collections.abc import Iterator
 from os import PathLike
 from typing import Any, Literal
 
@@ -15,36 +16,20 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.local_frame import SceneFrame
+from raystream.kernels.queries import UNLIMITED
 from raystream.scene.scene import Scene
-from raystream.structures import Structure, build_structure
+from raystream.structures import Structure
+from raystream.structures.devices import build_on_device
 from raystream.structures.ray_block import RayBlock
 from raystream.structures.storage import load_structure, save_structure
 
-__all__ = ["DEVICES", "Crossings", "Tracer", "register_device"]
+__all__ = ["Crossings", "Tracer"]
 
 Crossings = Literal["triangles", "surfaces"]
 
 #: Rays that are traced at a time: bounds the memory of everything but the results, at about
 #: 100 bytes a ray.
 RAYS_PER_BLOCK = 1 << 20
-
-#: Makes a structure that traces on a device: (name, triangles, **options) -> Structure.
-DeviceFactory = Callable[..., Structure]
-DEVICES: dict[str, DeviceFactory] = {"cpu": build_structure}
-
-
-def register_device(name: str, factory: DeviceFactory) -> None:
-    """Make a device known by name.
-
-    Parameters
-    ----------
-    name : str
-        What ``Tracer(device=...)`` takes.
-    factory : callable
-        ``factory(structure_name, triangles, **options)`` returns a `Structure` whose
-        queries run on the device.
-    """
-    DEVICES[name] = factory
 
 
 class Tracer:
@@ -81,7 +66,8 @@ class Tracer:
     it misses, and its status is ``RayStatus.INVALID``.
 
     A ray through a shared edge hits both triangles, never neither [1]_. Degenerate
-    triangles, and triangles with a NaN or infinite vertex, are never hit.
+    triangles, and triangles with a NaN or infinite vertex, are never hit: where one of
+    them is all that closes a mesh, the mesh is open.
 
     Rays are traced on all cores (``RAYSTREAM_THREADS``). Ctrl-C interrupts a query.
 
@@ -113,12 +99,10 @@ class Tracer:
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
-        if device not in DEVICES:
-            known = ", ".join(repr(known) for known in DEVICES)
-            raise ValueError(f"device: expected one of {known}, got {device!r}")
-        if progress is not None and structure != "brute":
-            options["progress"] = progress
-        self._set(scene, DEVICES[device](structure, scene.triangles, **options))
+        self._set(
+            scene,
+            build_on_device(device, structure, scene.triangles, progress=progress, **options),
+        )
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
@@ -167,7 +151,7 @@ class Tracer:
 
         Notes
         -----
-        Equal t: the lowest prim_id wins, in every structure.
+        Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
         out = HitArrays.empty(len(batch))
@@ -300,24 +284,27 @@ class Tracer:
 
         Notes
         -----
-        Exact: rays are counted first, then their hits are written. Equal t: the lower
-        prim_id comes first. No hit is found twice and none is lost between two others,
-        however close.
+        Exact: rays are counted first, then their hits are written. Equal t, before it is
+        rounded to float32: the lower prim_id comes first. No hit is found twice and none is
+        lost between two others, however close.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
         surfaces = _is_surfaces(crossings)
-        if max_hits is not None and max_hits < 0:
+        limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
+        if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
         splits = np.zeros(len(batch) + 1, np.int64)
         status = np.empty(len(batch), np.uint8)
         steps = _Steps(progress, 2 * len(batch))
         for block in self._blocks(batch, status, steps.part(0)):
-            if max_hits != 0:
-                counts = self.structure.count_hits(block.rays, surfaces, max_hits, block.progress)
+            if limit:
+                counts = self.structure.count_hits(block.rays, surfaces, limit, block.progress)
                 splits[1:][block.rows] = counts
         np.cumsum(splits, out=splits)
-        check_memory(int(splits[-1]) * 16, f"multi_hit: {int(splits[-1]):,} hits", "max_hits")
-        out = HitArrays.empty(int(splits[-1]))
+        hit_count = int(splits[-1])
+        remedy = "give max_hits, or fewer rays at a time"
+        check_memory(hit_count * 16, f"multi_hit: {hit_count:,} hits would", remedy)
+        out = HitArrays.empty(hit_count)
         for block in self._blocks(batch, status, steps.part(len(batch))):
             rows = splits[block.rows.start : block.rows.stop + 1]
             self.structure.multi_hit(block.rays, surfaces, rows, out, block.progress)
@@ -362,6 +349,8 @@ class Tracer:
             If the file is damaged, of another version, or no such file at all; or if it was
             built of other triangles than `scene` has.
         """
+        if scene is not None and not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
         structure = load_structure(path, None if scene is None else scene.triangles)
         tracer = cls.__new__(cls)
         tracer._set(scene, structure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import raystream
 from raystream.cli import main
 from raystream.jit.threads import set_thread_count
 
@@ -66,6 +68,14 @@ def run(capsys, tmp_path, monkeypatch) -> Callable[..., Run]:
 
     yield call
     set_thread_count(None)
+
+
+@pytest.fixture(scope="session")
+def environment() -> dict[str, str]:
+    """For a process of its own, which finds raystream where this one did."""
+    source = str(Path(raystream.__file__).resolve().parents[1])
+    path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "PYTHONPATH": path, "RAYSTREAM_DEBUG": ""}
 
 
 @pytest.fixture

@@ -62,9 +62,14 @@ def test_short_work_shows_nothing(to_terminal):
 def test_bar_is_wiped_off_after_an_error(to_terminal, monkeypatch):
     terminal = to_terminal()
     monkeypatch.setattr(bars, "DELAY", 0.0)
-    with pytest.raises(KeyboardInterrupt), bars.Bars() as shown, shown.step("loading"):
-        wait_for(terminal, "loading")
-        raise KeyboardInterrupt
+
+    def work() -> None:
+        with bars.Bars() as shown, shown.step("loading"):
+            wait_for(terminal, "loading")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
     assert "\x1b[?25h" in terminal.getvalue()  # the cursor is back
 
 

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,20 +18,22 @@ from raystream.core.errors import FileFormatError, RaystreamWarning
 HEAVY = ("numba", "llvmlite", "trimesh", "PIL", "pooch", "OpenEXR")
 
 
-def in_process(*arguments: str, environment: dict[str, str] | None = None, code: str = "", **more):
-    """Run ``python -m raystream``, or other code, in a process of its own."""
-    source = str(Path(raystream.__file__).resolve().parents[1])
-    path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
-    command = [sys.executable, *(("-c", code) if code else ("-m", "raystream")), *arguments]
-    return subprocess.run(
-        command,
-        env={**os.environ, "PYTHONPATH": path, **(environment or {})},
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=120,
-        **({"stdout": subprocess.PIPE} | more),
-    )
+@pytest.fixture
+def start(environment) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run ``python -m raystream`` in a process of its own."""
+
+    def call(*arguments: str, program=("-m", "raystream"), variables=None, **options):
+        return subprocess.run(
+            [sys.executable, *program, *arguments],
+            env={**environment, **(variables or {})},
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=120,
+            **({"stdout": subprocess.PIPE} | options),
+        )
+
+    return call
 
 
 def test_version(run):
@@ -45,7 +48,7 @@ def test_without_arguments_help_is_shown(run):
 
 
 @pytest.mark.parametrize("command", [[], ["render"], ["info"], ["query"]])
-def test_help_is_quick(command):
+def test_help_is_quick(start, command):
     code = (
         "import atexit, sys\n"
         "from raystream.cli import main\n"
@@ -53,7 +56,7 @@ def test_help_is_quick(command):
         "atexit.register(show)\n"
         "main()\n"
     )
-    result = in_process(*command, "--help", code=code)
+    result = start(*command, "--help", program=("-c", code))
     assert result.returncode == 0
     assert "Usage" in result.stdout
     imported = set(result.stderr.split())
@@ -202,19 +205,19 @@ def test_interrupt_is_one_line(monkeypatch, run, square):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs POSIX pipes")
 @pytest.mark.parametrize("arguments", [["info", "square.obj"], ["info", "square.obj", "--json"]])
-def test_closed_pipe_is_quiet(square, arguments):
+def test_closed_pipe_is_quiet(start, square, arguments):
     reader, writer = os.pipe()
     os.close(reader)
-    result = in_process(*arguments, stdout=writer, cwd=square.parent)
+    result = start(*arguments, stdout=writer, cwd=square.parent)
     os.close(writer)
     assert result.returncode == 1
     assert result.stderr == ""
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_full_disk_behind_stdout_is_one_line(square):
+def test_full_disk_behind_stdout_is_one_line(start, square):
     with open("/dev/full", "w") as full:
-        result = in_process("info", "square.obj", stdout=full, cwd=square.parent)
+        result = start("info", "square.obj", stdout=full, cwd=square.parent)
     assert result.returncode == 2
     assert result.stderr.startswith("raystream: stdout: ")
     assert result.stderr.count("\n") == 1
@@ -230,7 +233,7 @@ def test_names_are_those_of_the_library():
     from raystream.tracer import DEVICES
 
     assert set(options.MODES) == set(MODES)
-    assert options.SCENES == tuple(BUILTIN)
+    assert tuple(BUILTIN) == options.SCENES
     assert set(options.STRUCTURES) == set(STRUCTURES)
     assert set(options.DEVICES) <= set(DEVICES)
 
@@ -246,13 +249,13 @@ def test_names_are_those_of_the_library():
         ("raystream query cornell rays.npz --crossings s", {"surfaces"}, {"triangles"}),
     ],
 )
-def test_completion(words, offered, kept_back):
-    environment = {
+def test_completion(start, words, offered, kept_back):
+    variables = {
         "_RAYSTREAM_COMPLETE": "complete_bash",
         "COMP_WORDS": words,
         "COMP_CWORD": str(words.count(" ")),
     }
-    result = in_process(environment=environment)
+    result = start(variables=variables)
     completions = set(result.stdout.split())
     assert offered <= completions
     assert not kept_back & completions

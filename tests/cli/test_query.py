@@ -162,7 +162,7 @@ def test_bad_option_is_refused_in_one_line(run, square, rays, arguments, named):
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a terminal")
-def test_ctrl_c_ends_a_long_query_in_one_line(run, tmp_path):
+def test_ctrl_c_ends_a_long_query_in_one_line(run, tmp_path, environment):
     """Billions of triangle tests; the bar on the terminal tells when they have begun."""
     directions = np.random.default_rng(7).normal(size=(1_000_000, 3))
     np.savez(tmp_path / "many.npz", origins=np.zeros((1, 3)), directions=directions)
@@ -172,11 +172,9 @@ def test_ctrl_c_ends_a_long_query_in_one_line(run, tmp_path):
     before = set(tmp_path.iterdir())
 
     reader, terminal = os.openpty()
-    source = os.path.dirname(os.path.dirname(rs.__file__))
-    path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
     process = subprocess.Popen(
         [sys.executable, "-m", "raystream", *command],
-        env={**os.environ, "PYTHONPATH": path, "TERM": "xterm", "COLUMNS": "80"},
+        env={**environment, "TERM": "xterm", "COLUMNS": "80"},
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=terminal,

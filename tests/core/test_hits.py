@@ -118,3 +118,33 @@ def test_spawned_origins_stay_close(hits):
     assert np.isnan(origins[~found]).all()
     with pytest.raises(ValueError, match="directions: shape"):
         hits.spawn(np.ones((7, 3)))
+
+
+@pytest.mark.parametrize("aspect", [1e2, 1e4, 1e6])
+def test_thin_triangles_are_hit_where_they_are(aspect):
+    """Float32 differences of products keep their sign there, and lose their size."""
+    rng = np.random.default_rng(0)
+    count = 300
+    frame, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
+    shape = np.array([[0, 0, 0], [1, 0, 0], [0.3, 1 / aspect, 0]])
+    corners = rng.normal(size=(count, 1, 3)) + np.einsum("kx,nxy->nky", shape, frame)
+    corners = corners.astype(np.float32).astype(float)
+    scene = rs.Scene.from_arrays(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+    tracer = rs.Tracer(scene)
+    chosen = rng.integers(0, count, 20_000)
+    weights = rng.dirichlet([2, 2, 2], len(chosen))
+    targets = np.einsum("nk,nkx->nx", weights, corners[chosen])
+    away = rng.normal(size=(len(chosen), 3))
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    hits = tracer.first_hit(targets + away, -away, t_min=0.9, t_max=1.1)
+    own = hits.prim_id == chosen
+    assert own.sum() > 1000
+    # The plane's distance, exactly: what float32 adds is the rounding of one image.
+    normals = np.cross(
+        corners[chosen, 1] - corners[chosen, 0], corners[chosen, 2] - corners[chosen, 0]
+    )
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    steep = np.abs(np.einsum("nk,nk->n", normals, away)) > 0.3
+    np.testing.assert_allclose(hits.t[own & steep], 1, atol=5e-6)
+    again = tracer.multi_hit(*hits.spawn(rng.normal(size=(len(chosen), 3))))
+    assert not (again.prim_id == hits.prim_id[again.ray_id]).any()

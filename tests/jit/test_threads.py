@@ -24,7 +24,7 @@ def test_every_index_is_done_once(count, length, chunk):
     done = [0] * length
 
     def body(begin, end):
-        assert 0 < end - begin <= chunk
+        assert 0 < end - begin <= chunk or begin == end == 0
         for i in range(begin, end):
             done[i] += 1
 
@@ -35,7 +35,7 @@ def test_every_index_is_done_once(count, length, chunk):
 def test_threads_run_at_the_same_time():
     set_thread_count(3)
     together = threading.Barrier(3, timeout=20)
-    parallel_for(lambda begin, end: together.wait(), 3, 1)
+    parallel_for(lambda begin, end: end and together.wait(), 3, 1)
 
 
 def test_small_loops_stay_on_the_calling_thread():
@@ -43,6 +43,14 @@ def test_small_loops_stay_on_the_calling_thread():
     names = []
     parallel_for(lambda begin, end: names.append(threading.current_thread()), 10, 10)
     assert names == [threading.current_thread()]
+
+
+def test_what_the_body_calls_is_compiled_on_the_calling_thread_first():
+    """An interrupt during a compilation on another thread could leave a lock held."""
+    set_thread_count(3)
+    first = []
+    parallel_for(lambda begin, end: first.append((end, threading.current_thread())), 9, 1)
+    assert first[0] == (0, threading.current_thread())
 
 
 @pytest.mark.parametrize("count", [1, 4])
@@ -92,6 +100,47 @@ def test_a_bad_choice_is_named(monkeypatch, text):
         thread_count()
     with pytest.raises(ValueError, match="threads"):
         set_thread_count(0)
+    with pytest.raises(TypeError):
+        set_thread_count(2.5)
+
+
+def test_a_small_loop_does_not_wait_for_others():
+    """Its helpers may be queued behind a long loop of another thread."""
+    set_thread_count(2)
+    release = threading.Event()
+    long_loop = threading.Thread(
+        target=parallel_for, args=(lambda begin, end: end and release.wait(20), 4, 1)
+    )
+    long_loop.start()
+    try:
+        started = time.perf_counter()
+        parallel_for(lambda begin, end: time.sleep(0.001), 8, 1)
+        assert time.perf_counter() - started < 10
+    finally:
+        release.set()
+        long_loop.join()
+
+
+def test_the_number_of_threads_may_change_while_loops_run():
+    set_thread_count(2)
+    failures = []
+
+    def query():
+        try:
+            for _ in range(200):
+                parallel_for(lambda begin, end: None, 16, 1)
+        except Exception as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=query) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for count in range(100):
+        set_thread_count(1 + count % 4)
+        time.sleep(0.001)
+    for thread in threads:
+        thread.join()
+    assert not failures
 
 
 INTERRUPTED = """

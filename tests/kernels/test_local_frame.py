@@ -99,3 +99,15 @@ def test_a_component_much_smaller_than_the_others(ball):
     assert hits.is_hit.all()
     np.testing.assert_allclose(hits.t, hits.t[0], rtol=1e-6)
     assert len(set(hits.prim_id.tolist())) == 1
+
+
+def test_origins_so_far_away_that_float64_is_coarse():
+    """Four stacked triangles: the nearest one is hit, at 1e12 and at 1e30."""
+    base = np.array([[-9, -9, 0], [9, -9, 0], [0, 9, 0]], float)
+    vertices = (base[None] + np.arange(4)[:, None, None] * [0, 0, 1]).reshape(-1, 3)
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, np.arange(12).reshape(-1, 3)))
+    for distance in (1e12, 1.1e30):
+        for length in (1.0, 0.1, 1.7):
+            hits = tracer.first_hit([0, 0, distance], [0, 0, -length])
+            assert hits.prim_id == 3
+            np.testing.assert_allclose(hits.t, distance / length, rtol=1e-6)

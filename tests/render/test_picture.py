@@ -235,3 +235,51 @@ def test_render_is_a_function_whatever_was_imported_first():
     assert rs.render is raystream.render
     assert rs.render(rs.load("cornell"), size=(2, 2)).size == (2, 2)
     assert "Render a picture" in type(rs.render).__call__.__doc__
+
+
+@pytest.mark.parametrize(("offset", "scale"), [(1e7, 1.0), (1e9, 1.0), (0, 1e-30), (0, 1e30)])
+def test_pictures_do_not_depend_on_where_the_scene_is_nor_on_its_scale(offset, scale):
+    vertices, faces = icosphere(3)
+
+    def picture(offset, scale):
+        lamp = rs.Mesh(
+            np.array([[-1, 2, -1], [1, 2, -1], [0, 2, 1]]) * scale + offset,
+            [[0, 1, 2]],
+            material_ids=1,
+        )
+        eye, target = np.array([1.0, 2, 4]) * scale + offset, np.zeros(3) + offset
+        scene = rs.Scene(
+            [rs.Mesh(vertices * scale + offset, faces), lamp],
+            materials=[rs.Material(), rs.Material(emission=(3, 3, 3))],
+            lights=[rs.PointLight(np.array([3.0, 1, 1]) * scale + offset, falloff="none")],
+            camera=rs.Camera(eye, target),
+        )
+        return rs.render(scene, "raycast", (40, 30)).pixels
+
+    here, there = picture(0, 1.0), picture(offset, scale)
+    # A silhouette's pixel may fall to the other side.
+    different = np.abs(here - there).max(axis=2) > 2e-3
+    assert np.count_nonzero(different) <= 3
+
+
+def test_a_light_on_the_surface_is_no_nan():
+    scene = floor(lights=[rs.PointLight((0, 0, 0), (1, 1, 1))])
+    image = rs.render(
+        scene, "raycast", (5, 5), camera=rs.Camera((0, 2, 0), (0, 0, 0), (0, 0, -1), 60)
+    )
+    assert np.isfinite(image.pixels).all()
+
+
+def test_a_scene_without_a_camera_fits_pictures_of_any_shape():
+    vertices, faces = icosphere(2)
+    for size in ((90, 30), (30, 90)):
+        seen = rs.render(rs.Scene.from_arrays(vertices, faces), "vis", size).pixels[..., 0] > 0
+        assert seen.any()
+        assert not seen[[0, -1]].any()
+        assert not seen[:, [0, -1]].any()
+
+
+def test_render_can_be_sent_to_other_processes():
+    import pickle
+
+    assert pickle.loads(pickle.dumps(rs.render)) is rs.render

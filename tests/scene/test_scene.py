@@ -115,3 +115,20 @@ def test_scenes_and_results_travel_to_other_processes():
         assert [m.diffuse for m in duplicate[0].materials] == [m.diffuse for m in scene.materials]
     other = pickle.loads(pickle.dumps(tracer))
     np.testing.assert_array_equal(other.first_hit(*rays).prim_id, hits.prim_id)
+
+
+def test_meshes_keep_their_own_copies():
+    vertices = np.array(TRIANGLE, float)
+    scene = rs.Scene.from_arrays(vertices, [[0, 1, 2]])
+    vertices += 5
+    assert rs.Tracer(scene).any_hit([0.2, 0.2, 1], [0, 0, -1])
+    with pytest.raises(ValueError, match="read-only"):
+        scene.meshes[0].vertices[0] = 1
+
+
+def test_up_is_a_direction():
+    assert rs.Scene(up=(0, 5, 0)).up.tolist() == [0, 1, 0]
+    with pytest.raises(ValueError, match="up"):
+        rs.Scene(up=(0, 0, 0))
+    cameras = {rs.Camera.framing((0, 0, 0), (1, 2, 3), up=(0, k, 0)).eye for k in (1.0, 0.25, 64.0)}
+    assert len(cameras) == 1

@@ -80,6 +80,7 @@ def put(index, value):
         ("structure.children", put((0, 0), (0, 2**31 - 1))),
         ("structure.children", put((0, 0), (-3, 4))),
         ("structure.children", put((0, 0, 1), -1)),  # absent, but has a box
+        ("structure.children", lambda a: np.repeat(a[:1], len(a), axis=0)),  # many parents
         ("structure.children", lambda a: a[:-1]),
         ("structure.children", lambda a: a.astype(np.int64)),
         ("structure.boxes", lambda a: a.reshape(-1)),
@@ -131,3 +132,29 @@ def test_a_cycle_deep_in_the_tree_is_found(scene, tmp_path):
 
     with pytest.raises(rs.FileFormatError, match="out of range"):
         rs.Tracer.load(changed(tmp_path / "x.npz", "structure.children", cycle))
+
+
+def two_parents(children):
+    """Both children of the root are the same node: a doubling that a traversal never ends."""
+    children[0, 1] = children[0, 0] = children[0][children[0, :, 1] == 0][0]
+    return children
+
+
+def one_leaf_twice(children):
+    leaves = np.argwhere(children[:, :, 1] > 0)
+    children[tuple(leaves[0])] = children[tuple(leaves[1])]
+    return children
+
+
+@pytest.mark.parametrize("change", [two_parents, one_leaf_twice])
+def test_trees_that_are_none_are_refused(scene, tmp_path, change):
+    rs.Tracer(scene).save(tmp_path / "x.npz")
+    with pytest.raises(rs.FileFormatError, match=r"two parents|every triangle once"):
+        rs.Tracer.load(changed(tmp_path / "x.npz", "structure.children", change))
+
+
+def test_failing_to_write_names_the_file(scene, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere.x\.npz"):
+        rs.Tracer(scene).save(tmp_path / "nowhere" / "x.npz")
+    with pytest.raises(TypeError, match="scene: expected a Scene"):
+        rs.Tracer.load(tmp_path / "x.npz", "scene")

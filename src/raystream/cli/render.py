@@ -70,8 +70,9 @@ def render(
     watch = Stopwatch()
     with Bars() as bars:
         tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)
+        view = tracer.scene.camera
         with refuse(ValueError, where="--camera"):
-            view = dataclasses.replace(tracer.scene.camera, **parts)
+            view = dataclasses.replace(view, **parts)
         with watch.measure("trace"), bars.step("rendering") as progress:
             image = renderers.render(
                 tracer, mode, (width, height), samples, camera=view, progress=progress

@@ -190,7 +190,8 @@ class MultiHits(_HitColumns):
     t, u, v : ndarray of shape (K,), float32
         Distances in direction lengths, increasing within a ray; weights of vertices 1, 2.
     prim_id : ndarray of shape (K,), int32
-        Triangles, counted over the whole scene; increasing within a ray where t is equal.
+        Triangles, counted over the whole scene; increasing within a ray where t is equal
+        (before it was rounded to float32).
     status : ndarray of shape S, uint8
         A `RayStatus` for each ray, in the rays' leading shape.
     """

@@ -22,20 +22,20 @@ def available_memory() -> int | None:
         return None
 
 
-def check_memory(byte_count: int, what: str, remedy: str) -> None:
+def check_memory(byte_count: int, what: str, remedy: str = "") -> None:
     """Raise MemoryError if that much cannot be allocated.
 
     Parameters
     ----------
     byte_count : int
     what : str
-        What needs it, with its size.
+        What needs it, with its size and the verb's beginning: "1,000 hits would".
     remedy : str
-        The argument that would make it need less.
+        What to do instead.
     """
     available = available_memory()
     if available is not None and byte_count > available:
         raise MemoryError(
-            f"{what} need {byte_count / 1e9:.1f} GB, and {available / 1e9:.1f} GB are free; "
-            f"give {remedy}, or fewer rays at a time"
+            f"{what} take {byte_count / 1e9:.1f} GB, and {available / 1e9:.1f} GB are free"
+            + (f"; {remedy}" if remedy else "")
         )

@@ -8,7 +8,6 @@ follow it before anything is allocated, and only plain numbers are read.
 from __future__ import annotations
 
 import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from os import PathLike, fspath
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import available_memory
+from raystream.core.whole_file import replacing
 
 __all__ = ["read_npz", "write_npz"]
 
@@ -99,7 +99,7 @@ def _read_member(path: str, name: str, stream: IO[bytes], size: int) -> NDArray[
     stream.read(1)  # at the end, zipfile compares the checksum
     if len(content) != byte_count:
         raise FileFormatError(path, f"array {name!r} is cut off")
-    array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
+    array = np.frombuffer(bytearray(content), dtype).reshape(shape, order="F" if fortran else "C")
     return array.astype(dtype.newbyteorder("="), copy=False)
 
 
@@ -122,16 +122,5 @@ def write_npz(path: str | PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> 
     target = Path(path)
     if target.suffix.lower() != ".npz":
         raise ValueError(f"{target}: the name must end in .npz")
-    handle, temporary = tempfile.mkstemp(
-        suffix=".npz", prefix=f".{target.stem}-", dir=target.parent
-    )
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, target)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replacing(target) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,8 @@ class RayBatch:
     ----------
     shape : tuple of int
         The leading shape.
-    origins, directions : ndarray of shape (N, 3), float32 or float64, both alike
+    origins, directions : ndarray of shape (N, 3), float32 or float64
+        Views of the caller's arrays where that is possible.
     t_min, t_max : ndarray of shape (N,), float32
 
     Raises
@@ -74,11 +76,8 @@ class RayBatch:
                 "do not broadcast against each other"
             ) from None
         self.shape = shape[:-1]
-        dtype = np.result_type(origins, directions)
-        self.origins = np.broadcast_to(origins, shape).reshape(-1, 3).astype(dtype, copy=False)
-        self.directions = (
-            np.broadcast_to(directions, shape).reshape(-1, 3).astype(dtype, copy=False)
-        )
+        self.origins = _rows(origins, shape)
+        self.directions = _rows(directions, shape)
         self.t_min = _limits("t_min", t_min, self.shape)
         self.t_max = _limits("t_max", t_max, self.shape)
 
@@ -93,6 +92,13 @@ def _vectors(name: str, values: Any) -> NDArray[Any]:
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ValueError(f"{name}: expected shape (..., 3), got {array.shape}")
     return array
+
+
+def _rows(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Broadcast to the shape, as rows of 3; one vector for all rays is not copied."""
+    if array.size == 3:
+        return np.broadcast_to(array.reshape(1, 3), (math.prod(shape[:-1]), 3))
+    return np.broadcast_to(array, shape).reshape(-1, 3)
 
 
 def _limits(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:

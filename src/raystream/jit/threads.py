@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import operator
 import os
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 __all__ = ["Progress", "parallel_for", "set_thread_count", "thread_count", "thread_pool"]
 
@@ -53,8 +54,11 @@ def set_thread_count(count: int | None) -> None:
     ------
     ValueError
         If `count` is below 1.
+    TypeError
+        If it is no integer.
     """
     global _chosen_count
+    count = None if count is None else operator.index(count)
     if count is not None and count < 1:
         raise ValueError(f"threads: expected at least 1, got {count}")
     _chosen_count = count
@@ -66,8 +70,7 @@ def thread_pool() -> ThreadPoolExecutor:
     count = thread_count()
     with _lock:
         if _pool is None or _pool_size != count:
-            if _pool is not None:
-                _pool.shutdown(wait=False)
+            # An older pool ends by itself when the loops that use it are done.
             _pool = ThreadPoolExecutor(count, thread_name_prefix="raystream")
             _pool_size = count
         return _pool
@@ -100,6 +103,9 @@ def parallel_for(
     ----------
     body : callable
         Called with begin < end; must release the interpreter lock to run in parallel.
+        Before threads start it is called with (0, 0), which must do nothing: what it calls
+        is then compiled on the calling thread. (An interrupt that hits one thread while
+        another compiles can leave the compiler's lock held for ever.)
     count : int
         Length of the range.
     chunk : int
@@ -138,9 +144,13 @@ def parallel_for(
     others: list[Future[None]] = []
     try:
         if thread_total > 1:
+            body(0, 0)
             pool = thread_pool()
             others = [pool.submit(work_in_pool) for _ in range(thread_total - 1)]
         work(progress)
+        # Those that did not even start have nothing left to do: do not wait for their turn
+        # behind other loops.
+        others = [other for other in others if not other.cancel()]
         _wait(others, lambda: state.chunks_done * chunk, count, progress)
     except BaseException:
         state.stop = True
@@ -167,12 +177,7 @@ def _wait(
 ) -> None:
     """Wait for the other threads, in slices, so that Ctrl-C gets through on every platform."""
     for other in others:
-        while True:
-            try:
-                other.result(timeout=PROGRESS_INTERVAL)
-                break
-            except TimeoutError:
-                if other.done():
-                    raise
-                if progress:
-                    progress(min(done(), count), count)
+        while not wait([other], timeout=PROGRESS_INTERVAL).done:
+            if progress:
+                progress(min(done(), count), count)
+        other.result()

@@ -4,14 +4,15 @@ The ray's frame has the ray as its z axis. A vertex goes there by a translation 
 whose result (its image) depends on the vertex and the ray alone; so triangles that share a
 vertex or an edge see the same numbers, and no ray slips between them. The edge functions
 U, V, W are the orientations of two images with the origin. Rounding is monotone, so the sign
-that float32 gives to a difference of two products is right unless it gives exactly zero;
-only then the products are formed in float64, where those of float32 numbers are exact.
-No multiply-add may be fused here: it would round the two products of an edge differently,
-and the two triangles at the edge would disagree.
+that float32 gives to a difference of two products is right unless it gives exactly zero; that
+turns most triangles away. What is left is weighed in float64, where the products of float32
+numbers are exact: on a thin triangle the float32 differences keep their sign but lose their
+size. No multiply-add may be fused here: it would round the two products of an edge
+differently, and the two triangles at the edge would disagree.
 
 Sources: Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", Journal of Computer
-Graphics Techniques 2(1), 2013. That the sign needs float64 at zero only, and the clamp to the
-triangle's own box, are ours: see docs/decisions.
+Graphics Techniques 2(1), 2013. The sign argument, the weights in float64 and the clamp to the
+triangle's own box are ours: see docs/decisions.
 """
 
 from __future__ import annotations
@@ -55,26 +56,12 @@ def _own_interval(ray, corners, i):
 
 
 @device_call
-def _intersect_in_doubt(ax, ay, az, bx, by, bz, cx, cy, cz, sz, surfaces):
-    """The test in float64, for a ray that meets an edge or a vertex; returns hit, t, u, v."""
-    ax, ay, bx = np.float64(ax), np.float64(ay), np.float64(bx)
-    by, cx, cy = np.float64(by), np.float64(cx), np.float64(cy)
-    U = _edge(cx, cy, bx, by)
-    V = _edge(ax, ay, cx, cy)
-    W = _edge(bx, by, ax, ay)
-    low, high = min(U, V, W), max(U, V, W)
-    if (low < 0.0 and high > 0.0) or (low == 0.0 and high == 0.0):
-        return False, _INF, _ZERO, _ZERO
-    if surfaces:
-        sign_u = U if U != 0.0 else _orders_first(cx, cy, bx, by)
-        sign_v = V if V != 0.0 else _orders_first(ax, ay, cx, cy)
-        sign_w = W if W != 0.0 else _orders_first(bx, by, ax, ay)
-        if min(sign_u, sign_v, sign_w) <= 0.0 and max(sign_u, sign_v, sign_w) >= 0.0:
-            return False, _INF, _ZERO, _ZERO
-    det = U + V + W
-    t = (U * az + V * bz + W * cz) * np.float64(sz) / det
-    # Adding zero turns -0 into 0.
-    return True, np.float32(t), np.float32(V / det) + _ZERO, np.float32(W / det) + _ZERO
+def _owns(ax, ay, bx, by, cx, cy, U, V, W):
+    """Whether this triangle is the one that a ray crosses, of those at an edge or vertex."""
+    sign_u = U if U != 0.0 else _orders_first(cx, cy, bx, by)
+    sign_v = V if V != 0.0 else _orders_first(ax, ay, cx, cy)
+    sign_w = W if W != 0.0 else _orders_first(bx, by, ax, ay)
+    return min(sign_u, sign_v, sign_w) > 0.0 or max(sign_u, sign_v, sign_w) < 0.0
 
 
 @device
@@ -110,23 +97,32 @@ def intersect(ray, corners, i, surfaces):
     by = (b[ray.ky] - ray.oy) - ray.sy * bz
     cx = (c[ray.kx] - ray.ox) - ray.sx * cz
     cy = (c[ray.ky] - ray.oy) - ray.sy * cz
+
+    # Step 1: signs in float32. Different ones are surely different.
     U = _edge(cx, cy, bx, by)
     V = _edge(ax, ay, cx, cy)
     W = _edge(bx, by, ax, ay)
-
-    low, high = min(U, V, W), max(U, V, W)
-    if low < _ZERO and high > _ZERO:
+    if min(U, V, W) < _ZERO and max(U, V, W) > _ZERO:
         return False, _INF, _ZERO, _ZERO
-    if low > _ZERO or high < _ZERO:
-        det = (U + V) + W
-        t = (((U * az + V * bz) + W * cz) * ray.sz) / det
-        u = V / det
-        v = W / det
-    else:
-        hit, t, u, v = _intersect_in_doubt(ax, ay, az, bx, by, bz, cx, cy, cz, ray.sz, surfaces)
-        if not hit:
-            return False, _INF, _ZERO, _ZERO
 
+    # Step 2: weights in float64. All have one sign, so their sum loses nothing.
+    ax, ay, bx = np.float64(ax), np.float64(ay), np.float64(bx)
+    by, cx, cy = np.float64(by), np.float64(cx), np.float64(cy)
+    U = _edge(cx, cy, bx, by)
+    V = _edge(ax, ay, cx, cy)
+    W = _edge(bx, by, ax, ay)
+    low, high = min(U, V, W), max(U, V, W)
+    if low <= 0.0 and high >= 0.0:
+        if low < 0.0 and high > 0.0:
+            return False, _INF, _ZERO, _ZERO
+        if low == 0.0 and high == 0.0:  # seen edge-on
+            return False, _INF, _ZERO, _ZERO
+        if surfaces and not _owns(ax, ay, bx, by, cx, cy, U, V, W):
+            return False, _INF, _ZERO, _ZERO
+    scale = 1.0 / (U + V + W)
+    t = np.float32((U * az + V * bz + W * cz) * scale * ray.sz)
+
+    # Step 3: the clamp. Adding zero turns -0 into 0.
     t_in, t_out = _own_interval(ray, corners, i)
     t = min(max(t, t_in), t_out) + _ZERO
-    return t_in <= t_out, t, u, v
+    return t_in <= t_out, t, np.float32(V * scale) + _ZERO, np.float32(W * scale) + _ZERO

@@ -7,6 +7,7 @@ would hide the other.)
 
 from __future__ import annotations
 
+import importlib
 import sys
 from types import ModuleType
 from typing import Any
@@ -20,6 +21,9 @@ __all__ = ["MODES", "Image", "render"]
 class _CallableRoom(ModuleType):
     def __call__(self, *arguments: Any, **options: Any) -> Image:
         return render(*arguments, **options)
+
+    def __reduce__(self) -> tuple[Any, ...]:  # so that pools of processes can be given it
+        return importlib.import_module, (self.__name__,)
 
 
 _CallableRoom.__call__.__doc__ = render.__doc__

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
-import tempfile
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.whole_file import replacing
 from raystream.render.color import encode_srgb
 
 __all__ = ["IMAGE_SUFFIXES", "Image"]
@@ -71,19 +70,8 @@ class Image:
         if writer is None:
             raise ValueError(f"{target}: the name must end in {' or '.join(IMAGE_SUFFIXES)}")
         _check_exposure(exposure)
-        handle, temporary = tempfile.mkstemp(
-            suffix=target.suffix, prefix=f".{target.stem}-", dir=target.parent
-        )
-        os.close(handle)
-        try:
-            writer(self, temporary, exposure)
-            mask = os.umask(0)
-            os.umask(mask)
-            Path(temporary).chmod(0o666 & ~mask)
-            Path(temporary).replace(target)
-        except BaseException:
-            Path(temporary).unlink()
-            raise
+        with replacing(target) as temporary:
+            writer(self, str(temporary), exposure)
 
     def to_bytes(self, exposure: float = 1.0) -> NDArray[np.uint8]:
         """Encode as sRGB.

@@ -33,14 +33,14 @@ class PatchLight:
         Centre of the emissive triangles, world space.
     normal : ndarray of shape (3,), float64, or None
         Unit normal of a flat patch, which emits to that side only; None for a bulb.
-    power : ndarray of shape (3,), float64
-        Radiance times area.
+    radiance : ndarray of shape (3,), float64
+        What each point of it emits, linear RGB.
     area : float
     """
 
     position: NDArray[np.float64]
     normal: NDArray[np.float64] | None
-    power: NDArray[np.float64]
+    radiance: NDArray[np.float64]
     area: float
 
 
@@ -62,7 +62,7 @@ def area_patches(scene: Scene) -> list[PatchLight]:
             PatchLight(
                 position=np.average(corners.mean(axis=1), axis=0, weights=areas),
                 normal=total / np.linalg.norm(total) if flat else None,
-                power=np.asarray(light.radiance) * area,
+                radiance=np.array(light.radiance),
                 area=area,
             )
         )
@@ -93,20 +93,20 @@ def classic_lights(
         box_area = 2.0 * float(extent @ np.roll(extent, 1))
         # Of the power pi * radiance * area the walls send back 1/2 + 1/4 + ... = all, spread
         # evenly; a uniform radiance L gives each wall an irradiance of pi * L.
-        radiance = sum((patch.power for patch in patches), np.zeros(3)) / box_area
+        radiance = sum((p.radiance * (p.area / box_area) for p in patches), np.zeros(3))
         ambient = float(radiance[0]), float(radiance[1]), float(radiance[2])
         return (*scene.lights, EnvironmentLight(ambient))
     return scene.lights or (PointLight(camera.eye, (1.0, 1.0, 1.0), falloff="none"),)
 
 
 def arriving_light(
-    positions: NDArray[np.float32], lights: Sequence[Light], patches: Sequence[PatchLight]
+    positions: NDArray[np.float64], lights: Sequence[Light], patches: Sequence[PatchLight]
 ) -> Iterator[tuple[NDArray[np.float32] | None, NDArray[np.float32]]]:
     """Go through the lights, as seen from points and with nothing in between.
 
     Parameters
     ----------
-    positions : ndarray of shape (N, 3), float32
+    positions : ndarray of shape (N, 3), float64
         World space.
     lights : sequence of Light
     patches : sequence of PatchLight
@@ -117,7 +117,7 @@ def arriving_light(
         Unit vectors to the light; None for light from everywhere.
     irradiance : ndarray that broadcasts to (N, 3), float32
         What a surface receives that faces the light; for light from everywhere, what any
-        surface receives.
+        surface receives. Nothing at the very place of a light.
     """
     for light in lights:
         if isinstance(light, EnvironmentLight):
@@ -132,29 +132,41 @@ def arriving_light(
         yield _from_patch(positions, patch)
 
 
-def _from_point(positions: NDArray[np.float32], light: PointLight) -> Arriving:
+def _from_point(positions: NDArray[np.float64], light: PointLight) -> Arriving:
     toward, distance = _toward(positions, np.array(light.position))
-    intensity = np.array(light.intensity, np.float32)
     if light.falloff == "none":
-        return toward, np.float32(math.pi) * intensity
-    return toward, intensity / np.maximum(distance, np.float32(1e-30)) ** 2
+        received = np.pi * np.array(light.intensity)
+    else:
+        received = np.array(light.intensity) / distance / distance
+    return toward, _as_float32(received)
 
 
-def _from_patch(positions: NDArray[np.float32], patch: PatchLight) -> Arriving:
+def _from_patch(positions: NDArray[np.float64], patch: PatchLight) -> Arriving:
     toward, distance = _toward(positions, patch.position)
     # A disc of the same area seen from its axis receives L A / (r^2 + A / pi): right
-    # there, and finite everywhere.
-    received = patch.power.astype(np.float32) / (distance**2 + np.float32(patch.area / math.pi))
+    # there, and finite everywhere. In units of its radius, so that no square overflows.
+    radius = math.sqrt(patch.area / math.pi)
+    received = math.pi * patch.radiance / ((distance / radius) ** 2 + 1.0)
     if patch.normal is None:
-        return toward, received * np.float32(0.25)  # a sphere shows a quarter of its area
+        return toward, _as_float32(received / 4.0)  # a sphere shows a quarter of its area
     cosine = np.maximum(-(toward @ patch.normal.astype(np.float32)), np.float32(0.0))
-    return toward, received * cosine[:, None]
+    return toward, _as_float32(received * cosine[:, None])
 
 
 def _toward(
-    positions: NDArray[np.float32], target: NDArray[np.float64]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Unit vectors to a point, and distances of shape (N, 1)."""
-    offset = target.astype(np.float32) - positions
-    distance = np.sqrt(np.einsum("nk,nk->n", offset, offset))[:, None]
-    return offset / np.maximum(distance, np.float32(1e-30)), distance
+    positions: NDArray[np.float64], target: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Unit vectors to a point, and distances of shape (N, 1); zero and inf at the point."""
+    offset = target - positions
+    largest = np.abs(offset).max(axis=1, keepdims=True)
+    largest[largest == 0.0] = 1.0
+    offset /= largest  # so that no square overflows or vanishes
+    length = np.sqrt(np.einsum("nk,nk->n", offset, offset))[:, None]
+    there = length == 0.0
+    length[there] = np.inf
+    return (offset / length).astype(np.float32), np.where(there, np.inf, length * largest)
+
+
+def _as_float32(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Round to float32; what is too large becomes its largest number."""
+    return np.minimum(values, np.finfo(np.float32).max).astype(np.float32)

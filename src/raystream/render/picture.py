@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from typing import Any
 
+from raystream.core.memory import check_memory
 from raystream.jit.threads import Progress
 from raystream.render.eye_rays import eye_rays
 from raystream.render.film import Film
@@ -26,8 +27,11 @@ RENDERERS: dict[str, Renderer] = {renderer.name: renderer for renderer in (RAYCA
 #: What each mode shows, by its name.
 MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDERERS.items()}
 
-#: Larger pictures are refused: their film alone would take 12 bytes a pixel.
+#: Larger pictures are refused.
 MAX_PIXELS = 1 << 30
+
+#: Memory that a picture takes: the film's sums, the image, and its encoding.
+_BYTES_PER_PIXEL = 60
 
 #: Pixels that go through the stages at a time: bounds memory at about 40 MB, and is how
 #: often progress is reported.
@@ -62,7 +66,7 @@ def render(
     structure, device, **options
         See `Tracer`; not to be given together with one.
     camera : Camera, optional
-        The view; without it, the scene's.
+        The view; without it, the scene's, or one that frames it.
     seed : int
         For the places of the samples: the same seed gives the same picture.
     progress : callable, optional
@@ -78,7 +82,9 @@ def render(
     ValueError
         If a name is unknown or a number out of range.
     TypeError
-        If `scene` is neither a scene nor a tracer.
+        If `scene` is neither a scene nor a tracer, or `camera` no camera.
+    MemoryError
+        If so large a picture does not fit into memory.
 
     Examples
     --------
@@ -94,6 +100,8 @@ def render(
     samples = operator.index(samples)
     if samples < 1:
         raise ValueError(f"samples: expected at least 1, got {samples}")
+    if camera is not None and not isinstance(camera, Camera):
+        raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     if isinstance(scene, Tracer):
         if structure != "bvh" or device != "cpu" or options:
             raise ValueError("structure, device, options: the tracer given has its own")
@@ -117,7 +125,9 @@ def render(
 
 def _make_frame(tracer: Tracer, camera: Camera | None, film: Film) -> Frame:
     scene = tracer.scene
-    camera = camera or scene.camera
+    if camera is None:
+        aspect = film.width / film.height
+        camera = scene.camera if scene.has_own_camera else scene.framing_camera(aspect)
     patches = area_patches(scene)
     lights = classic_lights(scene, camera, patches)
     looks = Looks(scene.materials)
@@ -131,4 +141,5 @@ def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
         raise ValueError(f"size: expected (width, height), got {size!r}") from None
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ValueError(f"size: expected 1 to {MAX_PIXELS:,} pixels, got {width}x{height}")
+    check_memory(width * height * _BYTES_PER_PIXEL, f"a picture of {width}x{height} would")
     return width, height

@@ -20,8 +20,8 @@ class SurfacePoints:
 
     Attributes
     ----------
-    positions : ndarray of shape (N, 3), float32
-        World space, relative to nothing: for shading, not for tracing on.
+    positions : ndarray of shape (N, 3), float64
+        World space.
     normals : ndarray of shape (N, 3), float32
         Unit shading normals, on the side that the ray came from.
     front : ndarray of shape (N,), bool
@@ -33,7 +33,7 @@ class SurfacePoints:
         NaN where a mesh has none; None if no mesh has any.
     """
 
-    positions: NDArray[np.float32]
+    positions: NDArray[np.float64]
     normals: NDArray[np.float32]
     front: NDArray[np.bool_]
     material_ids: NDArray[np.int32]
@@ -83,7 +83,7 @@ class Surfaces:
         if self._texcoords is not None:
             texcoords = self._interpolate(self._texcoords, hits)
         return SurfacePoints(
-            hits.positions.astype(np.float32),
+            hits.positions,
             normals,
             front,
             self._material_ids[hits.prim_id],

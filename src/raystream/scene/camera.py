@@ -13,6 +13,16 @@ __all__ = ["Camera"]
 Vector = tuple[float, float, float]
 
 
+def unit_vector(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Scale a vector to length 1; raises ValueError if it is zero or not finite."""
+    vector = np.asarray(values, np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ValueError(f"{name}: expected three finite numbers, not all zero, got {values!r}")
+    vector = vector / np.abs(vector).max()
+    result: NDArray[np.float64] = vector / np.linalg.norm(vector)
+    return result
+
+
 @dataclass(frozen=True)
 class Camera:
     """A pinhole camera in a right-handed world.
@@ -72,7 +82,7 @@ class Camera:
         low, high : array_like of shape (3,)
             Corners of the box, world space.
         up : array_like of shape (3,)
-            The world's up.
+            The world's up; its length does not matter.
         fov : float
             Vertical field of view in degrees.
         aspect : float
@@ -80,7 +90,7 @@ class Camera:
         """
         low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
         center = low + (high - low) / 2
-        up = np.asarray(up, np.float64)
+        up = unit_vector("up", up)
         # A three-quarter view: the direction from the centre to the eye, for y up.
         front = (
             np.array([0.0, 0.0, 1.0]) if abs(up[1]) >= abs(up[2]) else np.array([0.0, -1.0, 0.0])

@@ -13,6 +13,8 @@ __all__ = ["Mesh"]
 class Mesh:
     """Triangles over shared vertices, with optional attributes.
 
+    A mesh keeps copies of its arrays and does not change: make a new one instead.
+
     Parameters
     ----------
     vertices : array_like of shape (V, 3), float
@@ -88,13 +90,13 @@ def _vertices(vertices: ArrayLike) -> NDArray[Any]:
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"vertices: expected shape (V, 3), got {array.shape}")
     dtype = np.float32 if array.dtype == np.float32 else np.float64
-    return np.ascontiguousarray(array, dtype)
+    return _kept(array, dtype)
 
 
 def _faces(faces: ArrayLike, vertex_count: int) -> NDArray[np.int32]:
     array = np.asarray(faces)
     if array.size == 0:
-        return np.zeros((0, 3), np.int32)
+        return _kept(np.zeros((0, 3)), np.int32)
     if array.dtype.kind not in "iu":
         raise TypeError(f"faces: expected integers, got dtype {array.dtype}")
     if array.ndim != 2 or array.shape[1] != 3:
@@ -103,7 +105,7 @@ def _faces(faces: ArrayLike, vertex_count: int) -> NDArray[np.int32]:
     if low < 0 or high >= vertex_count:
         bad = low if low < 0 else high
         raise ValueError(f"faces: vertex index {bad} is outside 0..{vertex_count - 1}")
-    return np.ascontiguousarray(array, np.int32)
+    return _kept(array, np.int32)
 
 
 def _attribute(
@@ -116,7 +118,7 @@ def _attribute(
         raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
     if array.shape != shape:
         raise ValueError(f"{name}: expected shape {shape} to match the vertices, got {array.shape}")
-    return np.ascontiguousarray(array, np.float32)
+    return _kept(array, np.float32)
 
 
 def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]:
@@ -131,4 +133,13 @@ def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]
         raise ValueError(f"material_ids: expected shape ({face_count},), got {array.shape}")
     if face_count and int(array.min()) < 0:
         raise ValueError(f"material_ids: {int(array.min())} is negative")
-    return np.ascontiguousarray(array, np.int32)
+    return _kept(array, np.int32)
+
+
+def _kept(array: NDArray[Any], dtype: type) -> NDArray[Any]:
+    """A copy that nobody can change: structures are built of it once."""
+    copy: NDArray[Any]
+    with np.errstate(over="ignore"):
+        copy = np.array(array, dtype, order="C")
+    copy.flags.writeable = False
+    return copy

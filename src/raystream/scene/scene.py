@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.scene.camera import Camera
+from raystream.scene.camera import Camera, unit_vector
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
@@ -41,7 +41,7 @@ class Scene:
     Raises
     ------
     ValueError
-        If a mesh refers to a material that is not there.
+        If a mesh refers to a material that is not there, or `up` is zero.
     """
 
     def __init__(
@@ -59,10 +59,9 @@ class Scene:
         self.materials = tuple(materials) or (Material(),)
         self.lights = tuple(lights)
         self.name = str(name)
-        self.up = np.asarray(up, np.float64)
+        self.up = unit_vector("up", up)
         self.background = background
         self._camera = camera
-        self._has_own_camera = camera is not None
         self._triangles: Triangles | None = None
         for index, mesh in enumerate(self.meshes):
             if len(mesh.faces) and int(mesh.material_ids.max()) >= len(self.materials):
@@ -146,20 +145,21 @@ class Scene:
     @property
     def camera(self) -> Camera:
         """The scene's own camera, else one that frames its bounds."""
-        if self._camera is None:
-            low, high = self.bounds
-            self._camera = Camera.framing(low, high, up=self.up)
-        return self._camera
+        return self._camera or self.framing_camera()
 
     @camera.setter
     def camera(self, camera: Camera) -> None:
         self._camera = camera
-        self._has_own_camera = True
 
     @property
     def has_own_camera(self) -> bool:
         """Whether the camera was given, and does not just frame the bounds."""
-        return self._has_own_camera
+        return self._camera is not None
+
+    def framing_camera(self, aspect: float = 4.0 / 3.0) -> Camera:
+        """A camera that shows the whole scene in a picture of this width over height."""
+        low, high = self.bounds
+        return Camera.framing(low, high, up=self.up, aspect=aspect)
 
     @property
     def area_lights(self) -> list[AreaLight]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from raystream.core.triangles import Triangles
+from raystream.jit.threads import Progress
 from raystream.structures.base import Structure
 from raystream.structures.brute import Brute
 from raystream.structures.bvh import Bvh
@@ -15,7 +16,9 @@ __all__ = ["STRUCTURES", "Structure", "build_structure"]
 STRUCTURES: dict[str, type[Structure]] = {cls.name: cls for cls in (Brute, Bvh)}
 
 
-def build_structure(name: str, triangles: Triangles, **options: Any) -> Structure:
+def build_structure(
+    name: str, triangles: Triangles, *, progress: Progress | None = None, **options: Any
+) -> Structure:
     """Build a structure by name.
 
     Parameters
@@ -23,6 +26,8 @@ def build_structure(name: str, triangles: Triangles, **options: Any) -> Structur
     name : str
         A key of `STRUCTURES`.
     triangles : Triangles
+    progress : callable, optional
+        Called with (triangles placed, triangles).
     **options
         Build options of that structure.
 
@@ -33,7 +38,7 @@ def build_structure(name: str, triangles: Triangles, **options: Any) -> Structur
     TypeError
         If the structure has no such option.
     """
-    if name not in STRUCTURES:
+    if name not in list(STRUCTURES):
         known = ", ".join(repr(known) for known in STRUCTURES)
         raise ValueError(f"structure: expected one of {known}, got {name!r}")
-    return STRUCTURES[name](triangles, **options)
+    return STRUCTURES[name](triangles, progress=progress, **options)

@@ -62,7 +62,9 @@ class Structure(ABC):
     report: BuildReport
 
     @abstractmethod
-    def __init__(self, triangles: Triangles, **options: Any) -> None:
+    def __init__(
+        self, triangles: Triangles, *, progress: Progress | None = None, **options: Any
+    ) -> None:
         """Build it."""
 
     @property
@@ -113,13 +115,12 @@ class Structure(ABC):
         self,
         rays: LocalRays,
         surfaces: bool,
-        limit: int | None = None,
+        limit: int = UNLIMITED,
         progress: Progress | None = None,
     ) -> NDArray[np.int64]:
         """Count the hits of each ray, up to `limit`."""
         counts = np.empty(len(rays.t_min), np.int64)
-        most = UNLIMITED if limit is None else limit
-        self._run(self.queries.count_hits, rays, (rays, surfaces, most, counts), progress)
+        self._run(self.queries.count_hits, rays, (rays, surfaces, limit, counts), progress)
         return counts
 
     def multi_hit(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,9 +52,10 @@ class RayBlock:
         count = rows.stop - rows.start
         self.rays = LocalRays.empty(count)
         self._t_scale = TScale(np.empty(count), np.empty(count))
-        origins = np.ascontiguousarray(batch.origins[rows])
-        directions = np.ascontiguousarray(batch.directions[rows])
-        limits = np.ascontiguousarray(batch.t_min[rows]), np.ascontiguousarray(batch.t_max[rows])
+        dtype = np.result_type(batch.origins, batch.directions)
+        origins = _given(batch.origins[rows], dtype)
+        directions = _given(batch.directions[rows], dtype)
+        limits = _given(batch.t_min[rows], np.float32), _given(batch.t_max[rows], np.float32)
         results = self.rays, self._t_scale, status[rows]
 
         def localise(begin: int, end: int) -> None:
@@ -70,3 +73,14 @@ class RayBlock:
             to_world_t(begin, end, splits, self._t_scale, t)
 
         parallel_for(convert, len(splits) - 1, LIGHT_CHUNK)
+
+
+def _given(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """The caller's rows as kernels take them: contiguous and read-only.
+
+    Numba compiles for each memory order and for each of read-only and writable anew; this
+    leaves it float32 and float64.
+    """
+    view = np.ascontiguousarray(array, dtype).view()
+    view.flags.writeable = False
+    return view

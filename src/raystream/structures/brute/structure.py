@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.jit.threads import Progress
 from raystream.kernels.queries import ray_queries
 from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
 from raystream.structures.brute.traversal import BruteArrays, traverse
@@ -27,12 +28,14 @@ class Brute(Structure):
     Parameters
     ----------
     triangles : Triangles
+    progress : callable, optional
+        Called once: there is nothing to build.
     """
 
     name = "brute"
     queries = ray_queries(traverse, 1)
 
-    def __init__(self, triangles: Triangles) -> None:
+    def __init__(self, triangles: Triangles, *, progress: Progress | None = None) -> None:
         started = time.perf_counter()
         self.triangles = triangles
         if len(triangles.prim_ids) == len(triangles):
@@ -45,6 +48,8 @@ class Brute(Structure):
             byte_count=sum(array.nbytes for array in self._arrays),
             quality={"tests per ray": float(len(triangles.prim_ids))},
         )
+        if progress:
+            progress(len(triangles.prim_ids), len(triangles.prim_ids))
 
     @property
     def arrays(self) -> BruteArrays:

@@ -125,6 +125,9 @@ def _build_ranges(
     if root.end <= SUBTREE_SIZE:
         run(root)  # not worth a hand-over
         return
+    # Compile on this thread, see `parallel_for`.
+    split_range(boxes, prim_ids, 0, 0, 0, max_leaf_size, np.empty((2, 3), np.float32))
+    run(_Range(0, 0, 0))
     pool = thread_pool()
     running: dict[Future[None], _Range] = {pool.submit(run, root): root}
     placed = 0

@@ -30,7 +30,7 @@ class BvhArrays(NamedTuple):
         children[node, child] is (index, count). With a count of 0 the child is the inner
         node `index`, which is greater than `node`; else it is a leaf, whose triangles are
         rows index to index + count of `corners`. An absent child has count -1 and an
-        empty box (low > high), which no ray enters.
+        empty box (low = inf, high = -inf), which no ray enters.
     corners : ndarray of shape (A, 3, 3), float32
     prim_ids : ndarray of shape (A,), int32
     """
@@ -42,22 +42,33 @@ class BvhArrays(NamedTuple):
 
 
 @kernel
-def _check_children(children, triangle_count, depths):
-    """Depth of the tree, or a negative code for what is wrong with it."""
+def _check_children(children, triangle_count, depths, covered):
+    """Depth of the tree, or -1 if it is none, -2 if its leaves do not hold each row once."""
     node_count = len(children)
     deepest = 0
     for node in range(node_count):
+        # Parents come before their children, so a node not reached by now never is.
+        if node > 0 and depths[node] == 0:
+            return -1
         depth = depths[node] + 1
         deepest = max(deepest, depth)
         for child in range(2):
             index, count = children[node, child, 0], children[node, child, 1]
             if count == 0:
-                # Children after their parents: no cycle, so a traversal ends.
-                if index <= node or index >= node_count:
+                # A greater index than the parent's: no cycle. Not seen yet: one parent.
+                if index <= node or index >= node_count or depths[index] != 0:
                     return -1
-                depths[index] = max(depths[index], depth)
-            elif count > 0 and (index < 0 or index > triangle_count - count):
-                return -2
+                depths[index] = depth
+            elif count > 0:
+                if index < 0 or index > triangle_count - count:
+                    return -2
+                for row in range(index, index + count):
+                    if covered[row]:
+                        return -2
+                    covered[row] = True
+    for row in range(triangle_count):
+        if not covered[row]:
+            return -2
     return deepest
 
 
@@ -90,11 +101,14 @@ def check_arrays(
     if not np.array_equal(np.sort(prim_ids), solid_ids):
         raise ValueError("its triangles are not those of the scene")
     absent = boxes[children[:, :, 1] < 0]
-    if not (absent[:, 0] > absent[:, 1]).all():
+    if not ((absent[:, 0] == np.inf).all() and (absent[:, 1] == -np.inf).all()):
         raise ValueError("an absent child has a box")
-    depth = _check_children(children, len(prim_ids), np.zeros(len(children), np.int32))
-    if depth < 0:
-        raise ValueError("a node's child is out of range")
+    depths, covered = np.zeros(len(children), np.int32), np.zeros(len(prim_ids), np.bool_)
+    depth = _check_children(children, len(prim_ids), depths, covered)
+    if depth == -1:
+        raise ValueError("a node's child is out of range or has two parents")
+    if depth == -2:
+        raise ValueError("its leaves do not hold every triangle once")
     if depth > MAX_DEPTH:
         raise ValueError(f"the tree is {depth} nodes deep; at most {MAX_DEPTH} are possible")
     return boxes, children, prim_ids

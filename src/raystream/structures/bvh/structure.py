@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -36,6 +37,8 @@ class Bvh(Structure):
     ------
     ValueError
         If an option is out of range.
+    TypeError
+        If it is no integer.
     """
 
     name = "bvh"
@@ -44,6 +47,7 @@ class Bvh(Structure):
     def __init__(
         self, triangles: Triangles, *, max_leaf_size: int = 4, progress: Progress | None = None
     ) -> None:
+        max_leaf_size = operator.index(max_leaf_size)
         if not 1 <= max_leaf_size <= 64:
             raise ValueError(f"max_leaf_size: expected 1 to 64, got {max_leaf_size}")
         started = time.perf_counter()
