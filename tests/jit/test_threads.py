@@ -184,7 +184,7 @@ set_thread_count(2)
 parallel_for(lambda begin, end: None, 4, 1)
 pid = os.fork()
 done = []
-parallel_for(lambda begin, end: done.append(begin), 4, 1)
+parallel_for(lambda begin, end: done.extend(range(begin, end)), 4, 1)
 assert sorted(done) == [0, 1, 2, 3]
 if pid:
     assert os.waitpid(pid, 0)[1] == 0
