@@ -52,7 +52,7 @@ def test_large_scenes_are_split_among_tasks_and_joined():
     vertices, faces = soup(40_000, 4, 0.01)
     structure = build(vertices, faces)
     assert sorted(walk(structure.arrays)) == list(range(40_000))
-    assert structure.report.quality["depth"] < 60
+    assert structure.quality()["depth"] < 60
 
 
 def test_the_tree_does_not_depend_on_the_number_of_threads():
@@ -71,7 +71,7 @@ def test_the_tree_does_not_depend_on_the_number_of_threads():
 def test_equal_triangles_are_halved_by_count():
     vertices, faces = soup(1)
     structure = build(vertices, np.repeat(faces, 20_000, axis=0))
-    assert structure.report.quality["depth"] <= 16
+    assert structure.quality()["depth"] <= 16
     hits = rs.Tracer(rs.Scene.from_arrays(vertices, np.repeat(faces, 50, axis=0))).multi_hit(
         vertices.mean(axis=0) - [0, 0, 3], [0, 0, 3]
     )
@@ -86,11 +86,11 @@ def test_a_scene_that_grows_by_a_factor_from_triangle_to_triangle_stays_within_t
     faces = np.arange(len(vertices)).reshape(-1, 3)
     structure = build(vertices, faces, max_leaf_size=1)
     assert sorted(walk(structure.arrays)) == list(range(len(structure.triangles.prim_ids)))
-    assert structure.report.quality["depth"] <= MAX_DEPTH
+    assert structure.quality()["depth"] <= MAX_DEPTH
 
 
 def test_the_tree_is_worth_building():
-    quality = build(*soup(5000, 2, 0.02)).report.quality
+    quality = build(*soup(5000, 2, 0.02)).quality()
     assert quality["expected nodes and triangles per ray"] < 500
 
 

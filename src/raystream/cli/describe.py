@@ -66,7 +66,7 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
         "structure": {
             "name": structure.name,
             "seconds": round(structure.report.seconds, 6),
-            "quality": dict(structure.report.quality),
+            "quality": structure.quality(),
         },
         "seconds": watch.rounded(),
     }

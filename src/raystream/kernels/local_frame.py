@@ -204,9 +204,12 @@ def to_local_rays(begin, end, origins, directions, t_min, t_max, frame, rays, t_
             origin[axis] = (np.float64(origins[i, axis]) - frame.center[axis]) * frame.scale
             largest = max(largest, abs(np.float64(directions[i, axis])))
         exponent = math.frexp(largest)[1]
+        # Products with a power of two are exact; in two steps it stays a float64 even for
+        # the smallest directions.
+        half = math.ldexp(1.0, (1 - exponent) // 2)
+        rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
         for axis in range(3):
-            d = np.float64(directions[i, axis])
-            direction[axis] = math.ldexp(d, 1 - exponent)
+            direction[axis] = np.float64(directions[i, axis]) * half * rest
         # Beyond 2**800 distances leave float32 anyway; the bound keeps the factor finite.
         factor = math.ldexp(1.0 / frame.scale, max(-800, min(1 - exponent, 800)))
 

@@ -44,16 +44,16 @@ def eye_rays(
     RayStream
         Weights are 1.
     """
-    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.array(rows, np.float64))
+    x = np.arange(width, dtype=np.float64)[None, :]
+    y = np.array(rows, np.float64)[:, None]
+    count = x.size * y.size
     if samples == 1:
-        x += 0.5
-        y += 0.5
+        x, y = x + 0.5, y + 0.5
     else:
-        shift = np.random.default_rng([seed, rows.start]).random((2, *x.shape))
-        x += (shift[0] + sample * _STEP[0]) % 1.0
-        y += (shift[1] + sample * _STEP[1]) % 1.0
+        shift = np.random.default_rng([seed, rows.start]).random((2, y.size, x.size))
+        x = x + (shift[0] + sample * _STEP[0]) % 1.0
+        y = y + (shift[1] + sample * _STEP[1]) % 1.0
     origins, directions = camera.rays(width, height, x, y)
-    count = x.size
     return RayStream(
         rows.start * width + np.arange(count),
         origins.reshape(-1, 3),

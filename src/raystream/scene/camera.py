@@ -143,7 +143,7 @@ class Camera:
         ----------
         width, height : int
             Size of the picture in pixels. Pixels are square.
-        x, y : array_like of any one shape S, float, optional
+        x, y : array_like that broadcast to a shape S, float, optional
             Points in pixels: (0, 0) is the upper left corner of the picture, and pixel
             (column, row) covers [column, column + 1) x [row, row + 1). Without them:
             every pixel's centre, S = (height, width).
@@ -162,7 +162,7 @@ class Camera:
         across = (np.asarray(x, np.float64) - width / 2) * scale
         down = (np.asarray(y, np.float64) - height / 2) * scale
         right, up, forward = self.basis()
-        directions = across[..., None] * right - down[..., None] * up + forward
+        directions = (across[..., None] * right + forward) - down[..., None] * up
         directions /= np.sqrt(np.einsum("...k,...k->...", directions, directions))[..., None]
         origins = np.broadcast_to(np.asarray(self.eye, np.float64), directions.shape)
         return origins, directions.astype(np.float32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -32,13 +32,10 @@ class BuildReport:
         Wall-clock time of the build.
     byte_count : int
         Memory of the structure's arrays.
-    quality : mapping of str to float
-        The structure's own figures, such as node counts and expected traversal cost.
     """
 
     seconds: float
     byte_count: int
-    quality: Mapping[str, float] = field(default_factory=dict)
 
 
 class Structure(ABC):
@@ -87,6 +84,10 @@ class Structure(ABC):
             If an array is missing, or its shape, dtype or content could make a traversal
             read out of bounds or not end.
         """
+
+    def quality(self) -> dict[str, float]:
+        """The structure's own figures, such as node counts and expected traversal cost."""
+        return {}
 
     def rays_per_call(self) -> int:
         """Most rays that one call of a compiled loop gets."""

@@ -46,7 +46,6 @@ class Brute(Structure):
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in self._arrays),
-            quality={"tests per ray": float(len(triangles.prim_ids))},
         )
         if progress:
             progress(len(triangles.prim_ids), len(triangles.prim_ids))
@@ -64,6 +63,10 @@ class Brute(Structure):
     def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Brute:
         """Make it anew: nothing of it needs saving."""
         return cls(triangles)
+
+    def quality(self) -> dict[str, float]:
+        """How many triangles each ray is tested against."""
+        return {"tests per ray": float(len(self.triangles.prim_ids))}
 
     def rays_per_call(self) -> int:
         """Fewer rays on larger scenes, so that a call stays short."""

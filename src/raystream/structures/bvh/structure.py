@@ -59,8 +59,11 @@ class Bvh(Structure):
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in arrays),
-            quality=_quality(arrays),
         )
+
+    def quality(self) -> dict[str, float]:
+        """Node counts, depth, and the expected cost of a random ray that meets the bounds."""
+        return _quality(self._arrays)
 
     @property
     def arrays(self) -> BvhArrays:
