@@ -9,12 +9,13 @@ from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.structures import Structure, build_structure
 
-__all__ = ["DeviceFactory", "build_on_device", "register_device"]
+__all__ = ["DEVICES", "DeviceFactory", "build_on_device", "register_device"]
 
 #: Makes a structure that traces on a device: (name, triangles, progress=, **options).
 DeviceFactory = Callable[..., Structure]
 
-_DEVICES: dict[str, DeviceFactory] = {"cpu": build_structure}
+#: Factories by the name of their device.
+DEVICES: dict[str, DeviceFactory] = {"cpu": build_structure}
 
 
 def register_device(name: str, factory: DeviceFactory) -> None:
@@ -28,7 +29,7 @@ def register_device(name: str, factory: DeviceFactory) -> None:
         ``factory(structure_name, triangles, progress=None, **options)`` returns a
         `Structure` whose queries run on the device.
     """
-    _DEVICES[name] = factory
+    DEVICES[name] = factory
 
 
 def build_on_device(
@@ -56,7 +57,7 @@ def build_on_device(
     ValueError
         If the device or the structure is unknown.
     """
-    if device not in list(_DEVICES):
-        known = ", ".join(repr(known) for known in _DEVICES)
+    if device not in list(DEVICES):
+        known = ", ".join(repr(known) for known in DEVICES)
         raise ValueError(f"device: expected one of {known}, got {device!r}")
-    return _DEVICES[device](structure, triangles, progress=progress, **options)
+    return DEVICES[device](structure, triangles, progress=progress, **options)
