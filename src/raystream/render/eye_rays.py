@@ -50,7 +50,8 @@ def eye_rays(
     if samples == 1:
         x, y = x + 0.5, y + 0.5
     else:
-        shift = np.random.default_rng([seed, rows.start]).random((2, y.size, x.size))
+        # Each row has its own generator: a picture does not depend on how it is cut up.
+        shift = np.stack([np.random.default_rng([seed, row]).random((2, width)) for row in rows], 1)
         x = x + (shift[0] + sample * _STEP[0]) % 1.0
         y = y + (shift[1] + sample * _STEP[1]) % 1.0
     origins, directions = camera.rays(width, height, x, y)

@@ -6,7 +6,7 @@ import operator
 from typing import Any
 
 from raystream.core.memory import check_memory
-from raystream.jit.threads import Progress
+from raystream.jit.threads import Progress, parallel_for
 from raystream.render.eye_rays import eye_rays
 from raystream.render.film import Film
 from raystream.render.image import Image
@@ -33,9 +33,9 @@ MAX_PIXELS = 1 << 30
 #: Memory that a picture takes: the film's sums, the image, and its encoding.
 _BYTES_PER_PIXEL = 60
 
-#: Pixels that go through the stages at a time: bounds memory at about 40 MB, and is how
-#: often progress is reported.
-_PIXELS_PER_BAND = 1 << 17
+#: Pixels that go through the stages at a time on one thread: bounds memory at about 20 MB a
+#: thread, and is how often progress is reported.
+_PIXELS_PER_BAND = 1 << 16
 
 
 def render(
@@ -110,17 +110,38 @@ def render(
         tracer = Tracer(scene, structure, device, **options)
     frame = _make_frame(tracer, camera, Film(width, height))
 
-    rows_per_band = max(1, _PIXELS_PER_BAND // width)
-    done, total = 0, width * height * samples
-    for first in range(0, height, rows_per_band):
-        rows = range(first, min(first + rows_per_band, height))
-        for sample in range(samples):
-            stream = eye_rays(frame.camera, width, height, rows, sample, samples, seed)
-            done += len(stream)
-            run_stages(RENDERERS[mode].stages, stream, frame)
-            if progress:
-                progress(done, total)
+    _trace_bands(RENDERERS[mode], frame, samples, seed, progress)
     return frame.film.image(samples)
+
+
+def _trace_bands(
+    renderer: Renderer, frame: Frame, samples: int, seed: int, progress: Progress | None
+) -> None:
+    """Send the picture's rays through the stages, a band of rows and a sample at a time.
+
+    Bands go to the threads whole, so that shading runs in parallel as tracing does; their
+    pixels are disjoint. (When bands run out, idle threads help with the tracing of others.)
+    """
+    width, height = frame.film.width, frame.film.height
+    rows_per_band = max(1, _PIXELS_PER_BAND // width)
+    band_count = -(-height // rows_per_band)
+
+    def trace(begin: int, end: int) -> None:
+        if begin == end:  # compile on this thread, see `parallel_for`
+            frame.tracer.first_hit(*frame.camera.rays(1, 1))
+        for step in range(begin, end):
+            band, sample = divmod(step, samples)
+            first = band * rows_per_band
+            rows = range(first, min(first + rows_per_band, height))
+            stream = eye_rays(frame.camera, width, height, rows, sample, samples, seed)
+            run_stages(renderer.stages, stream, frame)
+
+    report: Progress | None = None
+    if progress is not None:
+        rays = width * height * samples
+        report = lambda done, steps: progress(rays * done // steps, rays)  # noqa: E731
+    # All samples of a band are one call, in order: sums do not depend on the threads.
+    parallel_for(trace, band_count * samples, samples, report)
 
 
 def _make_frame(tracer: Tracer, camera: Camera | None, film: Film) -> Frame:
