@@ -110,3 +110,14 @@ def test_saved_structure(run, tmp_path, square, structure):
     other = {"bvh": "brute", "brute": "bvh"}[structure]
     assert "saved.npz" in run("info", "saved.npz", "--structure", other).complaint
     assert "saved.npz" in run("info", "saved.npz", "--triangles", 5).complaint
+
+
+def test_scenes_without_triangles(run, rays, tmp_path):
+    (tmp_path / "points.obj").write_text("v 1 2 3\n")
+    done = run("info", "points.obj", "--json")
+    assert (done.code, done.err) == (0, "warning: points.obj: holds no triangles\n")
+    assert done.figures["triangles"] == 0
+    assert done.figures["bounds"] is None
+    assert "nothing can be hit" in run("info", "points.obj").out
+    figures = run("query", "points.obj", rays, "-o", "hits.npz", "--json").figures
+    assert (figures["rays"], figures["rays_hit"]) == (4, 0)

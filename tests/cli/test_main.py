@@ -230,7 +230,7 @@ def test_names_are_those_of_the_library():
     from raystream.render import MODES
     from raystream.scene.procedural import BUILTIN
     from raystream.structures import STRUCTURES
-    from raystream.tracer import DEVICES
+    from raystream.structures.devices import DEVICES
 
     assert set(options.MODES) == set(MODES)
     assert tuple(BUILTIN) == options.SCENES

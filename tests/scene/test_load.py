@@ -69,7 +69,9 @@ def test_samples_come_with_a_view(bunny: Path) -> None:
     [
         ("forrest", "did you mean 'forest'"),
         ("BUNNY", "did you mean 'bunny'"),
-        ("", "neither a built-in scene nor a sample"),
+        ("", "^'': is neither a built-in scene nor a sample"),
+        (".", "is a folder"),
+        ("..", "is a folder"),
         ("zzz", "Samples: bunny.*Files: .obj .ply"),
         ("forest:", "expected a number of triangles"),
         ("forest:many", "expected a number of triangles"),
@@ -92,10 +94,13 @@ def test_what_is_not_there(
     assert "\n" not in str(caught.value)
 
 
-def test_directories_and_unknown_suffixes(tmp_path: Path) -> None:
-    (tmp_path / "d.obj").mkdir()
-    with pytest.raises(FileFormatError, match="is a directory"):
-        load(tmp_path / "d.obj")
+def test_folders_and_unknown_suffixes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("d.obj", "models"):
+        Path(name).mkdir()
+        for source in (name, f"{name}/", f"./{name}", Path(name), tmp_path / name):
+            with pytest.raises(FileFormatError, match="is a folder"):
+                load(source)
     (tmp_path / "a.fbx").touch()
     with pytest.raises(FileFormatError, match=r"known are \.obj"):
         load(tmp_path / "a.fbx")
@@ -106,14 +111,26 @@ def test_directories_and_unknown_suffixes(tmp_path: Path) -> None:
     [
         ("a.obj", b"v 0 0 0\n"),
         ("a.obj", b"# nothing\n"),
+        ("a.obj", b"o empty\n"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nl 1 2\n"),
         ("a.nff", b"l 1 2 3\n"),
         ("a.gltf", b'{"asset": {"version": "2.0"}}'),
+        ("a.ply", tiny.ply_text().partition(b"element face")[0] + b"end_header\n" + b"0 " * 12),
+        ("a.off", b"OFF\n1 0 0\n0 0 0\n"),
+        ("a.off", b"OFF 0 0 0\n"),
+        ("a.stl", b"solid empty\nendsolid empty\n"),
+        ("a.stl", b"\0" * 84),
     ],
 )
-def test_files_without_triangles(tmp_path: Path, name: str, content: bytes) -> None:
+def test_files_without_triangles_are_empty_scenes(
+    tmp_path: Path, name: str, content: bytes
+) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(FileFormatError, match="holds no triangles"):
-        load(tmp_path / name)
+    with pytest.warns(RaystreamWarning, match="holds no triangles") as caught:
+        scene = load(tmp_path / name)
+    assert len(caught) == 1
+    assert scene.triangle_count == 0
+    assert scene.camera is not None
 
 
 def test_triangles_that_cannot_be_hit_warn_once(tmp_path: Path) -> None:

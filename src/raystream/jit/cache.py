@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import sys
 import time
 from collections.abc import Callable
 from functools import cache
@@ -26,24 +25,12 @@ from numba.core.caching import (
 )
 from numba.core.dispatcher import Dispatcher
 
+from raystream.core.cache_folder import cache_folder
+
 __all__ = ["KernelCache", "cache_folder", "source_hash"]
 
 #: Folders of this many source versions stay; the least recently used go.
 KEPT_VERSIONS = 4
-
-
-def cache_folder() -> Path:
-    """Folder of all of raystream's cached files: ``RAYSTREAM_CACHE_DIR``, or in the user's."""
-    chosen = os.environ.get("RAYSTREAM_CACHE_DIR")
-    if chosen:
-        return Path(chosen)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "raystream"
 
 
 @cache

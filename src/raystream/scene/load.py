@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 from difflib import get_close_matches
 from os import PathLike, fspath
 from pathlib import Path
 
 from raystream.core.errors import FileFormatError
+from raystream.scene.io.files import FOLDER
 from raystream.scene.io.formats import SUFFIXES, read_model
 from raystream.scene.scene import Scene
 
@@ -45,7 +47,8 @@ def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | Non
     -----
     RaystreamWarning
         If only a part of the file could be used: triangles without area or with indices
-        out of range, textures that are missing.
+        out of range, textures that are missing. And if it holds no triangles: the scene is
+        empty then, and every ray misses.
 
     Examples
     --------
@@ -83,6 +86,8 @@ def _load_file(name: str, time: float) -> Scene:
         stem = path.name.partition(".")[0]
         hint = f"; there is {stem!r} without a suffix" if stem in _known_names() else ""
         raise FileFormatError(name, f"there is no such file{hint}")
+    if path.is_dir():
+        raise FileFormatError(name, FOLDER)
     return read_model(path, time=time)
 
 
@@ -106,7 +111,9 @@ def _load_name(source: str, time: float, triangles: int | None) -> Scene:
         if view is not None and not scene.has_own_camera:
             scene.camera = view
         return scene
-    raise FileFormatError(source, _unknown(name))
+    if os.path.isdir(source):
+        raise FileFormatError(source, FOLDER)
+    raise FileFormatError(source or "''", _unknown(name))
 
 
 def _size(source: str, size: str) -> int:

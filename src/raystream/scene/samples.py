@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from raystream.core.cache_folder import cache_folder
 from raystream.core.errors import RaystreamError
 from raystream.scene.camera import Camera
 
@@ -135,7 +136,7 @@ def fetch(name: str, progress: Progress | None = None) -> Path:
     found = _in_scenes_folder(sample)
     if found is not None:
         return found
-    folder = _cache_folder()
+    folder = cache_folder() / "samples"
     if all((folder / file.path).is_file() for file in sample.files):
         return folder / sample.main
     if not sample.can_be_fetched:
@@ -177,12 +178,6 @@ def _in_scenes_folder(sample: Sample) -> Path | None:
         if candidate.is_file():
             return candidate
     return None
-
-
-def _cache_folder() -> Path:
-    from raystream.jit.cache import cache_folder
-
-    return cache_folder() / "samples"
 
 
 def _download(sample: Sample, folder: Path, progress: Progress | None) -> None:

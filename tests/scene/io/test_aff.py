@@ -261,3 +261,14 @@ def test_includes_that_multiply_are_stopped(
     (tmp_path / "9.aff").write_text("# nothing\n")
     with pytest.raises(FileFormatError, match="add up to more than 10,000 statements"):
         read(tmp_path, "i 0 0.aff")
+
+
+def test_includes_are_found_next_to_their_includer(tmp_path: Path) -> None:
+    for folder, size in (("left", 1), ("right", 2)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "main.aff").write_text("i 0 part.aff\ni 0 shared.aff\n")
+        (tmp_path / folder / "part.aff").write_text(f"p 3 0 0 0 {size} 0 0 0 1 0\n")
+        (tmp_path / folder / "shared.aff").write_text("wibble\n")  # the outer one wins
+    (tmp_path / "shared.aff").write_text("p 3 0 0 0 9 0 0 0 1 0\n")
+    scene = read(tmp_path, "i 0 left/main.aff\ni 0 right/main.aff\n")
+    assert [mesh.vertices[1, 0] for mesh in scene.meshes] == [1, 9, 2, 9]

@@ -43,7 +43,7 @@ def test_unusable_files(tmp_path: Path, name: str, content: bytes | None, reason
 
 
 def test_directory(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="is a directory"):
+    with pytest.raises(FileFormatError, match="is a folder"):
         read_model_bytes(tmp_path)
 
 

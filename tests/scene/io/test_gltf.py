@@ -8,6 +8,7 @@ import json
 import struct
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote_from_bytes
 
 import numpy as np
 import pytest
@@ -371,3 +372,20 @@ def test_damaged_containers(tmp_path: Path, content: bytes, reason: str) -> None
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=reason):
         read_gltf(path)
+
+
+def test_buffers_as_programs_write_them(tmp_path: Path) -> None:
+    document = tiny.gltf_document()
+    payload = tiny.TETRAHEDRON.tobytes() + tiny.SIDES.astype(np.uint16).tobytes()
+    (tmp_path / "a%20b.bin").write_bytes(payload)  # named as its uri should not be read
+    for uri in ("data:application/octet-stream," + quote_from_bytes(payload), "a%20b.bin"):
+        document["buffers"][0]["uri"] = uri
+        vertices = read(tmp_path, document).meshes[0].vertices
+        np.testing.assert_array_equal(vertices, 2 * tiny.TETRAHEDRON + [1, 0, 0])
+
+
+def test_instances_of_the_gpu_extension_are_counted(tmp_path: Path) -> None:
+    document = tiny.gltf_document()
+    document["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {}}}
+    with pytest.warns(RaystreamWarning, match=r"1 nodes with EXT_mesh_gpu_instancing"):
+        assert read(tmp_path, document).triangle_count == 4

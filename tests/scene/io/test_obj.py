@@ -213,6 +213,8 @@ def test_faces_with_two_corners_are_left_out(tmp_path: Path) -> None:
         ("v 1 2 x", '"v 1 2 x"'),
         ("v 1 2", '"v 1 2"'),
         ("f 1 2 q", '"f 1 2 q"'),
+        ("f 1 2 3f", '"f 1 2 3f"'),
+        ("fo 1 2 3o", '"fo 1 2 3o"'),
         ("f 1 2 3.5", '"f 1 2 3.5"'),
         ("f 1/1/1/1 2 3", "f 1/1/1/1"),
         ("f /1 2 3", "f /1 2 3"),
@@ -238,3 +240,38 @@ def test_infinite_vertices_are_kept(tmp_path: Path) -> None:
         scene = read(tmp_path, SQUARE + "v nan inf 1e999\nf 1 2 3\nf 1 2 5\n")
     assert scene.triangle_count == 2
     assert scene.skipped_count == 1
+
+
+def test_words_of_other_programs(tmp_path: Path) -> None:
+    assert read(tmp_path, SQUARE + "fo 1 2 3\nf 1 3 4\n").triangle_count == 2
+    text = SQUARE + "v -1.#IND 1.#QNAN 1.#INF00\nf 1 2 \\ \n 3\nf 1 2 5\n"
+    for content in (text.encode(), text.replace("\n", "\r", 2).encode(), text.encode("utf-16")):
+        scene = read(tmp_path, content)
+        assert (scene.triangle_count, scene.skipped_count) == (2, 1)
+
+
+def test_names_in_latin_1(tmp_path: Path) -> None:
+    Image.new("RGB", (2, 2)).save(tmp_path / "R\u00f6d.png")
+    (tmp_path / "a.mtl").write_bytes(
+        "newmtl R\u00f6d\nKd 1 0 0\nmap_Kd R\u00f6d.png\nnewmtl R\u00e4d\nKd 0 1 0\n".encode(
+            "latin-1"
+        )
+    )
+    text = SQUARE + "mtllib a.mtl\nusemtl R\u00f6d\nf 1 2 3\nusemtl R\u00e4d\nf 1 3 4\n"
+    for encoding in ("latin-1", "utf-8"):
+        scene = read(tmp_path, text.encode(encoding))
+        assert [m.diffuse for m in scene.materials] == [(1, 0, 0), (0, 1, 0)]
+        assert [m.name for m in scene.materials] == ["R\u00f6d", "R\u00e4d"]
+        assert scene.materials[0].textures["diffuse"].path == tmp_path / "R\u00f6d.png"
+
+
+def test_libraries_may_follow_and_names_be_quoted(tmp_path: Path) -> None:
+    (tmp_path / "my colors.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    scene = read(tmp_path, SQUARE + 'usemtl a\nf 1 2 3\nmtllib "my colors.mtl"\n')
+    assert scene.materials[0].diffuse == (1, 0, 0)
+
+
+@pytest.mark.parametrize("content", [b"<html>404</html>", b"hello\nworld\n", bytes(range(256))])
+def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(FileFormatError, match="not an OBJ file"):
+        read(tmp_path, content)

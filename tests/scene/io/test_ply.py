@@ -148,16 +148,79 @@ HUGE = "999999999999999"
         (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"-3 0 1 2", "makes no sense"),
         (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"1e300 0 1 2", "makes no sense"),
         (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"3 0 one 2", "not a number"),
-        (header("element vertex 5", *XYZ) + SQUARE, "point cloud"),
-        (header("element vertex 5", *XYZ, "element face 0", FACE[1]) + SQUARE, "no triangles"),
+        (
+            header("element vertex 5", *XYZ, FACE[0], "property list uchar int corners")
+            + SQUARE
+            + b"3 0 1 2\n",
+            "no list vertex_indices",
+        ),
         (
             header("element vertex 1", "property float x", *FACE) + b"1 3 0 0 0",
             "no vertices with x",
         ),
-        (header(f"element foo {HUGE}", "element vertex 5", *XYZ) + SQUARE, "point cloud"),
         (tiny.ply_binary()[:-1], "truncated"),
     ],
 )
 def test_unusable_files(tmp_path: Path, content: bytes, reason: str) -> None:
     with pytest.raises(FileFormatError, match=reason):
         read(tmp_path, content)
+
+
+@pytest.mark.parametrize("faces", [(), ("element face 0", FACE[1])])
+def test_point_clouds_are_empty(tmp_path: Path, faces: tuple[str, ...]) -> None:
+    for points in (SQUARE, b""):
+        count = f"element vertex {len(points.splitlines())}"
+        mesh = read(tmp_path, header(count, *XYZ, *faces) + points)
+        assert (len(mesh.vertices), mesh.triangle_count) == (len(points.splitlines()), 0)
+    mesh = read(tmp_path, header(f"element foo {HUGE}", "element vertex 5", *XYZ) + SQUARE)
+    assert mesh.triangle_count == 0
+
+
+@pytest.mark.parametrize("order", ["", "<", ">"])
+def test_vertices_may_have_lists_of_any_length(tmp_path: Path, order: str) -> None:
+    encodings = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}
+    layout = ("property list uchar int near", *XYZ, "property uchar red")
+    layout += ("property uchar green", "property uchar blue")
+    head = header("element vertex 3", *layout, *FACE, encoding=encodings[order])
+    rows = [([7], 0, 0, 0), ([], 1, 0, 0), ([8, 9], 0, 1, 0)]
+    if order:
+        body = b"".join(
+            struct.pack(f"{order}B{len(near)}i3f3B", len(near), *near, *point, 255, 0, 0)
+            for near, *point in rows
+        )
+        body += struct.pack(f"{order}B3i", 3, 0, 1, 2)
+    else:
+        lines = [[len(near), *near, *point, 255, 0, 0] for near, *point in rows]
+        body = "\n".join(" ".join(map(str, line)) for line in [*lines, [3, 0, 1, 2]]).encode()
+    mesh = read(tmp_path, head + body)
+    assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    assert mesh.faces.tolist() == [[0, 1, 2]]
+    assert mesh.colors is not None
+    assert mesh.colors.tolist() == [[1, 0, 0]] * 3
+
+
+def test_headers_as_programs_write_them(tmp_path: Path) -> None:
+    text = tiny.ply_text()
+    for content in (
+        b"\xef\xbb\xbf" + text,
+        text.replace(b"comment tiny", b"comment no end_header yet\nobj_info 1 2"),
+        text.replace(b"end_header\n", b"end_header  \n"),
+    ):
+        np.testing.assert_array_equal(read(tmp_path, content).faces, tiny.SIDES)
+
+
+def test_binary_values_that_look_like_a_line_end(tmp_path: Path) -> None:
+    """After lines that end in CR, a first byte of 10 is a value."""
+    head = header(
+        "element vertex 3",
+        "property uchar flag",
+        *XYZ,
+        *FACE,
+        encoding="binary_little_endian",
+    )
+    points = ((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    body = b"".join(struct.pack("<B3f", 10, *point) for point in points)
+    body += struct.pack("<B3i", 3, 0, 1, 2)
+    for end in (b"\n", b"\r", b"\r\n"):
+        mesh = read(tmp_path, head.replace(b"\n", end) + body)
+        assert mesh.vertices.tolist() == [list(point) for point in points]

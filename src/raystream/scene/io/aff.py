@@ -137,7 +137,7 @@ class _Builder:
         for statement in statements:
             if isinstance(statement, Include):
                 if statement.level <= self._detail:
-                    self.include(self.files.included(statement.name), depth + 1)
+                    self.include(self.files.included(statement.name, path), depth + 1)
             elif isinstance(statement, Begin):
                 opened.append(self._begin(statement))
             elif isinstance(statement, End):

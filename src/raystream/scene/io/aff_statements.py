@@ -106,7 +106,7 @@ class AffFiles:
 
     def __post_init__(self) -> None:
         self.checks = IndexCheck(self.path)
-        self._found: dict[str, Path] = {}
+        self._found: dict[tuple[str, Path], Path] = {}
 
     def read(self) -> None:
         """Read the first file and all that it includes."""
@@ -118,18 +118,19 @@ class AffFiles:
             if len(self.statements) >= MAX_FILES:
                 raise FileFormatError(self.path, f"includes more than {MAX_FILES:,} files")
             self.statements[path] = found = self._file(Words(path))
-            waiting += [self.included(s.name) for s in found if isinstance(s, Include)]
+            waiting += [self.included(s.name, path) for s in found if isinstance(s, Include)]
 
-    def included(self, name: str) -> Path:
-        """Find an included file, next to the first one."""
-        if name not in self._found:
-            path = find_sibling(self.path, name)
+    def included(self, name: str, within: Path) -> Path:
+        """Find an included file, next to the first one, else next to the one that includes it."""
+        key = name, within.parent
+        if key not in self._found:
+            path = find_sibling(self.path, name) or find_sibling(within, name)
             if path is None:
                 raise FileFormatError(
                     self.path, f"includes {shown(name.encode())}, which is not next to it"
                 )
-            self._found[name] = path
-        return self._found[name]
+            self._found[key] = path
+        return self._found[key]
 
     def _file(self, words: Words) -> list[Statement]:
         found: list[Statement] = []

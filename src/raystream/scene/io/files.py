@@ -9,7 +9,7 @@ from pathlib import Path, PureWindowsPath
 
 from raystream.core.errors import FileFormatError
 
-__all__ = ["find_sibling", "max_file_bytes", "model_suffix", "read_model_bytes"]
+__all__ = ["FOLDER", "find_sibling", "max_file_bytes", "model_suffix", "read_model_bytes"]
 
 #: Larger files, and archives that unpack to more, are refused; see `max_file_bytes`.
 DEFAULT_MAX_FILE_BYTES = 4 << 30
@@ -20,6 +20,9 @@ MAX_UNPACK_RATIO = 250
 SMALL_FILE_BYTES = 64 << 20
 
 _UNPACK_STEP = 16 << 20
+
+#: Why a folder is refused.
+FOLDER = "is a folder, not a model file"
 
 
 def max_file_bytes() -> int:
@@ -50,7 +53,7 @@ def read_model_bytes(path: Path) -> bytes:
     Raises
     ------
     FileFormatError
-        If there is no such file, it is a directory, unreadable, empty, damaged, or larger
+        If there is no such file, it is a folder, unreadable, empty, damaged, or larger
         than `max_file_bytes`.
     """
     limit = max_file_bytes()
@@ -74,7 +77,7 @@ def _require_file(path: Path) -> None:
     if not path.exists():
         raise FileFormatError(path, "there is no such file")
     if path.is_dir():
-        raise FileFormatError(path, "is a directory, not a model file")
+        raise FileFormatError(path, FOLDER)
     if not path.is_file():
         raise FileFormatError(path, "is not a regular file")
 
@@ -97,7 +100,7 @@ def find_sibling(model: Path, name: str) -> Path | None:
     Path or None
         None when there is no such file, and for an address such as ``http://...``.
     """
-    name = name.strip()
+    name = name.strip().strip('"')  # some exporters quote names with spaces
     if not name or "\0" in name or "://" in name:
         return None
     windows = PureWindowsPath(name)

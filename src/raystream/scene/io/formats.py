@@ -45,7 +45,7 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     Returns
     -------
     Scene
-        With at least one triangle.
+        Without triangles, if that is what a well-formed file says.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For parts of the file that could not be used.
+        For parts of the file that could not be used, and for a file without triangles.
     """
     suffix = model_suffix(path)
     if suffix not in _READERS:

@@ -50,7 +50,7 @@ def read_gltf(path: Path) -> Scene:
     Raises
     ------
     FileFormatError
-        If the file is damaged, truncated, holds no triangles, or needs what is not there.
+        If the file is damaged, truncated, or needs what is not there.
 
     Warns
     -----
@@ -66,6 +66,10 @@ def read_gltf(path: Path) -> Scene:
         for index in range(len(file.entries(file.root, "meshes"))):
             reader.add({"mesh": index}, np.eye(4))
     reader.checks.report()
+    if reader.unplaced_count:
+        warn_partial(
+            path, f"{reader.unplaced_count:,} nodes with EXT_mesh_gpu_instancing show one copy each"
+        )
     if reader.spot_count:
         warn_partial(path, f"{reader.spot_count:,} spot lights shine in all directions")
     return Scene(
@@ -146,6 +150,7 @@ class _SceneReader:
     lights: list[Light] = field(default_factory=list)
     camera: Camera | None = None
     spot_count: int = 0
+    unplaced_count: int = 0
 
     def __post_init__(self) -> None:
         self._read: dict[int, list[Mesh]] = {}
@@ -157,6 +162,7 @@ class _SceneReader:
         """Add a node's mesh, camera and light."""
         mesh = self.file.index(node, "mesh")
         if mesh is not None:
+            self.unplaced_count += self.file.extension(node, "EXT_mesh_gpu_instancing") is not None
             if mesh not in self._read:
                 self._read[mesh] = self._mesh(mesh)
             for part in self._read[mesh]:

@@ -8,7 +8,7 @@ import json
 import math
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
+from urllib.parse import unquote, unquote_to_bytes
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import find_sibling, read_model_bytes
@@ -209,8 +209,8 @@ class GltfFile:
         return uri
 
     def sibling(self, uri: str) -> Path | None:
-        """Find the file that a relative uri names."""
-        return find_sibling(self.path, unquote(uri))
+        """Find the file that a relative uri names; some are not encoded as a uri should be."""
+        return find_sibling(self.path, unquote(uri)) or find_sibling(self.path, uri)
 
     def decoded(self, uri: str) -> bytes:
         """Decode a data URI."""
@@ -220,7 +220,7 @@ class GltfFile:
                 raise ValueError("no comma")
             if head.endswith(";base64"):
                 return base64.b64decode(payload)
-            return unquote(payload).encode("latin-1")
+            return unquote_to_bytes(payload)
         except (ValueError, binascii.Error):
             raise self.error("is damaged: a data URI cannot be decoded") from None
 

@@ -59,9 +59,6 @@ def placed(mesh: Mesh, matrix: NDArray[np.float64], material_id: int | None = No
     material_id : int, optional
         The material of all triangles; without it they keep theirs.
 
-    material_id : int, optional
-        The material of all triangles; without it they keep theirs.
-
     Returns
     -------
     Mesh

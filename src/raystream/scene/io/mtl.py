@@ -7,7 +7,7 @@ from pathlib import Path
 
 from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.partial import warn_partial
-from raystream.scene.io.text import plain_text
+from raystream.scene.io.text import decoded, plain_text
 from raystream.scene.material import Color, Material
 from raystream.scene.texture import Texture
 
@@ -75,11 +75,11 @@ def read_mtl(path: Path) -> dict[str, Material]:
     RaystreamWarning
         Once, for textures that are missing.
     """
-    text = plain_text(read_model_bytes(path)).decode("utf-8", "replace")
+    text = plain_text(read_model_bytes(path))
     materials: dict[str, dict[str, str]] = {}
     current: dict[str, str] = {}
-    for line in text.split("\n"):
-        words = line.split(None, 1)
+    for line in text.split(b"\n"):
+        words = decoded(line).split(None, 1)
         if not words or words[0].startswith("#"):
             continue
         word, rest = words[0].lower(), words[1].strip() if len(words) > 1 else ""

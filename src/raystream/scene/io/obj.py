@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from raystream.scene.io.files import find_sibling, read_model_bytes
 from raystream.scene.io.mtl import read_mtl
 from raystream.scene.io.obj_corners import Corners, read_corners
 from raystream.scene.io.partial import warn_partial
-from raystream.scene.io.text import Lines, parse_floats, plain_text, shown
+from raystream.scene.io.text import Lines, decoded, parse_floats, plain_text, shown
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -23,6 +24,14 @@ __all__ = ["read_obj"]
 
 #: A file with more objects becomes one mesh: a mesh costs far more than a triangle.
 MAX_OBJECTS = 10_000
+
+_CONTINUED = re.compile(rb"\\ *\n")
+
+#: How older C libraries of Windows write what is no number or infinite: ``-1.#IND``.
+_NOT_FINITE = re.compile(rb"-?1\.#(?:IND|INF|QNAN|SNAN)\d*")
+
+#: Statements that tell a file without vertices from one that is no OBJ file.
+_KNOWN_WORDS = frozenset({b"g", b"o", b"mtllib", b"usemtl"})
 
 
 def read_obj(path: Path) -> Scene:
@@ -54,8 +63,10 @@ def read_obj(path: Path) -> Scene:
         For triangles, material libraries and textures that had to be left out.
     """
     text = plain_text(read_model_bytes(path))
-    if b"\\\n" in text:
-        text = text.replace(b"\\\n", b"  ")
+    if b"\\" in text:
+        text = _CONTINUED.sub(b" ", text)
+    if b".#" in text:
+        text = _NOT_FINITE.sub(b"nan", text)
     lines = Lines(_without_comments(text))
     kinds = _line_kinds(lines)
     vertices, colors = _vertex_table(path, lines, kinds == _VERTEX)
@@ -69,6 +80,8 @@ def read_obj(path: Path) -> Scene:
         (vertices, texcoords, normals),
     )
     sections = _sections(lines, kinds)
+    if sections.strange and not len(vertices):
+        raise FileFormatError(path, "is not an OBJ file: no line of it makes sense as one")
     materials, material_ids = _materials(path, sections, corners)
     meshes = _meshes(corners, vertices, colors, material_ids, sections)
     return Scene(meshes, materials=materials, name=path.name)
@@ -119,8 +132,8 @@ def _rows(
     text = lines.join(selected)
     for word in (b"vt", b"vn", b"v"):
         if text.startswith(word):
-            # Numbers hold no v; in "vn" only the one after a v is removed, so "nan" stays.
-            text = text.replace(word, b"")
+            # Numbers hold no v; in "vn" only the one after a v is blanked, so "nan" stays.
+            text = text.replace(word, b" " * len(word))
             break
     try:
         numbers = parse_floats(text, int(counts.sum()))
@@ -181,20 +194,23 @@ def _vertex_table(
 
 @dataclass
 class _Sections:
-    """Where materials and objects begin, by line."""
+    """Where materials and objects begin, by line; `strange` if there is no OBJ statement."""
 
     libraries: list[str] = field(default_factory=list)
     material_lines: list[int] = field(default_factory=list)
     material_names: list[str] = field(default_factory=list)
     object_lines: list[int] = field(default_factory=list)
     object_names: list[str] = field(default_factory=list)
+    strange: bool = False
 
 
 def _sections(lines: Lines, kinds: NDArray[np.int8]) -> _Sections:
     sections = _Sections()
+    words = set()
     for index in np.flatnonzero(kinds == _STATEMENT).tolist():
         word, _, rest = lines.line(index).partition(b" ")
-        name = rest.strip().decode("utf-8", "replace")
+        words.add(word)
+        name = decoded(rest.strip())
         if word == b"usemtl":
             sections.material_lines.append(index)
             sections.material_names.append(name)
@@ -203,6 +219,7 @@ def _sections(lines: Lines, kinds: NDArray[np.int8]) -> _Sections:
             sections.object_names.append(name)
         elif word == b"mtllib":
             sections.libraries.append(name)
+    sections.strange = len(words) > 0 and not words & _KNOWN_WORDS
     return sections
 
 

@@ -140,7 +140,12 @@ def _corner_indices(
     path: Path, lines: Lines, is_face: NDArray[np.bool_], counts: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Parse ``v``, ``v/vt``, ``v//vn`` and ``v/vt/vn``; shape (C, 3), as written, 0: none."""
-    text = lines.join(is_face).replace(b"fo", b"f").replace(b"f", b" ")
+    text = lines.join(is_face)
+    if text.count(b"f") != len(counts):  # one elsewhere than at the beginning of a line
+        raise _bad_face(path, lines, is_face)
+    if b"fo" in text:
+        text = text.replace(b"fo", b"f ")
+    text = text.replace(b"f", b" ")
     if b"//" in text:
         text = text.replace(b"//", b"/0/")
     if b"/ " in text or b"/\n" in text:
@@ -149,9 +154,9 @@ def _corner_indices(
     filled = letters > 32
     begins = filled.copy()
     begins[1:] &= ~filled[:-1]
-    slashes = np.searchsorted(np.flatnonzero(letters == _SLASH), np.flatnonzero(begins))
-    slash_count = int(np.count_nonzero(letters == _SLASH))
-    widths = np.diff(slashes, append=slash_count) + 1
+    slashes = np.flatnonzero(letters == _SLASH)
+    slashes_before = np.searchsorted(slashes, np.flatnonzero(begins))
+    widths = np.diff(slashes_before, append=len(slashes)) + 1
     try:
         if len(widths) != int(counts.sum()) or (len(widths) and int(widths.max()) > 3):
             raise ValueError("too many parts")

@@ -42,7 +42,7 @@ def read_off(path: Path) -> Scene:
     Raises
     ------
     FileFormatError
-        If the file cannot be read, is not OFF, is truncated, or holds no triangles.
+        If the file cannot be read, is not OFF, or is truncated.
 
     Warns
     -----
@@ -64,8 +64,6 @@ def read_off(path: Path) -> Scene:
     face_rows = rows[vertex_count : vertex_count + face_count]
     vertices, normals, colors = _vertices(path, lines, vertex_rows, flags)
     faces = _faces(path, lines, face_rows)
-    if len(faces) == 0:
-        raise FileFormatError(path, "holds no triangles")
     faces = faces[faces_in_range(path, faces, vertex_count)]
     mesh = Mesh(vertices, faces, normals=normals, colors=colors)
     return Scene([mesh], name=path.name)

@@ -48,7 +48,8 @@ class IndexCheck:
         -------
         ndarray of shape (F,), bool
         """
-        good = np.logical_and.reduce((faces >= 0) & (faces < vertex_count), axis=1)
+        inside = (faces >= 0) & (faces < vertex_count)
+        good = inside[:, 0] & inside[:, 1] & inside[:, 2]
         self.triangle_count += len(faces)
         self.bad_count += len(faces) - int(np.count_nonzero(good))
         return good
@@ -78,7 +79,7 @@ def faces_in_range(path: Path, faces: NDArray[Any], vertex_count: int) -> NDArra
 
 
 def check_loaded(path: Path, scene: Scene) -> Scene:
-    """Refuse a scene without triangles, and warn about triangles that can never be hit.
+    """Warn about a scene without triangles, and about triangles that can never be hit.
 
     Parameters
     ----------
@@ -91,14 +92,9 @@ def check_loaded(path: Path, scene: Scene) -> Scene:
     -------
     Scene
         The same scene.
-
-    Raises
-    ------
-    FileFormatError
-        If it holds no triangles.
     """
     if scene.triangle_count == 0:
-        raise FileFormatError(path, "holds no triangles")
+        warn_partial(path, "holds no triangles")
     triangles = scene.triangles
     parts = []
     if triangles.degenerate_count:

@@ -15,6 +15,7 @@ from raystream.scene.io.partial import faces_in_range
 from raystream.scene.io.ply_layout import Element, read_header
 from raystream.scene.io.ply_values import Values, read_values
 from raystream.scene.io.polygons import fan_corners
+from raystream.scene.io.text import BYTE_ORDER_MARK
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
@@ -43,14 +44,14 @@ def read_ply(path: Path) -> Scene:
     Raises
     ------
     FileFormatError
-        If the file cannot be read, is not PLY, is truncated, or holds no triangles.
+        If the file cannot be read, is not PLY, or is truncated.
 
     Warns
     -----
     RaystreamWarning
         For triangles that had to be left out.
     """
-    content = read_model_bytes(path)
+    content = read_model_bytes(path).removeprefix(BYTE_ORDER_MARK)
     encoding, elements, start = read_header(path, content)
     found = read_values(path, content, encoding, elements, start)
     vertex = found.get("vertex", Values())
@@ -59,9 +60,7 @@ def read_ply(path: Path) -> Scene:
     vertices = _stacked(vertex, ("x", "y", "z"))
     if vertices.dtype.kind != "f" or vertices.dtype.itemsize > 4:
         vertices = _narrowed(vertices, elements)
-    faces = np.concatenate([_faces(found), _strips(found)])
-    if len(faces) == 0:
-        raise FileFormatError(path, "holds no triangles (a point cloud cannot be traced)")
+    faces = np.concatenate([_faces(path, found), _strips(found)])
     faces = faces[faces_in_range(path, faces, len(vertices))]
     mesh = Mesh(
         vertices,
@@ -129,13 +128,15 @@ def _indices(values: NDArray[Any]) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def _faces(found: dict[str, Values]) -> NDArray[np.int64]:
+def _faces(path: Path, found: dict[str, Values]) -> NDArray[np.int64]:
     lists = found.get("face", Values()).lists
     for name in _INDEX_NAMES:
         if name in lists:
             counts, values = lists[name]
             corners, _ = fan_corners(counts, np.cumsum(counts) - counts)
             return _indices(values)[corners]
+    if lists:
+        raise FileFormatError(path, f"its faces have no list {_INDEX_NAMES[0]}")
     return np.empty((0, 3), np.int64)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -32,6 +33,8 @@ _TYPES = {
 }
 
 _MAX_HEADER_BYTES = 1 << 20
+
+_LAST_LINE = re.compile(rb"(?<=[\r\n])[ \t]*end_header[ \t]*(\r\n|\r|\n|\Z)")
 
 
 @dataclass(frozen=True)
@@ -70,15 +73,14 @@ def read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
     """
     if content[:3] != b"ply" or content[3:4] not in (b"\n", b"\r", b" "):
         raise FileFormatError(path, "is not a PLY file: it does not begin with a line 'ply'")
-    marker = content.find(b"end_header", 0, _MAX_HEADER_BYTES)
-    if marker < 0:
+    last = _LAST_LINE.search(content, 0, _MAX_HEADER_BYTES)
+    if last is None:
         raise FileFormatError(path, "is truncated: the PLY header has no end_header")
-    start = marker + len(b"end_header")
-    while content[start : start + 1] in (b" ", b"\t"):
-        start += 1
-    start += 2 if content[start : start + 2] == b"\r\n" else 1
+    # After a lone CR a line feed is a value: all lines of a header end alike.
+    only_cr = last[1] == b"\r\n" and b"\n" not in content[: last.start(1)]
+    start = last.end() - only_cr
     encoding, elements = "", []
-    for line in content[3:marker].replace(b"\r", b"\n").split(b"\n"):
+    for line in re.split(rb"[\r\n]", content[3 : last.start()]):
         words = line.decode("latin-1").split()
         if not words or words[0] in ("comment", "obj_info"):
             continue

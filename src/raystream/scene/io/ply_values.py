@@ -23,7 +23,7 @@ class Values:
     Attributes
     ----------
     scalars : dict of str to ndarray of shape (count,)
-        By property; none of an element whose lists differ in length.
+        By property.
     lists : dict of str to (counts, values)
         The length of each row's list, and all lists one after another.
     """
@@ -68,8 +68,16 @@ def read_values(
                 raise _truncated(path, element)
             found[element.name] = reader.read(element)
         else:
-            found[element.name] = Values()
+            found[element.name] = _no_values(element)
     return found
+
+
+def _no_values(element: Element) -> Values:
+    none, no_counts = np.empty(0), np.empty(0, np.int64)
+    return Values(
+        {prop.name: none for prop in element.properties if not prop.count_type},
+        {prop.name: (no_counts, none) for prop in element.properties if prop.count_type},
+    )
 
 
 def _truncated(path: Path, element: Element) -> FileFormatError:
@@ -123,8 +131,11 @@ class _Text:
 
     def _walk(self, element: Element) -> Values:
         numbers, position, limit = self.numbers, self.position, len(self.numbers)
-        rows: dict[str, tuple[list[int], list[NDArray[Any]]]] = {
+        lists: dict[str, tuple[list[int], list[NDArray[Any]]]] = {
             prop.name: ([], []) for prop in element.properties if prop.count_type
+        }
+        places: dict[str, list[int]] = {
+            prop.name: [] for prop in element.properties if not prop.count_type
         }
         for _ in range(element.count):
             for prop in element.properties:
@@ -132,18 +143,21 @@ class _Text:
                     raise _truncated(self.path, element)
                 if prop.count_type:
                     count = _list_count(self.path, numbers[position], limit)
-                    rows[prop.name][0].append(count)
-                    rows[prop.name][1].append(numbers[position + 1 : position + 1 + count])
+                    lists[prop.name][0].append(count)
+                    lists[prop.name][1].append(numbers[position + 1 : position + 1 + count])
                     position += count
+                else:
+                    places[prop.name].append(position)
                 position += 1
         if position > limit:
             raise _truncated(self.path, element)
         self.position = position
         return Values(
-            lists={
+            {name: numbers[found] for name, found in places.items()},
+            {
                 name: (np.asarray(counts, np.int64), np.concatenate(parts))
-                for name, (counts, parts) in rows.items()
-            }
+                for name, (counts, parts) in lists.items()
+            },
         )
 
 
@@ -229,11 +243,12 @@ class _Binary:
             for p in element.properties
         ]
         rows: dict[str, tuple[list[int], list[int]]] = {
-            p.name: ([], []) for p in element.properties if p.count_type
+            p.name: ([], []) for p in element.properties
         }
         for _ in range(element.count):
             for count_size, signed, value_size, name in layout:
                 if count_size == 0:
+                    rows[name][1].append(position)
                     position += value_size
                     continue
                 raw = content[position : position + count_size]
@@ -248,9 +263,12 @@ class _Binary:
         self.position = position
         values = Values()
         for prop in element.properties:
+            counts, starts = (np.asarray(column, np.int64) for column in rows[prop.name])
             if prop.count_type:
-                counts, starts = (np.asarray(column, np.int64) for column in rows[prop.name])
                 values.lists[prop.name] = (counts, self._gather(counts, starts, prop.value_type))
+            else:
+                once = np.ones(len(starts), np.int64)
+                values.scalars[prop.name] = self._gather(once, starts, prop.value_type)
         return values
 
     def _gather(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.io.files import read_model_bytes
-from raystream.scene.io.text import parse_floats
+from raystream.scene.io.text import BYTE_ORDER_MARK, parse_floats, plain_text
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
@@ -18,6 +19,9 @@ __all__ = ["read_stl"]
 
 _HEADER_BYTES = 84
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+#: A solid's name may be any words, such as "vertex".
+_NAMES = re.compile(rb"^ *(end)?solid\b[^\n]*?(?=facet +normal|$)", re.MULTILINE)
 
 
 def read_stl(path: Path) -> Scene:
@@ -38,14 +42,12 @@ def read_stl(path: Path) -> Scene:
     Raises
     ------
     FileFormatError
-        If the file cannot be read, is not STL, is truncated, or holds no triangles.
+        If the file cannot be read, is not STL, or is truncated.
     """
     content = read_model_bytes(path)
     corners = (
         _binary_corners(path, content) if _is_binary(content) else _text_corners(path, content)
     )
-    if len(corners) == 0:
-        raise FileFormatError(path, "holds no triangles")
     faces = np.arange(len(corners) * 3, dtype=np.int64).reshape(-1, 3)
     return Scene([Mesh(corners.reshape(-1, 3), faces)], name=path.name)
 
@@ -54,7 +56,7 @@ def _is_binary(content: bytes) -> bool:
     """Decide by size: some binary files begin with "solid", as text must."""
     if len(content) >= _HEADER_BYTES and len(content) == _promised_bytes(content):
         return True
-    head = content[:4096].lower()
+    head = content[:4096].removeprefix(BYTE_ORDER_MARK).lower()
     return not (head.lstrip().startswith(b"solid") and b"\0" not in head)
 
 
@@ -73,13 +75,18 @@ def _binary_corners(path: Path, content: bytes) -> NDArray[Any]:
             f"is truncated or not STL: {count:,} triangles need {promised:,} bytes, "
             f"it has {len(content):,}",
         )
+    if count == 0 and len(content) >= _HEADER_BYTES + _FACET.itemsize:
+        raise FileFormatError(path, "is damaged: it promises no triangles, and goes on")
     facets = np.frombuffer(content, _FACET, count, _HEADER_BYTES)
     return facets["corners"].astype(np.float32)
 
 
 def _text_corners(path: Path, content: bytes) -> NDArray[Any]:
-    words = content.lower().split()
+    text = plain_text(content).lower()
+    words = _NAMES.sub(b"", text).split()
     places = [i for i, word in enumerate(words) if word == b"vertex"]
+    if not places and b"endsolid" not in text:
+        raise FileFormatError(path, "is truncated: it ends before its first triangle")
     if len(places) % 3:
         raise FileFormatError(path, f"is truncated: {len(places):,} corners are not triangles")
     if places and places[-1] + 3 >= len(words):

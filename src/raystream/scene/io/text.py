@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import codecs
 import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lines", "parse_floats", "parse_integers", "plain_text", "shown"]
+__all__ = [
+    "BYTE_ORDER_MARK",
+    "Lines",
+    "decoded",
+    "parse_floats",
+    "parse_integers",
+    "plain_text",
+    "shown",
+]
+
+#: What some editors put before UTF-8 text.
+BYTE_ORDER_MARK = codecs.BOM_UTF8
 
 #: Control characters count as spaces, except for line feeds.
 _PLAIN = bytes(10 if c == 10 else 32 if c < 32 or c == 127 else c for c in range(256))
@@ -17,14 +29,23 @@ _PLAIN = bytes(10 if c == 10 else 32 if c < 32 or c == 127 else c for c in range
 def plain_text(content: bytes) -> bytes:
     r"""Make every line end in ``\n`` and every other control character a space.
 
-    Line ends may be CR LF, LF or CR; a byte order mark is removed.
+    Line ends may be CR LF, LF or CR. A byte order mark is removed; one of UTF-16 is obeyed.
     """
-    content = content.removeprefix(b"\xef\xbb\xbf")
+    if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        content = content.decode("utf-16", "replace").encode()
+    content = content.removeprefix(BYTE_ORDER_MARK)
     if b"\r" in content:
-        lone = b"\n" not in content
-        content = content.replace(b"\r", b"\n") if lone else content.replace(b"\r\n", b"\n")
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     content = content.translate(_PLAIN)
     return content if content.endswith(b"\n") else content + b"\n"
+
+
+def decoded(name: bytes) -> str:
+    """Read a name: UTF-8, else Latin-1, so that different names stay different."""
+    try:
+        return name.decode()
+    except UnicodeDecodeError:
+        return name.decode("latin-1")
 
 
 def shown(text: bytes) -> str:
@@ -90,8 +111,9 @@ class Lines:
         splits = np.searchsorted(words, self.ends)
         first_word = np.concatenate([[0], splits[:-1]])
         self.word_counts = np.diff(splits, prepend=0)
-        words = np.append(words, len(text))
-        self.starts = np.minimum(words[first_word], self.ends)
+        begun = self.word_counts > 0
+        self.starts = self.ends.copy()
+        self.starts[begun] = words[first_word[begun]]
 
     def __len__(self) -> int:
         return len(self.ends)

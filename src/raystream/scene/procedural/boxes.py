@@ -11,7 +11,7 @@ from raystream.scene.mesh import Mesh
 from raystream.scene.procedural.layout import floor_cells
 from raystream.scene.procedural.parts import Part, instance, merge, to_mesh, yaw
 from raystream.scene.procedural.shapes import boxes as plain_boxes
-from raystream.scene.procedural.shapes import patch, rounded_box
+from raystream.scene.procedural.shapes import patch, room, rounded_box
 from raystream.scene.procedural.size import check_triangles
 from raystream.scene.scene import Scene
 
@@ -96,14 +96,10 @@ def boxes(triangles: int = DEFAULT_TRIANGLES) -> Scene:
 
 def _room() -> list[Mesh]:
     low, high = np.asarray(ROOM)
-    room = plain_boxes([low], [high], WALL).flipped()
-    ids = room.material_ids.copy()
-    ids[[4, 5]] = FLOOR
     y = high[1] - 0.01  # just below the ceiling
     corners = [(-2.0, y, 1.5), (2.0, y, 1.5), (2.0, y, 5.5), (-2.0, y, 5.5)]
     lamp = patch(corners).painted(LAMP)
-    room = Part(room.vertices, room.faces, ids)
-    return [to_mesh(room, "room"), to_mesh(lamp, "lamp")]
+    return [to_mesh(room(low, high, WALL, FLOOR), "room"), to_mesh(lamp, "lamp")]
 
 
 def _skyline(count: int, generator: np.random.Generator) -> Part:
@@ -127,7 +123,7 @@ def _skyline(count: int, generator: np.random.Generator) -> Part:
 
 
 def _rounded(divisions: int, count: int, generator: np.random.Generator) -> Part:
-    """Rounded boxes on the clearing's floor, a quarter of them of each of three shapes."""
+    """Rounded boxes on the clearing's floor, about a third of them of each of three shapes."""
     edge = CLEARING - 0.2
     spots, spacing = floor_cells(count, (-edge, -edge), (edge, edge), generator, 0.1)
     shapes = (

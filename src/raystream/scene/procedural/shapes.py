@@ -14,6 +14,7 @@ __all__ = [
     "grid",
     "lathe",
     "patch",
+    "room",
     "rounded_box",
     "sphere",
     "vertex_normals",
@@ -56,6 +57,22 @@ def boxes(lows: ArrayLike, highs: ArrayLike, material_ids: ArrayLike = 0) -> Par
     faces = BOX_FACES[None] + 8 * np.arange(count, dtype=np.int32)[:, None, None]
     ids = np.repeat(np.broadcast_to(np.asarray(material_ids, np.int32), count), 12)
     return Part(vertices.reshape(-1, 3), faces.reshape(-1, 3), ids)
+
+
+def room(low: ArrayLike, high: ArrayLike, wall: int, floor: int) -> Part:
+    """Make a box seen from within: 12 triangles, closed.
+
+    Parameters
+    ----------
+    low, high : array_like of shape (3,), float
+        Opposite corners.
+    wall, floor : int
+        Material of the walls and the ceiling, and of the floor.
+    """
+    inside = boxes(np.asarray(low)[None], np.asarray(high)[None], wall).flipped()
+    ids = inside.material_ids.copy()
+    ids[[4, 5]] = floor
+    return Part(inside.vertices, inside.faces, ids)
 
 
 def box(divisions: tuple[int, int, int] = (1, 1, 1)) -> Part:

@@ -11,7 +11,7 @@ from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.procedural.layout import floor_cells
 from raystream.scene.procedural.parts import Part, instance, to_mesh, yaw
-from raystream.scene.procedural.shapes import box, boxes, sphere
+from raystream.scene.procedural.shapes import box, room, sphere
 from raystream.scene.procedural.size import check_triangles
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
@@ -129,12 +129,9 @@ def _tiles() -> Texture:
 
 def _room_mesh() -> Mesh:
     low, high = np.asarray(ROOM)
-    room = boxes([low], [high], WALL).flipped()
-    ids = room.material_ids.copy()
-    ids[[4, 5]] = FLOOR
-    room = Part(room.vertices, room.faces, ids)
-    texcoords = ((room.vertices - low) / (high - low))[:, [0, 2]]
-    return to_mesh(room, "room", texcoords=texcoords.astype(np.float32))
+    inside = room(low, high, WALL, FLOOR)
+    texcoords = ((inside.vertices - low) / (high - low))[:, [0, 2]]
+    return to_mesh(inside, "room", texcoords=texcoords.astype(np.float32))
 
 
 def _cubes(spots: NDArray[np.float64], spacing: float, generator: np.random.Generator) -> Part:
