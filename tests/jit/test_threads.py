@@ -69,6 +69,33 @@ def test_an_error_stops_the_loop_and_is_raised(count):
     assert len(calls) < 1000
 
 
+@pytest.mark.parametrize("where", ["in the calling thread", "in a pool thread"])
+def test_a_loop_inside_stops_with_the_loop_around_it(where):
+    """Else an interrupted picture would trace its other bands to the end."""
+    set_thread_count(2)
+    calling = threading.current_thread()
+    inside = threading.Event()
+    done = []
+
+    def body(begin, end):
+        if end and (threading.current_thread() is calling) == (where == "in the calling thread"):
+            inside.wait(20)
+            raise ArithmeticError("stop")
+        if end:
+            parallel_for(long_body, 10_000, 1)
+
+    def long_body(begin, end):
+        inside.set()
+        done.append(begin)
+        time.sleep(0.002)
+
+    started = time.perf_counter()
+    with pytest.raises(ArithmeticError):
+        parallel_for(body, 2, 1)
+    assert time.perf_counter() - started < 10
+    assert len(done) < 5000
+
+
 def test_progress_comes_from_the_calling_thread_and_ends_at_the_whole():
     set_thread_count(2)
     seen = []

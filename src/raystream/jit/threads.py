@@ -98,6 +98,7 @@ def parallel_for(
     The calling thread works too, so that a small loop needs no hand-over, and Ctrl-C is
     noticed between two of its chunks: the other threads then finish the chunk they are in,
     and KeyboardInterrupt is raised. An exception in any chunk stops the loop likewise.
+    A loop inside `body` stops with the loop around it.
 
     Parameters
     ----------
@@ -119,20 +120,25 @@ def parallel_for(
         return
     begins = itertools.count(0, chunk)  # next() is atomic under the interpreter lock
     finished = itertools.count(1)
-    state = _LoopState()
+    state = _LoopState(getattr(_current, "loop", None))
     thread_total = min(thread_count(), -(-count // chunk))
 
     def work(report: Progress | None) -> None:
         shown = time.monotonic()
-        while not state.stop:
-            begin = next(begins)
-            if begin >= count:
-                return
-            body(begin, min(begin + chunk, count))
-            state.chunks_done = next(finished)
-            if report and time.monotonic() - shown >= PROGRESS_INTERVAL:
-                shown = time.monotonic()
-                report(min(state.chunks_done * chunk, count), count)
+        around = getattr(_current, "loop", None)
+        _current.loop = state
+        try:
+            while not state.is_stopped():
+                begin = next(begins)
+                if begin >= count:
+                    return
+                body(begin, min(begin + chunk, count))
+                state.chunks_done = next(finished)
+                if report and time.monotonic() - shown >= PROGRESS_INTERVAL:
+                    shown = time.monotonic()
+                    report(min(state.chunks_done * chunk, count), count)
+        finally:
+            _current.loop = around
 
     def work_in_pool() -> None:
         try:
@@ -152,21 +158,39 @@ def parallel_for(
         # behind other loops.
         others = [other for other in others if not other.cancel()]
         _wait(others, lambda: state.chunks_done * chunk, count, progress)
-    except BaseException:
+        if state.is_stopped():  # by the loop around: its exception is on its way
+            raise _StoppedError
+    except BaseException as error:
         state.stop = True
         for other in others:
             other.cancel()
-        for other in others:
-            if not other.cancelled():
-                other.exception()
+        errors = [other.exception() for other in others if not other.cancelled()]
+        if isinstance(error, _StoppedError):  # what stopped it, if that was in this loop
+            for cause in errors:
+                if cause is not None and not isinstance(cause, _StoppedError):
+                    raise cause from None
         raise
     if progress:
         progress(count, count)
 
 
+#: The loop whose body runs on this thread.
+_current = threading.local()
+
+
+class _StoppedError(Exception):
+    """Ends the body of a loop that was stopped; never leaves the outermost loop."""
+
+
 class _LoopState:
-    stop = False
-    chunks_done = 0
+    def __init__(self, around: _LoopState | None) -> None:
+        self.stop = False
+        self.chunks_done = 0
+        self._around = around
+
+    def is_stopped(self) -> bool:
+        """Whether this loop, or one around it, is to end."""
+        return self.stop or (self._around is not None and self._around.is_stopped())
 
 
 def _wait(
