@@ -183,3 +183,12 @@ def test_disk_that_fills_up_leaves_the_old_picture(run, tmp_path, monkeypatch):
     result = run("render", "cornell", "--size", "8x8")
     assert result.complaint == "out.png: No space left on device"
     assert (tmp_path / "out.png").read_bytes() == b"the old one"
+
+
+def test_a_model_without_a_camera_fits_a_picture_of_any_shape(run, square):
+    for size in ("80x240", "240x80"):
+        assert run("render", square, "-o", "fit.png", "--size", size, "--mode", "vis").code == 0
+        seen = pixels("fit.png").any(axis=2)
+        assert seen.any()
+        assert not seen[[0, -1]].any()
+        assert not seen[:, [0, -1]].any()

@@ -70,7 +70,7 @@ def render(
     watch = Stopwatch()
     with Bars() as bars:
         tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)
-        view = tracer.scene.camera
+        view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
             view = dataclasses.replace(view, **parts)
         with watch.measure("trace"), bars.step("rendering") as progress:

@@ -14,8 +14,8 @@ __all__ = ["spawn_origins"]
 _UNIT = 2.0**-24  # half a step of float32, relative
 
 #: Rounding in the triangle test acts as if each vertex moved by at most about 6 units of the
-#: vertices' distance from the origin, which is near the triangle; doubled for the two
-#: products of an edge, and a margin of a third.
+#: vertices' distance from the origin, which is near the triangle (the weights that follow
+#: are float64); more than doubled as a margin.
 _EXTENT_UNITS = 16.0
 
 #: Rounding of the origin's three coordinates to float32: at most 1 unit each.

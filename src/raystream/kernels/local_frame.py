@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, device_call, kernel
 
-__all__ = ["FAR", "RAY_INVALID", "RAY_VALID", "SceneFrame", "TScale", "to_local_rays", "to_world_t"]
+__all__ = ["FAR", "SceneFrame", "TScale", "to_local_rays", "to_world_t"]
 
-#: Values of a ray's status; `core.rays.RayStatus` gives them names.
-RAY_VALID = np.uint8(0)
-RAY_INVALID = np.uint8(1)
+_VALID = np.uint8(RayStatus.VALID)
+_INVALID = np.uint8(RayStatus.INVALID)
 
 #: Origins further outside the scene's box than this many times its largest coordinate are
 #: advanced: nearer ones lose at most three bits of float32 to the distance.
@@ -186,14 +186,14 @@ def to_local_rays(begin, end, origins, directions, t_min, t_max, frame, rays, t_
     t_scale : TScale
         Written.
     status : ndarray of shape (N,), uint8
-        Written: RAY_VALID or RAY_INVALID.
+        Written: a `RayStatus`.
     """
     origin = np.empty(3, np.float64)
     direction = np.empty(3, np.float64)
     for i in range(np.uint64(begin), np.uint64(end)):
-        status[i] = RAY_VALID
+        status[i] = _VALID
         if not _is_valid(origins[i], directions[i], t_min[i], t_max[i]):
-            status[i] = RAY_INVALID
+            status[i] = _INVALID
             _set_to_miss(rays, t_scale, i)
             continue
 

@@ -146,9 +146,7 @@ def _trace_bands(
 
 def _make_frame(tracer: Tracer, camera: Camera | None, film: Film) -> Frame:
     scene = tracer.scene
-    if camera is None:
-        aspect = film.width / film.height
-        camera = scene.camera if scene.has_own_camera else scene.framing_camera(aspect)
+    camera = camera or scene.camera_for(film.width / film.height)
     patches = area_patches(scene)
     lights = classic_lights(scene, camera, patches)
     looks = Looks(scene.materials)

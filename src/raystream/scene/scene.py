@@ -144,8 +144,8 @@ class Scene:
 
     @property
     def camera(self) -> Camera:
-        """The scene's own camera, else one that frames its bounds."""
-        return self._camera or self.framing_camera()
+        """The scene's own camera, else one that frames its bounds in a picture of 4:3."""
+        return self.camera_for(4.0 / 3.0)
 
     @camera.setter
     def camera(self, camera: Camera) -> None:
@@ -156,8 +156,16 @@ class Scene:
         """Whether the camera was given, and does not just frame the bounds."""
         return self._camera is not None
 
-    def framing_camera(self, aspect: float = 4.0 / 3.0) -> Camera:
-        """A camera that shows the whole scene in a picture of this width over height."""
+    def camera_for(self, aspect: float) -> Camera:
+        """The scene's own camera, else one that frames its bounds in such a picture.
+
+        Parameters
+        ----------
+        aspect : float
+            Width of the picture over its height.
+        """
+        if self._camera is not None:
+            return self._camera
         low, high = self.bounds
         return Camera.framing(low, high, up=self.up, aspect=aspect)
 
