@@ -42,4 +42,5 @@ def device(function: Function) -> Function:
 
 def device_call(function: Function) -> Function:
     """Compile a function that kernels call without inlining it: for rare, long branches."""
-    return numba.njit(**_FLAGS)(function)
+    # Said, because a function that does not say takes the flag of the one that calls it.
+    return numba.njit(forceinline=False, **_FLAGS)(function)

@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-__all__ = ["fma"]
+__all__ = ["fma", "stay_out_of_line"]
 
 
 @intrinsic
@@ -24,3 +24,18 @@ def fma(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
         return builder.call(function, arguments)
 
     return signature, generate
+
+
+@intrinsic
+def stay_out_of_line(typing_context: Any) -> Any:
+    """As the first statement of a function: LLVM must call it and never copy it into a caller.
+
+    For long functions that are rarely needed in loops: copies of them cost compile time, and
+    registers of the loop.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), generate

@@ -1,0 +1,104 @@
+"""Vectors for kernels: a few lanes in one register, with ordinary operators.
+
+Inside a kernel::
+
+    a = load(f32x8, address(array))  # eight numbers from memory
+    b = fma(a, f32x8(half), a) * a  # arithmetic, lane by lane
+    near = a < b  # a mask: one bit per lane
+    if any_lane(near):
+        store(address(out), select(near, a, b))
+
+Vector types are `f32x4`, `f32x8`, `f32x16` and likewise ``f64``, ``i32`` and ``i64``; masks are
+`mask4`, `mask8` and `mask16`. Everything becomes generic LLVM vector instructions: a type that
+is wider than the machine's registers is split by the compiler, so kernels run on SSE, AVX2,
+AVX-512 and NEON alike, with the same bits. No operation here is inexact, fused or reordered
+unless it is said: there are no fast-math flags.
+"""
+
+from raystream.jit.simd.arithmetic import absolute, copy_sign, fma, maximum, minimum
+from raystream.jit.simd.convert import narrow, widen
+from raystream.jit.simd.lanes import (
+    all_lanes,
+    any_lane,
+    bits_as_float,
+    compress,
+    count_bits,
+    first_bit,
+    float_as_bits,
+    lane,
+    lane_bits,
+    lanes_from_bits,
+    permutation,
+    permute,
+    reduce_max,
+    reduce_min,
+    select,
+)
+from raystream.jit.simd.memory import address, load, prefetch, scratch, store
+from raystream.jit.simd.triples import load_triples, store_past_cache
+from raystream.jit.simd.types import (
+    VectorType,
+    f32x4,
+    f32x8,
+    f32x16,
+    f64x4,
+    f64x8,
+    f64x16,
+    i32x4,
+    i32x8,
+    i32x16,
+    i64x4,
+    i64x8,
+    i64x16,
+    mask4,
+    mask8,
+    mask16,
+)
+
+__all__ = [
+    "VectorType",
+    "absolute",
+    "address",
+    "all_lanes",
+    "any_lane",
+    "bits_as_float",
+    "compress",
+    "copy_sign",
+    "count_bits",
+    "f32x4",
+    "f32x8",
+    "f32x16",
+    "f64x4",
+    "f64x8",
+    "f64x16",
+    "first_bit",
+    "float_as_bits",
+    "fma",
+    "i32x4",
+    "i32x8",
+    "i32x16",
+    "i64x4",
+    "i64x8",
+    "i64x16",
+    "lane",
+    "lane_bits",
+    "lanes_from_bits",
+    "load",
+    "load_triples",
+    "mask4",
+    "mask8",
+    "mask16",
+    "maximum",
+    "minimum",
+    "narrow",
+    "permutation",
+    "permute",
+    "prefetch",
+    "reduce_max",
+    "reduce_min",
+    "scratch",
+    "select",
+    "store",
+    "store_past_cache",
+    "widen",
+]

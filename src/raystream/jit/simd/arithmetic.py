@@ -1,0 +1,273 @@
+"""Operators on vectors, and the few functions that belong with them."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core.errors import TypingError
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin
+
+from raystream.jit.simd.types import (
+    VectorType,
+    broadcast,
+    constant,
+    llvm_type,
+    mask_of,
+    refuse,
+    vector_type,
+)
+
+__all__ = [
+    "absolute",
+    "as_vectors",
+    "call_intrinsic",
+    "common",
+    "copy_sign",
+    "fma",
+    "maximum",
+    "minimum",
+]
+
+_FLOATS = ("f32", "f64")
+_INTEGERS = ("i32", "i64")
+_NUMBERS = (*_FLOATS, *_INTEGERS)
+
+
+def _operand(value: Any, vector: VectorType) -> bool:
+    """Whether a value goes with a vector: of the same type, or a number of its lanes' type.
+
+    A number of another type is refused, so that no float64 slips into float32 arithmetic;
+    integer literals are taken if they fit, with or without a sign.
+    """
+    if value == vector:
+        return True
+    if vector.kind in _INTEGERS and isinstance(value, types.IntegerLiteral):
+        bits = int(vector.kind[1:])
+        return bool(-(2 ** (bits - 1)) <= value.literal_value < 2**bits)
+    return bool(value == vector.element)
+
+
+def common(*args: Any) -> VectorType | None:
+    """The vector type that operands share; None if they do not go together."""
+    vector = next((type_ for type_ in args if isinstance(type_, VectorType)), None)
+    return vector if vector and all(_operand(type_, vector) for type_ in args) else None
+
+
+def as_vectors(
+    context: Any, builder: Any, vector: VectorType, types_: Any, values: Any
+) -> list[Any]:
+    """Operands as LLVM vectors."""
+    return [
+        value
+        if type_ == vector
+        else broadcast(
+            builder, context.cast(builder, value, type_, vector.element), vector.lane_count
+        )
+        for type_, value in zip(types_, values, strict=True)
+    ]
+
+
+def _binary(
+    function: Any,
+    kinds: tuple[str, ...],
+    generate: Callable[[Any, VectorType, Any, Any], Any],
+    gives_mask: bool = False,
+) -> None:
+    """Define an operator for vectors of some kinds."""
+
+    class Template(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            if len(args) != 2 or not any(isinstance(type_, VectorType) for type_ in args):
+                return None
+            vector = common(*args)
+            if vector is None:
+                raise TypingError(
+                    f"{function.__name__} of {args[0]} and {args[1]}: a vector goes with its own "
+                    "type and with numbers of its lanes' type, such as float32(x)"
+                )
+            if vector.kind not in kinds:
+                raise TypingError(f"{vector} has no {function.__name__}")
+            return signature(mask_of(vector) if gives_mask else vector, *args)
+
+    infer_global(function)(Template)
+
+    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector = common(*signature.args)
+        if vector is None:
+            raise TypeError("no vector operand")
+        x, y = as_vectors(context, builder, vector, signature.args, arguments)
+        return generate(builder, vector, x, y)
+
+    lower_builtin(function, VectorType, VectorType)(lower)
+    for number in (types.Number, types.Boolean):
+        lower_builtin(function, VectorType, number)(lower)
+        lower_builtin(function, number, VectorType)(lower)
+
+
+def _by_kind(float_name: str, integer_name: str) -> Callable[[Any, VectorType, Any, Any], Any]:
+    def generate(builder: Any, vector: VectorType, x: Any, y: Any) -> Any:
+        return getattr(builder, float_name if vector.is_float else integer_name)(x, y)
+
+    return generate
+
+
+def _integer(name: str) -> Callable[[Any, VectorType, Any, Any], Any]:
+    return lambda builder, vector, x, y: getattr(builder, name)(x, y)
+
+
+def _comparison(sign: str) -> Callable[[Any, VectorType, Any, Any], Any]:
+    def generate(builder: Any, vector: VectorType, x: Any, y: Any) -> Any:
+        if not vector.is_float:
+            return builder.icmp_signed(sign, x, y)
+        # As in Python, a comparison with NaN is false, except that NaN != anything.
+        if sign == "!=":
+            return builder.fcmp_unordered(sign, x, y)
+        return builder.fcmp_ordered(sign, x, y)
+
+    return generate
+
+
+for _functions, _kinds, _generate in (
+    ((operator.add, operator.iadd), _NUMBERS, _by_kind("fadd", "add")),
+    ((operator.sub, operator.isub), _NUMBERS, _by_kind("fsub", "sub")),
+    ((operator.mul, operator.imul), _NUMBERS, _by_kind("fmul", "mul")),
+    ((operator.truediv, operator.itruediv), _FLOATS, _by_kind("fdiv", "fdiv")),
+    ((operator.and_, operator.iand), (*_INTEGERS, "mask"), _integer("and_")),
+    ((operator.or_, operator.ior), (*_INTEGERS, "mask"), _integer("or_")),
+    ((operator.xor, operator.ixor), (*_INTEGERS, "mask"), _integer("xor")),
+    ((operator.lshift, operator.ilshift), _INTEGERS, _integer("shl")),
+    ((operator.rshift, operator.irshift), _INTEGERS, _integer("ashr")),
+):
+    for _function in _functions:
+        _binary(_function, _kinds, _generate)
+for _function, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+    (operator.ne, "!="),
+):
+    _binary(_function, _NUMBERS, _comparison(_sign), gives_mask=True)
+
+
+def _unary(
+    function: Any, kinds: tuple[str, ...], generate: Callable[[Any, VectorType, Any], Any]
+) -> None:
+    """Define an operator of one vector of some kinds."""
+
+    class Template(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            if len(args) != 1 or not isinstance(args[0], VectorType):
+                return None
+            if args[0].kind not in kinds:
+                raise TypingError(f"{args[0]} has no {function.__name__}")
+            return signature(args[0], args[0])
+
+    infer_global(function)(Template)
+
+    @lower_builtin(function, VectorType)
+    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return generate(builder, signature.args[0], arguments[0])
+
+
+def _negate(builder: Any, vector: VectorType, x: Any) -> Any:
+    return builder.fneg(x) if vector.is_float else builder.neg(x)
+
+
+_unary(operator.neg, _NUMBERS, _negate)
+_unary(operator.invert, (*_INTEGERS, "mask"), lambda builder, vector, x: builder.not_(x))
+
+
+def call_intrinsic(builder: Any, name: str, returns: Any, arguments: Any) -> Any:
+    """Call an LLVM intrinsic; a name that LLVM does not know crashes the process."""
+    function = builder.module.globals.get(name)
+    if function is None:
+        kind = ir.FunctionType(returns, [argument.type for argument in arguments])
+        function = ir.Function(builder.module, kind, name)
+    return builder.call(function, arguments)
+
+
+def _llvm_name(base: str, vector: VectorType) -> str:
+    return f"llvm.{base}.v{vector.lane_count}{vector.kind}"
+
+
+@intrinsic
+def fma(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
+    """``x * y + z`` of float vectors or float32 numbers, rounded once (IEEE 754)."""
+    given = (x, y, z)
+    if all(type_ == types.float32 for type_ in given):
+
+        def generate_scalar(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return call_intrinsic(builder, "llvm.fma.f32", ir.FloatType(), arguments)
+
+        return types.float32(*given), generate_scalar
+    vector = common(*given)
+    if vector is None or not vector.is_float:
+        refuse("fma", "float vectors of one type and numbers of its lanes' type", *given)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        values = as_vectors(context, builder, vector, signature.args, arguments)
+        return call_intrinsic(builder, _llvm_name("fma", vector), llvm_type(vector), values)
+
+    return vector(*given), generate
+
+
+def _choose(name: str, sign: str, x: Any, y: Any) -> Any:
+    vector = common(x, y)
+    if vector is None or vector.kind == "mask":
+        refuse(name, "vectors of one type, or one and a number of its lanes' type", x, y)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b = as_vectors(context, builder, vector, signature.args, arguments)
+        compare = builder.fcmp_ordered if vector.is_float else builder.icmp_signed
+        return builder.select(compare(sign, a, b), a, b)
+
+    return vector(x, y), generate
+
+
+@intrinsic
+def minimum(typing_context: Any, x: Any, y: Any) -> Any:
+    """``x if x < y else y``, lane by lane: y where either is NaN; one instruction on x86."""
+    return _choose("minimum", "<", x, y)
+
+
+@intrinsic
+def maximum(typing_context: Any, x: Any, y: Any) -> Any:
+    """``x if x > y else y``, lane by lane: y where either is NaN; one instruction on x86."""
+    return _choose("maximum", ">", x, y)
+
+
+@intrinsic
+def absolute(typing_context: Any, x: Any) -> Any:
+    """Magnitude of a float vector's lanes."""
+    if not isinstance(x, VectorType) or not x.is_float:
+        refuse("absolute", "a float vector", x)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return call_intrinsic(builder, _llvm_name("fabs", x), llvm_type(x), arguments)
+
+    return x(x), generate
+
+
+@intrinsic
+def copy_sign(typing_context: Any, x: Any, y: Any) -> Any:
+    """The magnitudes of x with the signs of y (of -0 too), lane by lane."""
+    if not isinstance(x, VectorType) or not x.is_float or x != y:
+        refuse("copy_sign", "two float vectors of one type", x, y)
+    integers = vector_type("i" + x.kind[1:], x.lane_count)
+    bits = 31 if x.kind == "f32" else 63
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        whole = llvm_type(integers)
+        a, b = (builder.bitcast(value, whole) for value in arguments)
+        magnitude = builder.and_(a, constant(integers, 2**bits - 1))
+        sign = builder.and_(b, constant(integers, -(2**bits)))
+        return builder.bitcast(builder.or_(magnitude, sign), llvm_type(x))
+
+    return x(x, y), generate

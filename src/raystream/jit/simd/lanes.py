@@ -1,0 +1,329 @@
+"""Choosing, counting, moving and reducing lanes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from raystream.jit.simd.arithmetic import as_vectors, call_intrinsic, common
+from raystream.jit.simd.types import (
+    VectorClass,
+    VectorType,
+    constant,
+    llvm_type,
+    mask_of,
+    refuse,
+    vector_type,
+)
+
+__all__ = [
+    "all_lanes",
+    "any_lane",
+    "bits_as_float",
+    "compress",
+    "count_bits",
+    "first_bit",
+    "float_as_bits",
+    "lane",
+    "lane_bits",
+    "lanes_from_bits",
+    "permutation",
+    "permute",
+    "reduce_max",
+    "reduce_min",
+    "select",
+]
+
+_I32 = ir.IntType(32)
+_I64 = ir.IntType(64)
+
+#: Bits. What is wider than a register LLVM 22 takes apart wrongly: it writes the upper part's
+#: lanes, which can start anywhere, as if their place were aligned, and the process crashes. So
+#: its intrinsic serves only where it is one instruction: up to here, with AVX-512.
+_WIDEST_COMPRESS = 512
+
+
+def _is_mask(type_: Any) -> bool:
+    return isinstance(type_, VectorType) and type_.kind == "mask"
+
+
+def _part(builder: Any, value: Any, first: int, count: int) -> Any:
+    """Lanes of an LLVM vector, from a first one on."""
+    lanes = ir.Constant(ir.VectorType(_I32, count), list(range(first, first + count)))
+    return builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), lanes)
+
+
+def _bits(builder: Any, mask: Any) -> Any:
+    """A mask's lanes as the bits of an LLVM integer of that many bits."""
+    return builder.bitcast(mask, ir.IntType(mask.type.count))
+
+
+@intrinsic
+def select(typing_context: Any, mask: Any, x: Any, y: Any) -> Any:
+    """Lanes of x where the mask is set, of y elsewhere; a bool chooses all of one."""
+    vector = common(x, y)
+    if vector is None or mask not in (mask_of(vector), types.boolean):
+        refuse("select", "a mask and two operands of as many lanes", mask, x, y)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b = as_vectors(context, builder, vector, signature.args[1:], arguments[1:])
+        return builder.select(arguments[0], a, b)
+
+    return vector(mask, x, y), generate
+
+
+@intrinsic
+def lane_bits(typing_context: Any, mask: Any) -> Any:
+    """A mask as a uint64 number: bit i is lane i."""
+    if not _is_mask(mask):
+        refuse("lane_bits", "a mask", mask)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.zext(_bits(builder, arguments[0]), _I64)
+
+    return types.uint64(mask), generate
+
+
+@intrinsic
+def lanes_from_bits(typing_context: Any, mask_class: Any, bits: Any) -> Any:
+    """The mask of a type whose lane i is bit i of an integer."""
+    if not isinstance(mask_class, VectorClass) or not isinstance(bits, types.Integer):
+        refuse("lanes_from_bits", "a mask type and an integer", mask_class, bits)
+    mask = mask_class.instance_type
+    if mask.kind != "mask":
+        refuse("lanes_from_bits", "a mask type", mask_class)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        whole = context.cast(builder, arguments[1], bits, types.uint64)
+        return builder.bitcast(builder.trunc(whole, ir.IntType(mask.lane_count)), llvm_type(mask))
+
+    return mask(mask_class, bits), generate
+
+
+@intrinsic
+def any_lane(typing_context: Any, mask: Any) -> Any:
+    """Whether any lane of a mask is set."""
+    if not _is_mask(mask):
+        refuse("any_lane", "a mask", mask)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits = _bits(builder, arguments[0])
+        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+
+    return types.boolean(mask), generate
+
+
+@intrinsic
+def all_lanes(typing_context: Any, mask: Any) -> Any:
+    """Whether every lane of a mask is set."""
+    if not _is_mask(mask):
+        refuse("all_lanes", "a mask", mask)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits = _bits(builder, arguments[0])
+        return builder.icmp_unsigned("==", bits, ir.Constant(bits.type, -1))
+
+    return types.boolean(mask), generate
+
+
+@intrinsic
+def first_bit(typing_context: Any, bits: Any) -> Any:
+    """Number of the lowest set bit of a uint64; undefined for 0."""
+    if bits != types.uint64:
+        refuse("first_bit", "a uint64", bits)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        zero_is_undefined = ir.Constant(ir.IntType(1), 1)
+        return call_intrinsic(builder, "llvm.cttz.i64", _I64, [arguments[0], zero_is_undefined])
+
+    return types.uint64(bits), generate
+
+
+@intrinsic
+def count_bits(typing_context: Any, bits: Any) -> Any:
+    """How many bits of a uint64 are set."""
+    if bits != types.uint64:
+        refuse("count_bits", "a uint64", bits)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return call_intrinsic(builder, "llvm.ctpop.i64", _I64, arguments)
+
+    return types.uint64(bits), generate
+
+
+@intrinsic
+def lane(typing_context: Any, x: Any, index: Any) -> Any:
+    """One lane of a vector; undefined if it has no such lane."""
+    if not isinstance(x, VectorType) or not isinstance(index, types.Integer):
+        refuse("lane", "a vector and an integer", x, index)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.extract_element(*arguments)
+
+    return x.element(x, index), generate
+
+
+@intrinsic
+def compress(typing_context: Any, mask: Any, x: Any) -> Any:
+    """The lanes of x where the mask is set, moved to the front; what follows is undefined."""
+    if not isinstance(x, VectorType) or x.kind == "mask" or mask != mask_of(x):
+        refuse("compress", "a mask and a vector of as many lanes", mask, x)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        whole = int(x.element.bitwidth) * x.lane_count <= _WIDEST_COMPRESS
+        if whole and "+avx512vl" in str(context.codegen().magic_tuple()):
+            return _compress(builder, *arguments)
+        return _compress_in_memory(builder, *arguments)
+
+    return x(mask, x), generate
+
+
+def _compress(builder: Any, mask: Any, value: Any) -> Any:
+    element = {"float": "f32", "double": "f64"}.get(str(value.type.element))
+    name = f"llvm.experimental.vector.compress.v{value.type.count}{element or value.type.element}"
+    undefined = ir.Constant(value.type, ir.Undefined)
+    return call_intrinsic(builder, name, value.type, [value, mask, undefined])
+
+
+def _compress_in_memory(builder: Any, mask: Any, value: Any) -> Any:
+    """Write every lane behind those that are set, and read them all."""
+    element = value.type.element
+    with builder.goto_entry_block():
+        memory = builder.alloca(ir.ArrayType(element, value.type.count))
+    start = builder.bitcast(memory, element.as_pointer())
+    written = ir.Constant(_I64, 0)
+    for i in range(value.type.count):
+        place = ir.Constant(_I32, i)
+        builder.store(builder.extract_element(value, place), builder.gep(start, [written]))
+        is_set = builder.zext(builder.extract_element(mask, place), _I64)
+        written = builder.add(written, is_set)
+    result = builder.load(builder.bitcast(memory, value.type.as_pointer()))
+    result.align = 4
+    return result
+
+
+def permutation(*sources: int) -> Any:
+    """Make a function of a vector whose lane i is the given one's lane sources[i].
+
+    Fewer sources than lanes give a narrower vector, more give a wider one.
+
+    Raises
+    ------
+    ValueError
+        If the sources are not 2, 4, 8 or 16 numbers from 0.
+    """
+    if len(sources) not in (2, 4, 8, 16) or min(sources) < 0:
+        raise ValueError(f"a permutation has 2, 4, 8 or 16 sources from 0, not {sources}")
+
+    @intrinsic
+    def permute_lanes(typing_context: Any, x: Any) -> Any:
+        """Move lanes to fixed places."""
+        if not isinstance(x, VectorType) or max(sources) >= x.lane_count:
+            refuse("permutation", f"a vector of more than {max(sources)} lanes", x)
+        result = vector_type(x.kind, len(sources))
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            undefined = ir.Constant(llvm_type(x), ir.Undefined)
+            lanes = ir.Constant(ir.VectorType(_I32, len(sources)), list(sources))
+            return builder.shuffle_vector(arguments[0], undefined, lanes)
+
+        return result(x), generate
+
+    return permute_lanes
+
+
+@intrinsic
+def permute(typing_context: Any, x: Any, sources: Any) -> Any:
+    """The vector whose lane i is lane sources[i] of x; sources modulo the number of lanes.
+
+    Written lane by lane: LLVM has no instruction for it, but makes one of this where the
+    machine has it (AVX2, AVX-512), and goes through memory elsewhere.
+    """
+    if not isinstance(x, VectorType) or x.kind == "mask":
+        refuse("permute", "a vector of numbers", x)
+    if sources != vector_type("i" + x.kind[1:], x.lane_count):
+        refuse("permute", "as many integers, of the same size, as lane numbers", x, sources)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector, indices = arguments
+        indices = builder.and_(indices, constant(sources, x.lane_count - 1))
+        result = ir.Constant(llvm_type(x), ir.Undefined)
+        for i in range(x.lane_count):
+            place = ir.Constant(_I32, i)
+            value = builder.extract_element(vector, builder.extract_element(indices, place))
+            result = builder.insert_element(result, value, place)
+        return result
+
+    return x(x, sources), generate
+
+
+def _reduce(name: str, sign: str, x: Any) -> Any:
+    """Combine halves until one lane is left."""
+    if not isinstance(x, VectorType) or x.kind == "mask":
+        refuse(name, "a vector of numbers", x)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value, count = arguments[0], x.lane_count
+        compare = builder.fcmp_ordered if x.is_float else builder.icmp_signed
+        while count > 1:
+            count //= 2
+            low, high = (_part(builder, value, first, count) for first in (0, count))
+            value = builder.select(compare(sign, low, high), low, high)
+        return builder.extract_element(value, ir.Constant(_I32, 0))
+
+    return x.element(x), generate
+
+
+@intrinsic
+def reduce_min(typing_context: Any, x: Any) -> Any:
+    """The smallest lane of a vector without NaN."""
+    return _reduce("reduce_min", "<", x)
+
+
+@intrinsic
+def reduce_max(typing_context: Any, x: Any) -> Any:
+    """The largest lane of a vector without NaN."""
+    return _reduce("reduce_max", ">", x)
+
+
+_TWINS = {"f32": "i32", "i32": "f32", "f64": "i64", "i64": "f64"}
+_SCALAR_TWINS = {
+    types.float32: (types.int32, ir.IntType(32)),
+    types.int32: (types.float32, ir.FloatType()),
+    types.float64: (types.int64, ir.IntType(64)),
+    types.int64: (types.float64, ir.DoubleType()),
+}
+
+
+def _reinterpret(name: str, x: Any, to_float: bool) -> Any:
+    if isinstance(x, VectorType) and x.kind != "mask" and x.is_float != to_float:
+        result = vector_type(_TWINS[x.kind], x.lane_count)
+        target = llvm_type(result)
+    elif x in _SCALAR_TWINS and isinstance(x, types.Float) != to_float:
+        result, target = _SCALAR_TWINS[x]
+    else:
+        wanted = "integers" if to_float else "floats"
+        refuse(name, f"{wanted} of 32 or 64 bits", x)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], target)
+
+    return result(x), generate
+
+
+@intrinsic
+def float_as_bits(typing_context: Any, x: Any) -> Any:
+    """The bits of a float or float vector as integers.
+
+    Numbers that are not negative are in the same order as their bits.
+    """
+    return _reinterpret("float_as_bits", x, to_float=False)
+
+
+@intrinsic
+def bits_as_float(typing_context: Any, x: Any) -> Any:
+    """The float or float vector with these bits."""
+    return _reinterpret("bits_as_float", x, to_float=True)

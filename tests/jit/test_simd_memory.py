@@ -1,0 +1,122 @@
+"""Vectors in memory, in calls and in loops."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from raystream.jit import simd
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import address, load, scratch, select, store
+from raystream.jit.simd.types import VECTORS
+
+DTYPES = {"f32": np.float32, "f64": np.float64, "i32": np.int32, "i64": np.int64}
+VECTOR_TYPES = [vector for (kind, n), vector in VECTORS.items() if kind in DTYPES and n > 2]
+
+
+@device
+def at(array, i):
+    return address(array) + np.uint64(i * array.itemsize)
+
+
+@pytest.mark.parametrize("vector", VECTOR_TYPES, ids=str)
+def test_vectors_start_at_any_element(vector):
+    n = vector.lane_count
+
+    @numba.njit
+    def run(a, out):
+        for i in range(a.size - n + 1):
+            store(at(out[i], 1), load(vector, at(a, i)))
+
+    a = np.arange(3 * n).astype(DTYPES[vector.kind])
+    out = np.full((a.size - n + 1, n + 3), -1, a.dtype)
+    run(a, out)
+    np.testing.assert_array_equal(out[:, 1:-2], np.lib.stride_tricks.sliding_window_view(a, n))
+    assert (out[:, [0, -2, -1]] == -1).all()
+
+
+@pytest.mark.parametrize(
+    "dtype", [*DTYPES.values(), np.int8, np.int16, np.uint8, np.uint16, np.uint32, np.uint64]
+)
+def test_numbers_in_memory(dtype):
+    @numba.njit
+    def run(a, out):
+        for i in range(a.size):
+            store(at(out, i), load(dtype, at(a, i)))
+
+    limits = np.finfo(dtype) if issubclass(dtype, np.floating) else np.iinfo(dtype)
+    a = np.array([0, 1, limits.min, limits.max, 77], dtype)
+    out = np.empty_like(a)
+    run(a, out)
+    assert out.tobytes() == a.tobytes()
+
+
+def test_the_address_of_a_view_is_that_of_its_first_element():
+    @numba.njit
+    def run(a):
+        return address(a)
+
+    a = np.zeros((4, 6), np.float32)
+    for view in (a, a[1:, 2:], a[::-1], a.T[3], a[:0]):
+        assert run(view) == view.ctypes.data
+
+
+SIZE = 96
+
+
+def test_scratch():
+    @numba.njit
+    def run(a, out):
+        for i in range(3):
+            first, second = scratch(SIZE), scratch(1)
+            out[0, i], out[1, i] = first, second
+            store(second, np.uint8(i))
+            store(first, load(simd.f32x16, address(a)))
+            store(first + np.uint64(64), load(simd.f32x8, at(a, 16)))
+            out[2, i] = load(np.uint8, second)
+            for k in range(24):
+                out[3, i] += np.uint64(load(np.float32, first + np.uint64(4 * k)))
+
+    out = np.zeros((4, 3), np.uint64)
+    run(np.arange(24, dtype=np.float32), out)
+    first, second, numbers, sums = out.tolist()
+    assert len(set(first)) == len(set(second)) == 1
+    assert first[0] % 64 == second[0] % 64 == 0
+    assert not first[0] <= second[0] < first[0] + SIZE
+    assert numbers == [0, 1, 2]
+    assert sums == [276, 276, 276]
+
+
+def test_prefetch_takes_any_address():
+    @numba.njit
+    def run(at):
+        simd.prefetch(at)
+
+    for place in (0, 1, 2**63, 2**64 - 1, np.zeros(1).ctypes.data):
+        run(np.uint64(place))
+
+
+@device_call
+def halves(x, mask):
+    """Not inlined: vectors and masks are arguments and results."""
+    return select(mask, x, -x), mask, (x, simd.f64x16(2.0))
+
+
+def test_vectors_pass_through_calls_and_loops():
+    @numba.njit
+    def run(a, count, out):
+        total = simd.f32x8(0)
+        mask = simd.mask8(False)
+        for i in range(count):
+            x = simd.load(simd.f32x8, at(a, 8 * i))
+            signed, mask, pair = halves(x, x > simd.lane(x, 3))
+            if simd.any_lane(mask):
+                total += signed + pair[0]
+        store(address(out), total)
+        return simd.lane_bits(mask)
+
+    a = np.arange(32, dtype=np.float32)
+    out = np.empty(8, np.float32)
+    assert run(a, 4, out) == 0b11110000
+    np.testing.assert_array_equal(out, np.where(np.arange(8) > 3, 2 * a.reshape(4, 8).sum(0), 0))
