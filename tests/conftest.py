@@ -16,8 +16,15 @@ import raystream as rs
 TRACERS = {
     "brute": {"structure": "brute"},
     "bvh": {"structure": "bvh"},
+    "bvh, wavefront": {"structure": "bvh", "kernel": "wavefront"},
+    "bvh, packets": {"structure": "bvh", "kernel": "packet"},
+    "bvh, streams": {"structure": "bvh", "kernel": "stream"},
+    "bvh, single rays": {"structure": "bvh", "kernel": "single"},
+    "bvh, fast": {"structure": "bvh", "quality": "fast"},
+    "bvh, high": {"structure": "bvh", "quality": "high"},
+    "bvh, high, packets": {"structure": "bvh", "quality": "high", "kernel": "packet"},
     "bvh, leaves of 1": {"structure": "bvh", "max_leaf_size": 1},
-    "bvh, leaves of 16": {"structure": "bvh", "max_leaf_size": 16},
+    "bvh, leaves of 32": {"structure": "bvh", "max_leaf_size": 32, "kernel": "wavefront"},
 }
 
 

@@ -147,7 +147,7 @@ def test_the_size_of_blocks_and_the_number_of_threads_change_nothing(make_tracer
     tracer, rays = make_tracer(case.scene), rays_of(case)
     expected = rs.Tracer(case.scene, "brute")
     for block, threads in ((1 << 20, 1), (7, 2), (399, 3)):
-        monkeypatch.setattr("raystream.tracer.RAYS_PER_BLOCK", block)
+        monkeypatch.setattr("raystream.structures.ray_block.RAYS_PER_BLOCK", block)
         try:
             rs.set_thread_count(threads)
             assert_same_answers(tracer, expected, rays)
@@ -171,6 +171,7 @@ def test_more_hits_than_memory_are_refused(monkeypatch):
     """Nothing is cut off silently, and the system need not kill the process."""
     tracer = rs.Tracer(CASES["one_triangle"](np.random.default_rng(0)).scene)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
+    monkeypatch.setattr("raystream.structures.base.CHECKED_HITS", 1)
     with pytest.raises(MemoryError, match=r"multi_hit: 1 hits would take .* give max_hits"):
         tracer.multi_hit([0.2, 0.2, 1], [0, 0, -1])
     with pytest.raises(MemoryError, match="a picture of 100x100 would"):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
     from raystream.scene.texture import Texture
+    from raystream.structures.base import UpdateReport
     from raystream.structures.devices import register_device
     from raystream.tracer import Tracer
 
@@ -51,6 +52,7 @@ _HOMES = {
     "Scene": "scene.scene",
     "Texture": "scene.texture",
     "Tracer": "tracer",
+    "UpdateReport": "structures.base",
     "load": "scene.load",
     "register_device": "structures.devices",
     "set_thread_count": "jit.threads",
@@ -75,6 +77,7 @@ __all__ = [
     "Scene",
     "Texture",
     "Tracer",
+    "UpdateReport",
     "__version__",
     "load",
     "register_device",

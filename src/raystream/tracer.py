@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator
 from os import PathLike
 from typing import Any, Literal
 
@@ -11,25 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.memory import check_memory
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.collect import HitArrays
-from raystream.kernels.local_frame import SceneFrame
+from raystream.kernels.moving import move_triangles
 from raystream.kernels.queries import UNLIMITED
+from raystream.scene.moving import moved_meshes
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
+from raystream.structures.base import UpdateReport
 from raystream.structures.devices import build_on_device
-from raystream.structures.ray_block import RayBlock
 from raystream.structures.storage import load_structure, save_structure
 
 __all__ = ["Crossings", "Tracer"]
 
 Crossings = Literal["triangles", "surfaces"]
-
-#: Rays that are traced at a time: bounds the memory of everything but the results, at about
-#: 100 bytes a ray.
-RAYS_PER_BLOCK = 1 << 20
 
 
 class Tracer:
@@ -107,10 +101,6 @@ class Tracer:
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
         self.structure = structure
-        triangles = structure.triangles
-        self._frame = SceneFrame(
-            triangles.center, triangles.scale, triangles.bounds, triangles.extreme
-        )
 
     @property
     def scene(self) -> Scene:
@@ -154,19 +144,17 @@ class Tracer:
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
-        out = HitArrays.empty(len(batch))
-        status = np.empty(len(batch), np.uint8)
-        for block in self._blocks(batch, status, progress):
-            part = out.part(block.rows)
-            self.structure.first_hit(block.rays, part, block.progress)
-            block.to_world(part.t, np.arange(len(part.t) + 1))
+        structure = self.structure
+        status = np.zeros(len(batch), np.uint8)
+        t, u, v, prim_id = structure.first_hit_batch(batch, status, progress)
+        shape = batch.shape
         return Hits(
-            out.t.reshape(batch.shape),
-            out.u.reshape(batch.shape),
-            out.v.reshape(batch.shape),
-            out.prim_id.reshape(batch.shape),
-            status.reshape(batch.shape),
-            self.structure.triangles,
+            t.reshape(shape),
+            u.reshape(shape),
+            v.reshape(shape),
+            prim_id.reshape(shape),
+            status.reshape(shape),
+            structure.triangles,
         )
 
     def any_hit(
@@ -196,11 +184,8 @@ class Tracer:
             See `first_hit`.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
-        seen = np.empty(len(batch), np.bool_)
-        status = np.empty(len(batch), np.uint8)
-        for block in self._blocks(batch, status, progress):
-            seen[block.rows] = self.structure.any_hit(block.rays, block.progress)
-        return seen.reshape(batch.shape)
+        status = np.zeros(len(batch), np.uint8)
+        return self.structure.any_hit_batch(batch, status, progress).reshape(batch.shape)
 
     def count_hits(
         self,
@@ -235,12 +220,8 @@ class Tracer:
         """
         batch = RayBatch(origins, directions, t_min, t_max)
         surfaces = _is_surfaces(crossings)
-        counts = np.empty(len(batch), np.int64)
-        status = np.empty(len(batch), np.uint8)
-        for block in self._blocks(batch, status, progress):
-            counts[block.rows] = self.structure.count_hits(
-                block.rays, surfaces, progress=block.progress
-            )
+        status = np.zeros(len(batch), np.uint8)
+        counts = self.structure.count_hits_batch(batch, surfaces, UNLIMITED, status, progress)
         return counts.reshape(batch.shape)
 
     def multi_hit(
@@ -293,23 +274,75 @@ class Tracer:
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
-        splits = np.zeros(len(batch) + 1, np.int64)
-        status = np.empty(len(batch), np.uint8)
-        steps = _Steps(progress, 2 * len(batch))
-        for block in self._blocks(batch, status, steps.part(0)):
-            if limit:
-                counts = self.structure.count_hits(block.rays, surfaces, limit, block.progress)
-                splits[1:][block.rows] = counts
-        np.cumsum(splits, out=splits)
-        hit_count = int(splits[-1])
-        remedy = "give max_hits, or fewer rays at a time"
-        check_memory(hit_count * 16, f"multi_hit: {hit_count:,} hits would", remedy)
-        out = HitArrays.empty(hit_count)
-        for block in self._blocks(batch, status, steps.part(len(batch))):
-            rows = splits[block.rows.start : block.rows.stop + 1]
-            self.structure.multi_hit(block.rays, surfaces, rows, out, block.progress)
-            block.to_world(out.t, rows)
-        return MultiHits(splits, *out, status.reshape(batch.shape), self.structure.triangles)
+        status = np.zeros(len(batch), np.uint8)
+        structure = self.structure
+        splits, hits = structure.multi_hit_batch(batch, surfaces, limit, status, progress)
+        return MultiHits(splits, *hits, status.reshape(batch.shape), structure.triangles)
+
+    def update(
+        self,
+        vertices: Any,
+        *,
+        max_cost_growth: float = 1.5,
+        progress: Progress | None = None,
+    ) -> UpdateReport:
+        """Move the scene's vertices; which triangles they form stays as it is.
+
+        Parameters
+        ----------
+        vertices : array_like of shape (V, 3), real; or a sequence of them
+            New positions of all vertices, world space, scene units: an array for a scene of
+            one mesh, else one for each mesh, or None for a mesh that stays where it is.
+        max_cost_growth : float
+            A tree is adjusted to moved triangles much faster than it is built, but rays take
+            longer in it the further neighbours part. It is built anew when the expected cost
+            of a ray is more than so many times what it was when it was last built; 0 builds
+            it anew every time.
+        progress : callable, optional
+            Called with (triangles placed, triangles) if it is built anew.
+
+        Returns
+        -------
+        UpdateReport
+            Whether the structure was built anew, how long it took, and its costs.
+
+        Raises
+        ------
+        ValueError
+            If the number of meshes or of vertices of a mesh is another one, or
+            `max_cost_growth` is negative or NaN. Nothing was moved then.
+        TypeError
+            If the positions are no real numbers.
+
+        Notes
+        -----
+        Every query then answers as a tracer of the moved triangles would, in the frame that
+        this one has: the centre and scale that float32 coordinates refer to stay the same,
+        unless a coordinate grew to more than 2**40 times the scale of the scene. Triangles
+        that have become degenerate, NaN or infinite are never hit, until they recover.
+
+        `scene` becomes a scene with the moved vertices; shading normals do not follow. Hits
+        found before still refer to the triangles as they were. No query may run in another
+        thread meanwhile. An interrupt leaves everything as it was.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+        >>> tracer = rs.Tracer(rs.Scene.from_arrays(vertices, [[0, 1, 2]]))
+        >>> report = tracer.update(vertices + [0, 0, 5])
+        >>> report.rebuilt, tracer.first_hit([0.2, 0.2, 0], [0, 0, 1]).t.item()
+        (False, 5.0)
+        """
+        if not max_cost_growth >= 0.0:
+            raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
+        scene = self.scene
+        meshes = moved_meshes(scene.meshes, vertices)
+        parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
+        triangles = move_triangles(self.structure.triangles, parts)
+        structure, report = self.structure.updated(triangles, max_cost_growth, progress)
+        self._set(scene.moved(meshes, triangles), structure)
+        return report
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the built structure and its triangles to a file.
@@ -356,31 +389,9 @@ class Tracer:
         tracer._set(scene, structure)
         return tracer
 
-    def _blocks(
-        self, batch: RayBatch, status: NDArray[np.uint8], progress: Progress | None
-    ) -> Iterator[RayBlock]:
-        """Turn the batch into blocks of local rays, one at a time; writes their status."""
-        for first in range(0, len(batch), RAYS_PER_BLOCK):
-            rows = slice(first, min(first + RAYS_PER_BLOCK, len(batch)))
-            yield RayBlock(batch, rows, self._frame, status, progress)
-
     def __repr__(self) -> str:
         triangle_count = len(self.structure.triangles)
         return f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r})"
-
-
-class _Steps:
-    """One progress callback over several loops."""
-
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self._progress = progress
-        self._total = total
-
-    def part(self, first: int) -> Progress | None:
-        progress = self._progress
-        if progress is None:
-            return None
-        return lambda done, _: progress(first + done, self._total)
 
 
 def _is_surfaces(crossings: str) -> bool:

@@ -1,117 +1,121 @@
+"""The BVH as a structure: options, kernels, and trees that list a triangle in several leaves."""
+
 import numpy as np
 import pytest
 
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, lattice_soup, soup
-from raystream.structures.bvh.layout import MAX_DEPTH
+from raystream.structures.bvh import Bvh
+from raystream.structures.bvh.engine import KERNELS
+from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
+from test_agreement import assert_same_answers
 
 
 def build(vertices, faces, **options):
     return rs.Tracer(rs.Scene.from_arrays(vertices, faces), **options).structure
 
 
-def walk(tree):
-    """Check every node against the triangles below it; returns the leaf rows seen."""
-    rows = []
-    pending = [(0, None)]
-    while pending:
-        node, box = pending.pop()
-        for child in range(2):
-            low, high = tree.boxes[node, child]
-            index, count = tree.children[node, child]
-            if count < 0:
-                assert (low > high).all()
-                continue
-            if box is not None:
-                assert (low >= box[0]).all()
-                assert (high <= box[1]).all()
-            if count:
-                corners = tree.corners[index : index + count]
-                np.testing.assert_array_equal(corners.min(axis=(0, 1)), low)
-                np.testing.assert_array_equal(corners.max(axis=(0, 1)), high)
-                rows.extend(range(index, index + count))
-            else:
-                assert index > node
-                pending.append((index, (low, high)))
-    return rows
-
-
-@pytest.mark.parametrize("max_leaf_size", [1, 4, 64])
-@pytest.mark.parametrize("mesh", [soup(1), soup(2), soup(500), dented_sphere(3), lattice_soup(200)])
-def test_every_triangle_is_in_one_leaf_and_every_box_is_tight(mesh, max_leaf_size):
-    structure = build(*mesh, max_leaf_size=max_leaf_size)
-    tree, triangles = structure.arrays, structure.triangles
-    assert sorted(walk(tree)) == list(range(len(triangles.prim_ids)))
-    np.testing.assert_array_equal(np.sort(tree.prim_ids), triangles.prim_ids)
-    np.testing.assert_array_equal(tree.corners, triangles.corners[tree.prim_ids])
-    assert tree.children[:, :, 1].max() <= max_leaf_size
-
-
-def test_large_scenes_are_split_among_tasks_and_joined():
-    vertices, faces = soup(40_000, 4, 0.01)
-    structure = build(vertices, faces)
-    assert sorted(walk(structure.arrays)) == list(range(40_000))
-    assert structure.quality()["depth"] < 60
-
-
-def test_the_tree_does_not_depend_on_the_number_of_threads():
-    mesh = soup(40_000, 9, 0.01)
-    try:
-        rs.set_thread_count(1)
-        alone = build(*mesh).arrays
-        rs.set_thread_count(5)
-        together = build(*mesh).arrays
-    finally:
-        rs.set_thread_count(None)
-    for a, b in zip(alone, together, strict=True):
-        assert_same_bits(a, b)
-
-
-def test_equal_triangles_are_halved_by_count():
-    vertices, faces = soup(1)
-    structure = build(vertices, np.repeat(faces, 20_000, axis=0))
-    assert structure.quality()["depth"] <= 16
-    hits = rs.Tracer(rs.Scene.from_arrays(vertices, np.repeat(faces, 50, axis=0))).multi_hit(
-        vertices.mean(axis=0) - [0, 0, 3], [0, 0, 3]
-    )
-    assert hits.prim_id.tolist() == list(range(50))
-
-
-def test_a_scene_that_grows_by_a_factor_from_triangle_to_triangle_stays_within_the_stack():
-    """Binning splits off the largest ones only: the deepest trees there are."""
-    base = np.array([[0, 0, 0], [1, 0, 0.1], [0, 1, 0.2]])
-    sizes = 2.0 ** -np.arange(0, 120, 0.05)
-    vertices = (base[None] * sizes[:, None, None] + sizes[:, None, None] * 3).reshape(-1, 3)
-    faces = np.arange(len(vertices)).reshape(-1, 3)
-    structure = build(vertices, faces, max_leaf_size=1)
-    assert sorted(walk(structure.arrays)) == list(range(len(structure.triangles.prim_ids)))
-    assert structure.quality()["depth"] <= MAX_DEPTH
-
-
-def test_the_tree_is_worth_building():
-    quality = build(*soup(5000, 2, 0.02)).quality()
-    assert quality["expected nodes and triangles per ray"] < 500
-
-
-@pytest.mark.parametrize("value", [0, 65, -1])
-def test_options_are_checked(value):
-    with pytest.raises(ValueError, match="max_leaf_size"):
+@pytest.mark.parametrize("value", [0, 33, -1])
+def test_leaf_sizes_are_checked(value):
+    with pytest.raises(ValueError, match="max_leaf_size: expected 1 to 32"):
         build(*soup(2), max_leaf_size=value)
     with pytest.raises(TypeError, match="leaf"):
         build(*soup(2), leaf=value)
+    with pytest.raises(TypeError):
+        build(*soup(2), max_leaf_size=2.5)
 
 
-def test_progress_while_building():
-    seen = []
-    build(*soup(40_000, 9, 0.01), progress=lambda done, total: seen.append((done, total)))
-    assert seen[-1] == (40_000, 40_000)
-    assert seen == sorted(seen)
+@pytest.mark.parametrize("value", ["best", "", None, 3])
+def test_names_are_checked(value):
+    with pytest.raises(ValueError, match="quality: expected one of 'fast', 'balanced', 'high'"):
+        build(*soup(2), quality=value)
+    with pytest.raises(ValueError, match="kernel: expected one of 'auto', 'wavefront', 'packet'"):
+        build(*soup(2), kernel=value)
 
 
-def test_building_can_be_interrupted():
-    def interrupt(done, total):
-        raise KeyboardInterrupt
+def test_the_options_are_kept():
+    structure = build(*soup(2), quality="high", kernel="single")
+    assert structure.options == {"quality": "high", "max_leaf_size": 4, "kernel": "single"}
+    assert structure.kernel == "single"
 
-    with pytest.raises(KeyboardInterrupt):
-        build(*soup(40_000, 9, 0.01), progress=interrupt)
+
+def test_the_report_counts_the_bytes():
+    structure = build(*soup(500, 1))
+    assert structure.report.byte_count == sum(array.nbytes for array in structure.tree)
+    assert structure.report.seconds > 0
+    quality = structure.quality()
+    assert structure.report.byte_count == 256 * quality["nodes"] + 160 * quality["leaf blocks"]
+
+
+def with_leaves_repeated(structure: Bvh) -> Bvh:
+    """The same tree with some of its leaves in absent lanes too, of the same and of other nodes."""
+    nodes, leaves = (array.copy() for array in structure.tree)
+    children = nodes.view(np.int32)[:, CHILDREN_AT // 4 : CHILDREN_AT // 4 + WIDTH]
+    boxes = nodes[:, :48].reshape(-1, 6, 8)
+    places = np.argwhere(children < 0)
+    added = 0
+    for row, lane in np.argwhere(children == 0):
+        if lane and children[row, lane - 1] == 0:
+            continue
+        other_row, other_lane = places[(7 * added) % len(places)]
+        children[row, lane] = children[other_row, other_lane]
+        boxes[row, :, lane] = boxes[other_row, :, other_lane]
+        added += 1
+    assert added
+    # Parents' boxes need not hold the strangers: where they do not, those are just not found.
+    arrays = {**structure.saved_arrays(), "nodes": nodes, "leaves": leaves}
+    return Bvh.from_arrays(structure.triangles, arrays)
+
+
+@pytest.mark.parametrize("mesh", [soup(300, 1), dented_sphere(2), lattice_soup(80)])
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_triangle_in_several_leaves_counts_once(mesh, kernel, rng):
+    tracer = rs.Tracer(rs.Scene.from_arrays(*mesh), kernel=kernel)
+    oracle = rs.Tracer(rs.Scene.from_arrays(*mesh), "brute")
+    structure = with_leaves_repeated(tracer.structure)
+    structure._lists_twice = True
+    structure.options = {**structure.options, "kernel": kernel}
+    tracer.structure = structure
+    low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
+    origins = low + rng.random((300, 3)) * (high - low) + rng.normal(size=(300, 3))
+    rays = {"origins": origins, "directions": low + rng.random((300, 3)) * (high - low) - origins}
+    assert_same_answers(tracer, oracle, rays)
+
+
+def test_many_hits_of_triangles_in_several_leaves(rng):
+    """More than fit in the first set of triangles seen."""
+    count = 20_000
+    corners = np.empty((count, 3, 3))
+    corners[:, :, :2] = [[-1, -1], [3, -1], [-1, 3]]
+    corners[:, :, 2] = rng.permutation(count)[:, None] / 100
+    faces = np.arange(3 * count).reshape(-1, 3)
+    tracer = rs.Tracer(rs.Scene.from_arrays(corners.reshape(-1, 3), faces))
+    rays = [[0, 0, -1], [0.1, 0, 999], [5, 5, 5]], [[0.0, 0, 1], [0, 0, -1], [0, 0, 1]]
+    expected = tracer.multi_hit(*rays)
+    tracer.structure = with_leaves_repeated(tracer.structure)
+    tracer.structure._lists_twice = True
+    found = tracer.multi_hit(*rays)
+    assert found.counts.tolist() == [count, count, 0]
+    for column in ("ray_splits", "t", "u", "v", "prim_id"):
+        assert_same_bits(getattr(found, column), getattr(expected, column))
+    assert tracer.count_hits(*rays).tolist() == [count, count, 0]
+    few = tracer.multi_hit(*rays, max_hits=100)
+    np.testing.assert_array_equal(few.prim_id[:100], expected.prim_id[:100])
+    assert few.counts.tolist() == [100, 100, 0]
+
+
+def test_cut_triangles_are_noticed():
+    """High quality cuts long triangles: the structure knows it, and hits each once."""
+    rng = np.random.default_rng(3)
+    begin = rng.random((2000, 3))
+    end = begin + rng.normal(size=(2000, 3)) * 0.3
+    corners = np.stack([begin, end, end + rng.normal(size=(2000, 3)) * 0.01], axis=1)
+    scene = rs.Scene.from_arrays(corners.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
+    tracer = rs.Tracer(scene, quality="high")
+    assert tracer.structure.quality()["references"] > 2000
+    assert tracer.structure.lists_twice
+    assert not rs.Tracer(scene).structure.lists_twice
+    origins = rng.random((500, 3)) * 3 - 1
+    rays = {"origins": origins, "directions": rng.random((500, 3)) - origins}
+    assert_same_answers(tracer, rs.Tracer(scene, "brute"), rays)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.arrays import as_real_array
 
-__all__ = ["RayBatch", "RayStatus"]
+__all__ = ["USUAL_LIMITS", "RayBatch", "RayStatus"]
 
 
 class RayStatus(enum.IntEnum):
@@ -48,6 +48,8 @@ class RayBatch:
     origins, directions : ndarray of shape (N, 3), float32 or float64
         Views of the caller's arrays where that is possible.
     t_min, t_max : ndarray of shape (N,), float32
+    limits : tuple of two ndarray of shape (N,) or (1,), float32
+        The same, not repeated where one value serves all rays.
 
     Raises
     ------
@@ -60,29 +62,39 @@ class RayBatch:
     shape: tuple[int, ...]
     origins: NDArray[Any]
     directions: NDArray[Any]
-    t_min: NDArray[np.float32]
-    t_max: NDArray[np.float32]
 
     def __init__(
         self, origins: Any, directions: Any, t_min: Any = 0.0, t_max: Any = np.inf
     ) -> None:
         origins = _vectors("origins", origins)
         directions = _vectors("directions", directions)
-        try:
-            shape = np.broadcast_shapes(origins.shape, directions.shape)
-        except ValueError:
-            raise ValueError(
-                f"origins and directions: shapes {origins.shape} and {directions.shape} "
-                "do not broadcast against each other"
-            ) from None
+        shape = origins.shape
+        if shape != directions.shape:
+            try:
+                shape = np.broadcast_shapes(shape, directions.shape)
+            except ValueError:
+                raise ValueError(
+                    f"origins and directions: shapes {origins.shape} and {directions.shape} "
+                    "do not broadcast against each other"
+                ) from None
         self.shape = shape[:-1]
+        self._count = math.prod(self.shape)
         self.origins = _rows(origins, shape)
         self.directions = _rows(directions, shape)
-        self.t_min = _limits("t_min", t_min, self.shape)
-        self.t_max = _limits("t_max", t_max, self.shape)
+        self.limits = _limit("t_min", t_min, self.shape), _limit("t_max", t_max, self.shape)
+
+    @property
+    def t_min(self) -> NDArray[np.float32]:
+        """Where each ray's interval begins."""
+        return np.broadcast_to(self.limits[0], self._count)
+
+    @property
+    def t_max(self) -> NDArray[np.float32]:
+        """Where each ray's interval ends."""
+        return np.broadcast_to(self.limits[1], self._count)
 
     def __len__(self) -> int:
-        return len(self.t_min)
+        return self._count
 
 
 def _vectors(name: str, values: Any) -> NDArray[Any]:
@@ -96,14 +108,30 @@ def _vectors(name: str, values: Any) -> NDArray[Any]:
 
 def _rows(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
     """Broadcast to the shape, as rows of 3; one vector for all rays is not copied."""
-    if array.size == 3:
-        return np.broadcast_to(array.reshape(1, 3), (math.prod(shape[:-1]), 3))
-    return np.broadcast_to(array, shape).reshape(-1, 3)
+    if array.shape != shape:
+        if array.size == 3:
+            return np.broadcast_to(array.reshape(1, 3), (math.prod(shape[:-1]), 3))
+        array = np.broadcast_to(array, shape)
+    return array if array.ndim == 2 else array.reshape(-1, 3)
 
 
-def _limits(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
+def _constant(value: float) -> NDArray[np.float32]:
+    array = np.full(1, value, np.float32)
+    array.flags.writeable = False
+    return array
+
+
+#: The usual limits, made once: a small batch takes less time than making an array.
+USUAL_LIMITS = {0.0: _constant(0.0), math.inf: _constant(math.inf)}
+
+
+def _limit(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    if type(values) is float and values in USUAL_LIMITS:
+        return USUAL_LIMITS[values]
     with np.errstate(over="ignore"):
         array = as_real_array(name, values).astype(np.float32, copy=False)
+    if array.ndim == 0:
+        return array.reshape(1)
     try:
         return np.broadcast_to(array, shape).reshape(-1)
     except ValueError:

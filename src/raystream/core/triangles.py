@@ -112,18 +112,51 @@ class Triangles:
         triangles._set_corners(finite)
         return triangles
 
+    def moved(
+        self,
+        corners: NDArray[np.float32],
+        solid: NDArray[np.bool_],
+        nonfinite_count: int,
+        bounds: NDArray[np.float32],
+    ) -> Triangles:
+        """Make the store of the same triangles at another place, in the same local frame.
+
+        Parameters
+        ----------
+        corners : ndarray of shape (F, 3, 3), float32
+            Local frame; NaN for vertices that are not finite.
+        solid : ndarray of shape (F,), bool
+            The finite triangles that have an area.
+        nonfinite_count : int
+        bounds : ndarray of shape (2, 3), float32
+            Of the solid triangles; without any it does not matter.
+
+        Returns
+        -------
+        Triangles
+            See `kernels.moving.move_triangles`, which finds all this.
+        """
+        triangles = Triangles.__new__(Triangles)
+        triangles.corners, triangles.mesh_splits = corners, self.mesh_splits
+        triangles.center, triangles.scale = self.center, self.scale
+        triangles.nonfinite_count = nonfinite_count
+        triangles._set_solid(solid, bounds)
+        return triangles
+
     def _set_corners(self, finite: NDArray[np.bool_]) -> None:
         """Find what can be hit, and its bounds."""
-        count = len(self.corners)
         solid = finite & _has_area(self.corners)
+        corners = self.corners if solid.all() else self.corners[solid]
+        bounds = np.zeros((2, 3), np.float32)
+        if len(corners):
+            bounds[:] = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        self._set_solid(solid, bounds)
+
+    def _set_solid(self, solid: NDArray[np.bool_], bounds: NDArray[np.float32]) -> None:
+        count = len(self.corners)
         self.prim_ids = np.flatnonzero(solid).astype(np.int32)
         self.degenerate_count = count - self.nonfinite_count - len(self.prim_ids)
-        self.bounds = np.zeros((2, 3), np.float32)
-        if len(self.prim_ids):
-            corners = self.corners
-            if len(self.prim_ids) < count:
-                corners = corners[self.prim_ids]
-            self.bounds[:] = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        self.bounds = bounds if len(self.prim_ids) else np.zeros((2, 3), np.float32)
         self.extreme = np.float32(np.abs(self.bounds).max())
 
     def __len__(self) -> int:

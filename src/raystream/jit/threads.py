@@ -10,13 +10,22 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
-__all__ = ["Progress", "parallel_for", "set_thread_count", "thread_count", "thread_pool"]
+__all__ = ["Progress", "parallel_for", "part_of", "set_thread_count", "thread_count", "thread_pool"]
 
 #: Called with how much is done and how much there is to do, from the calling thread.
 Progress = Callable[[int, int], object]
 
 #: Seconds between two calls of a progress callback.
 PROGRESS_INTERVAL = 0.05
+
+
+def part_of(progress: Progress | None, first: int, total: int) -> Progress | None:
+    """The callback for one of several loops: it begins after `first` of `total` steps."""
+    if progress is None:
+        return None
+    whole = progress
+    return lambda done, _: whole(first + done, total)
+
 
 _chosen_count: int | None = None
 _pool: ThreadPoolExecutor | None = None
@@ -117,6 +126,12 @@ def parallel_for(
         `PROGRESS_INTERVAL` seconds, and once at the end.
     """
     if count <= 0:
+        return
+    if count <= chunk and progress is None:  # a small loop should take little time
+        around = getattr(_current, "loop", None)
+        if around is not None and around.is_stopped():
+            raise _StoppedError
+        body(0, count)
         return
     begins = itertools.count(0, chunk)  # next() is atomic under the interpreter lock
     finished = itertools.count(1)

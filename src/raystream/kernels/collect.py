@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import address, load, store
 
-__all__ = ["HitArrays", "keep_hit", "sort_hits"]
+__all__ = ["HitAddresses", "HitArrays", "aligned_rows", "hit_addresses", "keep_hit", "sort_hits"]
+
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
 
 
 class HitArrays(NamedTuple):
@@ -35,22 +39,86 @@ class HitArrays(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> HitArrays:
-        """Make arrays for `count` hits, not initialised."""
-        t, u, v = (np.empty(count, np.float32) for _ in range(3))
-        return cls(t, u, v, np.empty(count, np.int32))
+        """Make arrays for `count` hits, not initialised, as parts of one piece of memory.
+
+        NumPy asks for huge pages for pieces above 4 MB only.
+        """
+        return cls.rows_of(np.empty((4, count), np.float32))
+
+    @classmethod
+    def rows_of(cls, memory: NDArray[np.float32]) -> HitArrays:
+        """The rows of an array of shape (4, K) as t, u, v and prim_id."""
+        t, u, v, bits = memory
+        return cls(t, u, v, bits.view(np.int32))
+
+
+#: Rows of so many hits are made to begin at a cache line.
+_LONG_ROWS = 4096
+
+
+def aligned_rows(count: int) -> NDArray[np.float32]:
+    """An array of shape (4, count), not initialised, for `HitArrays.rows_of`.
+
+    Long rows begin at multiples of 64 bytes, so that kernels can write whole cache lines
+    past the cache.
+    """
+    if count < _LONG_ROWS:
+        return np.empty((4, count), np.float32)
+    stride = -(-count // 16) * 16
+    memory = np.empty(4 * stride + 16, np.float32)
+    skipped = -memory.ctypes.data % 64 // 4
+    return memory[skipped : skipped + 4 * stride].reshape(4, stride)[:, :count]
+
+
+class HitAddresses(NamedTuple):
+    """`HitArrays` as traversals take them: passing on an array costs two atomic operations.
+
+    Attributes
+    ----------
+    t, u, v, prim_id : uint64
+        Addresses of the first hit's numbers.
+    """
+
+    t: np.uint64
+    u: np.uint64
+    v: np.uint64
+    prim_id: np.uint64
 
 
 @device
-def _put(out, at, t, u, v, prim_id):
-    out.t[at] = t
-    out.u[at] = u
-    out.v[at] = v
-    out.prim_id[at] = prim_id
+def hit_addresses(out):
+    """Where a kernel's HitArrays are; its caller keeps them alive."""
+    return HitAddresses(address(out.t), address(out.u), address(out.v), address(out.prim_id))
 
 
 @device
-def _move(out, to, source):
-    _put(out, to, out.t[source], out.u[source], out.v[source], out.prim_id[source])
+def _t_of(out, row):
+    return load(np.float32, out.t + (row << _WORD))
+
+
+@device
+def _prim_id_of(out, row):
+    return load(np.int32, out.prim_id + (row << _WORD))
+
+
+@device
+def _put(out, row, t, u, v, prim_id):
+    at = row << _WORD
+    store(out.t + at, t)
+    store(out.u + at, u)
+    store(out.v + at, v)
+    store(out.prim_id + at, prim_id)
+
+
+@device
+def _get(out, row):
+    at = row << _WORD
+    return (
+        load(np.float32, out.t + at),
+        load(np.float32, out.u + at),
+        load(np.float32, out.v + at),
+        load(np.int32, out.prim_id + at),
+    )
 
 
 @device
@@ -62,64 +130,75 @@ def _before(t, prim_id, other_t, other_prim_id):
 def _sift_down(out, first, count, hole, t, u, v, prim_id):
     """Put a hit into a heap whose root is its last hit, starting at an empty place."""
     while True:
-        child = 2 * hole + 1
+        child = hole + hole + _ONE
         if child >= count:
             break
-        left = first + child
-        if child + 1 < count and _before(
-            out.t[left], out.prim_id[left], out.t[left + 1], out.prim_id[left + 1]
+        at = first + child
+        if child + _ONE < count and _before(
+            _t_of(out, at), _prim_id_of(out, at), _t_of(out, at + _ONE), _prim_id_of(out, at + _ONE)
         ):
-            child += 1
-        if not _before(t, prim_id, out.t[first + child], out.prim_id[first + child]):
+            child += _ONE
+            at += _ONE
+        if not _before(t, prim_id, _t_of(out, at), _prim_id_of(out, at)):
             break
-        _move(out, first + hole, first + child)
+        t_, u_, v_, prim_id_ = _get(out, at)
+        _put(out, first + hole, t_, u_, v_, prim_id_)
         hole = child
     _put(out, first + hole, t, u, v, prim_id)
 
 
 @device_call
-def keep_hit(out, first, count, capacity, t, u, v, prim_id):
+def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
     """Offer a hit to the nearest ones kept so far.
 
     Parameters
     ----------
-    out : HitArrays
+    out : HitAddresses
         Rows first to first + count hold the hits kept, as a heap with the last hit first
         once there are `capacity` of them, and in no order before.
-    first, count, capacity : int
+    first, count, capacity : uint64
         Where the ray's rows begin, how many are used, and how many there are (at least 1).
     t, u, v : float32
     prim_id : int32
+    t_far : float32
+        Hits beyond are not wanted even if there is room for them.
 
     Returns
     -------
-    int
+    count : uint64
         How many are kept now.
+    t_far : float32
+        Hits beyond are no longer wanted.
     """
     if count == capacity:
-        if _before(t, prim_id, out.t[first], out.prim_id[first]):
-            _sift_down(out, first, count, 0, t, u, v, prim_id)
-        return count
+        if _before(t, prim_id, _t_of(out, first), _prim_id_of(out, first)):
+            _sift_down(out, first, count, np.uint64(0), t, u, v, prim_id)
+        return count, _t_of(out, first)
     _put(out, first + count, t, u, v, prim_id)
-    count += 1
+    count += _ONE
     if count == capacity:
         _make_heap(out, first, count)
-    return count
+        t_far = _t_of(out, first)
+    return count, t_far
 
 
 @device
 def _make_heap(out, first, count):
-    for hole in range(count // 2 - 1, -1, -1):
-        at = first + hole
-        _sift_down(out, first, count, hole, out.t[at], out.u[at], out.v[at], out.prim_id[at])
+    hole = count >> _ONE
+    while hole != np.uint64(0):
+        hole -= _ONE
+        t, u, v, prim_id = _get(out, first + hole)
+        _sift_down(out, first, count, hole, t, u, v, prim_id)
 
 
 @device_call
 def sort_hits(out, first, count):
     """Sort rows first to first + count by t, then prim_id, whatever their order was."""
     _make_heap(out, first, count)
-    for last in range(count - 1, 0, -1):
-        at = first + last
-        t, u, v, prim_id = out.t[at], out.u[at], out.v[at], out.prim_id[at]
-        _move(out, at, first)
-        _sift_down(out, first, last, 0, t, u, v, prim_id)
+    last = count
+    while last > _ONE:
+        last -= _ONE
+        t, u, v, prim_id = _get(out, first + last)
+        t_, u_, v_, prim_id_ = _get(out, first)
+        _put(out, first + last, t_, u_, v_, prim_id_)
+        _sift_down(out, first, last, np.uint64(0), t, u, v, prim_id)

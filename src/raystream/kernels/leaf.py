@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from raystream.jit.cpu import device
 from raystream.kernels.collect import keep_hit
 from raystream.kernels.triangle import intersect
@@ -40,14 +42,14 @@ def test_triangles(
         The rule at edges and vertices, see `intersect`.
     keep : bool
         Keep the nearest hits in `out`, else only count them.
-    count, capacity : int
+    count, capacity : uint64
         Hits so far, and how many are wanted at most.
-    first, out : int, HitArrays
+    first, out : uint64, HitAddresses
         Where hits are kept.
 
     Returns
     -------
-    count : int
+    count : uint64
     t_far : float32
         Hits beyond are no longer wanted.
     """
@@ -56,11 +58,9 @@ def test_triangles(
         # Written so that a NaN would fail.
         if hit and t >= t_min and t <= t_far:
             if keep:
-                count = keep_hit(out, first, count, capacity, t, u, v, prim_ids[i])
-                if count == capacity:
-                    t_far = out.t[first]
+                count, t_far = keep_hit(out, first, count, capacity, t, u, v, prim_ids[i], t_far)
             else:
-                count += 1
+                count += np.uint64(1)
                 if count == capacity:
                     break
     return count, t_far

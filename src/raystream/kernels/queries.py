@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.kernels.collect import HitArrays, sort_hits
+from raystream.jit.simd import scratch
+from raystream.kernels.collect import HitAddresses, hit_addresses, sort_hits
 from raystream.kernels.ray import set_up
+from raystream.kernels.seen import LEAST_ROOM, clear_seen
 
-__all__ = ["UNLIMITED", "LocalRays", "RayQueries", "TraversalStack", "ray_queries"]
+__all__ = ["AGAIN", "UNLIMITED", "LocalRays", "RayQueries", "ray_queries"]
 
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
@@ -54,11 +56,13 @@ class RayQueries(NamedTuple):
         Writes row i of `out` (HitArrays) for ray i.
     any_hit : (begin, end, arrays, extreme, rays, seen)
         Writes `seen`, of shape (N,), bool.
-    count_hits : (begin, end, arrays, extreme, rays, surfaces, limit, counts)
+    count_hits : (begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts)
         Writes `counts`, of shape (N,), int64: the number of hits, at most `limit`.
-    multi_hit : (begin, end, arrays, extreme, rays, surfaces, splits, out)
+    multi_hit : (begin, end, arrays, extreme, rays, repeats, surfaces, splits, out)
         Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row
         splits[i] of `out`.
+
+    `repeats` says whether the structure lists a triangle more than once.
     """
 
     first_hit: Callable[..., None]
@@ -67,49 +71,47 @@ class RayQueries(NamedTuple):
     multi_hit: Callable[..., None]
 
 
-class TraversalStack(NamedTuple):
-    """Nodes still to be visited by one ray, with the distances at which it enters them.
+#: What `traverse` returns if the set of triangles seen is too small.
+AGAIN = np.uint64(2**64 - 1)
 
-    Attributes
-    ----------
-    node, leaf_count : ndarray of shape (S,), int32
-    t_in : ndarray of shape (S,), float32
-    """
-
-    node: NDArray[np.int32]
-    leaf_count: NDArray[np.int32]
-    t_in: NDArray[np.float32]
+_NOWHERE = np.uint64(0)
 
 
 @device
-def _make_stack(size):
-    return TraversalStack(
-        np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.float32)
-    )
+def _new_seen(repeats):
+    """A set for triangles seen; without places where none is needed."""
+    seen = np.empty((LEAST_ROOM if repeats else np.uint64(0)) + np.uint64(1), np.int32)
+    clear_seen(seen)
+    return seen
 
 
 @device
-def _no_hits():
-    return HitArrays(
-        np.empty(0, np.float32),
-        np.empty(0, np.float32),
-        np.empty(0, np.float32),
-        np.empty(0, np.int32),
-    )
+def _larger_seen(seen):
+    larger = np.empty((np.uint64(len(seen)) - np.uint64(1)) * np.uint64(8) + np.uint64(1), np.int32)
+    clear_seen(larger)
+    return larger
 
 
-def ray_queries(traverse: Callable[..., Any], stack_size: int) -> RayQueries:
+@device
+def _ray(rays, i, extreme):
+    o, d = rays.origins, rays.directions
+    return set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
+
+
+def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     """Make the queries of a structure.
 
     Parameters
     ----------
     traverse : device function
-        ``traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack)``
-        visits every triangle of `arrays` whose hit with `ray` may be wanted, gives it to
-        `kernels.leaf.test_triangles`, and returns the number of hits kept or counted. It
-        may stop once it has counted `capacity` of them.
-    stack_size : int
-        Entries of the stack that `traverse` is given; it is made once for many rays.
+        ``traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack,
+        seen)`` visits every triangle of `arrays` whose hit with `ray` may be wanted, gives
+        it to `kernels.leaf.test_triangles`, and returns the number of hits kept or counted.
+        It may stop once it has counted `capacity` of them. `seen` is of no use to one that
+        gives no triangle twice; one that does adds each hit's triangle to it
+        (`kernels.seen`) if it has places, and returns `AGAIN` when it is full.
+    stack_bytes : int
+        Size of the memory at the address `stack`, which is aligned to 64 bytes.
 
     Returns
     -------
@@ -118,11 +120,15 @@ def ray_queries(traverse: Callable[..., Any], stack_size: int) -> RayQueries:
 
     @kernel
     def first_hit(begin, end, arrays, extreme, rays, out):
-        stack = _make_stack(stack_size)
+        stack = scratch(stack_bytes)
+        seen = _new_seen(False)
+        to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = set_up(rays.origins[i], rays.directions[i], extreme)
+            ray = _ray(rays, i, extreme)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
-            count = traverse(arrays, ray, t_min, t_max, False, True, 1, i, out, stack)
+            count = traverse(
+                arrays, ray, t_min, t_max, False, True, np.uint64(1), i, to, stack, seen
+            )
             if count == 0:
                 out.t[i] = _INF
                 out.u[i] = _ZERO
@@ -130,39 +136,60 @@ def ray_queries(traverse: Callable[..., Any], stack_size: int) -> RayQueries:
                 out.prim_id[i] = _MISS
 
     @kernel
-    def any_hit(begin, end, arrays, extreme, rays, seen):
-        stack = _make_stack(stack_size)
-        nowhere = _no_hits()
+    def any_hit(begin, end, arrays, extreme, rays, out):
+        stack = scratch(stack_bytes)
+        seen = _new_seen(False)
+        to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
+        one = np.uint64(1)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = set_up(rays.origins[i], rays.directions[i], extreme)
+            ray = _ray(rays, i, extreme)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
             count = traverse(
-                arrays, ray, t_min, t_max, False, False, 1, np.uint64(0), nowhere, stack
+                arrays, ray, t_min, t_max, False, False, one, _NOWHERE, to, stack, seen
             )
-            seen[i] = count != 0
+            out[i] = count != 0
 
     @kernel
-    def count_hits(begin, end, arrays, extreme, rays, surfaces, limit, counts):
-        stack = _make_stack(stack_size)
-        nowhere = _no_hits()
+    def count_hits(begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts):
+        stack = scratch(stack_bytes)
+        seen = _new_seen(repeats)
+        to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
+        most = np.uint64(limit)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = set_up(rays.origins[i], rays.directions[i], extreme)
+            ray = _ray(rays, i, extreme)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
-            counts[i] = traverse(
-                arrays, ray, t_min, t_max, surfaces, False, limit, np.uint64(0), nowhere, stack
-            )
+            while True:
+                count = traverse(
+                    arrays, ray, t_min, t_max, surfaces, False, most, _NOWHERE, to, stack, seen
+                )
+                if count != AGAIN:
+                    break
+                seen = _larger_seen(seen)
+            counts[i] = count
+            if repeats:
+                seen = _new_seen(True)
 
     @kernel
-    def multi_hit(begin, end, arrays, extreme, rays, surfaces, splits, out):
-        stack = _make_stack(stack_size)
+    def multi_hit(begin, end, arrays, extreme, rays, repeats, surfaces, splits, out):
+        stack = scratch(stack_bytes)
+        seen = _new_seen(repeats)
+        to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
             first = np.uint64(splits[i])
-            capacity = splits[i + np.uint64(1)] - splits[i]
+            capacity = np.uint64(splits[i + np.uint64(1)]) - first
             if capacity == 0:
                 continue
-            ray = set_up(rays.origins[i], rays.directions[i], extreme)
+            ray = _ray(rays, i, extreme)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
-            count = traverse(arrays, ray, t_min, t_max, surfaces, True, capacity, first, out, stack)
-            sort_hits(out, first, count)
+            while True:
+                count = traverse(
+                    arrays, ray, t_min, t_max, surfaces, True, capacity, first, to, stack, seen
+                )
+                if count != AGAIN:
+                    break
+                seen = _larger_seen(seen)
+            sort_hits(to, first, count)
+            if repeats:
+                seen = _new_seen(True)
 
     return RayQueries(first_hit, any_hit, count_hits, multi_hit)

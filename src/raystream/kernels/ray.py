@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 
-__all__ = ["PAD", "TINY_DIRECTION", "Ray", "set_up"]
+__all__ = ["PAD", "TINY_DIRECTION", "Ray", "pick", "set_up"]
 
 #: A box is grown by this much of (largest scene coordinate + largest origin coordinate).
 #: Rounding moves a vertex in the ray's frame by at most about 12 units of 2**-24 of that
@@ -33,6 +33,8 @@ class Ray(NamedTuple):
         cyclic order.
     ox, oy, oz : float32
         Origin, in the order of the frame (so ``oz`` lies along kz).
+    dx, dy, dz : float32
+        Direction, in the order of the frame.
     sx, sy, sz : float32
         Shear that turns the direction into the frame's z axis: d[kx] / d[kz],
         d[ky] / d[kz], 1 / d[kz].
@@ -49,6 +51,9 @@ class Ray(NamedTuple):
     ox: np.float32
     oy: np.float32
     oz: np.float32
+    dx: np.float32
+    dy: np.float32
+    dz: np.float32
     sx: np.float32
     sy: np.float32
     sz: np.float32
@@ -64,18 +69,24 @@ class Ray(NamedTuple):
 
 
 @device
+def pick(k, x, y, z):
+    """What belongs to axis k."""
+    return x if k == np.uint64(0) else (y if k == np.uint64(1) else z)
+
+
+@device
 def _reciprocal(d, tiny):
     # copysign, not a comparison: -0 points to the negative side, as its neighbours do.
     return np.copysign(_ONE / max(abs(d), tiny), d)
 
 
 @device
-def set_up(origin, direction, extreme):
+def set_up(ox, oy, oz, dx, dy, dz, extreme):
     """Prepare a ray.
 
     Parameters
     ----------
-    origin, direction : array of shape (3,), float32
+    ox, oy, oz, dx, dy, dz : float32
         Finite, local frame; the largest direction component is in [1, 2).
     extreme : float32
         Largest absolute coordinate of the scene.
@@ -85,7 +96,7 @@ def set_up(origin, direction, extreme):
     Ray
     """
     # Step 1: the frame's z axis is the largest component; the first one wins a tie.
-    ax, ay, az = abs(direction[0]), abs(direction[1]), abs(direction[2])
+    ax, ay, az = abs(dx), abs(dy), abs(dz)
     kz = np.uint64(0)
     largest = ax
     if ay > largest:
@@ -100,34 +111,37 @@ def set_up(origin, direction, extreme):
     # Step 2: slab constants. The padding moves each near plane towards the origin and each
     # far plane away from it, so it takes the direction's sign.
     tiny = largest * TINY_DIRECTION
-    reach = max(abs(origin[0]), abs(origin[1]), abs(origin[2]))
+    reach = max(abs(ox), abs(oy), abs(oz))
     pad = PAD * (extreme + reach)
-    inv_x = _reciprocal(direction[0], tiny)
-    inv_y = _reciprocal(direction[1], tiny)
-    inv_z = _reciprocal(direction[2], tiny)
-    pad_x = np.copysign(pad, direction[0])
-    pad_y = np.copysign(pad, direction[1])
-    pad_z = np.copysign(pad, direction[2])
+    inv_x = _reciprocal(dx, tiny)
+    inv_y = _reciprocal(dy, tiny)
+    inv_z = _reciprocal(dz, tiny)
+    pad_x = np.copysign(pad, dx)
+    pad_y = np.copysign(pad, dy)
+    pad_z = np.copysign(pad, dz)
 
     # Step 3: the shear. kz is not tiny, so its reciprocal is exact to one rounding.
-    sz = inv_x if kz == np.uint64(0) else (inv_y if kz == np.uint64(1) else inv_z)
+    sz = pick(kz, inv_x, inv_y, inv_z)
     return Ray(
         kx,
         ky,
         kz,
-        origin[kx],
-        origin[ky],
-        origin[kz],
-        direction[kx] * sz,
-        direction[ky] * sz,
+        pick(kx, ox, oy, oz),
+        pick(ky, ox, oy, oz),
+        pick(kz, ox, oy, oz),
+        pick(kx, dx, dy, dz),
+        pick(ky, dx, dy, dz),
+        pick(kz, dx, dy, dz),
+        pick(kx, dx, dy, dz) * sz,
+        pick(ky, dx, dy, dz) * sz,
         sz,
         inv_x,
         inv_y,
         inv_z,
-        -((origin[0] + pad_x) * inv_x),
-        -((origin[1] + pad_y) * inv_y),
-        -((origin[2] + pad_z) * inv_z),
-        -((origin[0] - pad_x) * inv_x),
-        -((origin[1] - pad_y) * inv_y),
-        -((origin[2] - pad_z) * inv_z),
+        -((ox + pad_x) * inv_x),
+        -((oy + pad_y) * inv_y),
+        -((oz + pad_z) * inv_z),
+        -((ox - pad_x) * inv_x),
+        -((oy - pad_y) * inv_y),
+        -((oz - pad_z) * inv_z),
     )

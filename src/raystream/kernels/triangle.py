@@ -55,6 +55,25 @@ def _own_interval(ray, corners, i):
     )
 
 
+@device
+def _plane_distance(ray, corners, i):
+    """Distance to the triangle's plane, in float64 of the corners as they are.
+
+    The corners' images would do for small triangles. But they are rounded at the size of the
+    triangle: near a corner of the ray's own neighbourhood, a ground of many kilometres would
+    lose all digits of a distance of a metre.
+    """
+    a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+    ax, ay, az = np.float64(a[ray.kx]), np.float64(a[ray.ky]), np.float64(a[ray.kz])
+    px, py, pz = b[ray.kx] - ax, b[ray.ky] - ay, b[ray.kz] - az
+    qx, qy, qz = c[ray.kx] - ax, c[ray.ky] - ay, c[ray.kz] - az
+    nx = py * qz - pz * qy
+    ny = pz * qx - px * qz
+    nz = px * qy - py * qx
+    along = (ax - ray.ox) * nx + (ay - ray.oy) * ny + (az - ray.oz) * nz
+    return np.float32(along / (ray.dx * nx + ray.dy * ny + ray.dz * nz))
+
+
 @device_call
 def _owns(ax, ay, bx, by, cx, cy, U, V, W):
     """Whether this triangle is the one that a ray crosses, of those at an edge or vertex."""
@@ -120,9 +139,11 @@ def intersect(ray, corners, i, surfaces):
         if surfaces and not _owns(ax, ay, bx, by, cx, cy, U, V, W):
             return False, _INF, _ZERO, _ZERO
     scale = 1.0 / (U + V + W)
-    t = np.float32((U * az + V * bz + W * cz) * scale * ray.sz)
 
-    # Step 3: the clamp. Adding zero turns -0 into 0.
+    # Step 3: the distance to the plane, clamped. (Seen edge-on it is not finite, and the
+    # clamp, written so that a NaN becomes t_in, decides.) Adding zero turns -0 into 0.
+    t = _plane_distance(ray, corners, i)
     t_in, t_out = _own_interval(ray, corners, i)
-    t = min(max(t, t_in), t_out) + _ZERO
+    t = t if t > t_in else t_in
+    t = (t if t < t_out else t_out) + _ZERO
     return t_in <= t_out, t, np.float32(V * scale) + _ZERO, np.float32(W * scale) + _ZERO

@@ -76,6 +76,32 @@ class Mesh:
         """Number of triangles."""
         return len(self.faces)
 
+    def moved(self, vertices: ArrayLike) -> Mesh:
+        """Make the same mesh with other positions; all else is shared.
+
+        Parameters
+        ----------
+        vertices : array_like of shape (V, 3), float
+            As many as before. Shading normals do not follow.
+
+        Raises
+        ------
+        ValueError
+            If their number is another one.
+        TypeError
+            If they are no real numbers.
+        """
+        positions = _vertices(vertices)
+        if len(positions) != len(self.vertices):
+            raise ValueError(
+                f"vertices: expected {len(self.vertices):,}, as before, got {len(positions):,}"
+            )
+        mesh = Mesh.__new__(Mesh)
+        for name in Mesh.__slots__:
+            setattr(mesh, name, getattr(self, name))
+        mesh.vertices = positions
+        return mesh
+
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""
         return f"Mesh({name}{len(self.vertices):,} vertices, {len(self.faces):,} triangles)"

@@ -113,6 +113,21 @@ class Scene:
         scene._triangles = triangles
         return scene
 
+    def moved(self, meshes: Sequence[Mesh], triangles: Triangles) -> Scene:
+        """Make the same scene with moved meshes.
+
+        Parameters
+        ----------
+        meshes : sequence of Mesh
+            As many, with the same faces.
+        triangles : Triangles
+            Theirs.
+        """
+        scene = Scene.__new__(Scene)
+        scene.__dict__.update(self.__dict__)
+        scene.meshes, scene._triangles = tuple(meshes), triangles
+        return scene
+
     @property
     def triangles(self) -> Triangles:
         """The triangles of all meshes in the form that structures are built from; made once."""

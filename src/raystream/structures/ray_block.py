@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,11 @@ from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.local_frame import SceneFrame, TScale, to_local_rays, to_world_t
 from raystream.kernels.queries import LocalRays
 
-__all__ = ["LIGHT_CHUNK", "RayBlock"]
+__all__ = ["LIGHT_CHUNK", "RAYS_PER_BLOCK", "RayBlock", "blocks"]
+
+#: Rays that are made local at a time: bounds the memory of everything but the results, at
+#: about 100 bytes a ray.
+RAYS_PER_BLOCK = 1 << 20
 
 #: Rays that one call of a loop over rays without traversal gets: about a millisecond.
 LIGHT_CHUNK = 1 << 15
@@ -73,6 +78,18 @@ class RayBlock:
             to_world_t(begin, end, splits, self._t_scale, t)
 
         parallel_for(convert, len(splits) - 1, LIGHT_CHUNK)
+
+
+def blocks(
+    batch: RayBatch,
+    frame: SceneFrame,
+    status: NDArray[np.uint8],
+    progress: Progress | None,
+) -> Iterator[RayBlock]:
+    """Turn a batch into blocks of local rays, one at a time; see `RayBlock`."""
+    for first in range(0, len(batch), RAYS_PER_BLOCK):
+        rows = slice(first, min(first + RAYS_PER_BLOCK, len(batch)))
+        yield RayBlock(batch, rows, frame, status, progress)
 
 
 def _given(array: NDArray[Any], dtype: Any) -> NDArray[Any]:

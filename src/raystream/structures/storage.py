@@ -19,7 +19,7 @@ from raystream.structures.base import Structure
 __all__ = ["FORMAT_VERSION", "load_structure", "save_structure"]
 
 #: Raised by every change after which older files cannot be read.
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 _FORMAT = "raystream structure"
 

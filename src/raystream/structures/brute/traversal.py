@@ -27,9 +27,9 @@ class BruteArrays(NamedTuple):
 
 
 @device
-def traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack):
+def traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen):
     """Test every triangle; see `kernels.queries.ray_queries` for the arguments."""
-    count = 0
+    count = np.uint64(0)
     if t_min <= t_max:
         count, _ = test_triangles(
             ray,

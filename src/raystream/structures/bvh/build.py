@@ -1,207 +1,169 @@
-"""Building the BVH on all threads: large ranges are split, small ones become subtrees.
-
-Each range is one task. A large one is split in two, which become tasks; a small one is built
-to the end. Which ranges are large is fixed, and subtrees are joined in the order of their
-ranges, so the tree is the same for any number of threads.
-"""
+"""Building the BVH: a binary tree, collapsed, and written as a wide one; on all threads."""
 
 from __future__ import annotations
-
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.cpu import kernel
-from raystream.jit.threads import PROGRESS_INTERVAL, Progress, parallel_for, thread_pool
-from raystream.structures.bvh.layout import BvhArrays
-from raystream.structures.bvh.subtree import build_subtree, split_range, triangle_boxes
+from raystream.jit.threads import Progress, parallel_for
+from raystream.structures.bvh.emit import emit
+from raystream.structures.bvh.grow import Method, Tree, grow_tree
+from raystream.structures.bvh.layout import (
+    BLOCK_FLOATS,
+    MAX_BLOCKS,
+    MAX_DEPTH,
+    NODE_FLOATS,
+    WIDTH,
+    BvhArrays,
+    aligned_array,
+)
+from raystream.structures.bvh.tree import HALVING_LEVELS, MAX_TREE_DEPTH
 
-__all__ = ["build_arrays", "gather_corners"]
+__all__ = ["QUALITIES", "build_arrays"]
 
-#: Ranges of at most this many triangles are built by one task, in about 10 ms.
-SUBTREE_SIZE = 1 << 14
+#: Size of ranges that are not split; that are split without a search; share of records that
+#: splits in space may add.
+QUALITIES = {"fast": (4, 1024, 0.0), "balanced": (4, 0, 0.0), "high": (2, 0, 0.3)}
 
-#: Triangles that one call of a copying loop gets.
-_COPY_CHUNK = 1 << 16
-
-
-@dataclass
-class _Range:
-    """A task, and then its result: a split in two, or a subtree."""
-
-    begin: int
-    end: int
-    depth: int
-    bounds: NDArray[np.float32] = field(default_factory=lambda: np.empty((2, 3), np.float32))
-    parts: tuple[_Range, _Range] | None = None
-    node_boxes: NDArray[np.float32] | None = None
-    children: NDArray[np.int32] | None = None
-    first_node: int = 0
-
-    @property
-    def node_count(self) -> int:
-        return 0 if self.children is None else len(self.children)
+#: Wide trees that one call of `emit` gets.
+_TREES_PER_CALL = 4
 
 
 def build_arrays(
-    triangles: Triangles, max_leaf_size: int, progress: Progress | None = None
+    triangles: Triangles,
+    quality: str = "balanced",
+    max_leaf_size: int = 4,
+    progress: Progress | None = None,
 ) -> BvhArrays:
-    """Build a binary BVH by the binned surface area heuristic.
+    """Build an 8-wide BVH.
 
     Parameters
     ----------
     triangles : Triangles
+    quality : {"fast", "balanced", "high"}
+        "high" splits space too: a triangle may then be in several leaves.
     max_leaf_size : int
-        Most triangles in a leaf.
+        Most triangles in a leaf, 1 to 32.
     progress : callable, optional
         Called with (triangles placed, triangles).
 
     Returns
     -------
     BvhArrays
+        The same ones for any number of threads.
+
+    Raises
+    ------
+    ValueError
+        If the tree would be too large for the layout: beyond about 500 million triangles.
 
     References
     ----------
     Wald, "On fast Construction of SAH-based Bounding Volume Hierarchies", IEEE Symposium
     on Interactive Ray Tracing 2007.
     """
-    count = len(triangles.prim_ids)
-    if count == 0:
-        return BvhArrays(
-            np.empty((0, 2, 2, 3), np.float32),
-            np.empty((0, 2, 2), np.int32),
-            np.empty((0, 3, 3), np.float32),
-            np.empty(0, np.int32),
+    if len(triangles.prim_ids) == 0:
+        return _make_arrays(0, 0)
+    small, plain_size, spare_share = QUALITIES[quality]
+    # A path has far fewer wide nodes than binary ones, but nothing forces it to: if the tree
+    # got too deep, a binary tree that is not deeper than allowed is made.
+    for tree_depth in (MAX_TREE_DEPTH, MAX_DEPTH):
+        method = Method(
+            small=min(small, max_leaf_size),
+            plain_size=plain_size,
+            max_leaf_size=max_leaf_size,
+            sah_depth=tree_depth - HALVING_LEVELS,
+            spare_share=spare_share,
         )
-    boxes = np.empty((count, 2, 3), np.float32)
-    prim_ids = np.empty(count, np.int32)
-    source = triangles.corners, triangles.prim_ids
-    parallel_for(
-        lambda begin, end: triangle_boxes(begin, end, *source, prim_ids, boxes), count, _COPY_CHUNK
+        tree = grow_tree(triangles, method, progress)
+        writer = _Writer(tree, triangles.corners, spare_share > 0.0)
+        if writer.depth <= MAX_DEPTH:
+            break
+    return writer.write()
+
+
+def _make_arrays(node_count: int, block_count: int) -> BvhArrays:
+    return BvhArrays(
+        aligned_array(node_count, NODE_FLOATS), aligned_array(block_count, BLOCK_FLOATS)
     )
-    root = _Range(0, count, 0)
-    _build_ranges(root, boxes, prim_ids, max_leaf_size, progress)
-    node_boxes, children = _join(root)
-    return BvhArrays(node_boxes, children, gather_corners(triangles, prim_ids), prim_ids)
 
 
-def gather_corners(triangles: Triangles, prim_ids: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Copy the corners of triangles in this order, shape (A, 3, 3), float32."""
-    corners = np.empty((len(prim_ids), 3, 3), np.float32)
-    parallel_for(
-        lambda begin, end: _gather_corners(begin, end, triangles.corners, prim_ids, corners),
-        len(prim_ids),
-        _COPY_CHUNK,
-    )
-    return corners
+class _Trees:
+    """Wide trees to be written: binary roots, nodes above each, and where each begins."""
+
+    def __init__(self, roots: NDArray[np.int32], depths: NDArray[np.int32]) -> None:
+        self.roots = roots
+        self.depths = depths
+        self.first_nodes = np.zeros(len(roots), np.int64)
+        self.first_blocks = np.zeros(len(roots), np.int64)
+        self.counts = np.zeros((len(roots), 4), np.int64)
 
 
-def _build_ranges(
-    root: _Range,
-    boxes: NDArray[np.float32],
-    prim_ids: NDArray[np.int32],
-    max_leaf_size: int,
-    progress: Progress | None,
-) -> None:
-    """Run the tasks, until none is left."""
+class _Deferred:
+    """Children of the top of the tree: binary nodes, their depths, and their rows."""
 
-    def run(task: _Range) -> None:
-        begin, end, depth = task.begin, task.end, task.depth
-        if end - begin > SUBTREE_SIZE:
-            middle = split_range(boxes, prim_ids, begin, end, depth, max_leaf_size, task.bounds)
-            task.parts = _Range(begin, middle, depth + 1), _Range(middle, end, depth + 1)
-            return
-        node_boxes = np.empty((end - begin, 2, 2, 3), np.float32)
-        children = np.empty((end - begin, 2, 2), np.int32)
-        node_count = build_subtree(
-            boxes, prim_ids, begin, end, depth, max_leaf_size, node_boxes, children, task.bounds
-        )
-        task.node_boxes = node_boxes[:node_count].copy()
-        task.children = children[:node_count].copy()
-
-    if root.end <= SUBTREE_SIZE:
-        run(root)  # not worth a hand-over
-        return
-    # Compile on this thread, see `parallel_for`.
-    split_range(boxes, prim_ids, 0, 0, 0, max_leaf_size, np.empty((2, 3), np.float32))
-    run(_Range(0, 0, 0))
-    pool = thread_pool()
-    running: dict[Future[None], _Range] = {pool.submit(run, root): root}
-    placed = 0
-    try:
-        while running:
-            done, _ = wait(running, timeout=PROGRESS_INTERVAL, return_when=FIRST_COMPLETED)
-            for future in done:
-                task = running.pop(future)
-                future.result()
-                if task.parts:
-                    running.update({pool.submit(run, part): part for part in task.parts})
-                else:
-                    placed += task.end - task.begin
-            if progress:
-                progress(placed, root.end)
-    except BaseException:
-        for future in running:
-            future.cancel()
-        wait(running)
-        raise
+    def __init__(self, room: int) -> None:
+        self.nodes = np.empty(room, np.int32)
+        self.rows = np.zeros(room, np.int64)
+        self.depths = np.empty(room, np.int32)
 
 
-def _join(root: _Range) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Lay out the split ranges' nodes first, then the subtrees' in the order of their ranges."""
-    if root.parts is None and root.node_count == 0:
-        return _single_leaf(root)
-    splits: list[_Range] = []
-    subtrees: list[_Range] = []
-    pending = [root]
-    while pending:
-        task = pending.pop()
-        if task.parts:
-            task.first_node = len(splits)
-            splits.append(task)
-            pending += reversed(task.parts)
-        else:
-            subtrees.append(task)
-    total = len(splits)
-    for task in subtrees:
-        task.first_node = total
-        total += task.node_count
+class _Writer:
+    """Counts the rows of a wide tree, and then writes them.
 
-    node_boxes = np.empty((total, 2, 2, 3), np.float32)
-    children = np.empty((total, 2, 2), np.int32)
-    for task in splits:
-        for side, part in enumerate(task.parts or ()):
-            node_boxes[task.first_node, side] = part.bounds
-            if part.parts is None and part.node_count == 0:
-                children[task.first_node, side] = part.begin, part.end - part.begin
-            else:
-                children[task.first_node, side] = part.first_node, 0
-    for task in subtrees:
-        rows = slice(task.first_node, task.first_node + task.node_count)
-        if task.children is not None and task.node_boxes is not None:
-            node_boxes[rows] = task.node_boxes
-            inner = task.children[:, :, 1] == 0
-            task.children[:, :, 0] += np.where(inner, np.int32(task.first_node), np.int32(0))
-            children[rows] = task.children
-    return node_boxes, children
+    The top of the tree is written by itself, and then the trees that hang below it in parallel.
+    """
 
+    def __init__(self, tree: Tree, corners: NDArray[np.float32], has_duplicates: bool) -> None:
+        self.tree = tree
+        self.corners = corners
+        self.has_duplicates = has_duplicates
+        self.top = _Trees(np.array([tree.root], np.int32), np.zeros(1, np.int32))
+        self.deferred = _Deferred(WIDTH * tree.top_count)
+        self._emit(self.top, self.deferred, None)
+        found = int(self.top.counts[0, 3])
+        self.below = _Trees(self.deferred.nodes[:found], self.deferred.depths[:found])
+        self._emit(self.below, _Deferred(0), None)
+        counts = np.concatenate([self.top.counts, self.below.counts])
+        self.depth = int(counts[:, 2].max())
+        ends = np.cumsum(counts, axis=0)
+        self.below.first_nodes[:] = self.deferred.rows[:found] = ends[:-1, 0]
+        self.below.first_blocks[:] = ends[:-1, 1]
+        self.node_count, self.block_count = int(ends[-1, 0]), int(ends[-1, 1])
 
-def _single_leaf(root: _Range) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """A node with one child: the whole scene as a leaf."""
-    node_boxes = np.empty((1, 2, 2, 3), np.float32)
-    node_boxes[0, 0] = root.bounds
-    node_boxes[0, 1] = [[np.inf] * 3, [-np.inf] * 3]
-    children = np.array([[[root.begin, root.end - root.begin], [0, -1]]], np.int32)
-    return node_boxes, children
+    def write(self) -> BvhArrays:
+        if self.block_count > MAX_BLOCKS:
+            raise ValueError(f"{self.block_count:,} leaf blocks are more than {MAX_BLOCKS:,}")
+        arrays = _make_arrays(self.node_count, self.block_count)
+        self._emit(self.top, self.deferred, arrays)
+        self._emit(self.below, _Deferred(0), arrays)
+        return arrays
 
+    def _emit(self, trees: _Trees, deferred: _Deferred, arrays: BvhArrays | None) -> None:
+        """Count, or write to `arrays`."""
+        nodes, leaves = _make_arrays(0, 0) if arrays is None else arrays
 
-@kernel
-def _gather_corners(begin, end, source, prim_ids, corners):
-    for i in range(np.uint64(begin), np.uint64(end)):
-        triangle = source[np.uint64(prim_ids[i])]
-        for vertex in range(3):
-            for axis in range(3):
-                corners[i, vertex, axis] = triangle[vertex, axis]
+        def body(begin: int, end: int) -> None:
+            emit(
+                begin,
+                end,
+                trees.roots,
+                trees.first_nodes,
+                trees.first_blocks,
+                trees.depths,
+                trees.counts,
+                deferred.nodes,
+                deferred.rows,
+                deferred.depths,
+                self.has_duplicates,
+                arrays is not None,
+                self.tree.records,
+                self.corners,
+                self.tree.boxes,
+                self.tree.links,
+                nodes,
+                leaves,
+            )
+
+        parallel_for(body, len(trees.roots), _TREES_PER_CALL)

@@ -1,4 +1,4 @@
-"""The arrays of a binary BVH, and the check that they are safe to traverse."""
+"""The arrays of an 8-wide BVH, and the check that they are safe to traverse."""
 
 from __future__ import annotations
 
@@ -10,116 +10,227 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
 
-__all__ = ["MAX_DEPTH", "STACK_SIZE", "BvhArrays", "check_arrays"]
+__all__ = [
+    "BLOCK_BYTES",
+    "BLOCK_FLOATS",
+    "BLOCK_SIZE",
+    "CHILDREN_AT",
+    "IDS_AT",
+    "MAX_BLOCKS",
+    "MAX_DEPTH",
+    "MAX_LEAF_SIZE",
+    "NODE_BYTES",
+    "NODE_FLOATS",
+    "STACK_SIZE",
+    "WIDTH",
+    "BvhArrays",
+    "aligned_array",
+    "check_arrays",
+]
+
+#: Children of a node.
+WIDTH = 8
+
+#: Size of a node, and where the 8 child links are in it (bytes).
+NODE_BYTES = 256
+NODE_FLOATS = NODE_BYTES // 4
+CHILDREN_AT = 192
+
+#: Triangles in a leaf block, its size, and where the 4 prim_ids are in it (bytes).
+BLOCK_SIZE = 4
+BLOCK_BYTES = 160
+BLOCK_FLOATS = BLOCK_BYTES // 4
+IDS_AT = 144
+
+#: Blocks of a leaf, so that its link has room for the count.
+MAX_LEAF_BLOCKS = 8
+MAX_LEAF_SIZE = BLOCK_SIZE * MAX_LEAF_BLOCKS
+
+#: Blocks of a tree: their number takes 28 bits of a link.
+MAX_BLOCKS = 1 << 28
 
 #: Nodes on the longest path that the builder makes and the traversal can take.
-MAX_DEPTH = 112
+MAX_DEPTH = 64
 
-#: Each node on a path leaves at most one entry on the stack, and the last one two.
-STACK_SIZE = MAX_DEPTH + 1
+#: Each node on a path leaves at most 7 entries on the stack, and the last one 8.
+STACK_SIZE = (WIDTH - 1) * MAX_DEPTH + 1
+
+_ALIGNMENT = 64
 
 
 class BvhArrays(NamedTuple):
-    """Inner nodes that hold their two children's boxes, and triangles in leaf order.
+    """Nodes with the boxes of 8 children each, and leaves of blocks with 4 triangles each.
 
     Attributes
     ----------
-    boxes : ndarray of shape (M, 2, 2, 3), float32
-        boxes[node, child] is the (low, high) corners of that child, local frame.
-    children : ndarray of shape (M, 2, 2), int32
-        children[node, child] is (index, count). With a count of 0 the child is the inner
-        node `index`, which is greater than `node`; else it is a leaf, whose triangles are
-        rows index to index + count of `corners`. An absent child has count -1 and an
-        empty box (low = inf, high = -inf), which no ray enters.
-    corners : ndarray of shape (A, 3, 3), float32
-    prim_ids : ndarray of shape (A,), int32
+    nodes : ndarray of shape (M, 64), float32
+        Row 0 is the root. Eight numbers each, one for each child: low x, high x, low y,
+        high y, low z, high z, all in the local frame; then the child itself, as the bits of
+        an int32: the row of a node, which is greater than the parent's, or for a leaf
+        ``~(first_block << 3 | block_count - 1)``. A child that is absent has an empty box
+        (low = inf, high = -inf), which no ray enters, and link 0; those are the last ones.
+        The last eight numbers are 0.
+    leaves : ndarray of shape (B, 40), float32
+        Blocks: four numbers each, one for each triangle: x, y, z of vertex 0, of vertex 1
+        and of vertex 2; then `prim_id`, as the bits of an int32. A triangle that is absent
+        has prim_id -1 and coordinates NaN; those are the last ones of their block. One that
+        moved and cannot be hit any more keeps its prim_id and has coordinates NaN.
+
+    Notes
+    -----
+    The first rows begin at a multiple of 64 bytes. A triangle may be in more than one leaf.
     """
 
-    boxes: NDArray[np.float32]
-    children: NDArray[np.int32]
-    corners: NDArray[np.float32]
-    prim_ids: NDArray[np.int32]
+    nodes: NDArray[np.float32]
+    leaves: NDArray[np.float32]
+
+    @property
+    def children(self) -> NDArray[np.int32]:
+        """The links of the nodes, shape (M, 8), int32."""
+        return self.nodes.view(np.int32)[:, CHILDREN_AT // 4 : CHILDREN_AT // 4 + WIDTH]
+
+    @property
+    def prim_ids(self) -> NDArray[np.int32]:
+        """The triangles of the blocks, shape (B, 4), int32; -1 where there is none."""
+        return self.leaves.view(np.int32)[:, IDS_AT // 4 :]
+
+
+def aligned_array(row_count: int, row_floats: int) -> NDArray[np.float32]:
+    """An array of shape (row_count, row_floats), float32, that starts at a cache line.
+
+    Its content is undefined.
+    """
+    byte_count = row_count * row_floats * 4
+    memory = np.empty(byte_count + _ALIGNMENT, np.uint8)
+    skipped = -memory.ctypes.data % _ALIGNMENT
+    return memory[skipped : skipped + byte_count].view(np.float32).reshape(row_count, row_floats)
+
+
+# Codes that `_check_tree` returns.
+_BAD_CHILD, _BAD_LEAF, _BAD_ID, _BAD_LANE, _MISSING = -1, -2, -3, -4, -5
 
 
 @kernel
-def _check_children(children, triangle_count, depths, covered):
-    """Depth of the tree, or -1 if it is none, -2 if its leaves do not hold each row once."""
-    node_count = len(children)
+def _check_tree(nodes, children, prim_ids, depths, wanted):
+    """Depth of the tree, or a negative code for what is wrong with it.
+
+    `wanted` is true for each triangle that must be in a leaf; those found become false.
+    """
+    node_count, block_count = len(children), len(prim_ids)
     deepest = 0
     for node in range(node_count):
         # Parents come before their children, so a node not reached by now never is.
         if node > 0 and depths[node] == 0:
-            return -1
+            return _BAD_CHILD
         depth = depths[node] + 1
         deepest = max(deepest, depth)
-        for child in range(2):
-            index, count = children[node, child, 0], children[node, child, 1]
-            if count == 0:
+        for lane in range(WIDTH):
+            child = np.int64(children[node, lane])
+            if child == 0:
+                for axis in range(3):
+                    low = nodes[node, axis * 2 * WIDTH + lane]
+                    high = nodes[node, (axis * 2 + 1) * WIDTH + lane]
+                    if low != np.inf or high != -np.inf:
+                        return _BAD_LANE
+            elif child > 0:
                 # A greater index than the parent's: no cycle. Not seen yet: one parent.
-                if index <= node or index >= node_count or depths[index] != 0:
-                    return -1
-                depths[index] = depth
-            elif count > 0:
-                if index < 0 or index > triangle_count - count:
-                    return -2
-                for row in range(index, index + count):
-                    if covered[row]:
-                        return -2
-                    covered[row] = True
-    for row in range(triangle_count):
-        if not covered[row]:
-            return -2
+                if child <= node or child >= node_count or depths[child] != 0:
+                    return _BAD_CHILD
+                depths[child] = depth
+            else:
+                first = ~child >> 3
+                last = first + (~child & 7) + 1
+                if last > block_count:
+                    return _BAD_LEAF
+                for block in range(first, last):
+                    for k in range(BLOCK_SIZE):
+                        prim_id = np.int64(prim_ids[block, k])
+                        if prim_id < -1 or prim_id >= len(wanted):
+                            return _BAD_ID
+                        if prim_id >= 0:
+                            wanted[prim_id] = False
+    for row in range(len(wanted)):
+        if wanted[row]:
+            return _MISSING
     return deepest
 
 
 def check_arrays(
-    arrays: Mapping[str, NDArray[Any]], solid_ids: NDArray[np.int32]
-) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    arrays: Mapping[str, NDArray[Any]],
+    solid_ids: NDArray[np.int32],
+    corners: NDArray[np.float32],
+) -> BvhArrays:
     """Check a tree from a file: no traversal of it may read out of bounds or not end.
 
     Parameters
     ----------
     arrays : mapping of str to ndarray
-        ``boxes``, ``children`` and ``prim_ids``, see `BvhArrays`.
+        ``nodes`` and ``leaves``, see `BvhArrays`.
     solid_ids : ndarray of shape (A,), int32
-        The triangles that the tree must hold, each once, in increasing order.
+        The triangles that the tree must hold, in increasing order.
+    corners : ndarray of shape (F, 3, 3), float32
+        What their corners must be.
 
     Returns
     -------
-    boxes, children, prim_ids : ndarray
+    BvhArrays
+        The same arrays, or aligned copies of them.
 
     Raises
     ------
     ValueError
         What is wrong.
     """
-    boxes = _array(arrays, "boxes", np.float32, (2, 2, 3))
-    children = _array(arrays, "children", np.int32, (2, 2))
-    prim_ids = _array(arrays, "prim_ids", np.int32, ())
-    if len(boxes) != len(children):
-        raise ValueError("arrays disagree about the number of nodes")
-    if not np.array_equal(np.sort(prim_ids), solid_ids):
+    nodes = _array(arrays, "nodes", NODE_FLOATS)
+    leaves = _array(arrays, "leaves", BLOCK_FLOATS)
+    tree = BvhArrays(nodes, leaves)
+    wanted = np.zeros(len(corners), np.bool_)
+    wanted[solid_ids] = True
+    if not _are_the_same(tree, wanted, corners):
         raise ValueError("its triangles are not those of the scene")
-    absent = boxes[children[:, :, 1] < 0]
-    if not ((absent[:, 0] == np.inf).all() and (absent[:, 1] == -np.inf).all()):
-        raise ValueError("an absent child has a box")
-    depths, covered = np.zeros(len(children), np.int32), np.zeros(len(prim_ids), np.bool_)
-    depth = _check_children(children, len(prim_ids), depths, covered)
-    if depth == -1:
+    depths = np.zeros(len(nodes), np.int32)
+    depth = _check_tree(nodes, tree.children, tree.prim_ids, depths, wanted)
+    if depth == _BAD_CHILD:
         raise ValueError("a node's child is out of range or has two parents")
-    if depth == -2:
-        raise ValueError("its leaves do not hold every triangle once")
+    if depth == _BAD_LEAF:
+        raise ValueError("a leaf is out of range")
+    if depth == _BAD_ID:
+        raise ValueError("a leaf has a prim_id that is out of range")
+    if depth == _BAD_LANE:
+        raise ValueError("an absent child has a box")
+    if depth == _MISSING:
+        raise ValueError("its leaves do not hold every triangle")
     if depth > MAX_DEPTH:
         raise ValueError(f"the tree is {depth} nodes deep; at most {MAX_DEPTH} are possible")
-    return boxes, children, prim_ids
+    return tree
 
 
-def _array(
-    arrays: Mapping[str, NDArray[Any]], name: str, dtype: type, row_shape: tuple[int, ...]
-) -> NDArray[Any]:
+def _are_the_same(tree: BvhArrays, solid: NDArray[np.bool_], corners: NDArray[np.float32]) -> bool:
+    """Whether the leaves hold the scene's corners; NaN for triangles that cannot be hit."""
+    rows = 1 << 16  # bounds the temporaries
+    for first in range(0, len(tree.leaves), rows):
+        ids = tree.prim_ids[first : first + rows]
+        if (ids >= len(solid)).any():
+            return False
+        here = ids >= 0
+        here[here] = solid[ids[here]]
+        held = tree.leaves[first : first + rows, : IDS_AT // 4].reshape(-1, 3, 3, BLOCK_SIZE)
+        held = held.transpose(0, 3, 1, 2)
+        if not np.array_equal(held[here], corners[ids[here]]):
+            return False
+        if not np.isnan(held[~here]).all():
+            return False
+    return True
+
+
+def _array(arrays: Mapping[str, NDArray[Any]], name: str, row_floats: int) -> NDArray[np.float32]:
     if name not in arrays:
         raise ValueError(f"array {name!r} is missing")
     array = arrays[name]
-    if array.dtype != dtype or array.ndim == 0 or array.shape[1:] != row_shape:
+    if array.dtype != np.float32 or array.ndim != 2 or array.shape[1] != row_floats:
         raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
-    return np.ascontiguousarray(array)
+    if array.flags.c_contiguous and array.ctypes.data % _ALIGNMENT == 0:
+        return array
+    aligned = aligned_array(len(array), row_floats)
+    aligned[:] = array
+    return aligned

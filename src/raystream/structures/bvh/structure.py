@@ -5,31 +5,50 @@ from __future__ import annotations
 import operator
 import time
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.jit.cpu import kernel
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import ray_queries
-from raystream.structures.base import BuildReport, Structure
-from raystream.structures.bvh.build import build_arrays, gather_corners
-from raystream.structures.bvh.layout import STACK_SIZE, BvhArrays, check_arrays
-from raystream.structures.bvh.traversal import traverse
+from raystream.kernels.collect import HitArrays, aligned_rows
+from raystream.kernels.queries import UNLIMITED, ray_queries
+from raystream.kernels.ray_source import ResultAddresses
+from raystream.structures.base import BuildReport, Structure, UpdateReport, allocate_hits
+from raystream.structures.bvh.build import QUALITIES, build_arrays
+from raystream.structures.bvh.engine import (
+    SMALL_BATCH,
+    Tree,
+    check_kernel,
+    collect_batch,
+    count_batch,
+    place_rows,
+    trace_batch,
+)
+from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays, check_arrays
+from raystream.structures.bvh.refit import refit
+from raystream.structures.bvh.statistics import statistics
+from raystream.structures.bvh.traversal import STACK_BYTES, TreeAddresses, traverse
 
 __all__ = ["Bvh"]
 
 
 class Bvh(Structure):
-    """A binary bounding volume hierarchy.
+    """A bounding volume hierarchy whose nodes have eight children.
 
     Parameters
     ----------
     triangles : Triangles
+    quality : {"fast", "balanced", "high"}
+        How much time the build may take for a tree that is traced faster.
     max_leaf_size : int
-        Most triangles in a leaf, 1 to 64.
+        Most triangles in a leaf, 1 to 32.
+    kernel : {"auto", "packet", "stream", "wavefront", "single"}
+        How rays are traced: ``"auto"`` chooses for each batch. All give the same bits; the
+        others are for measuring. A query that a kernel cannot answer takes another.
     progress : callable, optional
         Called with (triangles placed, triangles) while building.
 
@@ -38,96 +57,245 @@ class Bvh(Structure):
     ValueError
         If an option is out of range.
     TypeError
-        If it is no integer.
+        If `max_leaf_size` is no integer.
     """
 
     name = "bvh"
-    queries = ray_queries(traverse, STACK_SIZE)
+    queries = ray_queries(traverse, STACK_BYTES)
 
     def __init__(
-        self, triangles: Triangles, *, max_leaf_size: int = 4, progress: Progress | None = None
+        self,
+        triangles: Triangles,
+        *,
+        quality: str = "balanced",
+        max_leaf_size: int = 4,
+        kernel: str = "auto",
+        progress: Progress | None = None,
     ) -> None:
+        if quality not in QUALITIES:
+            known = ", ".join(map(repr, QUALITIES))
+            raise ValueError(f"quality: expected one of {known}, got {quality!r}")
         max_leaf_size = operator.index(max_leaf_size)
-        if not 1 <= max_leaf_size <= 64:
-            raise ValueError(f"max_leaf_size: expected 1 to 64, got {max_leaf_size}")
+        if not 1 <= max_leaf_size <= MAX_LEAF_SIZE:
+            raise ValueError(f"max_leaf_size: expected 1 to {MAX_LEAF_SIZE}, got {max_leaf_size}")
+        check_kernel(kernel)
         started = time.perf_counter()
-        self._set(triangles, build_arrays(triangles, max_leaf_size, progress), started)
+        arrays = build_arrays(triangles, quality, max_leaf_size, progress)
+        options = {"quality": quality, "max_leaf_size": max_leaf_size, "kernel": kernel}
+        self._set(triangles, arrays, options, started)
 
-    def _set(self, triangles: Triangles, arrays: BvhArrays, started: float) -> None:
+    def _set(
+        self, triangles: Triangles, tree: BvhArrays, options: Mapping[str, Any], started: float
+    ) -> None:
         self.triangles = triangles
-        self._arrays = arrays
+        self.tree = tree
+        self.options = options
+        self._numbers = Tree.of(tree, self.frame)
+        self._held_ids = triangles.prim_ids
+        self._lists_twice = False
+        entry_count = int(np.count_nonzero(tree.prim_ids >= 0))
+        if entry_count != len(triangles.prim_ids):
+            # Some are in several leaves, or some that a moved tree holds cannot be hit now.
+            self._held_ids = np.unique(tree.prim_ids[tree.prim_ids >= 0])
+            self._lists_twice = entry_count != len(self._held_ids)
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
-            byte_count=sum(array.nbytes for array in arrays),
+            byte_count=sum(array.nbytes for array in tree),
         )
 
-    def quality(self) -> dict[str, float]:
-        """Node counts, depth, and the expected cost of a random ray that meets the bounds."""
-        return _quality(self._arrays)
+    @cached_property
+    def cost_when_built(self) -> float:
+        """Cost of tracing the tree before it was refitted; see `UpdateReport`."""
+        return trace_cost(self.tree)
 
     @property
-    def arrays(self) -> BvhArrays:
-        """Nodes, and triangles in leaf order."""
-        return self._arrays
+    def kernel(self) -> str:
+        """How rays are traced."""
+        return str(self.options["kernel"])
+
+    @property
+    def arrays(self) -> TreeAddresses:
+        """Where the tree is; the structure keeps it."""
+        return self._numbers.addresses
+
+    @property
+    def lists_twice(self) -> bool:
+        """Whether a triangle may be in several leaves."""
+        return self._lists_twice
+
+    def quality(self) -> dict[str, float]:
+        """Counts, depth, and the expected cost of a random ray that meets the bounds."""
+        return statistics(self.tree)
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """The tree, and the order of the triangles; their corners follow from it."""
-        tree = self._arrays
-        return {"boxes": tree.boxes, "children": tree.children, "prim_ids": tree.prim_ids}
+        """The tree as it is traced, and how it was built."""
+        quality, size = (
+            list(QUALITIES).index(self.options["quality"]),
+            self.options["max_leaf_size"],
+        )
+        return {
+            "nodes": self.tree.nodes,
+            "leaves": self.tree.leaves,
+            "options": np.array([quality, size], np.int64),
+        }
 
     @classmethod
     def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Bvh:
         """Make a BVH of saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        boxes, children, prim_ids = check_arrays(arrays, triangles.prim_ids)
-        tree = BvhArrays(boxes, children, gather_corners(triangles, prim_ids), prim_ids)
+        tree = check_arrays(arrays, triangles.prim_ids, triangles.corners)
         structure = cls.__new__(cls)
-        structure._set(triangles, tree, started)
+        structure._set(triangles, tree, _saved_options(arrays), started)
         return structure
 
+    def updated(
+        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
+    ) -> tuple[Structure, UpdateReport]:
+        """Refit the tree to moved triangles, or build it anew; see `Structure.updated`.
 
-def _quality(arrays: BvhArrays) -> dict[str, float]:
-    """Node counts, depth, and the expected cost of a random ray."""
-    counts = arrays.children[:, :, 1]
-    leaves = counts > 0
-    depth, cost = _depth_and_cost(arrays.boxes, arrays.children) if len(counts) else (0, 0.0)
-    return {
-        "nodes": float(len(counts)),
-        "leaves": float(leaves.sum()),
-        "triangles per leaf": float(counts[leaves].mean()) if leaves.any() else 0.0,
-        "depth": float(depth),
-        "expected nodes and triangles per ray": float(cost),
-    }
+        Notes
+        -----
+        The arrays are changed in place. Built anew is also a tree which lacks a triangle:
+        one that could not be hit when it was built, and can be now.
+        """
+        started = time.perf_counter()
+        old_cost = self.cost_when_built
+        if self._holds(triangles):
+            try:
+                refit(self.tree, _hittable_corners(triangles))
+                cost = trace_cost(self.tree)
+            except BaseException:  # an interrupt: this structure stays as it was
+                refit(self.tree, _hittable_corners(self.triangles))
+                raise
+            if cost <= max_cost_growth * old_cost:
+                moved = self._moved(triangles, started)
+                return moved, UpdateReport(False, moved.report.seconds, cost, old_cost)
+        rebuilt = Bvh(triangles, progress=progress, **self.options)
+        cost = rebuilt.cost_when_built
+        return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
+
+    def _holds(self, triangles: Triangles) -> bool:
+        """Whether the tree has all that can be hit, in the same frame."""
+        if triangles.scale != self.triangles.scale:
+            return False
+        if not np.array_equal(triangles.center, self.triangles.center):
+            return False
+        if np.array_equal(triangles.prim_ids, self._held_ids):
+            return True
+        is_held = np.zeros(len(triangles), np.bool_)
+        is_held[self._held_ids] = True
+        return bool(is_held[triangles.prim_ids].all())
+
+    def _moved(self, triangles: Triangles, started: float) -> Bvh:
+        """The structure of moved triangles, with the same arrays, which were refitted."""
+        moved = Bvh.__new__(Bvh)
+        moved.__dict__.update(self.__dict__)
+        moved.__dict__.pop("frame", None)
+        moved.triangles = triangles
+        moved._numbers = Tree.of(self.tree, moved.frame)
+        seconds = time.perf_counter() - started
+        moved.report = BuildReport(seconds, self.report.byte_count)
+        return moved
+
+    def first_hit_batch(
+        self, batch: RayBatch, status: NDArray[np.uint8], progress: Progress | None = None
+    ) -> HitArrays:
+        """Find the nearest hit of each ray; see `Structure.first_hit_batch`."""
+        if self._is_traced_singly():
+            return super().first_hit_batch(batch, status, progress)
+        memory = aligned_rows(len(batch))
+        to = ResultAddresses.of_first(memory, status)
+        trace_batch(self._numbers, batch, False, to, progress, self.kernel)
+        return HitArrays.rows_of(memory)
+
+    def any_hit_batch(
+        self, batch: RayBatch, status: NDArray[np.uint8], progress: Progress | None = None
+    ) -> NDArray[np.bool_]:
+        """Find whether anything is in each ray's way; see `Structure.any_hit_batch`."""
+        if self._is_traced_singly():
+            return super().any_hit_batch(batch, status, progress)
+        seen = np.empty(len(batch), np.bool_)
+        to = ResultAddresses.of_any(seen, status)
+        trace_batch(self._numbers, batch, True, to, progress, self.kernel)
+        return seen
+
+    def count_hits_batch(
+        self,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+    ) -> NDArray[np.int64]:
+        """Count the hits of each ray; see `Structure.count_hits_batch`."""
+        if self._may_collect(batch, limit) and not self.lists_twice:
+            counts = count_batch(
+                self._numbers, batch, surfaces, status, progress, self.kernel == "auto"
+            )
+            if counts is not None:
+                return counts
+        return super().count_hits_batch(batch, surfaces, limit, status, progress)
+
+    def multi_hit_batch(
+        self,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+    ) -> tuple[NDArray[np.int64], HitArrays]:
+        """Find the nearest hits of each ray; see `Structure.multi_hit_batch`.
+
+        Notes
+        -----
+        Packets find all hits in one pass, and need about twice their memory for a while.
+        """
+        if self._may_collect(batch, limit):
+            is_free = self.kernel == "auto"
+            found = collect_batch(
+                self._numbers, batch, surfaces, self.lists_twice, status, progress, is_free
+            )
+            if found is not None:
+                counts, rows = found
+                splits = np.zeros(len(batch) + 1, np.int64)
+                np.cumsum(counts, out=splits[1:])
+                hits = allocate_hits(int(splits[-1]))
+                place_rows(batch, rows, splits, hits)
+                return splits, hits
+        return super().multi_hit_batch(batch, surfaces, limit, status, progress)
+
+    def _may_collect(self, batch: RayBatch, limit: int) -> bool:
+        """Whether packets could find the hits of a batch: all of them are wanted."""
+        if limit != UNLIMITED or len(self.tree.nodes) == 0 or len(batch) == 0:
+            return False
+        return self.kernel == "packet" or (self.kernel == "auto" and len(batch) > SMALL_BATCH)
+
+    def _is_traced_singly(self) -> bool:
+        """By `traverse`, which takes empty trees too."""
+        return self.kernel == "single" or len(self.tree.nodes) == 0
 
 
-@kernel
-def _depth_and_cost(boxes, children):
-    """Nodes on the longest path; the surface area heuristic's cost of the whole tree."""
-    depths = np.zeros(len(children), np.int32)
-    root = np.empty((2, 3), np.float64)
-    for axis in range(3):
-        root[0, axis] = min(boxes[0, 0, 0, axis], boxes[0, 1, 0, axis])
-        root[1, axis] = max(boxes[0, 0, 1, axis], boxes[0, 1, 1, axis])
-    root_area = _half_area(root)
-    deepest = 0
-    cost = 1.0
-    for node in range(len(children)):
-        depths[node] += 1
-        deepest = max(deepest, depths[node])
-        for child in range(2):
-            index, count = children[node, child, 0], children[node, child, 1]
-            if count < 0:
-                continue
-            share = _half_area(boxes[node, child]) / root_area if root_area > 0.0 else 1.0
-            cost += share * max(1, count)
-            if count == 0:
-                depths[index] = depths[node]
-    return deepest, cost
+def trace_cost(tree: BvhArrays) -> float:
+    """Nodes and leaf blocks that a random line through the bounds meets: about equal in price."""
+    figures = statistics(tree)
+    return figures["nodes per ray"] + figures["blocks per ray"]
 
 
-@kernel
-def _half_area(box):
-    x = np.float64(box[1, 0]) - np.float64(box[0, 0])
-    y = np.float64(box[1, 1]) - np.float64(box[0, 1])
-    z = np.float64(box[1, 2]) - np.float64(box[0, 2])
-    return x * y + y * z + z * x
+def _hittable_corners(triangles: Triangles) -> NDArray[np.float32]:
+    """Corners of all triangles; NaN for those that cannot be hit."""
+    if len(triangles.prim_ids) == len(triangles):
+        return triangles.corners
+    corners = np.full_like(triangles.corners, np.nan)
+    corners[triangles.prim_ids] = triangles.corners[triangles.prim_ids]
+    return corners
+
+
+def _saved_options(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Build options from a file, for when the tree is built anew."""
+    numbers = arrays.get("options")
+    if numbers is None or numbers.shape != (2,) or numbers.dtype != np.int64:
+        raise ValueError("array 'options' is missing or of another kind")
+    quality, size = numbers.tolist()
+    if not (0 <= quality < len(QUALITIES) and 1 <= size <= MAX_LEAF_SIZE):
+        raise ValueError("its build options are out of range")
+    return {"quality": list(QUALITIES)[quality], "max_leaf_size": size, "kernel": "auto"}

@@ -1,0 +1,237 @@
+"""Rays as the caller gave them, turned into local ones as they are traced.
+
+Batches are not copied: kernels read the caller's arrays by address, and do for each ray what
+`kernels.local_ray.localise` does. Nearly all rays take a short way of the same result; those
+that cannot (float64 directions, far origins, extreme lengths, limits that float32 does not
+keep, invalid numbers) call it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import USUAL_LIMITS, RayStatus
+from raystream.jit.cpu import device
+from raystream.jit.simd import bits_as_float, float_as_bits, load
+from raystream.kernels.local_ray import FAR, LocalRay, localise
+
+__all__ = [
+    "LEAST_EXPONENT",
+    "MANTISSA_BITS",
+    "MOST_EXPONENT",
+    "NEAR_REACH",
+    "POWER_EXPONENT",
+    "RaySource",
+    "ResultAddresses",
+    "load_ray",
+]
+
+_VALID = np.uint8(RayStatus.VALID)
+_Y = np.uint64(4)
+_Z = np.uint64(8)
+
+#: Origins whose local coordinates are within this many times the scene's largest are surely
+#: not so far outside that `localise` would advance them, however it rounds.
+NEAR_REACH = np.float32(FAR - 1.1)
+
+# Biased exponents of direction lengths, in float64, that one product brings into [1, 2): all
+# that float32 has, and few that it has not.
+MANTISSA_BITS = np.int64(52)
+POWER_EXPONENT = np.int64(2046)
+LEAST_EXPONENT = np.int64(1023 - 149)
+MOST_EXPONENT = np.int64(1023 + 127)
+
+
+class RaySource(NamedTuple):
+    """Where rays lie: addresses of the first ray's numbers, and bytes from one ray to the next.
+
+    Attributes
+    ----------
+    origins, directions : int
+        Three adjacent numbers a ray, world space: float32, or float64 where
+        `origins_are_double` or `directions_are_double` is true.
+    t_min, t_max : int
+        One float32 number a ray.
+    origin_step, direction_step, t_min_step, t_max_step : int
+        0 where one value serves all rays.
+    """
+
+    origins: np.uint64
+    origin_step: np.uint64
+    origins_are_double: bool
+    directions: np.uint64
+    direction_step: np.uint64
+    directions_are_double: bool
+    t_min: np.uint64
+    t_min_step: np.uint64
+    t_max: np.uint64
+    t_max_step: np.uint64
+
+    @classmethod
+    def of(
+        cls,
+        origins: NDArray[Any],
+        directions: NDArray[Any],
+        limits: Sequence[NDArray[np.float32]],
+        packed: bool = False,
+    ) -> tuple[RaySource, object]:
+        """Where rays lie, and what must be kept until they are traced.
+
+        Parameters
+        ----------
+        origins, directions, limits
+            As a `RayBatch` has them.
+        packed : bool
+            Rays follow each other without gaps, or one value serves them all.
+        """
+        origins, directions = _readable(origins, packed), _readable(directions, packed)
+        t_min, t_max = (_readable(limit, packed) for limit in limits)
+        # One array of numbers takes less time than one number after another.
+        o, o_step, d, d_step, low, low_step, high, high_step = np.array(
+            (*_place(origins), *_place(directions), *_place(t_min), *_place(t_max)), np.uint64
+        )
+        is_double = origins.itemsize == 8, directions.itemsize == 8
+        source = cls(
+            o, o_step, is_double[0], d, d_step, is_double[1], low, low_step, high, high_step
+        )
+        return source, (origins, directions, t_min, t_max)
+
+
+def _readable(array: NDArray[Any], packed: bool) -> NDArray[Any]:
+    """An array whose rows are adjacent, aligned numbers; itself if it is one."""
+    flags = array.flags
+    if flags.c_contiguous and flags.aligned:
+        return array
+    if len(array) > 1 and array.strides[0] == 0:
+        return array if array.ndim == 1 or array[0].flags.c_contiguous else array.copy()
+    if not packed and flags.aligned and (array.ndim == 1 or array.strides[1] == array.itemsize):
+        return array
+    return np.ascontiguousarray(array)
+
+
+def _place(array: NDArray[Any]) -> tuple[int, int]:
+    """Address, and bytes from row to row, modulo 2**64 if backward."""
+    known = _PLACES.get(id(array))
+    if known is not None:
+        return known
+    return array.ctypes.data, (array.strides[0] % 2**64 if len(array) > 1 else 0)
+
+
+#: Places of arrays that are never freed, by id: asking NumPy takes a microsecond.
+_PLACES = {id(array): (array.ctypes.data, 0) for array in USUAL_LIMITS.values()}
+
+
+class ResultAddresses(NamedTuple):
+    """Where results go: addresses of the first ray's.
+
+    Attributes
+    ----------
+    t, u, v, prim_id : int
+        A float32 or int32 number a ray; written if the nearest hits are wanted. t counts in
+        world direction lengths.
+    seen : int
+        A byte a ray, 1 where anything was hit; written if any hit is wanted.
+    status : int
+        A byte a ray, a `RayStatus`; written for invalid rays only.
+    """
+
+    t: np.uint64
+    u: np.uint64
+    v: np.uint64
+    prim_id: np.uint64
+    seen: np.uint64
+    status: np.uint64
+
+    @classmethod
+    def of_first(cls, memory: NDArray[np.float32], status: NDArray[np.uint8]) -> ResultAddresses:
+        """Where the nearest hits go: the rows of an array; see `HitArrays.rows_of`."""
+        at, step = memory.ctypes.data, memory.strides[0]
+        places = at, at + step, at + 2 * step, at + 3 * step, 0, status.ctypes.data
+        return cls(*np.array(places, np.uint64))
+
+    @classmethod
+    def of_any(cls, seen: NDArray[np.bool_], status: NDArray[np.uint8]) -> ResultAddresses:
+        """Where it goes whether anything is hit; the caller keeps the arrays."""
+        return cls(*np.array((0, 0, 0, 0, seen.ctypes.data, status.ctypes.data), np.uint64))
+
+
+@device
+def _three(at, are_double):
+    """Three adjacent numbers as float64."""
+    if are_double:
+        return (
+            load(np.float64, at),
+            load(np.float64, at + np.uint64(8)),
+            load(np.float64, at + np.uint64(16)),
+        )
+    return (
+        np.float64(load(np.float32, at)),
+        np.float64(load(np.float32, at + _Y)),
+        np.float64(load(np.float32, at + _Z)),
+    )
+
+
+@device
+def load_origin(source, i):
+    """Origin of ray i in world space, as float64 numbers."""
+    return _three(source.origins + i * source.origin_step, source.origins_are_double)
+
+
+@device
+def load_ray(source, i, frame):
+    """Ray i in the local frame.
+
+    Parameters
+    ----------
+    source : RaySource
+    i : uint64
+    frame : SceneFrame
+
+    Returns
+    -------
+    LocalRay
+    """
+    wx, wy, wz = load_origin(source, i)
+    at = source.directions + i * source.direction_step
+    t_min = load(np.float32, source.t_min + i * source.t_min_step)
+    t_max = load(np.float32, source.t_max + i * source.t_max_step)
+    dx, dy, dz = _three(at, source.directions_are_double)
+
+    ox = np.float32((wx - frame.center[0]) * frame.scale)
+    oy = np.float32((wy - frame.center[1]) * frame.scale)
+    oz = np.float32((wz - frame.center[2]) * frame.scale)
+    reach = NEAR_REACH * frame.extreme
+    exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
+    if (
+        exponent >= LEAST_EXPONENT
+        and exponent <= MOST_EXPONENT
+        and abs(dx) + abs(dy) + abs(dz) < np.inf
+        and abs(ox) <= reach
+        and abs(oy) <= reach
+        and abs(oz) <= reach
+    ):
+        # 2**(1023 - exponent) brings the largest component into [1, 2).
+        power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
+        factor = power * frame.inverse_scale
+        inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
+        low = np.float32(np.float64(t_min) * inverse)
+        high = np.float32(np.float64(t_max) * inverse)
+        if np.float64(low) * factor == t_min and np.float64(high) * factor == t_max:
+            return LocalRay(
+                ox,
+                oy,
+                oz,
+                np.float32(dx * power),
+                np.float32(dy * power),
+                np.float32(dz * power),
+                low,
+                high,
+                factor,
+                np.float64(0.0),
+                _VALID,
+            )
+    return localise(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)

@@ -1,0 +1,158 @@
+"""The triangle test of `kernels.triangle` on many lanes: triangles of a ray, or rays of a packet.
+
+Each function takes vectors of any width, or numbers that are the same for all lanes, and does
+the same operations in the same order as the scalar test, so the bits are the same. See there
+for why it is watertight; nothing here may be fused or reordered.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import fma, maximum, minimum, narrow, select, widen
+
+__all__ = ["Images", "distance_lanes", "image_lanes", "interval_lanes", "same_sign", "weigh_lanes"]
+
+_ZERO = np.float32(0.0)
+_ZERO64 = np.float64(0.0)
+
+
+class Images(NamedTuple):
+    """Corners a, b, c of triangles in the rays' frame.
+
+    Attributes
+    ----------
+    ax, ay, az, bx, by, bz, cx, cy, cz : float32 vector
+    """
+
+    ax: object
+    ay: object
+    az: object
+    bx: object
+    by: object
+    bz: object
+    cx: object
+    cy: object
+    cz: object
+
+
+@device
+def image_lanes(ax, ay, az, bx, by, bz, cx, cy, cz, ox, oy, oz, sx, sy):
+    """Translate and shear corners, in the order of the frame, into it."""
+    az = az - oz
+    bz = bz - oz
+    cz = cz - oz
+    ax = (ax - ox) - sx * az
+    ay = (ay - oy) - sy * az
+    bx = (bx - ox) - sx * bz
+    by = (by - oy) - sy * bz
+    cx = (cx - ox) - sx * cz
+    cy = (cy - oy) - sy * cz
+    return Images(ax, ay, az, bx, by, bz, cx, cy, cz)
+
+
+@device
+def _edge(ax, ay, bx, by):
+    return ax * by - ay * bx
+
+
+@device
+def same_sign(images):
+    """Mask of the lanes whose edge functions do not surely differ in sign; NaN is not one."""
+    U = _edge(images.cx, images.cy, images.bx, images.by)
+    V = _edge(images.ax, images.ay, images.cx, images.cy)
+    W = _edge(images.bx, images.by, images.ax, images.ay)
+    low = minimum(minimum(U, V), W)
+    high = maximum(maximum(U, V), W)
+    return (low >= _ZERO) | (high <= _ZERO)
+
+
+@device
+def interval_lanes(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
+    """Padded slab interval of boxes: `kernels.slab.box_interval` with the planes chosen.
+
+    Parameters
+    ----------
+    near_x, near_y, near_z, far_x, far_y, far_z : float32 vector
+        The plane that a ray meets first and last, for each axis.
+    inv, near, far : tuple of three float32 vectors or numbers
+        Reciprocal direction and the constants of the slab, for each axis.
+
+    Returns
+    -------
+    t_in, t_out : float32 vector
+    """
+    t_in = maximum(
+        maximum(fma(near_x, inv[0], near[0]), fma(near_y, inv[1], near[1])),
+        fma(near_z, inv[2], near[2]),
+    )
+    t_out = minimum(
+        minimum(fma(far_x, inv[0], far[0]), fma(far_y, inv[1], far[1])),
+        fma(far_z, inv[2], far[2]),
+    )
+    return t_in, t_out
+
+
+@device
+def distance_lanes(a, b, c, o, d):
+    """Distance to the triangles' planes; see step 3 of `kernels.triangle.intersect`.
+
+    Parameters
+    ----------
+    a, b, c, o, d : tuple of three float64 vectors or numbers
+        Corners, origin and direction, in the order of the frame: float32 numbers.
+
+    Returns
+    -------
+    float32 vector
+        Not yet clamped; not finite where the triangle is seen edge-on.
+    """
+    px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx = py * qz - pz * qy
+    ny = pz * qx - px * qz
+    nz = px * qy - py * qx
+    along = (a[0] - o[0]) * nx + (a[1] - o[1]) * ny + (a[2] - o[2]) * nz
+    return narrow(along / (d[0] * nx + d[1] * ny + d[2] * nz))
+
+
+@device
+def _orders_first(ax, ay, bx, by):
+    return select(ay == by, bx - ax, ay - by)
+
+
+@device
+def weigh_lanes(images, surfaces):
+    """Weights in float64; see step 2 of `kernels.triangle.intersect`.
+
+    Parameters
+    ----------
+    images : Images
+    surfaces : bool
+
+    Returns
+    -------
+    hit : mask
+    u, v : float32 vector
+    """
+    ax, ay = widen(images.ax), widen(images.ay)
+    bx, by = widen(images.bx), widen(images.by)
+    cx, cy = widen(images.cx), widen(images.cy)
+    U = _edge(cx, cy, bx, by)
+    V = _edge(ax, ay, cx, cy)
+    W = _edge(bx, by, ax, ay)
+    low = minimum(minimum(U, V), W)
+    high = maximum(maximum(U, V), W)
+    hit = ((low >= _ZERO64) & (high > _ZERO64)) | ((high <= _ZERO64) & (low < _ZERO64))
+    if surfaces:
+        sign_u = select(U == _ZERO64, _orders_first(cx, cy, bx, by), U)
+        sign_v = select(V == _ZERO64, _orders_first(ax, ay, cx, cy), V)
+        sign_w = select(W == _ZERO64, _orders_first(bx, by, ax, ay), W)
+        least = minimum(minimum(sign_u, sign_v), sign_w)
+        most = maximum(maximum(sign_u, sign_v), sign_w)
+        hit = hit & ((least > _ZERO64) | (most < _ZERO64))
+    scale = np.float64(1.0) / (U + V + W)
+    return hit, narrow(V * scale) + _ZERO, narrow(W * scale) + _ZERO

@@ -1,0 +1,243 @@
+"""Which nodes of the binary tree become nodes, or leaves, of the wide one.
+
+A wide node has eight lanes. Dynamic programming, from the leaves to the root, finds for every
+binary node the least cost of its tree in 1, 2 ... 8 lanes of a node above it: in one lane as a
+leaf or as a wide node; in more by giving some lanes to each of its children. That is the best
+that can be made of the given binary tree.
+
+References
+----------
+Ylitie, Karras, Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide
+BVHs", High Performance Graphics 2017.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.simd import (
+    address,
+    f32x8,
+    i32x8,
+    lane,
+    lanes_from_bits,
+    load,
+    mask8,
+    minimum,
+    permutation,
+    select,
+    store,
+)
+from raystream.structures.bvh.binning import block_count
+from raystream.structures.bvh.layout import WIDTH
+from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES, half_area
+from raystream.structures.bvh.tree import (
+    DECISION_AT,
+    LINK_BYTES,
+    RIGHT_AT,
+    TOP_AT,
+)
+
+__all__ = [
+    "COST_FLOATS",
+    "LISTING_BYTES",
+    "collapse_subtree",
+    "collapse_top",
+    "is_leaf",
+    "list_children",
+]
+
+#: Costs of a node in 1 to 8 lanes, float32.
+COST_BYTES = 32
+COST_FLOATS = WIDTH
+
+#: Scratch of `list_children`.
+LISTING_BYTES = 8 * (WIDTH + 1)
+
+_INF = np.float32(np.inf)
+
+#: A decision: for n lanes, n = 2 to 8, how many the left child gets: three bits at 3 (n - 2),
+#: 0 if one lane is as good; and whether one lane is a leaf.
+_IS_LEAF = 1 << 21
+
+_up_a_lane = permutation(0, 0, 1, 2, 3, 4, 5, 6)
+
+
+@device
+def leaf_costs(box, block_price):
+    """Costs of a binary leaf: the same in any number of lanes."""
+    count = load(np.int32, box + np.uint64(COUNT_AT))
+    return f32x8(half_area(load(f32x8, box)) * block_count(count) * block_price)
+
+
+@device_call
+def merge_costs(box, link, left, right, max_leaf_size, prices):
+    """Costs of an inner node, from those of its children; writes the decision into its link.
+
+    Parameters
+    ----------
+    box, link : uint64
+        Addresses of the node's rows.
+    left, right : f32x8
+        Costs of its children.
+    max_leaf_size : int
+    prices : tuple of float32
+        Of a node and of a leaf block.
+    """
+    # best: lane i has the least cost in i + 1 lanes that both children share.
+    best, choice = f32x8(_INF), i32x8(np.int32(1))
+    not_first, nothing = lanes_from_bits(mask8, 254), f32x8(_INF)
+    moved = right
+    for k in range(np.int32(1), np.int32(WIDTH)):
+        moved = select(not_first, _up_a_lane(moved), nothing)
+        shared = f32x8(lane(left, k - np.int32(1))) + moved
+        better = shared < best
+        best = select(better, shared, best)
+        choice = select(better, i32x8(k), choice)
+
+    area = half_area(load(f32x8, box))
+    node_cost = lane(best, WIDTH - 1) + area * prices[0]
+    count = load(np.int32, box + np.uint64(COUNT_AT))
+    leaf_cost = area * block_count(count) * prices[1] if count <= max_leaf_size else _INF
+    decision = np.int32(_IS_LEAF) if leaf_cost <= node_cost else np.int32(0)
+    one = f32x8(min(leaf_cost, node_cost))
+    # In all eight lanes the children always share: that is what it is to be a wide node.
+    not_last = lanes_from_bits(mask8, 127)
+    choice = select((one <= best) & not_last, i32x8(np.int32(0)), choice)
+    for k in range(np.int32(2), np.int32(WIDTH + 1)):
+        decision |= lane(choice, k - np.int32(1)) << (np.int32(3) * (k - np.int32(2)))
+    store(link + np.uint64(DECISION_AT), np.int32(decision))
+    return minimum(one, best)
+
+
+@device
+def collapse_subtree(boxes, links, root, node_end, max_leaf_size, prices, costs):
+    """Decide about the nodes from root to node_end; returns the costs of the root.
+
+    Parameters
+    ----------
+    boxes, links : uint64
+        Addresses of the tree.
+    root, node_end : int32
+    max_leaf_size : int
+    prices : tuple of float32
+    costs : uint64
+        Address of scratch for the costs of these nodes.
+    """
+    cost_at = costs - np.uint64(root) * np.uint64(COST_BYTES)
+    node = np.uint64(node_end)
+    # Children come after their parents: backwards, their costs are known.
+    while node != np.uint64(root):
+        node -= np.uint64(1)
+        link = links + node * np.uint64(LINK_BYTES)
+        left_node = load(np.int32, link)
+        box = boxes + node * np.uint64(RECORD_BYTES)
+        to = cost_at + node * np.uint64(COST_BYTES)
+        if left_node < np.int32(0):
+            store(to, leaf_costs(box, prices[1]))
+        else:
+            right_node = load(np.int32, link + np.uint64(RIGHT_AT))
+            left = load(f32x8, cost_at + np.uint64(left_node) * np.uint64(COST_BYTES))
+            right = load(f32x8, cost_at + np.uint64(right_node) * np.uint64(COST_BYTES))
+            store(to, merge_costs(box, link, left, right, max_leaf_size, prices))
+    return load(f32x8, costs)
+
+
+@device
+def is_leaf(links, node):
+    """Whether a binary node in one lane is a leaf."""
+    link = links + np.uint64(node) * np.uint64(LINK_BYTES)
+    if load(np.int32, link) < np.int32(0):
+        return True
+    return (load(np.int32, link + np.uint64(DECISION_AT)) & np.int32(_IS_LEAF)) != np.int32(0)
+
+
+@device_call
+def list_children(links, node, pending, to):
+    """List the binary nodes that fill the lanes of a wide node.
+
+    Parameters
+    ----------
+    links : uint64
+        Address of the links.
+    node : int32
+    pending, to : uint64
+        Addresses of LISTING_BYTES of scratch, and of 8 int32 to write.
+
+    Returns
+    -------
+    uint64
+        How many there are.
+    """
+    count = np.uint64(0)
+    store(pending, np.int32(node))
+    store(pending + np.uint64(4), np.int32(WIDTH))
+    top = pending + np.uint64(8)
+    while top != pending:
+        top -= np.uint64(8)
+        child = load(np.int32, top)
+        lanes = load(np.int32, top + np.uint64(4))
+        link = links + np.uint64(child) * np.uint64(LINK_BYTES)
+        left = load(np.int32, link)
+        share = np.int32(0)
+        if left >= np.int32(0) and lanes > np.int32(1):
+            decision = load(np.int32, link + np.uint64(DECISION_AT))
+            share = (decision >> (np.int32(3) * (lanes - np.int32(2)))) & np.int32(7)
+        if share == np.int32(0):
+            store(to + count * np.uint64(4), child)
+            count += np.uint64(1)
+        else:
+            store(top, load(np.int32, link + np.uint64(RIGHT_AT)))
+            store(top + np.uint64(4), np.int32(lanes - share))
+            store(top + np.uint64(8), left)
+            store(top + np.uint64(12), np.int32(share))
+            top += np.uint64(16)
+    return count
+
+
+@kernel
+def collapse_top(parts, nodes, spans, bounds, costs, boxes, links, max_leaf_size, prices):
+    """Write the nodes above the subtrees, and decide how they will be collapsed.
+
+    Parameters
+    ----------
+    parts : ndarray of shape (U, 2), int32
+        Rows of a range's two parts in these arrays, later than its own; -1 of a subtree.
+    nodes : ndarray of shape (U,), int32
+        Row of each range's root in the tree.
+    spans : ndarray of shape (U, 2), int32
+        Its first record, and how many.
+    bounds : ndarray of shape (U, 8), float32
+        Boxes around the records.
+    costs : ndarray of shape (U, 8), float32
+        Those of subtrees are given; the others are written.
+    boxes, links : ndarray
+        The tree.
+    max_leaf_size, prices
+        See `merge_costs`.
+    """
+    cost_at = address(costs)
+    for i in range(np.uint64(len(parts))):
+        row = np.uint64(len(parts)) - np.uint64(1) - i
+        if parts[row, 0] < 0:
+            continue
+        left, right = np.uint64(parts[row, 0]), np.uint64(parts[row, 1])
+        node = np.uint64(nodes[row])
+        box = address(boxes) + node * np.uint64(RECORD_BYTES)
+        link = address(links) + node * np.uint64(LINK_BYTES)
+        store(box, load(f32x8, address(bounds) + row * np.uint64(RECORD_BYTES)))
+        store(box + np.uint64(FIRST_AT), np.int32(spans[row, 0]))
+        store(box + np.uint64(COUNT_AT), np.int32(spans[row, 1]))
+        store(link, np.int32(nodes[left]))
+        store(link + np.uint64(RIGHT_AT), np.int32(nodes[right]))
+        store(link + np.uint64(TOP_AT), np.int32(1))
+        merged = merge_costs(
+            box,
+            link,
+            load(f32x8, cost_at + left * np.uint64(COST_BYTES)),
+            load(f32x8, cost_at + right * np.uint64(COST_BYTES)),
+            max_leaf_size,
+            prices,
+        )
+        store(cost_at + row * np.uint64(COST_BYTES), merged)

@@ -1,0 +1,240 @@
+"""Writing the nodes and leaves of the wide tree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.simd import address, f32x4, f32x8, i32x8, load, prefetch, scratch, store
+from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
+from raystream.structures.bvh.layout import (
+    BLOCK_BYTES,
+    BLOCK_SIZE,
+    CHILDREN_AT,
+    IDS_AT,
+    NODE_BYTES,
+    WIDTH,
+)
+from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
+from raystream.structures.bvh.tree import LINK_BYTES, MAX_TREE_DEPTH, TOP_AT
+
+__all__ = ["READ_AHEAD", "emit"]
+
+#: A wide node to be written: its binary node, its row, its depth (int32).
+_PENDING_BYTES = 12
+_PENDING_STACK_BYTES = (WIDTH * MAX_TREE_DEPTH + 1) * _PENDING_BYTES
+
+_CHILDREN_BYTES = 4 * WIDTH
+
+_INF = np.float32(np.inf)
+_NAN = np.float32(np.nan)
+
+#: From the corners of one triangle to those of the next, in bytes.
+_TRIANGLE_BYTES = 36
+
+#: Records after a leaf's that are read too: their triangles will be copied soon.
+READ_AHEAD = 8
+
+
+@device
+def _clear_node(node):
+    for axis in range(np.uint64(3)):
+        store(node + axis * np.uint64(64), f32x8(_INF))
+        store(node + axis * np.uint64(64) + np.uint64(32), f32x8(-_INF))
+    store(node + np.uint64(CHILDREN_AT), i32x8(np.int32(0)))
+    store(node + np.uint64(CHILDREN_AT + 32), i32x8(np.int32(0)))
+
+
+@device
+def _set_lane(node, lane, box, child):
+    at = node + lane * np.uint64(4)
+    for axis in range(np.uint64(3)):
+        plane = box + axis * np.uint64(4)
+        store(at + axis * np.uint64(64), -load(np.float32, plane))
+        store(at + axis * np.uint64(64) + np.uint64(32), load(np.float32, plane + np.uint64(16)))
+    store(at + np.uint64(CHILDREN_AT), np.int32(child))
+
+
+@device_call
+def _unique(record, count):
+    """Move one record of each triangle to the front; returns how many there are."""
+    kept = np.int32(0)
+    for i in range(count):
+        moved = load(f32x8, record + np.uint64(i) * np.uint64(RECORD_BYTES))
+        prim_id = load(
+            np.int32, record + np.uint64(i) * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+        )
+        found = False
+        for k in range(kept):
+            at = record + np.uint64(k) * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+            found = found or load(np.int32, at) == prim_id
+        if not found:
+            # Changes places, lest anything is lost: a leaf is listed more than once.
+            place = record + np.uint64(kept) * np.uint64(RECORD_BYTES)
+            store(record + np.uint64(i) * np.uint64(RECORD_BYTES), load(f32x8, place))
+            store(place, moved)
+            kept = np.int32(kept + np.int32(1))
+    return kept
+
+
+@device_call
+def _write_leaf(record, count, corners, to):
+    """Write the blocks of a leaf from address `to` on."""
+    for i in range(np.uint64(count)):
+        lane = i & np.uint64(BLOCK_SIZE - 1)
+        block = to + (i >> np.uint64(2)) * np.uint64(BLOCK_BYTES)
+        if lane == np.uint64(0) and np.uint64(count) - i < np.uint64(BLOCK_SIZE):
+            for k in range(np.uint64(9)):
+                store(block + k * np.uint64(16), f32x4(_NAN))
+            for k in range(np.uint64(4)):
+                store(block + np.uint64(IDS_AT) + k * np.uint64(4), np.int32(-1))
+        id_at = record + i * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+        prim_id = load(np.int32, id_at)
+        # Corners are far apart: ask for those of a later record, often of another leaf.
+        later = load(np.int32, id_at + np.uint64(READ_AHEAD * RECORD_BYTES))
+        later_corner = corners + np.uint64(later) * np.uint64(_TRIANGLE_BYTES)
+        prefetch(later_corner)
+        prefetch(later_corner + np.uint64(_TRIANGLE_BYTES - 4))
+        corner = corners + np.uint64(prim_id) * np.uint64(_TRIANGLE_BYTES)
+        at = block + lane * np.uint64(4)
+        for k in range(np.uint64(9)):
+            store(at + k * np.uint64(16), load(np.float32, corner + k * np.uint64(4)))
+        store(at + np.uint64(IDS_AT), prim_id)
+
+
+@kernel
+def emit(
+    begin,
+    end,
+    roots,
+    first_nodes,
+    first_blocks,
+    depths,
+    counts,
+    deferred,
+    deferred_rows,
+    deferred_depths,
+    has_duplicates,
+    write,
+    records,
+    corners,
+    boxes,
+    links,
+    nodes,
+    leaves,
+):
+    """Count, or write, the wide trees below some binary nodes.
+
+    Parameters
+    ----------
+    begin, end : int
+        Which rows of `roots`.
+    roots : ndarray of shape (K,), int32
+        Binary nodes that are the roots of wide trees.
+    first_nodes, first_blocks : ndarray of shape (K,), int64
+        Where each one's nodes and leaf blocks go.
+    depths : ndarray of shape (K,), int32
+        Nodes above each one.
+    counts : ndarray of shape (K, 4), int64
+        Written: nodes, blocks, depth of the deepest node, and children deferred.
+    deferred, deferred_rows, deferred_depths : ndarray of shape (D,), int32, int64, int32
+        If D is not 0, the children that are not at the top of the tree are not written here.
+        They are listed in `deferred` with their depth; when it is written, their rows are
+        taken from `deferred_rows`. D must suffice.
+    has_duplicates : bool
+        Whether a triangle may have several records: a leaf has only one of it.
+    write : bool
+        Else only counted.
+    records, corners, boxes, links : ndarray
+        Records; corners of all triangles; the binary tree.
+    nodes, leaves : ndarray
+        See `layout.BvhArrays`.
+    """
+    record_at, corner_at, box_at, link_at = (
+        address(records),
+        address(corners),
+        address(boxes),
+        address(links),
+    )
+    node_at, leaf_at = address(nodes), address(leaves)
+    pending = scratch(_PENDING_STACK_BYTES)
+    listing = scratch(LISTING_BYTES)
+    children = scratch(_CHILDREN_BYTES)
+    defers = len(deferred) != 0
+    for task in range(np.uint64(begin), np.uint64(end)):
+        node_end = np.int32(first_nodes[task])
+        block_end = np.int32(first_blocks[task])
+        first_node, first_block = node_end, block_end
+        deepest = np.int32(0)
+        deferred_count = np.uint64(0)
+        root = np.int32(roots[task])
+        store(pending, root)
+        store(pending + np.uint64(4), node_end)
+        store(pending + np.uint64(8), np.int32(depths[task]))
+        node_end = np.int32(node_end + 1)
+        top = pending + np.uint64(_PENDING_BYTES)
+        while top != pending:
+            top -= np.uint64(_PENDING_BYTES)
+            parent = load(np.int32, top)
+            to = node_at + np.uint64(load(np.int32, top + np.uint64(4))) * np.uint64(NODE_BYTES)
+            depth = np.int32(load(np.int32, top + np.uint64(8)) + np.int32(1))
+            deepest = max(deepest, depth)
+            if write:
+                _clear_node(to)
+            if parent == root and is_leaf(link_at, parent):
+                store(children, parent)  # the whole tree is one leaf
+                lane_count = np.uint64(1)
+            else:
+                lane_count = list_children(link_at, parent, listing, children)
+            # The last is pushed first, so that subtrees are written in the order of lanes.
+            # Rows go up with the lanes.
+            inner_count = np.int32(0)
+            for k in range(lane_count):
+                child = load(np.int32, children + k * np.uint64(4))
+                is_top = load(
+                    np.int32, link_at + np.uint64(child) * np.uint64(LINK_BYTES) + np.uint64(TOP_AT)
+                ) != np.int32(0)
+                box = box_at + np.uint64(child) * np.uint64(RECORD_BYTES)
+                if is_leaf(link_at, child):
+                    record = record_at + np.uint64(
+                        load(np.int32, box + np.uint64(FIRST_AT))
+                    ) * np.uint64(RECORD_BYTES)
+                    count = load(np.int32, box + np.uint64(COUNT_AT))
+                    if has_duplicates:
+                        count = _unique(record, count)
+                    blocks = np.int32((count + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
+                    if write:
+                        _set_lane(
+                            to, k, box, ~((block_end << np.int32(3)) | (blocks - np.int32(1)))
+                        )
+                        _write_leaf(
+                            record,
+                            count,
+                            corner_at,
+                            leaf_at + np.uint64(block_end) * np.uint64(BLOCK_BYTES),
+                        )
+                    block_end = np.int32(block_end + blocks)
+                elif defers and not is_top:
+                    if write:
+                        _set_lane(to, k, box, deferred_rows[deferred_count])
+                    else:
+                        deferred[deferred_count] = child
+                        deferred_depths[deferred_count] = depth
+                    deferred_count += np.uint64(1)
+                else:
+                    if write:
+                        _set_lane(to, k, box, node_end + inner_count)
+                    inner_count = np.int32(inner_count + 1)
+                    store(children + np.uint64(inner_count - 1) * np.uint64(4), child)
+            top += np.uint64(inner_count) * np.uint64(_PENDING_BYTES)
+            for k in range(np.uint64(inner_count)):
+                at = top - (k + np.uint64(1)) * np.uint64(_PENDING_BYTES)
+                store(at, load(np.int32, children + k * np.uint64(4)))
+                store(at + np.uint64(4), np.int32(node_end + np.int32(k)))
+                store(at + np.uint64(8), depth)
+            node_end = np.int32(node_end + inner_count)
+        if not write:
+            counts[task, 0] = node_end - first_node
+            counts[task, 1] = block_end - first_block
+            counts[task, 2] = deepest
+            counts[task, 3] = deferred_count

@@ -1,0 +1,271 @@
+"""Which kernel traces a batch, and how the batch is shared among the threads."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress, parallel_for, thread_count
+from raystream.kernels.collect import HitArrays
+from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.structures.bvh.layout import BvhArrays
+from raystream.structures.bvh.packet import trace_packets
+from raystream.structures.bvh.packet_all import Rows, collect_all, count_all, place_all
+from raystream.structures.bvh.packet_rays import PacketOrder, packet_order
+from raystream.structures.bvh.probe import choose, probe
+from raystream.structures.bvh.stream import trace_streams
+from raystream.structures.bvh.traversal import TreeAddresses
+from raystream.structures.bvh.wavefront import trace_wavefront
+
+__all__ = [
+    "KERNELS",
+    "SMALL_BATCH",
+    "KernelName",
+    "Tree",
+    "check_kernel",
+    "collect_batch",
+    "count_batch",
+    "place_rows",
+    "trace_batch",
+]
+
+#: How a BVH may be traced: chosen for each batch; many single rays in flight; packets of
+#: rays; streams of rays of one octant; one ray after another.
+KernelName = Literal["auto", "wavefront", "packet", "stream", "single"]
+KERNELS: tuple[str, ...] = get_args(KernelName)
+
+#: Batches of so many rays are traced by the calling thread: to wake another takes longer.
+SMALL_BATCH = 1024
+
+#: Rays that a call of a kernel gets: at least so many that its start and its end, where not
+#: all of a wavefront's places are taken, do not count; at most so many that the threads
+#: finish together, and Ctrl-C is noticed.
+LEAST_CHUNK = 1024
+MOST_CHUNK = 8192
+
+#: The same for packets of 256 rays, traced as packets, and as streams, whose last ones of a
+#: call are not full.
+MOST_PACKETS = 64
+MOST_STREAMS = 128
+
+#: Trees of more bytes do not stay in the cache: their nodes are asked for beforehand.
+PREFETCHED_BYTES = 1 << 21
+
+
+class Tree(NamedTuple):
+    """What all kernels are given of a tree: numbers, made once.
+
+    Attributes
+    ----------
+    addresses : TreeAddresses
+    extreme : float32
+    frame : SceneFrame
+    byte_count : int
+    """
+
+    addresses: TreeAddresses
+    extreme: np.float32
+    frame: SceneFrame
+    byte_count: int
+
+    @property
+    def prefetching(self) -> bool:
+        """Whether nodes are asked for before they are needed."""
+        return self.byte_count > PREFETCHED_BYTES
+
+    @classmethod
+    def of(cls, arrays: BvhArrays, frame: SceneFrame) -> Tree:
+        """The numbers of a tree, whose arrays the caller keeps."""
+        nodes, leaves = (array.ctypes.data if len(array) else 0 for array in arrays)
+        byte_count = sum(array.nbytes for array in arrays)
+        return cls(
+            TreeAddresses(np.uint64(nodes), np.uint64(leaves)),
+            frame.extreme,
+            frame,
+            byte_count,
+        )
+
+
+def check_kernel(name: str) -> str:
+    """The name of a kernel; raises ValueError if there is none of that name."""
+    if name not in KERNELS:
+        known = ", ".join(map(repr, KERNELS))
+        raise ValueError(f"kernel: expected one of {known}, got {name!r}")
+    return name
+
+
+def trace_batch(
+    tree: Tree,
+    batch: RayBatch,
+    wants_any: bool,
+    results: ResultAddresses,
+    progress: Progress | None,
+    kernel: str = "auto",
+) -> None:
+    """Find the nearest hit of each ray, or whether there is one.
+
+    Parameters
+    ----------
+    tree : Tree
+        Not empty.
+    batch : RayBatch
+    wants_any : bool
+    results : ResultAddresses
+    progress : callable, optional
+        Called with (rays done, rays).
+    kernel : {"auto", "wavefront", "packet", "stream"}
+        A batch of at most `SMALL_BATCH` rays takes the wavefront, unless another is asked
+        for; a larger one, what a look at some of its rays suggests.
+    """
+    count = len(batch)
+    if kernel == "auto" and count <= SMALL_BATCH:
+        kernel = "wavefront"
+    source, kept = RaySource.of(
+        batch.origins, batch.directions, batch.limits, kernel != "wavefront"
+    )
+    order, packet_count = packet_order(batch.shape)
+    if kernel == "auto" and count:
+        kernel = choose(probe(source, order, packet_count, tree.frame), tree.byte_count)
+    if kernel == "wavefront":
+        _trace_wavefront(tree, count, source, wants_any, results, progress)
+    else:
+        _trace_packed(kernel, tree, order, packet_count, source, wants_any, results, progress)
+    del kept  # the kernels read it by address
+
+
+def collect_batch(
+    tree: Tree,
+    batch: RayBatch,
+    surfaces: bool,
+    lists_twice: bool,
+    status: NDArray[np.uint8],
+    progress: Progress | None,
+    only_if_narrow: bool,
+) -> tuple[NDArray[np.int64], Rows] | None:
+    """Find all hits of each ray, by packets.
+
+    Parameters
+    ----------
+    tree, batch
+        See `trace_batch`.
+    surfaces, lists_twice : bool
+        See `packet_all.collect_all`.
+    status : ndarray of shape (N,), uint8
+        Written for invalid rays.
+    progress : callable, optional
+        Called with (rays done, rays).
+    only_if_narrow : bool
+        Do nothing, and return None, unless packets suit the rays.
+
+    Returns
+    -------
+    counts : ndarray of shape (N,), int64
+    rows : Rows
+        For `place_rows`.
+    """
+    source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
+    order, packet_count = packet_order(batch.shape)
+    if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
+        return None
+    report = _of_rays(progress, packet_count, len(batch))
+    found = collect_all(
+        tree.addresses,
+        tree.frame,
+        source,
+        order,
+        packet_count,
+        surfaces,
+        lists_twice,
+        status,
+        report,
+    )
+    del kept
+    return found
+
+
+def count_batch(
+    tree: Tree,
+    batch: RayBatch,
+    surfaces: bool,
+    status: NDArray[np.uint8],
+    progress: Progress | None,
+    only_if_narrow: bool,
+) -> NDArray[np.int64] | None:
+    """Count all hits of each ray, by packets; see `collect_batch`."""
+    source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
+    order, packet_count = packet_order(batch.shape)
+    if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
+        return None
+    report = _of_rays(progress, packet_count, len(batch))
+    counts = count_all(
+        tree.addresses, tree.frame, source, order, packet_count, surfaces, status, report
+    )
+    del kept
+    return counts
+
+
+def place_rows(batch: RayBatch, rows: Rows, splits: NDArray[np.int64], out: HitArrays) -> None:
+    """Copy the rows that `collect_batch` found to those of their rays."""
+    place_all(rows, packet_order(batch.shape)[0], splits, out)
+
+
+def _suits_packets(tree: Tree, source: RaySource, order: PacketOrder, packet_count: int) -> bool:
+    return choose(probe(source, order, packet_count, tree.frame), tree.byte_count) == "packet"
+
+
+def _trace_wavefront(
+    tree: Tree,
+    count: int,
+    source: RaySource,
+    wants_any: bool,
+    results: ResultAddresses,
+    progress: Progress | None,
+) -> None:
+    (nodes, leaves), frame = tree.addresses, tree.frame
+    extreme, prefetching = tree.extreme, tree.prefetching
+
+    def body(begin: int, end: int) -> None:
+        trace_wavefront(
+            begin, end, nodes, leaves, extreme, frame, source, wants_any, prefetching, results
+        )
+
+    if count <= SMALL_BATCH and progress is None:
+        body(0, count)
+    else:
+        share = -(-count // (8 * thread_count()))
+        parallel_for(body, count, max(LEAST_CHUNK, min(share, MOST_CHUNK)), progress)
+
+
+def _trace_packed(
+    kernel: str,
+    tree: Tree,
+    order: PacketOrder,
+    packet_count: int,
+    source: RaySource,
+    wants_any: bool,
+    results: ResultAddresses,
+    progress: Progress | None,
+) -> None:
+    trace, most = (
+        (trace_packets, MOST_PACKETS) if kernel == "packet" else (trace_streams, MOST_STREAMS)
+    )
+    (nodes, leaves), frame = tree.addresses, tree.frame
+
+    def body(begin: int, end: int) -> None:
+        trace(begin, end, nodes, leaves, frame, source, order, wants_any, results)
+
+    share = -(-packet_count // (8 * thread_count()))
+    report = _of_rays(progress, packet_count, int(order.ray_count))
+    parallel_for(body, packet_count, max(4, min(share, most)), report)
+
+
+def _of_rays(progress: Progress | None, packet_count: int, ray_count: int) -> Progress | None:
+    """A progress callback for packets that tells the caller's one about rays."""
+    if progress is None:
+        return None
+    whole = progress
+    return lambda done, _: whole(done * ray_count // max(packet_count, 1), ray_count)

@@ -1,0 +1,314 @@
+"""Growing the binary tree on all threads.
+
+Large ranges of records are split one after another, with all threads on each; middle ones each
+by one thread; small ones become subtrees, each built to the end by one thread. What is large
+depends on the number of triangles alone, so the tree is the same for any number of threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.jit.threads import Progress, parallel_for
+from raystream.structures.bvh.collapse import COST_FLOATS, collapse_top
+from raystream.structures.bvh.emit import READ_AHEAD
+from raystream.structures.bvh.layout import aligned_array
+from raystream.structures.bvh.records import RECORD_FLOATS, make_records
+from raystream.structures.bvh.spatial import PAD, grow_spatially, split_spatially
+from raystream.structures.bvh.subtree import grow_subtree, split_once
+from raystream.structures.bvh.top import split_large
+from raystream.structures.bvh.tree import LINK_INTS
+
+__all__ = ["Method", "Tree", "grow_tree"]
+
+#: Relative time of visiting a node, and of testing a block of 4 triangles.
+_PRICES = (np.float32(1.0), np.float32(1.0))
+
+#: Ranges of more triangles are split by all threads together.
+_LARGE = 1 << 17
+
+#: Triangles that one call of a loop over all triangles gets.
+_CHUNK = 1 << 16
+
+
+class Method(NamedTuple):
+    """How to grow a tree.
+
+    Attributes
+    ----------
+    small : int
+        Ranges of so many records are not split.
+    plain_size : int
+        So many or fewer are split in the middle, others by the surface area heuristic.
+    max_leaf_size : int
+        Most records in a leaf.
+    sah_depth : int
+        From this depth on ranges are halved by count.
+    spare_share : float
+        Most records that splits in space add, in numbers of triangles; 0 for none such.
+    """
+
+    small: int
+    plain_size: int
+    max_leaf_size: int
+    sah_depth: int
+    spare_share: float
+
+
+class Tree(NamedTuple):
+    """A binary tree, see `tree`, with decisions about its collapse.
+
+    Attributes
+    ----------
+    records : ndarray of shape (A, 8), float32
+    boxes, links : ndarray of shape (2 A, 8), float32, and (2 A, 4), int32
+    root : int
+        Row of the root.
+    top_count : int
+        Nodes above the subtrees.
+    """
+
+    records: NDArray[np.float32]
+    boxes: NDArray[np.float32]
+    links: NDArray[np.int32]
+    root: int
+    top_count: int
+
+
+@dataclass
+class _Range:
+    """A range of records: split in two, or to be a subtree; `limit` is the end of its room."""
+
+    begin: int
+    end: int
+    limit: int
+    depth: int
+    bounds: NDArray[np.float32]
+    records: NDArray[np.float32]
+    parts: tuple[_Range, _Range] | None = None
+    row: int = 0
+
+    @property
+    def size(self) -> int:
+        return self.end - self.begin
+
+    @property
+    def node(self) -> int:
+        """Row of its root: between those of the parts, or the first of its own."""
+        return 2 * self.parts[1].begin - 1 if self.parts else 2 * self.begin
+
+    def split(
+        self,
+        ends: tuple[int, int, int],
+        bounds: NDArray[np.float32],
+        records: NDArray[np.float32],
+    ) -> tuple[_Range, _Range]:
+        """Make the parts, of the end of the left one, and begin and end of the right one."""
+        left_end, right_begin, right_end = ends
+        depth = self.depth + 1
+        self.parts = (
+            _Range(self.begin, left_end, right_begin, depth, bounds[0], records),
+            _Range(right_begin, right_end, self.limit, depth, bounds[1], records),
+        )
+        return self.parts
+
+
+def grow_tree(triangles: Triangles, method: Method, progress: Progress | None) -> Tree:
+    """Grow a binary tree over the solid triangles, at least one.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    method : Method
+    progress : callable, optional
+        Called with (triangles placed, triangles).
+
+    Returns
+    -------
+    Tree
+    """
+    return _Grower(triangles, method).grow(progress)
+
+
+class _Grower:
+    def __init__(self, triangles: Triangles, method: Method) -> None:
+        self.triangles = triangles
+        self.method = method
+        self.count = len(triangles.prim_ids)
+        room = self.count + int(method.spare_share * self.count)
+        # `emit` reads a few records beyond the last.
+        self.records = aligned_array(room + READ_AHEAD, RECORD_FLOATS)[:room]
+        self.boxes = np.empty((2 * room, RECORD_FLOATS), np.float32)
+        self.links = np.empty((2 * room, LINK_INTS), np.int32)
+        # About 64 subtrees or more, of 1 to 10 ms each.
+        self.subtree_size = min(max(1 << 12, self.count >> 6), 1 << 16)
+        self.pad = np.float32(triangles.extreme * PAD)
+
+    def grow(self, progress: Progress | None) -> Tree:
+        root = self._make_records()
+        size = root.bounds[0, 4:7] + root.bounds[0, :3]
+        self.area = np.float32(size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
+        ranges = [root]  # parts come after the whole
+        self._split_middle(self._split_large(ranges), ranges)
+        for row, part in enumerate(ranges):
+            part.row = row
+        costs = np.empty((len(ranges), COST_FLOATS), np.float32)
+        self._grow_subtrees([part for part in ranges if part.parts is None], costs, progress)
+        if len(ranges) > 1:
+            self._collapse_top(ranges, costs)
+        top_count = sum(part.parts is not None for part in ranges)
+        return Tree(self.records, self.boxes, self.links, root.node, top_count)
+
+    def _collapse_top(self, ranges: list[_Range], costs: NDArray[np.float32]) -> None:
+        collapse_top(
+            np.array([[p.row for p in part.parts or ()] or [-1, -1] for part in ranges], np.int32),
+            np.array([part.node for part in ranges], np.int32),
+            np.array([[part.begin, part.size] for part in ranges], np.int32),
+            np.array([part.bounds[0] for part in ranges]),
+            costs,
+            self.boxes,
+            self.links,
+            self.method.max_leaf_size,
+            _PRICES,
+        )
+
+    def _make_records(self) -> _Range:
+        corners, prim_ids = self.triangles.corners, self.triangles.prim_ids
+        bounds = np.full((-(-self.count // _CHUNK), 2, 8), -np.inf, np.float32)
+
+        def body(begin: int, end: int) -> None:
+            make_records(begin, end, corners, prim_ids, self.records, bounds[begin // _CHUNK])
+
+        parallel_for(body, self.count, _CHUNK)
+        return _Range(0, self.count, len(self.records), 0, bounds.max(axis=0), self.records)
+
+    def _split_large(self, ranges: list[_Range]) -> list[_Range]:
+        """Split the largest ranges; adds their parts to `ranges`, returns the others."""
+        (root,) = ranges
+        if root.size <= _LARGE or root.limit > root.end:
+            return [root]
+        # Records move from one array to the other at each split.
+        spare = aligned_array(len(self.records), RECORD_FLOATS)
+        pending, others = [root], []
+        while pending:
+            part = pending.pop()
+            result = None
+            target = spare if part.records is self.records else self.records
+            if part.size > _LARGE and part.depth < self.method.sah_depth:
+                result = split_large(part.records, target, part.begin, part.end, part.bounds[1])
+            if result is None:
+                others.append(part)
+                continue
+            middle, bounds = result
+            parts = part.split((middle, middle, part.end), bounds, target)
+            ranges += parts
+            pending += parts
+        return others
+
+    def _split_middle(self, level: list[_Range], ranges: list[_Range]) -> None:
+        """Split ranges, each on one thread, until all are small; adds the parts to `ranges`."""
+        while level := [part for part in level if part.size > self.subtree_size]:
+            bounds = np.empty((len(level), 2, 2, RECORD_FLOATS), np.float32)
+            ends = np.zeros((len(level), 3), np.int64)
+            self._split_each(level, bounds, ends)
+            level = [
+                part
+                for i, whole in enumerate(level)
+                for part in whole.split(tuple(ends[i].tolist()), bounds[i], whole.records)
+            ]
+            ranges += level
+
+    def _split_each(
+        self, level: list[_Range], bounds: NDArray[np.float32], ends: NDArray[np.int64]
+    ) -> None:
+        def split(part: _Range, bounds: NDArray[np.float32], ends: NDArray[np.int64]) -> None:
+            use_sides = part.depth < self.method.sah_depth
+            if self.method.spare_share == 0.0:
+                span = part.begin, part.end
+                ends[:2] = split_once(part.records, *span, use_sides, part.bounds, bounds)
+                ends[2] = part.end
+                return
+            split_spatially(
+                part.records,
+                part.begin,
+                part.end,
+                part.limit,
+                use_sides,
+                part.bounds,
+                self.triangles.corners,
+                self.pad,
+                self.area,
+                bounds,
+                ends,
+            )
+
+        def body(begin: int, end: int) -> None:
+            if begin == end:
+                split(self._nothing(), bounds[0], ends[0])
+            for i in range(begin, end):
+                split(level[i], bounds[i], ends[i])
+
+        parallel_for(body, len(level), 1)
+
+    def _nothing(self) -> _Range:
+        """A range for calls that only compile."""
+        return _Range(0, 0, 0, 0, np.zeros((2, 8), np.float32), self.records)
+
+    def _grow_subtrees(
+        self, subtrees: list[_Range], costs: NDArray[np.float32], progress: Progress | None
+    ) -> None:
+        # Large ones first, so that threads end together.
+        subtrees.sort(key=lambda part: -part.size)
+        most_nodes = 2 * max(part.limit - part.begin for part in subtrees)
+        free: list[NDArray[np.float32]] = []  # scratch, one for each thread
+
+        def grow(part: _Range, scratch: NDArray[np.float32]) -> None:
+            if part.records is not self.records:
+                self.records[part.begin : part.end] = part.records[part.begin : part.end]
+            tree = self.boxes, self.links, self.method.small
+            result = self.method.max_leaf_size, _PRICES, scratch, costs[part.row]
+            span = part.begin, part.end
+            depths = part.depth, self.method.sah_depth
+            if self.method.spare_share == 0.0:
+                grow_subtree(
+                    self.records,
+                    *span,
+                    *depths,
+                    part.bounds,
+                    *tree,
+                    self.method.plain_size,
+                    *result,
+                )
+                return
+            grow_spatially(
+                self.records,
+                *span,
+                part.limit,
+                *depths,
+                part.bounds,
+                self.triangles.corners,
+                self.pad,
+                self.area,
+                *tree,
+                *result,
+            )
+
+        def body(begin: int, end: int) -> None:
+            try:
+                scratch = free.pop()
+            except IndexError:
+                scratch = np.empty((most_nodes, COST_FLOATS), np.float32)
+            for part in subtrees[begin:end] or [self._nothing()]:
+                grow(part, scratch)
+            free.append(scratch)
+
+        def report(done: int, total: int) -> None:
+            if progress:
+                progress(self.count * done // total, self.count)
+
+        parallel_for(body, len(subtrees), 1, report)

@@ -1,0 +1,296 @@
+"""Loading a packet: 16 rays at a time into the scene's local frame, prepared for the tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.core.rays import RayStatus
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import stay_out_of_line
+from raystream.jit.simd import (
+    absolute,
+    all_lanes,
+    bits_as_float,
+    copy_sign,
+    f32x16,
+    f64x16,
+    first_bit,
+    float_as_bits,
+    i32x16,
+    i64x16,
+    lane_bits,
+    load,
+    load_triples,
+    maximum,
+    narrow,
+    select,
+    store,
+    widen,
+)
+from raystream.kernels.ray import PAD, TINY_DIRECTION
+from raystream.kernels.ray_source import (
+    LEAST_EXPONENT,
+    MANTISSA_BITS,
+    MOST_EXPONENT,
+    NEAR_REACH,
+    POWER_EXPONENT,
+    load_ray,
+)
+from raystream.structures.bvh.packet_rays import (
+    ARRAY,
+    CLASS,
+    DIRECTION,
+    FACTOR,
+    FAR,
+    GROUP,
+    GROUPS,
+    INV,
+    LONG_FACTOR,
+    LONG_OFFSET,
+    NEAR,
+    NO_CLASS,
+    NO_PRIM,
+    ORIGIN,
+    PRIM,
+    SHEAR,
+    T_MIN,
+    T,
+    U,
+    V,
+    group_rows,
+)
+
+__all__ = ["load_group", "load_packet"]
+
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_INF = np.float32(np.inf)
+_INF64 = np.float64(np.inf)
+_INVALID = np.uint8(RayStatus.INVALID)
+_U1 = np.uint64(1)
+_LANES = np.uint64(16)
+_ALL_LANES = np.uint64(0xFFFF)
+_LANE = np.uint64(4)
+_WIDE = np.uint64(8)
+
+
+@device
+def _triples(base, step, are_double, first):
+    """Three numbers of each of 16 rays, as a float64 vector for each."""
+    at = base + first * step
+    if step == np.uint64(0):
+        if are_double:
+            return (
+                f64x16(load(np.float64, at)),
+                f64x16(load(np.float64, at + _WIDE)),
+                f64x16(load(np.float64, at + (_WIDE + _WIDE))),
+            )
+        return (
+            f64x16(np.float64(load(np.float32, at))),
+            f64x16(np.float64(load(np.float32, at + _LANE))),
+            f64x16(np.float64(load(np.float32, at + (_LANE + _LANE)))),
+        )
+    if are_double:
+        return load_triples(f64x16, at)
+    x, y, z = load_triples(f32x16, at)
+    return widen(x), widen(y), widen(z)
+
+
+@device
+def _numbers(base, step, first):
+    at = base + first * step
+    if step == np.uint64(0):
+        return f32x16(load(np.float32, at))
+    return load(f32x16, at)
+
+
+@device_call
+def _patch(packet, long, lane, status, source, i, frame):
+    """Bring one ray into a lane of a group by the long way."""
+    stay_out_of_line()
+    at = lane * _LANE
+    ray = load_ray(source, i, frame)
+    store(packet + ORIGIN + at, ray.ox)
+    store(packet + ORIGIN + ARRAY + at, ray.oy)
+    store(packet + ORIGIN + ARRAY + ARRAY + at, ray.oz)
+    store(packet + DIRECTION + at, ray.dx)
+    store(packet + DIRECTION + ARRAY + at, ray.dy)
+    store(packet + DIRECTION + ARRAY + ARRAY + at, ray.dz)
+    store(packet + T_MIN + at, ray.t_min)
+    store(packet + T + at, ray.t_max)
+    store(long + at + at, ray.factor)
+    store(long + LONG_OFFSET + at + at, ray.offset)
+    if ray.status == _INVALID:
+        store(status + i, _INVALID)
+
+
+@device
+def _load_group(packet, long, source, first, frame, status):
+    """Load 16 rays into the local frame; returns whether one of them took the long way."""
+    dx, dy, dz = _triples(
+        source.directions, source.direction_step, source.directions_are_double, first
+    )
+    wx, wy, wz = _triples(source.origins, source.origin_step, source.origins_are_double, first)
+    ox = narrow((wx - frame.center[0]) * frame.scale)
+    oy = narrow((wy - frame.center[1]) * frame.scale)
+    oz = narrow((wz - frame.center[2]) * frame.scale)
+    t_min = _numbers(source.t_min, source.t_min_step, first)
+    t_max = _numbers(source.t_max, source.t_max_step, first)
+
+    # See `ray_source.load_ray` for why these lanes, and only these, may take the short way.
+    largest = maximum(maximum(absolute(dx), absolute(dy)), absolute(dz))
+    exponent = float_as_bits(largest) >> MANTISSA_BITS
+    power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
+    factor = power * frame.inverse_scale
+    inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
+    low = narrow(widen(t_min) * inverse)
+    high = narrow(widen(t_max) * inverse)
+    reach = NEAR_REACH * frame.extreme
+    near_by = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz)) <= reach
+    short = (
+        (absolute(ox) + absolute(oy) + absolute(oz) < _INF)
+        & near_by
+        & (widen(narrow(factor)) == factor)
+        & (widen(low) * factor == widen(t_min))
+        & (widen(high) * factor == widen(t_max))
+    )
+    usual = (
+        (exponent >= LEAST_EXPONENT)
+        & (exponent <= MOST_EXPONENT)
+        & (absolute(dx) + absolute(dy) + absolute(dz) < _INF64)
+    )
+    short = short & usual
+    store(packet + ORIGIN, ox)
+    store(packet + ORIGIN + ARRAY, oy)
+    store(packet + ORIGIN + ARRAY + ARRAY, oz)
+    store(packet + DIRECTION, narrow(dx * power))
+    store(packet + DIRECTION + ARRAY, narrow(dy * power))
+    store(packet + DIRECTION + ARRAY + ARRAY, narrow(dz * power))
+    store(packet + T_MIN, low)
+    store(packet + T, high)
+    store(packet + FACTOR, narrow(factor))
+    if all_lanes(short):
+        return False
+    store(long, factor)
+    store(long + LONG_OFFSET, f64x16(np.float64(0.0)))
+    bits = lane_bits(short) ^ _ALL_LANES
+    while bits != np.uint64(0):
+        lane = first_bit(bits)
+        bits &= bits - _U1
+        _patch(packet, long, lane, status, source, first + lane, frame)
+    return True
+
+
+@device_call
+def _load_few(packet, long, source, first, count, frame, status):
+    """Load fewer than 16 rays one by one; the other lanes repeat the first one, unlit."""
+    stay_out_of_line()
+    for lane in range(_LANES):
+        _patch(packet, long, lane, status, source, first + min(lane, count - _U1), frame)
+        if lane >= count:
+            store(packet + T + lane * _LANE, -_INF)
+            store(packet + T_MIN + lane * _LANE, _INF)
+
+
+@device
+def _prepare_group(packet, extreme):
+    """`kernels.ray.set_up` of a group, and its classes."""
+    ox = load(f32x16, packet + ORIGIN)
+    oy = load(f32x16, packet + ORIGIN + ARRAY)
+    oz = load(f32x16, packet + ORIGIN + ARRAY + ARRAY)
+    dx = load(f32x16, packet + DIRECTION)
+    dy = load(f32x16, packet + DIRECTION + ARRAY)
+    dz = load(f32x16, packet + DIRECTION + ARRAY + ARRAY)
+    ax, ay, az = absolute(dx), absolute(dy), absolute(dz)
+    is_y = ay > ax
+    largest = maximum(ay, ax)
+    is_z = az > largest
+    largest = maximum(az, largest)
+    tiny = largest * TINY_DIRECTION
+    reach = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz))
+    pad = (reach + extreme) * PAD
+    one = f32x16(_ONE)
+    inv_x = copy_sign(one / maximum(ax, tiny), dx)
+    inv_y = copy_sign(one / maximum(ay, tiny), dy)
+    inv_z = copy_sign(one / maximum(az, tiny), dz)
+    pad_x, pad_y, pad_z = copy_sign(pad, dx), copy_sign(pad, dy), copy_sign(pad, dz)
+    store(packet + INV, inv_x)
+    store(packet + INV + ARRAY, inv_y)
+    store(packet + INV + ARRAY + ARRAY, inv_z)
+    store(packet + NEAR, -((ox + pad_x) * inv_x))
+    store(packet + NEAR + ARRAY, -((oy + pad_y) * inv_y))
+    store(packet + NEAR + ARRAY + ARRAY, -((oz + pad_z) * inv_z))
+    store(packet + FAR, -((ox - pad_x) * inv_x))
+    store(packet + FAR + ARRAY, -((oy - pad_y) * inv_y))
+    store(packet + FAR + ARRAY + ARRAY, -((oz - pad_z) * inv_z))
+    sz = select(is_z, inv_z, select(is_y, inv_y, inv_x))
+    store(packet + SHEAR, select(is_z, dx, select(is_y, dz, dy)) * sz)
+    store(packet + SHEAR + ARRAY, select(is_z, dy, select(is_y, dx, dz)) * sz)
+    store(packet + SHEAR + ARRAY + ARRAY, sz)
+    # Class: 4 * octant + largest axis; a ray that cannot hit anything has none.
+    sign_bits = np.int32(31)
+    octant = (
+        ((float_as_bits(dx) >> sign_bits) & np.int32(4))
+        | ((float_as_bits(dy) >> sign_bits) & np.int32(8))
+        | ((float_as_bits(dz) >> sign_bits) & np.int32(16))
+    )
+    zero = i32x16(np.int32(0))
+    axis = select(is_z, zero + np.int32(2), select(is_y, zero + np.int32(1), zero))
+    can_hit = load(f32x16, packet + T_MIN) <= load(f32x16, packet + T)
+    store(packet + CLASS, select(can_hit, octant | axis, zero + NO_CLASS))
+    store(packet + PRIM, i32x16(NO_PRIM))
+    store(packet + U, f32x16(_ZERO))
+    store(packet + V, f32x16(_ZERO))
+
+
+@device
+def load_group(group, first, count, source, frame, status):
+    """Load and prepare `count` rays from `first` on as a group; the other lanes cannot hit.
+
+    Returns whether any ray took the long way: `LONG_FACTOR` and `LONG_OFFSET` hold.
+    """
+    is_long = True
+    if count == _LANES:
+        is_long = _load_group(group, group + LONG_FACTOR, source, first, frame, status)
+    elif count == np.uint64(0):
+        one = f32x16(_ONE)
+        for axis in range(np.uint64(3)):
+            store(group + ORIGIN + axis * ARRAY, f32x16(_ZERO))
+            store(group + DIRECTION + axis * ARRAY, one)
+        store(group + T_MIN, one)
+        store(group + T, f32x16(-_INF))
+        is_long = False
+    else:
+        _load_few(group, group + LONG_FACTOR, source, first, count, frame, status)
+    _prepare_group(group, frame.extreme)
+    return is_long
+
+
+@device
+def load_packet(packet, number, order, source, frame, status):
+    """Load and prepare a packet.
+
+    Parameters
+    ----------
+    packet : uint64
+        Address of `PACKET_BYTES` bytes.
+    number : uint64
+        Which packet of the batch.
+    order : PacketOrder
+    source : RaySource
+        Rays that follow each other lie 12 bytes apart, or 0.
+    frame : SceneFrame
+    status : uint64
+        Address of the batch's statuses; only invalid ones are written.
+
+    Returns
+    -------
+    uint64
+        Bits of the groups with a ray that took the long way: `store_packet` must know.
+    """
+    long_groups = np.uint64(0)
+    for g in range(GROUPS):
+        first, count = group_rows(order, number, g)
+        if load_group(packet + g * GROUP, first, count, source, frame, status):
+            long_groups |= _U1 << g
+    return long_groups

@@ -1,0 +1,146 @@
+"""Moving the triangles of a finished tree: same nodes and leaves, new boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import (
+    address,
+    f32x4,
+    f32x8,
+    load,
+    maximum,
+    minimum,
+    prefetch,
+    reduce_max,
+    reduce_min,
+    store,
+)
+from raystream.jit.threads import parallel_for
+from raystream.structures.bvh.layout import (
+    BLOCK_BYTES,
+    BLOCK_SIZE,
+    CHILDREN_AT,
+    IDS_AT,
+    NODE_BYTES,
+    WIDTH,
+    BvhArrays,
+)
+
+__all__ = ["refit"]
+
+#: Nodes whose leaves one call of a kernel moves.
+_CHUNK = 1 << 9
+
+_INF = np.float32(np.inf)
+_TRIANGLE_BYTES = 36
+
+#: From the low planes of an axis to those of the next, and from low to high ones.
+_AXIS_BYTES = 8 * WIDTH
+_PLANE_BYTES = 4 * WIDTH
+
+
+def refit(arrays: BvhArrays, corners: NDArray[np.float32]) -> None:
+    """Take over new positions of all triangles, in place.
+
+    Parameters
+    ----------
+    arrays : BvhArrays
+        Changed; no query may run meanwhile.
+    corners : ndarray of shape (F, 3, 3), float32
+        By prim_id, local frame. One with a NaN is never hit.
+
+    Notes
+    -----
+    Boxes are the tightest around the triangles below them. Where a triangle is in several
+    leaves, each box is around all of it. Rays stay correct however far triangles move, but
+    take longer when neighbours part: compare `statistics` before and after.
+    """
+    nodes, leaves = arrays
+    corners = np.ascontiguousarray(corners, np.float32)
+    parallel_for(
+        lambda begin, end: _refit_leaves(begin, end, corners, nodes, leaves), len(nodes), _CHUNK
+    )
+    _refit_nodes(nodes)
+
+
+@kernel
+def _refit_leaves(begin, end, corners, nodes, leaves):
+    """Write the blocks of the leaves of some nodes, and their boxes into the nodes."""
+    corner_at, node_at, leaf_at = address(corners), address(nodes), address(leaves)
+    last_block = leaf_at + np.uint64(len(leaves)) * np.uint64(BLOCK_BYTES)
+    for row in range(np.uint64(begin), np.uint64(end)):
+        node = node_at + row * np.uint64(NODE_BYTES)
+        for lane in range(np.uint64(WIDTH)):
+            link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
+            if link >= np.int32(0):
+                continue
+            block = leaf_at + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
+            end_block = block + np.uint64((~link & np.int32(7)) + np.int32(1)) * np.uint64(
+                BLOCK_BYTES
+            )
+            while block != end_block:
+                # The corners of the next leaf's triangles are far away: ask for them.
+                if block + np.uint64(2 * BLOCK_BYTES) < last_block:
+                    _ask_for(block + np.uint64(2 * BLOCK_BYTES), corner_at)
+                _copy_corners(block, corner_at)
+                block += np.uint64(BLOCK_BYTES)
+            block = leaf_at + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
+            for axis in range(np.uint64(3)):
+                low, high = f32x4(_INF), f32x4(-_INF)
+                at = block + axis * np.uint64(16)
+                while at < end_block:
+                    # NaN, of absent triangles, changes nothing: the second operand wins.
+                    for vertex in range(np.uint64(3)):
+                        plane = load(f32x4, at + vertex * np.uint64(48))
+                        low, high = minimum(plane, low), maximum(plane, high)
+                    at += np.uint64(BLOCK_BYTES)
+                to = node + axis * np.uint64(_AXIS_BYTES) + lane * np.uint64(4)
+                store(to, reduce_min(low))
+                store(to + np.uint64(_PLANE_BYTES), reduce_max(high))
+
+
+@device
+def _ask_for(block, corners):
+    for k in range(np.uint64(BLOCK_SIZE)):
+        prim_id = load(np.int32, block + np.uint64(IDS_AT) + k * np.uint64(4))
+        # An absent one has -1: the address is of nothing, which is no error.
+        at = corners + np.uint64(prim_id) * np.uint64(_TRIANGLE_BYTES)
+        prefetch(at)
+        prefetch(at + np.uint64(_TRIANGLE_BYTES - 4))
+
+
+@device
+def _copy_corners(block, corners):
+    for k in range(np.uint64(BLOCK_SIZE)):
+        prim_id = load(np.int32, block + np.uint64(IDS_AT) + k * np.uint64(4))
+        if prim_id < np.int32(0):
+            break
+        at = corners + np.uint64(prim_id) * np.uint64(_TRIANGLE_BYTES)
+        to = block + k * np.uint64(4)
+        for i in range(np.uint64(9)):
+            store(to + i * np.uint64(16), load(np.float32, at + i * np.uint64(4)))
+
+
+@kernel
+def _refit_nodes(nodes):
+    """Write the boxes of children that are nodes; those of leaves are right already."""
+    node_at = address(nodes)
+    row = np.uint64(len(nodes))
+    while row != np.uint64(0):
+        row -= np.uint64(1)
+        # Children have greater rows: theirs are done.
+        node = node_at + row * np.uint64(NODE_BYTES)
+        for lane in range(np.uint64(WIDTH)):
+            link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
+            if link <= np.int32(0):
+                continue
+            child = node_at + np.uint64(link) * np.uint64(NODE_BYTES)
+            for axis in range(np.uint64(3)):
+                planes = axis * np.uint64(_AXIS_BYTES)
+                to = node + planes + lane * np.uint64(4)
+                store(to, reduce_min(load(f32x8, child + planes)))
+                highs = load(f32x8, child + planes + np.uint64(_PLANE_BYTES))
+                store(to + np.uint64(_PLANE_BYTES), reduce_max(highs))

@@ -1,0 +1,337 @@
+"""Splits of space: records on both sides of a plane are cut in two.
+
+A long triangle makes every box it is in a large one. Where the two sides of the best split of
+a range overlap, planes are tried too: a triangle that a plane cuts gets a record on either
+side, with a box around the part that is there. The cost decides, and room: each range has a
+share of spare rows, which cuts use up.
+
+References
+----------
+Stich, Friedrich, Dietrich, "Spatial Splits in Bounding Volume Hierarchies", High Performance
+Graphics 2009.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.simd import (
+    address,
+    f32x8,
+    lane,
+    lanes_from_bits,
+    load,
+    mask8,
+    maximum,
+    minimum,
+    scratch,
+    select,
+    store,
+)
+from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES, block_count
+from raystream.structures.bvh.collapse import collapse_subtree
+from raystream.structures.bvh.cut import SIDE_AT, cut_record
+from raystream.structures.bvh.records import (
+    RECORD_BYTES,
+    half_area,
+    middle_bounds,
+    no_box,
+    swap_halves,
+)
+from raystream.structures.bvh.slabs import EXIT_BYTES, SLAB_BYTES, find_plane, is_empty
+from raystream.structures.bvh.tree import (
+    BEGIN_AT,
+    DEPTH_AT,
+    END_AT,
+    LIMIT_AT,
+    LINK_BYTES,
+    NODE_AT,
+    PENDING_BYTES,
+    PENDING_STACK_BYTES,
+    RIGHT_AT,
+    halve,
+    put_node,
+    set_pending,
+    split,
+)
+
+__all__ = ["PAD", "grow_spatially", "split_spatially"]
+
+#: Planes are tried where the sides of the best split overlap by more than this part of the
+#: scene's area: elsewhere they gain little.
+_OVERLAP = np.float32(1e-5)
+
+#: And by more than this part of the range's own area.
+_OWN_OVERLAP = np.float32(0.1)
+
+#: A split in space must cost less than this, in units of the other split's cost.
+_GAIN = np.float32(0.99)
+
+#: Boxes of parts reach so far beyond the plane that cut them, in units of the scene's largest
+#: coordinate: hits that the triangle test accepts lie up to 12 units in the last place outside.
+PAD = 2.0**-20
+
+#: Sides of a record.
+_LEFT, _RIGHT = np.float32(2.0), np.float32(3.0)
+
+_INF = np.float32(np.inf)
+_ZERO = np.float32(0.0)
+
+
+@device
+def _id_of(record):
+    return lane(record, 3)
+
+
+@device
+def _meet(left, right):
+    """Half the surface of what two boxes have in common; 0 if nothing."""
+    both = minimum(left, right)
+    size = both + swap_halves(both)
+    x, y, z = lane(size, 0), lane(size, 1), lane(size, 2)
+    if x < _ZERO or y < _ZERO or z < _ZERO:
+        return _ZERO
+    return x * y + y * z + z * x
+
+
+@device_call
+def _choose_sides(records, begin, end, axis, position, corners, pad, limit):
+    """Give each record a side, and both sides of the plane a record of those it cuts.
+
+    Returns the end of the records, at most `limit`.
+    """
+    left, right = scratch(RECORD_BYTES), scratch(RECORD_BYTES)
+    axis_at = np.uint64(axis) * np.uint64(4)
+    for i in range(np.uint64(begin), np.uint64(end)):
+        at = records + i * np.uint64(RECORD_BYTES)
+        low = -load(np.float32, at + axis_at)
+        high = load(np.float32, at + axis_at + np.uint64(16))
+        goes_left = low + high < position + position
+        if low < position and high > position and end < limit:
+            cut_record(at, corners, np.uint64(axis), position, pad, left, right)
+            if not is_empty(left) and not is_empty(right):
+                store(at, load(f32x8, left))
+                added = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+                store(added, load(f32x8, right))
+                store(added + np.uint64(SIDE_AT), _RIGHT)
+                end = np.int32(end + np.int32(1))
+                goes_left = True
+        store(at + np.uint64(SIDE_AT), _LEFT if goes_left else _RIGHT)
+    return end
+
+
+@device
+def _partition_by_side(records, begin, end):
+    """Move the records of the left side to the front; returns as `tree.partition` does."""
+    nothing, not_last = no_box(), lanes_from_bits(mask8, 127)
+    one = f32x8(np.float32(1.0))
+    left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
+    at = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
+    last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+    border = at
+    while at != last:
+        record = load(f32x8, at)
+        goes_left = lane(record, 7) == _LEFT
+        record = select(not_last, record, one)
+        middle = middle_bounds(record)
+        store(at, load(f32x8, border))
+        store(border, record)
+        if goes_left:
+            left, left_middles = maximum(left, record), maximum(left_middles, middle)
+            border += np.uint64(RECORD_BYTES)
+        else:
+            right, right_middles = maximum(right, record), maximum(right_middles, middle)
+        at += np.uint64(RECORD_BYTES)
+    middle_row = np.int32((border - records) >> np.uint64(5))
+    return middle_row, left, left_middles, right, right_middles
+
+
+@device
+def _split(
+    records,
+    begin,
+    end,
+    limit,
+    box,
+    middles,
+    use_sides,
+    tries,
+    bins,
+    sums,
+    slabs,
+    exits,
+    corners,
+    pad,
+    least_overlap,
+):
+    """Split a range in two, in space if that is better.
+
+    Returns
+    -------
+    left_end, right_begin, right_end : int32
+        The records of the parts; the left one's room ends where the right one begins.
+    left, left_middles, right, right_middles : f32x8
+    """
+    middle, left, left_middles, right, right_middles = split(
+        records, begin, end, middles, use_sides, 0, bins, sums
+    )
+    overlap = _meet(left, right)
+    overlaps = overlap > least_overlap and overlap > half_area(load(f32x8, box)) * _OWN_OVERLAP
+    if use_sides and tries and limit > end and overlaps:
+        cost = half_area(left) * block_count(middle - begin)
+        cost += half_area(right) * block_count(end - middle)
+        axis, position, plane_cost, cut_count = find_plane(
+            records, begin, end, box, corners, pad, slabs, exits
+        )
+        if plane_cost < cost * _GAIN and cut_count <= limit - end:
+            end = _choose_sides(records, begin, end, axis, position, corners, pad, limit)
+            middle, left, left_middles, right, right_middles = _partition_by_side(
+                records, begin, end
+            )
+            if middle in (begin, end):
+                middle, left, left_middles, right, right_middles = halve(records, begin, end)
+    right_begin, right_end = middle, end
+    if tries and limit > end:
+        # Spare rows go to both sides in proportion: the right side moves up.
+        spare = np.int64(limit - end) * np.int64(middle - begin) // np.int64(end - begin)
+        moved = min(np.int32(spare), np.int32(end - middle))
+        source = records + np.uint64(middle) * np.uint64(RECORD_BYTES)
+        target = records + np.uint64(end + np.int32(spare) - moved) * np.uint64(RECORD_BYTES)
+        for i in range(np.uint64(moved)):
+            store(
+                target + i * np.uint64(RECORD_BYTES),
+                load(f32x8, source + i * np.uint64(RECORD_BYTES)),
+            )
+        right_begin = np.int32(middle + np.int32(spare))
+        right_end = np.int32(end + np.int32(spare))
+    return middle, right_begin, right_end, left, left_middles, right, right_middles
+
+
+@kernel
+def split_spatially(
+    records, begin, end, limit, use_sides, bounds, corners, pad, scene_area, part_bounds, ends
+):
+    """Split one range in two.
+
+    Parameters
+    ----------
+    records : ndarray of shape (A, 8), float32
+        Those of the range are reordered, and some added.
+    begin, end, limit : int
+        The range, of at least two records; the end of the rows that it may use.
+    use_sides : bool
+        Else it is halved by count.
+    bounds : ndarray of shape (2, 8), float32
+        Boxes around the records, and around their middles.
+    corners : ndarray of shape (F, 3, 3), float32
+    pad, scene_area : float32
+    part_bounds : ndarray of shape (2, 2, 8), float32
+        Written: the bounds of both parts.
+    ends : ndarray of shape (3,), int64
+        Written: the end of the left part, and begin and end of the right one.
+    """
+    if begin == end:
+        return
+    bound_at = address(bounds)
+    left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
+        address(records),
+        np.int32(begin),
+        np.int32(end),
+        np.int32(limit),
+        bound_at,
+        load(f32x8, bound_at + np.uint64(RECORD_BYTES)),
+        use_sides,
+        True,
+        scratch(BINS_BYTES),
+        scratch(SUMS_BYTES),
+        scratch(SLAB_BYTES),
+        scratch(EXIT_BYTES),
+        address(corners),
+        np.float32(pad),
+        np.float32(scene_area) * _OVERLAP,
+    )
+    to = address(part_bounds)
+    store(to, left)
+    store(to + np.uint64(RECORD_BYTES), left_middles)
+    store(to + np.uint64(2 * RECORD_BYTES), right)
+    store(to + np.uint64(3 * RECORD_BYTES), right_middles)
+    ends[0], ends[1], ends[2] = left_end, right_begin, right_end
+
+
+@kernel
+def grow_spatially(
+    records,
+    begin,
+    end,
+    limit,
+    depth,
+    sah_depth,
+    bounds,
+    corners,
+    pad,
+    scene_area,
+    boxes,
+    links,
+    small,
+    max_leaf_size,
+    prices,
+    costs,
+    root_costs,
+):
+    """Build all of the binary tree over a range; as `grow_subtree` and `split_spatially`."""
+    if begin == end:
+        return
+    record_at, box_at, link_at = address(records), address(boxes), address(links)
+    bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
+    slabs, exits = scratch(SLAB_BYTES), scratch(EXIT_BYTES)
+    pending = scratch(PENDING_STACK_BYTES)
+    root = np.int32(2 * begin)
+    bound_at = address(bounds)
+    put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
+    middles = load(f32x8, bound_at + np.uint64(RECORD_BYTES))
+    set_pending(pending, middles, root, begin, end, depth, limit)
+    node_end = np.int32(root + 1)
+    top = pending + np.uint64(PENDING_BYTES)
+    while top != pending:
+        top -= np.uint64(PENDING_BYTES)
+        first = load(np.int32, top + np.uint64(BEGIN_AT))
+        last = load(np.int32, top + np.uint64(END_AT))
+        if last - first <= small:
+            continue
+        room = load(np.int32, top + np.uint64(LIMIT_AT))
+        node = load(np.int32, top + np.uint64(NODE_AT))
+        level = load(np.int32, top + np.uint64(DEPTH_AT))
+        # What may become one leaf stays together, without spare rows in between.
+        tries = last - first > max_leaf_size
+        left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
+            record_at,
+            first,
+            last,
+            room,
+            box_at + np.uint64(node) * np.uint64(RECORD_BYTES),
+            load(f32x8, top),
+            level < sah_depth,
+            tries,
+            bins,
+            sums,
+            slabs,
+            exits,
+            address(corners),
+            np.float32(pad),
+            np.float32(scene_area) * _OVERLAP,
+        )
+        link = link_at + np.uint64(node) * np.uint64(LINK_BYTES)
+        store(link, node_end)
+        store(link + np.uint64(RIGHT_AT), np.int32(node_end + 1))
+        put_node(box_at, link_at, node_end, left, first, left_end)
+        put_node(box_at, link_at, node_end + 1, right, right_begin, right_end)
+        set_pending(top, right_middles, node_end + 1, right_begin, right_end, level + 1, room)
+        top += np.uint64(PENDING_BYTES)
+        set_pending(top, left_middles, node_end, first, left_end, level + 1, right_begin)
+        top += np.uint64(PENDING_BYTES)
+        node_end = np.int32(node_end + 2)
+    merged = collapse_subtree(
+        box_at, link_at, root, node_end, max_leaf_size, prices, address(costs)
+    )
+    store(address(root_costs), merged)

@@ -1,0 +1,155 @@
+"""Splitting a large range of records with all threads on it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import kernel
+from raystream.jit.simd import (
+    address,
+    f32x8,
+    lanes_from_bits,
+    load,
+    mask8,
+    maximum,
+    scratch,
+    select,
+    store,
+)
+from raystream.jit.threads import parallel_for
+from raystream.structures.bvh.binning import (
+    BIN_COUNT,
+    BINS_BYTES,
+    SUMS_BYTES,
+    bin_frame,
+    bin_records,
+    clear_bins,
+    find_split,
+)
+from raystream.structures.bvh.records import RECORD_BYTES, RECORD_FLOATS, middle_bounds, no_box
+from raystream.structures.bvh.tree import is_left, side_test
+
+__all__ = ["split_large"]
+
+#: Records that one call of a kernel gets.
+_CHUNK = 1 << 15
+
+_BOX_COUNT = BINS_BYTES // RECORD_BYTES
+
+
+def split_large(
+    records: NDArray[np.float32],
+    target: NDArray[np.float32],
+    begin: int,
+    end: int,
+    middles: NDArray[np.float32],
+) -> tuple[int, NDArray[np.float32]] | None:
+    """Split a range in two by the surface area heuristic, moving its records to `target`.
+
+    Parameters
+    ----------
+    records, target : ndarray of shape (A, 8), float32
+    begin, end : int
+    middles : ndarray of shape (8,), float32
+        Box around their middles.
+
+    Returns
+    -------
+    middle : int
+        Where the first part ends.
+    part_bounds : ndarray of shape (2, 2, 8), float32
+        Boxes around each part's records, and around their middles.
+
+    None if nothing tells the records apart; nothing is moved then.
+    """
+    chunk_count = -(-(end - begin) // _CHUNK)
+    bins = np.empty((chunk_count, 3, BIN_COUNT, RECORD_FLOATS), np.float32)
+
+    def fill(first: int, last: int) -> None:
+        _fill_bins(begin + first, begin + last, records, middles, bins[first // _CHUNK])
+
+    parallel_for(fill, end - begin, _CHUNK)
+    whole = bins.max(axis=0)
+    whole[..., 7] = bins[..., 7].sum(axis=0, dtype=np.float64)
+    axis, position = _find_split(whole)
+    if axis < 0:
+        return None
+    left_counts = bins[:, axis, :position, 7].sum(axis=1, dtype=np.float64).astype(np.int64)
+    middle = begin + int(left_counts.sum())
+    sizes = np.full(chunk_count, _CHUNK)
+    sizes[-1] = end - begin - _CHUNK * (chunk_count - 1)
+    left_ends = begin + np.cumsum(left_counts)
+    right_ends = middle + np.cumsum(sizes - left_counts)
+    chunk_bounds = np.full((chunk_count, 2, 2, RECORD_FLOATS), -np.inf, np.float32)
+
+    def move(first: int, last: int) -> None:
+        chunk = first // _CHUNK
+        _move(
+            begin + first,
+            begin + last,
+            records,
+            target,
+            middles,
+            axis,
+            position,
+            left_ends[chunk] - left_counts[chunk],
+            right_ends[chunk] - (sizes[chunk] - left_counts[chunk]),
+            chunk_bounds[chunk],
+        )
+
+    parallel_for(move, end - begin, _CHUNK)
+    return middle, chunk_bounds.max(axis=0)
+
+
+@kernel
+def _fill_bins(begin, end, records, middles, bins):
+    if begin == end:
+        return
+    bin_at, record_at = address(bins), address(records)
+    start, scale = bin_frame(load(f32x8, address(middles)), np.int32(BIN_COUNT))
+    clear_bins(bin_at, np.int32(BIN_COUNT))
+    first = record_at + np.uint64(begin) * np.uint64(RECORD_BYTES)
+    last = record_at + np.uint64(end) * np.uint64(RECORD_BYTES)
+    bin_records(first, last, start, scale, bin_at)
+
+
+@kernel
+def _find_split(bins):
+    axis, position = find_split(address(bins), np.int32(BIN_COUNT), scratch(SUMS_BYTES))
+    return np.int64(axis), np.int64(position)
+
+
+@kernel
+def _move(begin, end, records, target, middles, axis, position, left_row, right_row, bounds):
+    """Move the records of a chunk to their side's rows, from left_row and right_row on."""
+    if begin == end:
+        return
+    test = side_test(
+        load(f32x8, address(middles)), np.int32(BIN_COUNT), np.int32(axis), np.int32(position)
+    )
+    nothing = no_box()
+    left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
+    record_at, target_at = address(records), address(target)
+    at = record_at + np.uint64(begin) * np.uint64(RECORD_BYTES)
+    last = record_at + np.uint64(end) * np.uint64(RECORD_BYTES)
+    left_at = target_at + np.uint64(left_row) * np.uint64(RECORD_BYTES)
+    right_at = target_at + np.uint64(right_row) * np.uint64(RECORD_BYTES)
+    while at != last:
+        record = load(f32x8, at)
+        goes_left = is_left(record, test, np.int32(axis))
+        on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
+        middle = middle_bounds(record)
+        left = maximum(left, select(on_left, record, nothing))
+        left_middles = maximum(left_middles, select(on_left, middle, nothing))
+        right = maximum(right, select(on_left, nothing, record))
+        right_middles = maximum(right_middles, select(on_left, nothing, middle))
+        store(right_at + (left_at - right_at) * goes_left, record)
+        left_at += goes_left * np.uint64(RECORD_BYTES)
+        right_at += (np.uint64(1) - goes_left) * np.uint64(RECORD_BYTES)
+        at += np.uint64(RECORD_BYTES)
+    to = address(bounds)
+    store(to, left)
+    store(to + np.uint64(RECORD_BYTES), left_middles)
+    store(to + np.uint64(2 * RECORD_BYTES), right)
+    store(to + np.uint64(3 * RECORD_BYTES), right_middles)

@@ -1,0 +1,243 @@
+"""The binary tree that the builder makes first, and the splits that grow it.
+
+A binary tree over A records has up to 2 A - 1 nodes. Those of the range of records from b to e
+lie within rows 2 b to 2 e - 1, so that threads fill the tree without agreeing on anything.
+
+A node's box is a row of eight float32 like a record: -low x, y, z, first record (int32 bits);
+high x, y, z, record count (int32 bits). Its links are a row of four int32: left child, right
+child, and what `collapse` decides; the left child of a leaf is -1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    f32x4,
+    f32x8,
+    lane,
+    lane_bits,
+    lanes_from_bits,
+    load,
+    mask4,
+    mask8,
+    maximum,
+    select,
+    store,
+)
+from raystream.structures.bvh.binning import (
+    BIN_COUNT,
+    bin_frame,
+    bin_records,
+    clear_bins,
+    find_split,
+)
+from raystream.structures.bvh.records import (
+    COUNT_AT,
+    FIRST_AT,
+    RECORD_BYTES,
+    high_half,
+    low_half,
+    middle_bounds,
+    no_box,
+)
+
+__all__ = [
+    "BEGIN_AT",
+    "DECISION_AT",
+    "DEPTH_AT",
+    "END_AT",
+    "HALVING_LEVELS",
+    "LIMIT_AT",
+    "LINK_BYTES",
+    "LINK_INTS",
+    "MAX_TREE_DEPTH",
+    "NODE_AT",
+    "PENDING_BYTES",
+    "PENDING_STACK_BYTES",
+    "RIGHT_AT",
+    "TOP_AT",
+    "choose_bin_count",
+    "halve",
+    "is_left",
+    "put_node",
+    "set_pending",
+    "side_test",
+    "split",
+]
+
+LINK_BYTES = 16
+LINK_INTS = 4
+RIGHT_AT = 4
+DECISION_AT = 8
+TOP_AT = 12
+
+#: Nodes on the longest path: at most 31 levels of halving by count are needed for any number
+#: of triangles that prim_id can name.
+MAX_TREE_DEPTH = 128
+HALVING_LEVELS = 32
+
+#: A pending range of a builder's stack: the box around its middles, then int32: its node, first
+#: record, end, depth, and the end of its room.
+PENDING_BYTES = 64
+PENDING_STACK_BYTES = (MAX_TREE_DEPTH + 2) * PENDING_BYTES
+NODE_AT, BEGIN_AT, END_AT, DEPTH_AT, LIMIT_AT = 32, 36, 40, 44, 48
+
+_INF = np.float32(np.inf)
+
+
+@device
+def put_node(boxes, links, node, box, begin, end):
+    """Write a leaf of the records from begin to end; returns nothing."""
+    at = boxes + np.uint64(node) * np.uint64(RECORD_BYTES)
+    store(at, box)
+    store(at + np.uint64(FIRST_AT), np.int32(begin))
+    store(at + np.uint64(COUNT_AT), np.int32(end - begin))
+    link = links + np.uint64(node) * np.uint64(LINK_BYTES)
+    store(link, np.int32(-1))
+    store(link + np.uint64(TOP_AT), np.int32(0))
+
+
+@device
+def choose_bin_count(count):
+    """Bins for a range: few records do not fill many."""
+    return min(np.int32(BIN_COUNT), np.int32(4) + (np.int32(count) >> np.int32(2)))
+
+
+@device
+def side_test(middles, bin_count, axis, position):
+    """What `is_left` needs for a split: where bins begin, their scale, and bounds."""
+    start, scale = bin_frame(middles, bin_count)
+    on_axis = lanes_from_bits(mask4, np.uint64(1) << np.uint64(axis))
+    return start, scale, select(on_axis, f32x4(np.float32(position)), f32x4(-_INF))
+
+
+@device
+def is_left(record, test, axis):
+    """1 if a record's middle is in a bin below the split's position, else 0; uint64.
+
+    From the bit of a mask and not a comparison of numbers, lest the compiler makes a branch
+    of it, which is mispredicted half of the time.
+    """
+    start, scale, bound = test
+    below = ((high_half(record) - low_half(record) - start) * scale) < bound
+    return lane_bits(below) >> np.uint64(axis)
+
+
+@device
+def partition(records, begin, end, middles, bin_count, axis, position):
+    """Move the records of bins below `position` to the front.
+
+    Returns
+    -------
+    middle : int32
+        Where they end.
+    left, left_middles, right, right_middles : f32x8
+        Boxes around the records of both sides, and around their middles.
+    """
+    test = side_test(middles, bin_count, axis, position)
+    nothing = no_box()
+    left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
+    at = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
+    last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+    border = at
+    # Each record changes places with the first of the right side, which moves on if the
+    # record is left.
+    while at != last:
+        record = load(f32x8, at)
+        goes_left = is_left(record, test, axis)
+        on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
+        middle = middle_bounds(record)
+        left = maximum(left, select(on_left, record, nothing))
+        left_middles = maximum(left_middles, select(on_left, middle, nothing))
+        right = maximum(right, select(on_left, nothing, record))
+        right_middles = maximum(right_middles, select(on_left, nothing, middle))
+        store(at, load(f32x8, border))
+        store(border, record)
+        border += goes_left * np.uint64(RECORD_BYTES)
+        at += np.uint64(RECORD_BYTES)
+    middle = np.int32((border - records) >> np.uint64(5))
+    return middle, left, left_middles, right, right_middles
+
+
+@device
+def halve(records, begin, end):
+    """Split a range in the middle; returns as `partition` does."""
+    middle = np.int32(begin + ((end - begin) >> 1))
+    left, left_middles = bounds_of(records, begin, middle)
+    right, right_middles = bounds_of(records, middle, end)
+    return middle, left, left_middles, right, right_middles
+
+
+@device
+def bounds_of(records, begin, end):
+    """Boxes around records, and around their middles."""
+    box, middles = no_box(), no_box()
+    at = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
+    last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+    while at != last:
+        record = load(f32x8, at)
+        box = maximum(box, record)
+        middles = maximum(middles, middle_bounds(record))
+        at += np.uint64(RECORD_BYTES)
+    return box, middles
+
+
+@device
+def longest_axis(middles):
+    """The axis along which middles differ most, -1 if they do not."""
+    _, scale = bin_frame(middles, 2)
+    axis, least = np.int32(-1), _INF
+    for k in range(np.int32(3)):
+        if np.float32(0.0) < lane(scale, k) < least:
+            axis, least = k, lane(scale, k)
+    return axis
+
+
+@device
+def split(records, begin, end, middles, use_sides, plain_size, bins, sums):
+    """Split a range in two; returns as `partition` does.
+
+    Parameters
+    ----------
+    records : uint64
+        Address of all records.
+    begin, end : int32
+        The range, of at least two.
+    middles : f32x8
+        Box around their middles.
+    use_sides : bool
+        Else they are halved by count; as they are if nothing tells them apart.
+    plain_size : int
+        So many or fewer are split in the middle of their longest side, others where the
+        surface area heuristic says.
+    bins, sums : uint64
+        Addresses of BINS_BYTES and SUMS_BYTES of scratch.
+    """
+    axis, position, bin_count = np.int32(-1), np.int32(1), np.int32(2)
+    if use_sides:
+        if end - begin <= plain_size:
+            axis = longest_axis(middles)
+        else:
+            bin_count = choose_bin_count(end - begin)
+            start, scale = bin_frame(middles, bin_count)
+            clear_bins(bins, bin_count)
+            first = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
+            last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+            bin_records(first, last, start, scale, bins)
+            axis, position = find_split(bins, bin_count, sums)
+    if axis < np.int32(0):
+        return halve(records, begin, end)
+    return partition(records, begin, end, middles, bin_count, axis, position)
+
+
+@device
+def set_pending(at, middles, node, begin, end, depth, limit):
+    """Write a pending range."""
+    store(at, middles)
+    store(at + np.uint64(NODE_AT), np.int32(node))
+    store(at + np.uint64(BEGIN_AT), np.int32(begin))
+    store(at + np.uint64(END_AT), np.int32(end))
+    store(at + np.uint64(DEPTH_AT), np.int32(depth))
+    store(at + np.uint64(LIMIT_AT), np.int32(limit))

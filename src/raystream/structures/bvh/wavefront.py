@@ -1,0 +1,360 @@
+"""Many single rays in flight: the kernel for rays that have nothing in common.
+
+A ray that goes its own way waits for every node it loads. Here each thread keeps some rays
+in flight and advances each by one node or leaf in turn: its next node is prefetched when it
+is known and has arrived when the ray's turn comes again. Rays wait in queues by what they
+need next, so that no branch depends on a single ray.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.core.rays import RayStatus
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import (
+    any_lane,
+    count_bits,
+    f32x4,
+    f32x8,
+    first_bit,
+    float_as_bits,
+    i32x8,
+    lane_bits,
+    load,
+    maximum,
+    minimum,
+    permute,
+    prefetch,
+    scratch,
+    select,
+    store,
+    widen,
+)
+from raystream.kernels.ray_source import load_ray
+from raystream.kernels.triangle_lanes import (
+    distance_lanes,
+    image_lanes,
+    interval_lanes,
+    same_sign,
+    weigh_lanes,
+)
+from raystream.structures.bvh.layout import STACK_SIZE
+from raystream.structures.bvh.wavefront_rays import (
+    AXIS,
+    BOTTOM,
+    BOTTOM_KEY,
+    CHILD,
+    DIRECTION,
+    FAR,
+    INV,
+    NEAR,
+    ORIGIN,
+    PLANE,
+    PRIM,
+    RAY,
+    SHEAR,
+    SLOT,
+    T_KEY,
+    T_MIN,
+    TOP,
+    Y_WORD,
+    Z_WORD,
+    T,
+    U,
+    V,
+    finish_ray,
+    start_ray,
+    t_key,
+    three,
+)
+from raystream.structures.bvh.wide import (
+    BLOCK,
+    BOX_FLIP,
+    CHILDREN,
+    LANE,
+    NODE,
+    PRIM_IDS,
+    SECOND,
+    THIRD,
+    leaf_address,
+    leaf_end,
+    sort_keys,
+)
+
+__all__ = ["trace_wavefront"]
+
+#: Rays in flight in each thread. 16 hide less of the memory's latency, 64 crowd the cache.
+_IN_FLIGHT = np.uint64(32)
+
+_ONE = np.uint64(1)
+_WORD = np.uint64(8)
+_LINE = np.uint64(64)
+_ZERO = np.float32(0.0)
+_KEY_BITS = np.int32(~7)
+_INF = np.float32(np.inf)
+_MISS = np.int32(-1)
+_NO_RAY = np.int64(-1)
+_INVALID = np.uint8(RayStatus.INVALID)
+
+#: Entries of a ray's stacks, with room for the eight lanes that are always stored.
+_STACK = np.uint64(4 * (STACK_SIZE + 16))
+
+_SLOT_BYTES = int(_IN_FLIGHT * SLOT)
+_STACK_BYTES = int(_IN_FLIGHT * _STACK)
+_QUEUE_BYTES = int(_IN_FLIGHT * _WORD + _LINE)
+
+
+@device
+def _visit_node(slot, node, keys, children, lane_numbers):
+    """Test a node's eight boxes; returns the height of the stack with those that are entered."""
+    at_x = node + load(np.uint64, slot + PLANE)
+    at_y = node + load(np.uint64, slot + (PLANE + Y_WORD))
+    at_z = node + load(np.uint64, slot + (PLANE + Z_WORD))
+    t_in, t_out = interval_lanes(
+        load(f32x8, at_x),
+        load(f32x8, at_y),
+        load(f32x8, at_z),
+        load(f32x8, at_x ^ BOX_FLIP),
+        load(f32x8, at_y ^ BOX_FLIP),
+        load(f32x8, at_z ^ BOX_FLIP),
+        three(slot, INV),
+        three(slot, NEAR),
+        three(slot, FAR),
+    )
+    entered = maximum(t_in, load(np.float32, slot + T_MIN)) <= minimum(
+        t_out, load(np.float32, slot + T)
+    )
+    # Keys: entry distance, cut off at 0 since only the order of bits of positive numbers is
+    # that of the numbers, with the lane in the lowest bits. Others sink to the end.
+    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers
+    key = sort_keys(select(entered, key, i32x8(BOTTOM_KEY)))
+    top = load(np.uint64, slot + TOP)
+    store(keys + top, key)
+    store(children + top, permute(load(i32x8, node + CHILDREN), key))
+    return top + (count_bits(lane_bits(entered)) << np.uint64(2))
+
+
+@device
+def _visit_leaf(slot, child, leaves, lanes, wants_any):
+    """Test a leaf's triangles; returns whether the ray is done."""
+    block = leaf_address(leaves, child)
+    end = leaf_end(block, child)
+    at_x = load(np.uint64, slot + AXIS)
+    at_y = load(np.uint64, slot + (AXIS + Y_WORD))
+    at_z = load(np.uint64, slot + (AXIS + Z_WORD))
+    ox, oy, oz = three(slot, ORIGIN)
+    sx, sy, _ = three(slot, SHEAR)
+    while block != end:
+        ax, ay, az = (
+            load(f32x4, block + at_x),
+            load(f32x4, block + at_y),
+            load(f32x4, block + at_z),
+        )
+        second = block + SECOND
+        bx, by, bz = (
+            load(f32x4, second + at_x),
+            load(f32x4, second + at_y),
+            load(f32x4, second + at_z),
+        )
+        third = block + THIRD
+        cx, cy, cz = (
+            load(f32x4, third + at_x),
+            load(f32x4, third + at_y),
+            load(f32x4, third + at_z),
+        )
+        images = image_lanes(ax, ay, az, bx, by, bz, cx, cy, cz, ox, oy, oz, sx, sy)
+        candidates = same_sign(images)
+        if any_lane(candidates):
+            low_x, high_x = minimum(minimum(ax, bx), cx), maximum(maximum(ax, bx), cx)
+            low_y, high_y = minimum(minimum(ay, by), cy), maximum(maximum(ay, by), cy)
+            low_z, high_z = minimum(minimum(az, bz), cz), maximum(maximum(az, bz), cz)
+            inv = three(slot, INV)
+            back_x, back_y, back_z = inv[0] < _ZERO, inv[1] < _ZERO, inv[2] < _ZERO
+            t_in, t_out = interval_lanes(
+                select(back_x, high_x, low_x),
+                select(back_y, high_y, low_y),
+                select(back_z, high_z, low_z),
+                select(back_x, low_x, high_x),
+                select(back_y, low_y, high_y),
+                select(back_z, low_z, high_z),
+                inv,
+                three(slot, NEAR),
+                three(slot, FAR),
+            )
+            nearest = load(np.float32, slot + T)
+            t_min = load(np.float32, slot + T_MIN)
+            candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+            if any_lane(candidates):
+                hit, u, v = weigh_lanes(images, False)
+                dx, dy, dz = three(slot, DIRECTION)
+                t = distance_lanes(
+                    (widen(ax), widen(ay), widen(az)),
+                    (widen(bx), widen(by), widen(bz)),
+                    (widen(cx), widen(cy), widen(cz)),
+                    (np.float64(ox), np.float64(oy), np.float64(oz)),
+                    (np.float64(dx), np.float64(dy), np.float64(dz)),
+                )
+                t = minimum(maximum(t, t_in), t_out) + _ZERO
+                bits = lane_bits(candidates & hit & (t >= t_min) & (t <= nearest))
+                if bits != np.uint64(0):
+                    if wants_any:
+                        store(slot + PRIM, np.int32(0))
+                        return True
+                    store(lanes, t)
+                    store(lanes + np.uint64(16), u)
+                    store(lanes + np.uint64(32), v)
+                    _keep_nearest(slot, block, bits, lanes)
+        block += BLOCK
+    return False
+
+
+@device
+def _keep_nearest(slot, block, bits, lanes):
+    """Take the hits of these lanes, if they are before the slot's by t, then prim_id."""
+    nearest = load(np.float32, slot + T)
+    best = load(np.int32, slot + PRIM)
+    while bits != np.uint64(0):
+        at = first_bit(bits) << np.uint64(2)
+        bits &= bits - _ONE
+        t = load(np.float32, lanes + at)
+        prim_id = load(np.int32, block + PRIM_IDS + at)
+        if t < nearest or (t == nearest and prim_id < best):
+            nearest = t
+            best = prim_id
+            store(slot + U, load(np.float32, lanes + np.uint64(16) + at))
+            store(slot + V, load(np.float32, lanes + np.uint64(32) + at))
+    store(slot + T, nearest)
+    store(slot + PRIM, best)
+    store(slot + T_KEY, t_key(nearest))
+
+
+@device
+def _next(slot, top, keys, children, nodes, leaves, prefetching):
+    """Take the nearest child off the stack that may matter; returns its number."""
+    limit = load(np.int32, slot + T_KEY)
+    top -= LANE
+    while load(np.int32, keys + top) > limit:
+        top -= LANE
+    child = load(np.int32, children + top)
+    store(slot + CHILD, child)
+    store(slot + TOP, top)
+    if prefetching:
+        at = leaf_address(leaves, child) if child < np.int32(0) else nodes + np.uint64(child) * NODE
+        prefetch(at)
+        prefetch(at + _LINE)
+        prefetch(at + (_LINE + _LINE))
+        prefetch(at + (_LINE + _LINE + _LINE))
+    return child
+
+
+@kernel
+def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any, prefetching, out):
+    """Trace rays begin to end.
+
+    Parameters
+    ----------
+    begin, end : int
+    nodes, leaves : int
+        Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
+    extreme : float32
+        Largest absolute coordinate of the scene.
+    frame : SceneFrame
+    source : RaySource
+    wants_any : bool
+        Find whether there is a hit, else the nearest one.
+    prefetching : bool
+        Pays off where the tree does not fit into the cache.
+    out : ResultAddresses
+    """
+    slots = scratch(_SLOT_BYTES)
+    all_keys = scratch(_STACK_BYTES)
+    all_children = scratch(_STACK_BYTES)
+    lanes = scratch(64)
+    inner = scratch(_QUEUE_BYTES)
+    inner_next = scratch(_QUEUE_BYTES)
+    leaf = scratch(_QUEUE_BYTES)
+    leaf_next = scratch(_QUEUE_BYTES)
+    done = scratch(_QUEUE_BYTES)
+    numbers = scratch(32)
+    for k in range(np.uint64(8)):
+        store(numbers + k * LANE, np.int32(k))
+    lane_numbers = load(i32x8, numbers)
+    ray_next, ray_end = np.uint64(begin), np.uint64(end)
+    # Lengths of the queues, in bytes.
+    inner_size = np.uint64(0)
+    leaf_size = np.uint64(0)
+    done_size = np.uint64(0)
+    for k in range(_IN_FLIGHT):
+        store(done + done_size, k)
+        done_size += _WORD
+        store(slots + k * SLOT + RAY, _NO_RAY)
+
+    while True:
+        # Step 1: finished slots write their result and take the next ray.
+        at = np.uint64(0)
+        while at != done_size:
+            k = load(np.uint64, done + at)
+            at += _WORD
+            slot = slots + k * SLOT
+            finish_ray(slot, wants_any, out)
+            store(slot + RAY, _NO_RAY)
+            if ray_next < ray_end:
+                ray = load_ray(source, ray_next, frame)
+                if ray.status == _INVALID:
+                    store(out.status + ray_next, _INVALID)
+                start_ray(
+                    slot, all_keys + k * _STACK, all_children + k * _STACK, ray_next, ray, extreme
+                )
+                ray_next += _ONE
+                store(inner + inner_size, k)
+                inner_size += _WORD
+        done_size = np.uint64(0)
+        if inner_size == np.uint64(0) and leaf_size == np.uint64(0):
+            break
+
+        # Step 2: a node for each ray that waits for one.
+        next_size = np.uint64(0)
+        at = np.uint64(0)
+        while at != inner_size:
+            k = load(np.uint64, inner + at)
+            at += _WORD
+            slot = slots + k * SLOT
+            keys, children = all_keys + k * _STACK, all_children + k * _STACK
+            node = nodes + np.uint64(load(np.int32, slot + CHILD)) * NODE
+            top = _visit_node(slot, node, keys, children, lane_numbers)
+            child = _next(slot, top, keys, children, nodes, leaves, prefetching)
+            # Without a branch: the slot goes to the end of all queues, one of which grows.
+            is_leaf = np.uint64(child < np.int32(0))
+            is_done = np.uint64(child == BOTTOM)
+            store(inner_next + next_size, k)
+            store(leaf + leaf_size, k)
+            store(done + done_size, k)
+            leaf_size += is_leaf << np.uint64(3)
+            done_size += is_done << np.uint64(3)
+            next_size += ((is_leaf | is_done) ^ _ONE) << np.uint64(3)
+        inner, inner_next = inner_next, inner
+        inner_size = next_size
+
+        # Step 3: a leaf for each ray that waits for one.
+        next_size = np.uint64(0)
+        at = np.uint64(0)
+        while at != leaf_size:
+            k = load(np.uint64, leaf + at)
+            at += _WORD
+            slot = slots + k * SLOT
+            keys, children = all_keys + k * _STACK, all_children + k * _STACK
+            top = load(np.uint64, slot + TOP)
+            if _visit_leaf(slot, load(np.int32, slot + CHILD), leaves, lanes, wants_any):
+                top = LANE
+            child = _next(slot, top, keys, children, nodes, leaves, prefetching)
+            is_leaf = np.uint64(child < np.int32(0))
+            is_done = np.uint64(child == BOTTOM)
+            store(inner + inner_size, k)
+            store(leaf_next + next_size, k)
+            store(done + done_size, k)
+            next_size += is_leaf << np.uint64(3)
+            done_size += is_done << np.uint64(3)
+            inner_size += ((is_leaf | is_done) ^ _ONE) << np.uint64(3)
+        leaf, leaf_next = leaf_next, leaf
+        leaf_size = next_size

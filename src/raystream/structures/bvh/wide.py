@@ -1,0 +1,94 @@
+"""What the kernels need to know of the wide tree's bytes; see `layout` for its meaning."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import lanes_from_bits, mask8, maximum, minimum, permutation, select
+
+__all__ = [
+    "AXIS",
+    "BLOCK",
+    "BOX_FLIP",
+    "CHILDREN",
+    "KEY_LANES",
+    "LANE",
+    "NODE",
+    "NODE_AXIS",
+    "PRIM_IDS",
+    "SECOND",
+    "THIRD",
+    "leaf_address",
+    "leaf_end",
+    "sort_keys",
+]
+
+#: Bytes of a node, of its planes of one axis, and from its low planes to its high ones.
+NODE = np.uint64(256)
+NODE_AXIS = np.uint64(64)
+BOX_FLIP = np.uint64(32)
+
+#: Where a node's eight child numbers begin.
+CHILDREN = np.uint64(192)
+
+#: Bytes of a leaf block; of its four coordinates of one axis; where its second and third
+#: corners and its triangles' numbers begin.
+BLOCK = np.uint64(160)
+AXIS = np.uint64(16)
+SECOND = np.uint64(48)
+THIRD = np.uint64(96)
+PRIM_IDS = np.uint64(144)
+
+#: Bytes of one lane.
+LANE = np.uint64(4)
+
+#: Low bits of a sort key, which hold the lane.
+KEY_LANES = np.int32(7)
+
+_BLOCK_BITS = np.int32(7)
+_BLOCK_SHIFT = np.int32(3)
+
+
+@device
+def leaf_address(leaves, child):
+    """Address of a leaf's first block; `child` is negative."""
+    return leaves + np.uint64(np.int32(~child) >> _BLOCK_SHIFT) * BLOCK
+
+
+@device
+def leaf_end(first, child):
+    """Address after a leaf's last block."""
+    return first + (np.uint64(np.int32(~child) & _BLOCK_BITS) + np.uint64(1)) * BLOCK
+
+
+# A network of 19 comparisons in 6 layers that sorts 8 lanes; in each layer, lanes change
+# places in pairs, and the lanes named by the bits keep the larger one.
+_swap_1 = permutation(2, 3, 0, 1, 6, 7, 4, 5)
+_swap_2 = permutation(4, 5, 6, 7, 0, 1, 2, 3)
+_swap_3 = permutation(1, 0, 3, 2, 5, 4, 7, 6)
+_swap_4 = permutation(0, 1, 4, 5, 2, 3, 6, 7)
+_swap_5 = permutation(0, 4, 2, 6, 1, 5, 3, 7)
+_swap_6 = permutation(0, 2, 1, 4, 3, 6, 5, 7)
+_KEEP_1 = np.uint64(0b00110011)
+_KEEP_2 = np.uint64(0b00001111)
+_KEEP_3 = np.uint64(0b01010101)
+_KEEP_4 = np.uint64(0b00001100)
+_KEEP_5 = np.uint64(0b00001010)
+_KEEP_6 = np.uint64(0b00101010)
+
+
+@device
+def _layer(keys, moved, keep):
+    return select(lanes_from_bits(mask8, keep), maximum(keys, moved), minimum(keys, moved))
+
+
+@device
+def sort_keys(keys):
+    """Eight i32 lanes in descending order."""
+    keys = _layer(keys, _swap_1(keys), _KEEP_1)
+    keys = _layer(keys, _swap_2(keys), _KEEP_2)
+    keys = _layer(keys, _swap_3(keys), _KEEP_3)
+    keys = _layer(keys, _swap_4(keys), _KEEP_4)
+    keys = _layer(keys, _swap_5(keys), _KEEP_5)
+    return _layer(keys, _swap_6(keys), _KEEP_6)

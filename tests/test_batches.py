@@ -1,0 +1,100 @@
+"""Batches of any size, shape, layout and dtype: brute force's bits, whichever kernel runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from batches import BATCHES
+from conftest import assert_same_bits
+from meshes import soup
+from test_agreement import assert_same_answers
+
+KERNELS = ("auto", "wavefront", "packet", "stream", "single")
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_awkward_batches(make_tracer, name, rng):
+    vertices, faces, rays = BATCHES[name](rng)
+    scene = rs.Scene.from_arrays(vertices, faces)
+    assert_same_answers(make_tracer(scene), rs.Tracer(scene, "brute"), rays)
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_the_caller_s_arrays_are_left_alone(name, rng):
+    vertices, faces, rays = BATCHES[name](rng)
+    copies = {name: np.array(array) for name, array in rays.items()}
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces))
+    tracer.first_hit(**rays)
+    tracer.any_hit(**rays)
+    for key, array in rays.items():
+        assert_same_bits(array, copies[key])
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_hundred_thousand_coplanar_layers(kernel):
+    """All at the same t: the lowest prim_id wins, and all hits come in its order."""
+    count = 100_000
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    faces = np.broadcast_to([0, 1, 2], (count, 3))
+    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), kernel=kernel)
+    origins = np.float32([[0.25, 0.25, 2], [0.5, 0.5, 1], [0.7, 0.7, 1]])
+    directions = np.float32([[0, 0, -1], [0, 0, -2], [0, 0, -1]])
+    hits = tracer.first_hit(origins, directions)
+    assert hits.t.tolist() == [2.0, 0.5, np.inf]
+    assert hits.prim_id.tolist() == [0, 0, -1]
+    assert tracer.any_hit(origins, directions).tolist() == [True, True, False]
+    assert tracer.count_hits(origins, directions).tolist() == [count, count, 0]
+    many = tracer.multi_hit(origins, directions)
+    assert many.ray_splits.tolist() == [0, count, 2 * count, 2 * count]
+    np.testing.assert_array_equal(many.prim_id, np.tile(np.arange(count), 2))
+    assert tracer.multi_hit(origins, directions, max_hits=3).prim_id.tolist() == [0, 1, 2] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_million_hits_on_one_ray(kernel, rng):
+    """A stack of triangles whose numbers are in no order; the answer is known."""
+    count = 1_000_000
+    place = rng.permutation(count)
+    corners = np.empty((count, 3, 3), np.float32)
+    corners[:, :, :2] = [[-1e5, -1e5], [3e5, -1e5], [-1e5, 3e5]]
+    corners[:, :, 2] = place[:, None]
+    scene = rs.Scene.from_arrays(
+        corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    )
+    tracer = rs.Tracer(scene, kernel=kernel)
+    ray = [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]
+    order = np.argsort(place)
+    many = tracer.multi_hit(*ray)
+    np.testing.assert_array_equal(many.t, np.arange(1, count + 1, dtype=np.float32))
+    np.testing.assert_array_equal(many.prim_id, order)
+    assert tracer.count_hits(*ray) == count
+    assert tracer.first_hit(*ray).prim_id == order[0]
+    assert tracer.first_hit(*ray, t_min=500_000.5).prim_id == order[500_000]
+    assert tracer.any_hit(*ray, t_min=999_999.5)
+    assert not tracer.any_hit(*ray, t_min=1_000_000.5)
+    few = tracer.multi_hit(*ray, t_min=1000, max_hits=5)
+    np.testing.assert_array_equal(few.prim_id, order[999:1004])
+
+
+def test_large_batches_are_shared_by_the_threads(make_tracer, rng):
+    """Of each kernel's own pieces, and with a progress callback."""
+    scene = rs.Scene.from_arrays(*soup(40, 1))
+    tracer, oracle = make_tracer(scene), rs.Tracer(scene, "brute")
+    origins = rng.random((20_011, 3), np.float32) * 3 - 1
+    rays = {"origins": origins, "directions": rng.random((20_011, 3), np.float32) - origins}
+    seen = []
+    hits = tracer.first_hit(**rays, progress=lambda done, total: seen.append((done, total)))
+    assert seen[-1] == (20_011, 20_011)
+    assert seen == sorted(seen)
+    expected = oracle.first_hit(**rays)
+    for column in ("t", "u", "v", "prim_id", "status"):
+        assert_same_bits(getattr(hits, column), getattr(expected, column))
+    assert_same_bits(tracer.any_hit(**rays), oracle.any_hit(**rays))
+    try:
+        rs.set_thread_count(5)
+        assert_same_bits(tracer.first_hit(**rays).u, expected.u)
+    finally:
+        rs.set_thread_count(None)
