@@ -27,6 +27,7 @@ ROOMS = (
     "lab",
     "cluster",
     "viewer",
+    "bench",
     "cli",
 )
 

@@ -12,6 +12,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from raystream._version import __version__
+from raystream.cli.bench import bench
 from raystream.cli.info import info
 from raystream.cli.messages import one_line, open_streams, show_warnings, silence_stdout
 from raystream.cli.query import query
@@ -35,6 +36,7 @@ app = typer.Typer(
 app.command()(render)
 app.command()(info)
 app.command()(query)
+app.command()(bench)
 
 
 @dataclass

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import io
-import shutil
-import sys
 from collections.abc import Sequence
 from typing import Any
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.messages import one_line, write_json, write_line
+from raystream.cli.messages import write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer
+from raystream.cli.tables import set_table
 
 __all__ = ["info"]
 
 #: Meshes and materials that people see; ``--json`` lists all.
 MAX_ROWS = 12
-
-#: Nothing is wrapped for a program that reads the table.
-PIPED_WIDTH = 10_000
 
 
 def info(
@@ -60,7 +55,7 @@ def _show(figures: dict[str, Any]) -> None:
         )
         for i, material in enumerate(figures["materials"])
     ]
-    write_line(_table(["", ""], _facts(figures)))
+    write_line(set_table(["", ""], _facts(figures)))
     if meshes:
         write_line()
         write_line(_largest("meshes", ["id", "mesh", "triangles", "vertices", "has"], meshes))
@@ -105,36 +100,7 @@ def _vector(numbers: Sequence[float], separator: str = " ") -> str:
 def _largest(what: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> str:
     """Set the rows with the most triangles, which are the third column."""
     shown = sorted(rows, key=lambda row: -row[2])[:MAX_ROWS]
-    text = _table(columns, shown)
+    text = set_table(columns, shown)
     if len(rows) > len(shown):
         text += f"\nand {len(rows) - len(shown):,} more {what} (--json lists all)"
     return text
-
-
-def _table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Align columns, integers to the right; bold and wrapped for a terminal only."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, show_header=any(columns), padding=(0, 2, 0, 0))
-    for title, sample in zip(columns, rows[0], strict=True):
-        table.add_column(title, justify="right" if isinstance(sample, int) else "left")
-    for row in rows:
-        cells = (f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row)
-        table.add_row(*(Text(_printable(cell)) for cell in cells))
-    is_shown = sys.stdout.isatty()
-    console = Console(
-        file=io.StringIO(),
-        force_terminal=is_shown,
-        width=shutil.get_terminal_size().columns if is_shown else PIPED_WIDTH,
-    )
-    with console.capture() as capture:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in capture.get().splitlines())
-
-
-def _printable(text: str) -> str:
-    """Keep the indent, and nothing that could move the cursor."""
-    indent = len(text) - len(text.lstrip(" "))
-    return " " * indent + one_line(text)

@@ -20,6 +20,8 @@ from raystream.cli.messages import BadInputError
 __all__ = [
     "DEVICES",
     "MODES",
+    "PEERS",
+    "RAY_SETS",
     "SCENES",
     "STRUCTURES",
     "Device",
@@ -43,6 +45,8 @@ SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis")
 STRUCTURES = ("bvh", "brute")
 DEVICES = ("cpu",)
+RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
+PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
 
 CAMERA_PARTS = {
     "eye": "eye=X,Y,Z",

@@ -1,0 +1,75 @@
+"""Mitsuba 3 on the CPU (Embree within, compiled by Dr.Jit), as a contender."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import drjit
+import mitsuba
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.bench.contenders.base import AbsentError, Contender, FirstHits, Geometry, Rays
+
+__all__ = ["Mitsuba"]
+
+_VARIANT = "llvm_ad_rgb"
+
+
+class Mitsuba(Contender):
+    """``ray_intersect_preliminary`` and ``ray_test``, with both hints about coherence."""
+
+    modes = ("incoherent", "coherent")
+    queries = frozenset(("first", "any"))
+    notes = "no query for all hits; both of its modes are timed, and the better one counts"
+
+    def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
+        mitsuba.set_variant(_VARIANT)
+        drjit.set_thread_count(threads)
+        try:
+            mitsuba.Float([1.0, 2.0]).numpy()
+        except RuntimeError as error:  # LLVM is not there
+            raise AbsentError(str(error)) from error
+        self._scene: Any = None
+
+    @property
+    def version(self) -> str:
+        """The package's version."""
+        return str(mitsuba.__version__)
+
+    def build(self, geometry: Geometry) -> None:
+        """Make a mesh, and a scene of it."""
+        mesh = mitsuba.Mesh("triangles", len(geometry.vertices), len(geometry.faces))
+        parameters = mitsuba.traverse(mesh)
+        parameters["vertex_positions"] = geometry.vertices.ravel()
+        parameters["faces"] = geometry.faces.view(np.uint32).ravel()
+        parameters.update()
+        self._scene = mitsuba.load_dict({"type": "scene", "triangles": mesh})
+        drjit.sync_thread()
+
+    def release(self) -> None:
+        """Forget what was built."""
+        self._scene = None
+
+    def first_hit(self, rays: Rays, mode: str) -> FirstHits:
+        """Find the nearest hit of each ray."""
+        found = self._scene.ray_intersect_preliminary(_rays(rays), coherent=mode == "coherent")
+        drjit.eval(found.t, found.prim_index)  # both by one kernel
+        return FirstHits(found.t.numpy(), found.prim_index.numpy())
+
+    def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:
+        """Find whether anything is in each ray's way."""
+        # Named, since without the name it would be the mask of active rays.
+        seen: NDArray[np.bool_] = self._scene.ray_test(
+            _rays(rays), coherent=mode == "coherent"
+        ).numpy()
+        return seen
+
+
+def _rays(rays: Rays) -> Any:
+    origins, directions = rays.rows()
+    made = mitsuba.Ray3f(mitsuba.Point3f(origins.T), mitsuba.Vector3f(directions.T))
+    if np.isfinite(rays.t_max):
+        made.maxt = mitsuba.Float(rays.t_max)
+    return made

@@ -1,0 +1,59 @@
+"""raystream itself, as a contender."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream._version import __version__
+from raystream.bench.contenders.base import AllHits, Contender, FirstHits, Geometry, Rays
+from raystream.jit.threads import set_thread_count
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = ["Raystream"]
+
+
+class Raystream(Contender):
+    """A `Tracer`; the options are its own."""
+
+    def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
+        set_thread_count(threads)
+        self._options = dict(options)
+        self._tracer: Tracer | None = None
+
+    @property
+    def version(self) -> str:
+        """The package's version."""
+        return __version__
+
+    @property
+    def tracer(self) -> Tracer:
+        """What was built."""
+        assert self._tracer is not None, "build first"
+        return self._tracer
+
+    def build(self, geometry: Geometry) -> None:
+        """Make a scene of the arrays, and its structure."""
+        self._tracer = Tracer(Scene.from_arrays(*geometry), **self._options)
+
+    def release(self) -> None:
+        """Forget what was built."""
+        self._tracer = None
+
+    def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
+        """Find the nearest hit of each ray."""
+        hits = self.tracer.first_hit(rays.origins, rays.directions, t_max=rays.t_max)
+        return FirstHits(hits.t, hits.prim_id)
+
+    def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
+        """Find whether anything is in each ray's way."""
+        return self.tracer.any_hit(rays.origins, rays.directions, t_max=rays.t_max)
+
+    def multi_hit(self, rays: Rays, mode: str) -> AllHits:  # noqa: ARG002
+        """Find all hits of each ray, sorted."""
+        hits = self.tracer.multi_hit(rays.origins, rays.directions, t_max=rays.t_max)
+        return AllHits(hits.ray_splits, hits.t, hits.prim_id)

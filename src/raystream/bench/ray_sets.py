@@ -1,0 +1,179 @@
+"""Ray sets: the same rays for all contenders, made of a scene and its camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.bench.contenders.base import Query, Rays
+from raystream.core.hits import Hits
+from raystream.scene.camera import Camera
+from raystream.tracer import Tracer
+
+__all__ = ["DEFAULT_SETS", "RAY_SETS", "RaySet", "make_ray_sets"]
+
+#: Rays for ambient occlusion end after this share of the scene's diagonal.
+AO_REACH = 0.1
+
+#: The light hangs this far from the eye, relative to the median distance of what is seen, and
+#: at most half-way to what is there.
+LIGHT_SHIFT = 0.25
+
+
+class RaySet(NamedTuple):
+    """Rays, and what is asked about them.
+
+    Parameters
+    ----------
+    name : str
+        A key of `RAY_SETS`.
+    query : {"first", "any", "multi"}
+    rays : Rays
+    """
+
+    name: str
+    query: Query
+    rays: Rays
+
+
+class _View(NamedTuple):
+    """What ray sets are made of."""
+
+    tracer: Tracer
+    camera: Camera
+    primary: Rays
+    hits: Hits  # of the primary rays that hit, in the order of the pixels
+    generator: np.random.Generator
+
+
+class _Recipe(NamedTuple):
+    query: Query
+    description: str
+    make: Callable[[_View], Rays]
+
+
+def make_ray_sets(
+    tracer: Tracer, camera: Camera, size: tuple[int, int], names: Sequence[str], seed: int = 0
+) -> Iterator[RaySet]:
+    """Make ray sets, one at a time.
+
+    Parameters
+    ----------
+    tracer : Tracer
+        Finds where the camera's rays hit.
+    camera : Camera
+    size : (int, int)
+        Width and height of the picture, in pixels.
+    names : sequence of str
+        Keys of `RAY_SETS`.
+    seed : int
+        Of each set's random numbers: a set does not depend on which others are made.
+
+    Yields
+    ------
+    RaySet
+        All arrays are float32 and C-contiguous. Primary rays have the shape (height, width,
+        3); rays that start at what those hit have the shape (hits, 3), in the order of the
+        pixels; pixels that see nothing are left out. Where nothing is left, or the scene has
+        no size, there are 0 rays.
+    """
+    width, height = size
+    origins, directions = camera.rays(width, height)
+    primary = Rays(np.ascontiguousarray(origins, np.float32), directions, np.inf)
+    found = tracer.first_hit(primary.origins, primary.directions)
+    hits = found[found.is_hit]
+    for index, name in enumerate(RAY_SETS):
+        if name in names:
+            recipe = RAY_SETS[name]
+            generator = np.random.default_rng([seed, index])
+            rays = recipe.make(_View(tracer, camera, primary, hits, generator))
+            yield RaySet(name, recipe.query, rays)
+
+
+def _primary(view: _View) -> Rays:
+    return view.primary
+
+
+def _shadow(view: _View) -> Rays:
+    """To the light, which is at t = 1."""
+    toward = _light(view) - view.hits.positions
+    return _spawn(view, toward, 1.0)
+
+
+def _light(view: _View) -> NDArray[np.float64]:
+    """Above the eye and to its right, in the open."""
+    right, up, _ = view.camera.basis()
+    away = (right + up) / np.sqrt(2.0)
+    eye = np.asarray(view.camera.eye)
+    seen = view.hits.t
+    free = float(view.tracer.first_hit(eye, away).t)
+    distance = LIGHT_SHIFT * float(np.median(seen)) if len(seen) else 1.0
+    light: NDArray[np.float64] = eye + min(distance, 0.5 * free) * away
+    return light
+
+
+def _ao(view: _View) -> Rays:
+    low, high = view.tracer.structure.triangles.world_bounds
+    return _spawn(view, _cosine(view), AO_REACH * float(np.linalg.norm(high - low)))
+
+
+def _bounce(view: _View) -> Rays:
+    return _spawn(view, _cosine(view), np.inf)
+
+
+def _cosine(view: _View) -> NDArray[np.float64]:
+    """A direction about each hit's normal, on the side from which it is seen."""
+    normals = view.hits.normals.astype(np.float64)
+    toward_eye = np.asarray(view.camera.eye) - view.hits.positions
+    behind = np.einsum("ij,ij->i", normals, toward_eye) < 0.0
+    normals[behind] *= -1.0
+    # A point on the unit sphere around the normal's tip, seen from its foot.
+    directions = normals + _unit_vectors(view.generator, len(normals))
+    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+    result: NDArray[np.float64] = np.where(lengths > 1e-6, directions, normals)
+    return result / np.linalg.norm(result, axis=1, keepdims=True)
+
+
+def _random(view: _View) -> Rays:
+    """Everywhere in the scene's box, in every direction."""
+    low, high = view.tracer.structure.triangles.world_bounds
+    count = len(view.primary)
+    origins = view.generator.uniform(low, high, (count, 3)).astype(np.float32)
+    directions = _unit_vectors(view.generator, count).astype(np.float32)
+    return Rays(origins, directions, np.inf)
+
+
+def _unit_vectors(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
+    vectors = generator.normal(size=(count, 3))
+    result: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return result
+
+
+def _spawn(view: _View, directions: NDArray[np.float64], t_max: float) -> Rays:
+    origins, directions = view.hits.spawn(directions)
+    return Rays(
+        np.ascontiguousarray(origins, np.float32),
+        np.ascontiguousarray(directions, np.float32),
+        t_max,
+    )
+
+
+#: The ray sets by name, in the order of the tables' rows.
+RAY_SETS: Mapping[str, _Recipe] = MappingProxyType(
+    {
+        "primary": _Recipe("first", "first hit of the camera's rays", _primary),
+        "shadow": _Recipe("any", "any hit between what is seen and a light near the eye", _shadow),
+        "ao": _Recipe("any", "any hit of one cosine-distributed ray a pixel, short", _ao),
+        "bounce": _Recipe("first", "first hit of one cosine-distributed ray a pixel", _bounce),
+        "random": _Recipe("first", "first hit of rays from anywhere to anywhere", _random),
+        "multi": _Recipe("multi", "all hits of the camera's rays, sorted", _primary),
+        "random_multi": _Recipe("multi", "all hits of rays from anywhere to anywhere", _random),
+    }
+)
+
+#: Those that are traced when none are named.
+DEFAULT_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi")

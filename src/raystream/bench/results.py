@@ -1,0 +1,210 @@
+"""Results: what a benchmark measured, and the figures that follow."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from raystream.bench.agreement import Agreement
+from raystream.bench.contenders.base import Query
+from raystream.bench.memory import Memory
+
+__all__ = [
+    "AGREEMENT_LIMIT",
+    "NO_QUERY",
+    "BenchResult",
+    "BuildResult",
+    "SceneResult",
+    "SetResult",
+]
+
+#: Why a contender that cannot answer a query is left out.
+NO_QUERY = "has no such query"
+
+#: A larger share of differing rays than this is flagged.
+AGREEMENT_LIMIT = 1e-3
+
+
+@dataclass
+class BuildResult:
+    """How long a contender took to build, and what that takes.
+
+    Attributes
+    ----------
+    seconds : list of float
+        From the user's arrays until the first ray can be traced, once for each build.
+    memory : Memory or None
+        None where it was not measured.
+    """
+
+    seconds: list[float] = field(default_factory=list)
+    memory: Memory | None = None
+
+    @property
+    def median(self) -> float:
+        """Median of the seconds."""
+        return statistics.median(self.seconds)
+
+
+@dataclass
+class SetResult:
+    """One ray set: what every contender took, and how its answers compare.
+
+    Attributes
+    ----------
+    name : str
+    query : {"first", "any", "multi"}
+    ray_count : int
+    hit_count : int
+        raystream's.
+    seconds : dict of str to dict of str to list of float
+        By contender and mode, one for each round after the warm-up.
+    agreement : dict of str to Agreement
+        By contender, with raystream; in all modes, the worst.
+    failures : dict of str to str
+        By contender: why it was left out.
+    """
+
+    name: str
+    query: Query
+    ray_count: int
+    hit_count: int = 0
+    seconds: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    agreement: dict[str, Agreement] = field(default_factory=dict)
+    failures: dict[str, str] = field(default_factory=dict)
+
+    def speed(self, label: str) -> float | None:
+        """Millions of rays in a second, by the median of the better mode; None without any."""
+        medians = [statistics.median(times) for times in self.seconds.get(label, {}).values()]
+        return self.ray_count / min(medians) / 1e6 if medians and min(medians) > 0.0 else None
+
+    def best_mode(self, label: str) -> str:
+        """The mode that counts."""
+        modes = self.seconds[label]
+        return min(modes, key=lambda mode: statistics.median(modes[mode]))
+
+    def best_peer(self, peers: list[str]) -> str | None:
+        """The fastest of these contenders; None where none of them took part."""
+        speeds = {label: speed for label in peers if (speed := self.speed(label)) is not None}
+        return max(speeds, key=lambda label: speeds[label]) if speeds else None
+
+    def ratio(self, label: str, other: str | None) -> float | None:
+        """How many times as fast one is as the other; None where one did not take part."""
+        if other is None or (own := self.speed(label)) is None:
+            return None
+        theirs = self.speed(other)
+        return None if theirs is None else own / theirs
+
+    @property
+    def worst(self) -> Agreement | None:
+        """The agreement with the contender that differs most."""
+        return max(self.agreement.values(), default=None)
+
+
+@dataclass
+class SceneResult:
+    """One scene.
+
+    Attributes
+    ----------
+    scene : str
+        As asked for.
+    triangle_count : int
+    builds : dict of str to BuildResult
+        By contender.
+    sets : list of SetResult
+    failures : dict of str to str
+        By contender: why it could not build.
+    """
+
+    scene: str
+    triangle_count: int
+    builds: dict[str, BuildResult] = field(default_factory=dict)
+    sets: list[SetResult] = field(default_factory=list)
+    failures: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class BenchResult:
+    """A whole benchmark, or what there was of it when it was interrupted.
+
+    Attributes
+    ----------
+    machine : dict
+        See `describe_machine`.
+    size : (int, int)
+        Width and height of the pictures.
+    repeats : int
+        Rounds after the warm-up.
+    own, peers : list of str
+        Contenders that took part, in the order of the columns: raystream's configurations,
+        of which ratios mean the first; and the others.
+    versions, notes : dict of str to str
+        By contender.
+    absent : dict of str to str
+        By peer: why it is not there, and what to do.
+    skipped : dict of str to str
+        By scene: why it could not be loaded.
+    scenes : list of SceneResult
+    """
+
+    machine: dict[str, Any]
+    size: tuple[int, int]
+    repeats: int
+    own: list[str] = field(default_factory=list)
+    peers: list[str] = field(default_factory=list)
+    versions: dict[str, str] = field(default_factory=dict)
+    notes: dict[str, str] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
+    skipped: dict[str, str] = field(default_factory=dict)
+    scenes: list[SceneResult] = field(default_factory=list)
+
+    @property
+    def labels(self) -> list[str]:
+        """All contenders that took part."""
+        return [*self.own, *self.peers]
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything, raw, and with the figures that follow."""
+        raw = asdict(self)
+        raw["size"] = list(self.size)
+        raw["scenes"] = [self._scene_as_json(scene) for scene in self.scenes]
+        return raw
+
+    def _scene_as_json(self, scene: SceneResult) -> dict[str, Any]:
+        return {
+            "scene": scene.scene,
+            "triangles": scene.triangle_count,
+            "builds": {
+                label: {
+                    "seconds": build.seconds,
+                    "median_seconds": build.median,
+                    "memory": None if build.memory is None else build.memory._asdict(),
+                }
+                for label, build in scene.builds.items()
+                if build.seconds
+            },
+            "failures": scene.failures,
+            "sets": [self._set_as_json(rays) for rays in scene.sets],
+        }
+
+    def _set_as_json(self, rays: SetResult) -> dict[str, Any]:
+        best = rays.best_peer(self.peers)
+        return {
+            "set": rays.name,
+            "query": rays.query,
+            "rays": rays.ray_count,
+            "hits": rays.hit_count,
+            "seconds": rays.seconds,
+            "mrays_per_second": {label: rays.speed(label) for label in rays.seconds},
+            "mode": {label: rays.best_mode(label) for label in rays.seconds},
+            "best_peer": best,
+            "ratio_to_best_peer": {label: rays.ratio(label, best) for label in self.own},
+            "ratio_to_open3d": {label: rays.ratio(label, "open3d") for label in self.own},
+            "agreement": {
+                label: {**agreement._asdict(), "flagged": agreement.differing > AGREEMENT_LIMIT}
+                for label, agreement in rays.agreement.items()
+            },
+            "failures": rays.failures,
+        }

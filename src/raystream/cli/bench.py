@@ -1,0 +1,228 @@
+"""``raystream bench``: the same rays through raystream and its peers."""
+
+from __future__ import annotations
+
+import contextlib
+import json as json_text
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.bars import Bars
+from raystream.cli.messages import (
+    BadInputError,
+    one_line,
+    refuse,
+    write_json,
+    write_line,
+)
+from raystream.cli.opening import choose_threads
+from raystream.cli.tables import set_table
+
+if TYPE_CHECKING:
+    from raystream.bench.contenders import Entry
+    from raystream.bench.results import BenchResult
+    from raystream.bench.runner import Bench
+
+__all__ = ["DEFAULT_SCENES", "bench"]
+
+#: Public models, and generated scenes of a million and of ten million triangles.
+DEFAULT_SCENES = (
+    *("bunny", "sponza", "sibenik", "conference", "kitchen", "bart_robots"),
+    *("robots:1000000", "forest:1000000", "robots:10000000", "forest:10000000"),
+)
+
+INTERRUPTED = 130
+
+
+def bench(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENE]...",
+            help="As for render, but no saved structures. Without any: "
+            + ", ".join(DEFAULT_SCENES),
+            autocompletion=options.complete_scenes,
+            show_default=False,
+        ),
+    ] = None,
+    sets: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES", help=f"Which rays, of {', '.join(options.RAY_SETS)}; with commas."
+        ),
+    ] = ",".join(options.RAY_SETS[:-1]),
+    peers: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Whom to compare with, with commas; 'none' for nobody. Those that are not "
+            "installed are listed as absent.",
+        ),
+    ] = ",".join(options.PEERS),
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="An option of Tracer, such as max_leaf_size=8; can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME:KEY=VALUE,...",
+            help="Another raystream with these options of Tracer, as one more contender; can "
+            "be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    width: Annotated[int, typer.Option(min=1, max=1 << 14, metavar="N", help="In pixels.")] = 1024,
+    height: Annotated[int, typer.Option(min=1, max=1 << 14, metavar="N", help="In pixels.")] = 768,
+    repeats: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Rounds after the warm-up; medians count.")
+    ] = 5,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            show_default=False,
+            help="Threads for everybody, on as many cores; without it, what RAYSTREAM_THREADS "
+            "says, or one a core.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Of random rays.")] = 0,
+    memory: Annotated[
+        bool, typer.Option(help="Measure memory too: builds once more, in other processes.")
+    ] = True,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write the tables: .md, .rst, or all as .json."
+        ),
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Compare the speed with other ray tracers, on the same rays and in turns."""
+    chosen_sets = _names("--sets", sets, options.RAY_SETS)
+    chosen_peers = [] if peers == "none" else _names("--peers", peers, options.PEERS)
+    if output is not None:
+        options.check_output(output, (".md", ".rst", ".json"), inputs=scenes or ())
+    entries = _entries(chosen_peers, option or [], variant or [])
+    choose_threads(threads)
+    from raystream.bench.cores import limited_to
+    from raystream.bench.runner import Bench, Plan
+    from raystream.jit.threads import thread_count
+
+    plan = Plan(
+        entries, chosen_sets, (width, height), repeats, thread_count(), seed, with_memory=memory
+    )
+    # What packages print is not part of the figures.
+    with limited_to(plan.threads), contextlib.redirect_stdout(sys.stderr):
+        running = Bench(plan)
+        interrupted = False
+        try:
+            _run(running, scenes or list(DEFAULT_SCENES), scenes is None or not scenes)
+        except KeyboardInterrupt:
+            interrupted = True
+    if running.result.scenes or not interrupted:
+        _show(running.result, json)
+        if output is not None:
+            _write(running.result, output)
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _run(running: Bench, scenes: list[str], by_default: bool) -> None:
+    from raystream.core.errors import RaystreamError
+    from raystream.scene.load import load
+
+    with Bars() as bars:
+        with bars.step("importing"), refuse(ValueError, TypeError, where="--option, --variant"):
+            running.open()
+        for number, name in enumerate(scenes):
+            place = f" ({number + 1} of {len(scenes)})" if len(scenes) > 1 else ""
+            try:
+                with bars.step(f"{one_line(name)}{place}: loading"), refuse(ValueError, where=name):
+                    scene = load(name)
+                    if scene.triangle_count == 0:
+                        raise BadInputError(f"{name}: holds no triangles")
+            except RaystreamError as error:
+                if not by_default:
+                    raise
+                running.result.skipped[name] = str(error)
+                continue
+            with bars.step(f"{one_line(name)}{place}") as progress:
+                running.run(name, scene, progress)
+            del scene
+
+
+def _names(option: str, text: str, known: tuple[str, ...]) -> list[str]:
+    """Read names between commas."""
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    for name in names:
+        if name not in known:
+            raise BadInputError(f"{option}: expected some of {', '.join(known)}, got {name!r}")
+    if not names:
+        raise BadInputError(f"{option}: expected some of {', '.join(known)}")
+    return names
+
+
+def _entries(peers: list[str], option: list[str], variants: list[str]) -> list[Entry]:
+    from raystream.bench.contenders import Entry
+
+    shared = _parse_options("--option", option)
+    entries = [Entry("raystream", "raystream", shared)]
+    for text in variants:
+        name, colon, rest = text.partition(":")
+        if not colon or not name.strip() or "=" in name:
+            raise BadInputError(f"--variant: expected NAME:KEY=VALUE,..., got {text!r}")
+        own = _parse_options("--variant", rest.split(","))
+        entries.append(Entry(name.strip(), "raystream", {**shared, **own}))
+    entries += [Entry(name, name, {}) for name in peers]
+    labels = [entry.label for entry in entries]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise BadInputError(f"--variant or --peers: {label!r} is there twice")
+    return entries
+
+
+def _parse_options(where: str, words: list[str]) -> dict[str, Any]:
+    """Read ``key=value``; a value is a number, true, false or null, else text."""
+    parsed: dict[str, Any] = {}
+    for word in words:
+        key, equals, value = word.strip().partition("=")
+        if not equals or not key.isidentifier():
+            raise BadInputError(f"{where}: expected KEY=VALUE, got {word!r}")
+        if key in ("scene", "progress"):
+            raise BadInputError(f"{where}: {key} cannot be chosen")
+        try:
+            parsed[key] = json_text.loads(value)
+        except ValueError:
+            parsed[key] = value
+    return parsed
+
+
+def _show(result: BenchResult, json: bool) -> None:
+    if json:
+        write_json(result.as_json())
+        return
+    from raystream.bench.report import make_notes, make_tables
+
+    for table in make_tables(result):
+        write_line(one_line(table.title))
+        write_line(set_table(table.columns, table.rows, right=range(1, len(table.columns))))
+        write_line()
+    for note in make_notes(result):
+        write_line(one_line(note))
+
+
+def _write(result: BenchResult, path: Path) -> None:
+    from raystream.bench.report import write_result
+
+    with refuse(OSError, where=str(path)):
+        write_result(path, result)
