@@ -84,9 +84,9 @@ def kernels():
     values = [value for module in modules for value in vars(module).values()]
     values += list(rs.Tracer(next(scenes())[1]).structure.queries)
     for value in values:
-        if isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache):
-            if value.overloads:
-                yield f"{value.__module__}.{value.__name__}", value
+        is_kernel = isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache)
+        if is_kernel and value.overloads:
+            yield f"{value.__module__}.{value.__name__}", value
 
 
 def instructions():

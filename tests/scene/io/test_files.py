@@ -25,10 +25,10 @@ def test_suffix(name: str, suffix: str) -> None:
     [
         ("absent.obj", None, "no such file"),
         ("empty.obj", b"", "is empty"),
-        ("empty.obj.gz", gzip.compress(b""), "is empty"),
-        ("short.obj.gz", gzip.compress(b"v 0 0 0\n" * 99)[:-9], "truncated"),
+        ("empty.obj.gz", gzip.compress(b"", mtime=0), "is empty"),
+        ("short.obj.gz", gzip.compress(b"v 0 0 0\n" * 99, mtime=0)[:-9], "truncated"),
         ("bad.obj.gz", b"not packed at all", "not valid gzip"),
-        ("tail.obj.gz", gzip.compress(b"abc") + b"rubbish", "not valid gzip"),
+        ("tail.obj.gz", gzip.compress(b"abc", mtime=0) + b"rubbish", "not valid gzip"),
         ("x" * 300 + ".obj", None, "cannot be read"),
     ],
 )
@@ -49,7 +49,7 @@ def test_directory(tmp_path: Path) -> None:
 
 def test_gzip_members_and_padding(tmp_path: Path) -> None:
     path = tmp_path / "a.ply.gz"
-    path.write_bytes(gzip.compress(b"one ") + gzip.compress(b"two") + b"\0" * 64)
+    path.write_bytes(gzip.compress(b"one ", mtime=0) + gzip.compress(b"two", mtime=0) + b"\0" * 64)
     assert read_model_bytes(path) == b"one two"
 
 
@@ -67,7 +67,7 @@ def test_limit_from_the_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     path = tmp_path / name
-    path.write_bytes(gzip.compress(b"v" * 200) if name.endswith("gz") else b"v" * 200)
+    path.write_bytes(gzip.compress(b"v" * 200, mtime=0) if name.endswith("gz") else b"v" * 200)
     assert len(read_model_bytes(path)) == 200
     monkeypatch.setenv("RAYSTREAM_MAX_FILE_BYTES", "100")
     with pytest.raises(FileFormatError, match="RAYSTREAM_MAX_FILE_BYTES"):

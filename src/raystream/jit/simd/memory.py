@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 
 from raystream.jit.simd.types import VectorClass, VectorType, llvm_type, refuse
 
-__all__ = ["address", "load", "prefetch", "scratch", "store"]
+__all__ = ["address", "load", "pointer_to", "prefetch", "scratch", "store"]
 
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
@@ -32,7 +32,12 @@ _NUMBERS = (
 )
 
 
-def _pointer(builder: Any, address: Any, target: Any) -> Any:
+def pointer_to(builder: Any, address: Any, target: Any) -> Any:
+    """An LLVM pointer to an address."""
+    # LLVM takes a sum apart when it compiles a function, and may take the offset for the
+    # pointer: where that turns out to be zero in a caller, it would conclude that null is read
+    # and that the statement is never reached. (llvmlite does not know the attribute, LLVM does.)
+    set.add(builder.function.attributes, "null_pointer_is_valid")
     return builder.inttoptr(address, target.as_pointer())
 
 
@@ -76,7 +81,7 @@ def load(typing_context: Any, type_: Any, at: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         target = _memory_type(context, loaded)
-        value = builder.load(_pointer(builder, arguments[1], target))
+        value = builder.load(pointer_to(builder, arguments[1], target))
         value.align = _alignment(loaded)
         return value
 
@@ -93,7 +98,7 @@ def store(typing_context: Any, at: Any, value: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         target = _memory_type(context, value)
-        written = builder.store(arguments[1], _pointer(builder, arguments[0], target))
+        written = builder.store(arguments[1], pointer_to(builder, arguments[0], target))
         written.align = _alignment(value)
         return context.get_dummy_value()
 
@@ -132,7 +137,7 @@ def prefetch(typing_context: Any, at: Any) -> Any:
         name = "llvm.prefetch.p0"
         function = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
         read, keep, data = (ir.Constant(_I32, number) for number in (0, 3, 1))
-        builder.call(function, [_pointer(builder, arguments[0], ir.IntType(8)), read, keep, data])
+        builder.call(function, [pointer_to(builder, arguments[0], ir.IntType(8)), read, keep, data])
         return context.get_dummy_value()
 
     return types.void(at), generate

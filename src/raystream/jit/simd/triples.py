@@ -9,6 +9,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import ELEMENTS, VectorClass, VectorType, llvm_type
 
 __all__ = ["load_triples", "store_past_cache"]
@@ -28,7 +29,7 @@ def load_triples(typing_context: Any, type_: Any, at: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         i32 = ir.IntType(32)
         wide = ir.VectorType(ELEMENTS[vector.kind][1], 3 * count)
-        value = builder.load(builder.inttoptr(arguments[1], wide.as_pointer()))
+        value = builder.load(pointer_to(builder, arguments[1], wide))
         value.align = int(vector.element.bitwidth) // 8
         undefined = ir.Constant(wide, ir.Undefined)
         axes = []
@@ -51,7 +52,7 @@ def store_past_cache(typing_context: Any, at: Any, value: Any) -> Any:
         return None
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = builder.inttoptr(arguments[0], llvm_type(value).as_pointer())
+        pointer = pointer_to(builder, arguments[0], llvm_type(value))
         written = builder.store(arguments[1], pointer)
         written.align = int(value.element.bitwidth) // 8 * value.lane_count
         one = ir.Constant(ir.IntType(32), 1)

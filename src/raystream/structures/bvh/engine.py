@@ -47,8 +47,9 @@ SMALL_BATCH = 1024
 LEAST_CHUNK = 1024
 MOST_CHUNK = 8192
 
-#: The same for packets of 256 rays, traced as packets, and as streams, whose last ones of a
-#: call are not full.
+#: The same for packets of 256 rays, traced as packets, and as streams, which sort the rays of
+#: a call: four times as many share more nodes, but no longer lie in the second-level cache
+#: while they are sorted, and are slower by a tenth.
 MOST_PACKETS = 64
 MOST_STREAMS = 128
 
@@ -250,9 +251,10 @@ def _trace_packed(
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
-    trace, most = (
-        (trace_packets, MOST_PACKETS) if kernel == "packet" else (trace_streams, MOST_STREAMS)
-    )
+    if kernel == "packet":
+        trace, most = trace_packets, MOST_PACKETS
+    else:
+        trace, most = trace_streams, MOST_STREAMS
     (nodes, leaves), frame = tree.addresses, tree.frame
 
     def body(begin: int, end: int) -> None:

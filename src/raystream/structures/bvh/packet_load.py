@@ -60,7 +60,7 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
 )
 
-__all__ = ["load_group", "load_packet"]
+__all__ = ["load_directions", "load_group", "load_origins", "load_packet"]
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -78,22 +78,33 @@ _WIDE = np.uint64(8)
 def _triples(base, step, are_double, first):
     """Three numbers of each of 16 rays, as a float64 vector for each."""
     at = base + first * step
-    if step == np.uint64(0):
-        if are_double:
-            return (
-                f64x16(load(np.float64, at)),
-                f64x16(load(np.float64, at + _WIDE)),
-                f64x16(load(np.float64, at + (_WIDE + _WIDE))),
-            )
-        return (
-            f64x16(np.float64(load(np.float32, at))),
-            f64x16(np.float64(load(np.float32, at + _LANE))),
-            f64x16(np.float64(load(np.float32, at + (_LANE + _LANE)))),
-        )
     if are_double:
-        return load_triples(f64x16, at)
-    x, y, z = load_triples(f32x16, at)
-    return widen(x), widen(y), widen(z)
+        if step == np.uint64(0):
+            x = f64x16(load(np.float64, at))
+            y = f64x16(load(np.float64, at + _WIDE))
+            z = f64x16(load(np.float64, at + (_WIDE + _WIDE)))
+        else:
+            x, y, z = load_triples(f64x16, at)
+    elif step == np.uint64(0):
+        x = f64x16(np.float64(load(np.float32, at)))
+        y = f64x16(np.float64(load(np.float32, at + _LANE)))
+        z = f64x16(np.float64(load(np.float32, at + (_LANE + _LANE))))
+    else:
+        short_x, short_y, short_z = load_triples(f32x16, at)
+        x, y, z = widen(short_x), widen(short_y), widen(short_z)
+    return x, y, z
+
+
+@device
+def load_origins(source, first):
+    """Origins of 16 rays that follow each other, in float64, world space."""
+    return _triples(source.origins, source.origin_step, source.origins_are_double, first)
+
+
+@device
+def load_directions(source, first):
+    """Directions of 16 rays that follow each other, in float64, world space."""
+    return _triples(source.directions, source.direction_step, source.directions_are_double, first)
 
 
 @device
@@ -127,10 +138,8 @@ def _patch(packet, long, lane, status, source, i, frame):
 @device
 def _load_group(packet, long, source, first, frame, status):
     """Load 16 rays into the local frame; returns whether one of them took the long way."""
-    dx, dy, dz = _triples(
-        source.directions, source.direction_step, source.directions_are_double, first
-    )
-    wx, wy, wz = _triples(source.origins, source.origin_step, source.origins_are_double, first)
+    wx, wy, wz = load_origins(source, first)
+    dx, dy, dz = load_directions(source, first)
     ox = narrow((wx - frame.center[0]) * frame.scale)
     oy = narrow((wy - frame.center[1]) * frame.scale)
     oz = narrow((wz - frame.center[2]) * frame.scale)

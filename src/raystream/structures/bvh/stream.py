@@ -45,11 +45,15 @@ from raystream.structures.bvh.packet_load import load_group
 from raystream.structures.bvh.packet_rays import (
     CLASS,
     GROUP_BYTES,
-    GROUPS,
     NO_CLASS,
-    group_rows,
 )
 from raystream.structures.bvh.stream_leaf import test_block
+from raystream.structures.bvh.stream_order import (
+    BLOCK_BYTES,
+    KEY_COUNT,
+    gather_rays,
+    sort_rays,
+)
 from raystream.structures.bvh.stream_rays import (
     HOT_FAR,
     HOT_INV,
@@ -93,8 +97,8 @@ _VECTOR = np.uint64(64)
 
 _CAPACITY = np.uint64(STREAM_RAYS)
 _OCTANTS = np.uint64(8)
-_STREAM = np.uint64(STREAM_RAYS) * RECORD
-_ALL_STREAMS = 8 * STREAM_RAYS * 64
+_KEYS_OF_OCTANT = np.uint64(KEY_COUNT // 8)
+_RECORD_BYTES = 2 * STREAM_RAYS * 64
 _HIT_BYTES = 4 * STREAM_RAYS + 64
 
 # A stack entry: the child, the length and the address of its list of rays, the distance at
@@ -249,16 +253,12 @@ def _trace_stream(octant, count, hot, cold, nodes, leaves, stack, lists, hits, s
 
 
 @device
-def _empty(octant, memory, nodes, leaves, wants_any, out):
-    """Trace the stream of an octant, write its results, and make room for the next rays."""
-    counts, hot, cold, stack, lists, hits, small = memory
-    count = load(np.uint64, counts + octant * np.uint64(8))
-    hot += octant * _STREAM
-    cold += octant * _STREAM
+def _empty(octant, count, memory, nodes, leaves, wants_any, out):
+    """Trace a stream, and write its results."""
+    hot, cold, stack, lists, hits, small = memory
     _trace_stream(octant, count, hot, cold, nodes, leaves, stack, lists, hits, small, wants_any)
     for j in range(count):
         write_ray(hot + j * RECORD, cold + j * RECORD, wants_any, out)
-    store(counts + octant * np.uint64(8), _U0)
 
 
 @kernel
@@ -278,41 +278,55 @@ def trace_streams(begin, end, nodes, leaves, frame, source, order, wants_any, ou
         Find whether there is a hit, else the nearest one.
     out : ResultAddresses
     """
-    streams = np.empty(2 * _ALL_STREAMS + 64, np.uint8)
-    hot = (address(streams) + np.uint64(63)) & ~np.uint64(63)
-    cold = hot + _OCTANTS * _STREAM
+    records = np.empty(_RECORD_BYTES + 64, np.uint8)
+    hot = (address(records) + np.uint64(63)) & ~np.uint64(63)
+    cold = hot + _CAPACITY * RECORD
     list_memory = np.empty(_LIST_BYTES, np.uint8)
-    lists = address(list_memory)
+    ray_count = (np.uint64(end) - np.uint64(begin)) * np.uint64(256)
+    numbers = np.empty(np.int64(ray_count) * 3 + 64, np.uint32)
+    keys = address(numbers)
+    arrived = keys + (ray_count + _LANES) * LANE
+    rays = arrived + (ray_count + _LANES) * LANE
+    key_ends = np.empty(KEY_COUNT, np.uint32)
     group = scratch(GROUP_BYTES)
-    stack = scratch(_STACK_BYTES)
-    hits = scratch(_HIT_BYTES)
+    block = scratch(BLOCK_BYTES)
+    ends = address(key_ends)
+    flags = scratch(64)
     small = scratch(160)
-    counts = scratch(64)
-    for k in range(_OCTANTS):
+    for k in range(np.uint64(8)):
         store(small + np.uint64(128) + k * LANE, np.int32(k))
-        store(counts + k * np.uint64(8), _U0)
-    memory = (counts, hot, cold, stack, lists, hits, small)
+    memory = (hot, cold, scratch(_STACK_BYTES), address(list_memory), scratch(_HIT_BYTES), small)
 
-    for number in range(np.uint64(begin), np.uint64(end)):
-        for g in range(GROUPS):
-            first, count = group_rows(order, number, g)
-            if count == _U0:
-                continue
-            is_long = load_group(group, first, count, source, frame, out.status)
+    sort_rays(
+        np.uint64(begin), np.uint64(end), order, source, frame, keys, arrived, rays, ends, block
+    )
+    at = _U0
+    for octant in range(_OCTANTS):
+        octant_end = np.uint64(key_ends[(octant + _U1) * _KEYS_OF_OCTANT - _U1])
+        filled = _U0
+        while at != octant_end:
+            count = min(octant_end - at, _LANES)
+            sixteen = gather_rays(block, source, rays + at * LANE, count)
+            store(flags, _U0)
+            store(flags + np.uint64(8), _U0)
+            is_long = load_group(group, _U0, _LANES, sixteen, frame, flags)
             for lane in range(count):
+                ray = np.uint64(load(np.uint32, rays + (at + lane) * LANE))
                 kind = load(np.int32, group + CLASS + lane * LANE)
                 if kind == NO_CLASS:
-                    write_miss(first + lane, wants_any, out)
+                    write_miss(ray, wants_any, out)
+                    if load(np.uint8, flags + lane) != np.uint8(0):
+                        store(out.status + ray, load(np.uint8, flags + lane))
                     continue
-                octant = np.uint64(kind) >> _U2
-                filled = load(np.uint64, counts + octant * np.uint64(8))
-                at = octant * _STREAM + filled * RECORD
-                add_ray(hot + at, cold + at, group, lane, kind, is_long, first + lane)
+                record = filled * RECORD
+                add_ray(hot + record, cold + record, group, lane, kind, is_long, ray)
                 filled += _U1
-                store(counts + octant * np.uint64(8), filled)
-                if filled == _CAPACITY:
-                    _empty(octant, memory, nodes, leaves, wants_any, out)
-    for octant in range(_OCTANTS):
-        _empty(octant, memory, nodes, leaves, wants_any, out)
+            at += count
+            # Room for another 16.
+            if filled + _LANES > _CAPACITY:
+                _empty(octant, filled, memory, nodes, leaves, wants_any, out)
+                filled = _U0
+        _empty(octant, filled, memory, nodes, leaves, wants_any, out)
     # The memory must outlive its addresses.
-    streams[0] = list_memory[0]
+    records[0] = list_memory[0]
+    numbers[0] = key_ends[0]
