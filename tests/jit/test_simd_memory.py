@@ -7,8 +7,20 @@ import numpy as np
 import pytest
 
 from raystream.jit import simd
-from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import address, load, scratch, select, store
+from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.simd import (
+    address,
+    f32x4,
+    f32x16,
+    f64x8,
+    lane,
+    load,
+    load_triples,
+    scratch,
+    select,
+    store,
+    store_past_cache,
+)
 from raystream.jit.simd.types import VECTORS
 
 DTYPES = {"f32": np.float32, "f64": np.float64, "i32": np.int32, "i64": np.int64}
@@ -120,3 +132,51 @@ def test_vectors_pass_through_calls_and_loops():
     out = np.empty(8, np.float32)
     assert run(a, 4, out) == 0b11110000
     np.testing.assert_array_equal(out, np.where(np.arange(8) > 3, 2 * a.reshape(4, 8).sum(0), 0))
+
+
+@device
+def _number(base, i, step):
+    x, y, z = load_triples(f32x4, base + i * step)
+    return lane(x, 0) + lane(y, 0) + lane(z, 0)
+
+
+@kernel
+def _sum_from_the_first(array, step):
+    total = np.float32(0.0)
+    for i in range(np.uint64(4)):
+        total += _number(address(array), i, np.uint64(step))
+    return total, _number(address(array), np.uint64(0), np.uint64(step))
+
+
+def test_an_offset_of_zero_is_no_null_pointer():
+    # LLVM may take the offset for the pointer, and drop what reads "null".
+    array = np.arange(24, dtype=np.float32)
+    assert _sum_from_the_first(array, 4) == (3.0 + 6.0 + 9.0 + 12.0, 3.0)
+
+
+@kernel
+def _copy_past_cache(source, to):
+    store_past_cache(address(to), load(f32x16, address(source)))
+
+
+def test_store_past_cache():
+    memory = np.zeros(32, np.float32)
+    skipped = -memory.ctypes.data % 64 // 4
+    to = memory[skipped : skipped + 16]
+    _copy_past_cache(np.arange(16, dtype=np.float32), to)
+    assert to.tolist() == list(range(16))
+
+
+@kernel
+def _transpose(source, to):
+    x, y, z = load_triples(f64x8, address(source))
+    store(address(to), x)
+    store(address(to) + np.uint64(64), y)
+    store(address(to) + np.uint64(128), z)
+
+
+def test_load_triples():
+    points = np.random.default_rng(1).random((8, 3))
+    to = np.empty((3, 8))
+    _transpose(points, to)
+    assert to.tolist() == points.T.tolist()
