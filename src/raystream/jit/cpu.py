@@ -24,6 +24,9 @@ _FLAGS: dict[str, Any] = {
     "boundscheck": False,
 }
 
+# Only kernels are called from Python or C: what would call the others is not compiled.
+_UNCALLED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
 
 def kernel(function: Function) -> Function:
     """Compile a function that Python calls, when it is first called, and cache it on disk.
@@ -37,10 +40,10 @@ def kernel(function: Function) -> Function:
 
 def device(function: Function) -> Function:
     """Compile a function that kernels call; it is inlined into each of them."""
-    return numba.njit(forceinline=True, **_FLAGS)(function)
+    return numba.njit(forceinline=True, **_UNCALLED, **_FLAGS)(function)
 
 
 def device_call(function: Function) -> Function:
     """Compile a function that kernels call without inlining it: for rare, long branches."""
     # Said, because a function that does not say takes the flag of the one that calls it.
-    return numba.njit(forceinline=False, **_FLAGS)(function)
+    return numba.njit(forceinline=False, **_UNCALLED, **_FLAGS)(function)
