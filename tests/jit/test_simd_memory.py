@@ -10,10 +10,8 @@ from raystream.jit import simd
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import (
     address,
-    f32x4,
     f32x16,
     f64x8,
-    lane,
     load,
     load_triples,
     scratch,
@@ -132,26 +130,6 @@ def test_vectors_pass_through_calls_and_loops():
     out = np.empty(8, np.float32)
     assert run(a, 4, out) == 0b11110000
     np.testing.assert_array_equal(out, np.where(np.arange(8) > 3, 2 * a.reshape(4, 8).sum(0), 0))
-
-
-@device
-def _number(base, i, step):
-    x, y, z = load_triples(f32x4, base + i * step)
-    return lane(x, 0) + lane(y, 0) + lane(z, 0)
-
-
-@kernel
-def _sum_from_the_first(array, step):
-    total = np.float32(0.0)
-    for i in range(np.uint64(4)):
-        total += _number(address(array), i, np.uint64(step))
-    return total, _number(address(array), np.uint64(0), np.uint64(step))
-
-
-def test_an_offset_of_zero_is_no_null_pointer():
-    # LLVM may take the offset for the pointer, and drop what reads "null".
-    array = np.arange(24, dtype=np.float32)
-    assert _sum_from_the_first(array, 4) == (3.0 + 6.0 + 9.0 + 12.0, 3.0)
 
 
 @kernel
