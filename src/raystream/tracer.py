@@ -246,7 +246,7 @@ class Tracer:
         crossings : {"triangles", "surfaces"}
             See `count_hits`.
         progress : callable, optional
-            Called with (steps done, steps): every ray is traced twice, to count its hits
+            Called with (steps done, steps): a ray may take two, to count its hits
             and to keep them.
 
         Returns
@@ -265,9 +265,9 @@ class Tracer:
 
         Notes
         -----
-        Exact: rays are counted first, then their hits are written. Equal t, before it is
-        rounded to float32: the lower prim_id comes first. No hit is found twice and none is
-        lost between two others, however close.
+        Exact: hits are counted before they are written, or kept in memory that grows. Equal
+        t, before it is rounded to float32: the lower prim_id comes first. No hit is found
+        twice and none is lost between two others, however close.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
         surfaces = _is_surfaces(crossings)

@@ -4,26 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-__all__ = ["fma", "stay_out_of_line"]
-
-
-@intrinsic
-def fma(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
-    """``x * y + z`` of float32 numbers, rounded once (IEEE 754 fusedMultiplyAdd)."""
-    signature = types.float32(types.float32, types.float32, types.float32)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        f32 = ir.FloatType()
-        function = builder.module.declare_intrinsic(
-            "llvm.fma", [f32], ir.FunctionType(f32, [f32, f32, f32])
-        )
-        return builder.call(function, arguments)
-
-    return signature, generate
+__all__ = ["stay_out_of_line"]
 
 
 @intrinsic

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.intrinsics import fma
+from raystream.jit.simd import fma
 
 __all__ = ["box_interval"]
 

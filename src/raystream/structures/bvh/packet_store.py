@@ -35,7 +35,6 @@ from raystream.structures.bvh.packet_rays import (
 __all__ = ["store_packet"]
 
 _MISS = np.int32(-1)
-_ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)
 _U1 = np.uint64(1)

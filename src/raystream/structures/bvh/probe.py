@@ -23,6 +23,10 @@ _NARROW = np.float32(0.25)
 #: A group whose origins differ by less than this fraction of the scene's size starts near.
 _NEAR = np.float32(0.1)
 
+#: Trees up to this size mostly stay in a second-level cache, where a stream's lists pay for
+#: themselves even if its rays start anywhere; beyond, hiding the memory's latency pays more.
+_CACHED_BYTES = 6 << 20
+
 _U1 = np.uint64(1)
 
 
@@ -70,11 +74,6 @@ def choose(coherence: Coherence, byte_count: int) -> Literal["packet", "stream",
     if coherence.near >= 0.5 or byte_count <= _CACHED_BYTES:
         return "stream"
     return "wavefront"
-
-
-#: Trees up to this size mostly stay in a second-level cache, where a stream's lists pay for
-#: themselves even if its rays start anywhere; beyond, hiding the memory's latency pays more.
-_CACHED_BYTES = 6 << 20
 
 
 @kernel

@@ -75,13 +75,7 @@ PAD = 2.0**-20
 #: Sides of a record.
 _LEFT, _RIGHT = np.float32(2.0), np.float32(3.0)
 
-_INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
-
-
-@device
-def _id_of(record):
-    return lane(record, 3)
 
 
 @device

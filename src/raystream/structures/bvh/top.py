@@ -20,7 +20,6 @@ from raystream.jit.simd import (
 from raystream.jit.threads import parallel_for
 from raystream.structures.bvh.binning import (
     BIN_COUNT,
-    BINS_BYTES,
     SUMS_BYTES,
     bin_frame,
     bin_records,
@@ -34,8 +33,6 @@ __all__ = ["split_large"]
 
 #: Records that one call of a kernel gets.
 _CHUNK = 1 << 15
-
-_BOX_COUNT = BINS_BYTES // RECORD_BYTES
 
 
 def split_large(

@@ -42,7 +42,6 @@ from raystream.structures.bvh.wide import (
     BLOCK,
     BOX_FLIP,
     CHILDREN,
-    KEY_LANES,
     LANE,
     NODE,
     PRIM_IDS,
@@ -50,7 +49,9 @@ from raystream.structures.bvh.wide import (
     THIRD,
     leaf_address,
     leaf_end,
+    plane_offset,
     sort_keys,
+    t_key,
 )
 
 __all__ = ["STACK_BYTES", "TreeAddresses", "test_block", "traverse"]
@@ -97,18 +98,13 @@ class _Frame(NamedTuple):
 
 
 @device
-def _plane_offset(axis, inv):
-    return (axis << np.uint64(6)) + (BOX_FLIP if inv < _ZERO else _NONE)
-
-
-@device
 def _frame(ray):
     kx, ky, kz = ray.kx, ray.ky, ray.kz
     inv_x = pick(kx, ray.inv_x, ray.inv_y, ray.inv_z)
     inv_y = pick(ky, ray.inv_x, ray.inv_y, ray.inv_z)
     inv_z = ray.sz
     return _Frame(
-        (_plane_offset(kx, inv_x), _plane_offset(ky, inv_y), _plane_offset(kz, inv_z)),
+        (plane_offset(kx, inv_x), plane_offset(ky, inv_y), plane_offset(kz, inv_z)),
         (kx << np.uint64(4), ky << np.uint64(4), kz << np.uint64(4)),
         (inv_x, inv_y, inv_z),
         (
@@ -196,12 +192,6 @@ def test_block(block, frame, t_min, t_far, surfaces, lanes):
 
 
 @device
-def _far_key(t_far):
-    """The largest key that may still matter; the lane bits of a key must not decide."""
-    return np.int32(float_as_bits(t_far) | KEY_LANES) if t_far >= _ZERO else np.int32(2**31 - 1)
-
-
-@device
 def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments.
 
@@ -225,7 +215,7 @@ def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
     top = LANE
     while top != _NONE:
         top -= LANE
-        if load(np.int32, keys + top) > _far_key(t_far):
+        if load(np.int32, keys + top) > t_key(t_far):
             continue
         child = load(np.int32, children + top)
 

@@ -65,7 +65,6 @@ from raystream.structures.bvh.wavefront_rays import (
     V,
     finish_ray,
     start_ray,
-    t_key,
     three,
 )
 from raystream.structures.bvh.wide import (
@@ -80,6 +79,7 @@ from raystream.structures.bvh.wide import (
     leaf_address,
     leaf_end,
     sort_keys,
+    t_key,
 )
 
 __all__ = ["trace_wavefront"]
@@ -92,8 +92,6 @@ _WORD = np.uint64(8)
 _LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
 _KEY_BITS = np.int32(~7)
-_INF = np.float32(np.inf)
-_MISS = np.int32(-1)
 _NO_RAY = np.int64(-1)
 _INVALID = np.uint8(RayStatus.INVALID)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import float_as_bits, load, store
+from raystream.jit.simd import load, store
 from raystream.kernels.local_ray import world_t
 from raystream.kernels.ray import pick, set_up
-from raystream.structures.bvh.wide import BOX_FLIP, KEY_LANES, LANE
+from raystream.structures.bvh.wide import LANE, plane_offset, t_key
 
 __all__ = [
     "AXIS",
@@ -35,11 +35,9 @@ __all__ = [
     "V",
     "finish_ray",
     "start_ray",
-    "t_key",
     "three",
 ]
 
-_ONE = np.uint64(1)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _MISS = np.int32(-1)
@@ -78,19 +76,6 @@ Y = np.uint64(4)
 Z = np.uint64(8)
 Y_WORD = np.uint64(8)
 Z_WORD = np.uint64(16)
-
-
-@device
-def t_key(t):
-    """The largest key that may still matter; the lane bits of a key must not decide."""
-    bits = float_as_bits(t)
-    return np.int32(bits | KEY_LANES) if t >= _ZERO else np.int32(2**31 - 1)
-
-
-@device
-def plane_offset(axis, inv):
-    near = axis << np.uint64(6)
-    return near + BOX_FLIP if inv < _ZERO else near
 
 
 @device

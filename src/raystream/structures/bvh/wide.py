@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import lanes_from_bits, mask8, maximum, minimum, permutation, select
+from raystream.jit.simd import (
+    float_as_bits,
+    lanes_from_bits,
+    mask8,
+    maximum,
+    minimum,
+    permutation,
+    select,
+)
 
 __all__ = [
     "AXIS",
@@ -21,7 +29,9 @@ __all__ = [
     "THIRD",
     "leaf_address",
     "leaf_end",
+    "plane_offset",
     "sort_keys",
+    "t_key",
 ]
 
 #: Bytes of a node, of its planes of one axis, and from its low planes to its high ones.
@@ -46,6 +56,9 @@ LANE = np.uint64(4)
 #: Low bits of a sort key, which hold the lane.
 KEY_LANES = np.int32(7)
 
+_NONE = np.uint64(0)
+_ZERO = np.float32(0.0)
+_NO_LIMIT = np.int32(2**31 - 1)
 _BLOCK_BITS = np.int32(7)
 _BLOCK_SHIFT = np.int32(3)
 
@@ -60,6 +73,18 @@ def leaf_address(leaves, child):
 def leaf_end(first, child):
     """Address after a leaf's last block."""
     return first + (np.uint64(np.int32(~child) & _BLOCK_BITS) + np.uint64(1)) * BLOCK
+
+
+@device
+def plane_offset(axis, inv):
+    """Where in a node the planes of an axis are that a ray of this reciprocal meets first."""
+    return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else _NONE)
+
+
+@device
+def t_key(t):
+    """The largest sort key that may still matter; the lane bits of a key must not decide."""
+    return np.int32(float_as_bits(t) | KEY_LANES) if t >= _ZERO else _NO_LIMIT
 
 
 # A network of 19 comparisons in 6 layers that sorts 8 lanes; in each layer, lanes change
