@@ -10,14 +10,18 @@ from raystream.jit import simd
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import (
     address,
+    f32x8,
     f32x16,
     f64x8,
+    f64x16,
     load,
+    load_records,
     load_triples,
     scratch,
     select,
     store,
     store_past_cache,
+    store_records,
 )
 from raystream.jit.simd.types import VECTORS
 
@@ -158,3 +162,35 @@ def test_load_triples():
     to = np.empty((3, 8))
     _transpose(points, to)
     assert to.tolist() == points.T.tolist()
+
+
+@kernel
+def _take_records_apart(source, to):
+    vectors = load_records(f32x8, 4, address(source))
+    at = address(to)
+    store(at, vectors[0])
+    store(at + np.uint64(32), vectors[1])
+    store(at + np.uint64(64), vectors[2])
+    store(at + np.uint64(96), vectors[3])
+
+
+@kernel
+def _copy_records(source, short, to):
+    store_records(address(to), load_records(f64x16, 8, address(source)))
+    store_records(address(to) + np.uint64(1024), load_records(f32x16, 16, address(short)))
+
+
+def test_load_records():
+    records = np.random.default_rng(2).random((8, 4), np.float32)
+    to = np.empty((4, 8), np.float32)
+    _take_records_apart(records, to)
+    assert to.tolist() == records.T.tolist()
+
+
+def test_store_records():
+    rng = np.random.default_rng(3)
+    long, short = rng.random((16, 8)), rng.random((16, 16), np.float32)
+    to = np.empty(256)
+    _copy_records(long, short, to)
+    assert to[:128].tolist() == long.ravel().tolist()
+    assert to[128:].view(np.float32).tolist() == short.ravel().tolist()

@@ -35,6 +35,7 @@ from raystream.jit.simd.lanes import (
     select,
 )
 from raystream.jit.simd.memory import address, load, prefetch, scratch, store
+from raystream.jit.simd.records import load_records, store_records
 from raystream.jit.simd.triples import load_triples, store_past_cache
 from raystream.jit.simd.types import (
     VectorType,
@@ -84,6 +85,7 @@ __all__ = [
     "lane_bits",
     "lanes_from_bits",
     "load",
+    "load_records",
     "load_triples",
     "mask4",
     "mask8",
@@ -100,5 +102,6 @@ __all__ = [
     "select",
     "store",
     "store_past_cache",
+    "store_records",
     "widen",
 ]
