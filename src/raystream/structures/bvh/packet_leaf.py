@@ -194,7 +194,8 @@ def _test_triangle(rays, group, triangle, planes, at_x, at_y, at_z, goal, hits):
     candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
     if not any_lane(candidates):
         return False
-    hit, u, v = weigh_lanes(images, goal >= SURFACES)
+    # The distance first: rays that leave a surface meet its triangle behind their origin, and
+    # need no weights.
     t = distance_lanes(
         _corner(triangle, at_x, at_y, at_z),
         _corner(second, at_x, at_y, at_z),
@@ -203,9 +204,13 @@ def _test_triangle(rays, group, triangle, planes, at_x, at_y, at_z, goal, hits):
         _three(rays + DIRECTION, at_x, at_y, at_z),
     )
     t = minimum(maximum(t, t_in), t_out) + _ZERO
+    candidates = candidates & (t >= t_min) & (t <= nearest)
+    if not any_lane(candidates):
+        return False
+    hit, u, v = weigh_lanes(images, goal >= SURFACES)
     prim_id = i32x16(load(np.int32, triangle + PRIM_IDS))
     best = load(i32x16, rays + PRIM)
-    taken = candidates & hit & (t >= t_min) & (t <= nearest)
+    taken = candidates & hit
     if goal > ANY:
         if goal & _U1 == _U1:
             collect(hits, taken, t, u, v, prim_id, group)

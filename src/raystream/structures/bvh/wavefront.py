@@ -184,7 +184,6 @@ def _visit_leaf(slot, child, leaves, lanes, wants_any):
             t_min = load(np.float32, slot + T_MIN)
             candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
             if any_lane(candidates):
-                hit, u, v = weigh_lanes(images, False)
                 dx, dy, dz = three(slot, DIRECTION)
                 t = distance_lanes(
                     (widen(ax), widen(ay), widen(az)),
@@ -194,15 +193,20 @@ def _visit_leaf(slot, child, leaves, lanes, wants_any):
                     (np.float64(dx), np.float64(dy), np.float64(dz)),
                 )
                 t = minimum(maximum(t, t_in), t_out) + _ZERO
-                bits = lane_bits(candidates & hit & (t >= t_min) & (t <= nearest))
-                if bits != np.uint64(0):
-                    if wants_any:
-                        store(slot + PRIM, np.int32(0))
-                        return True
-                    store(lanes, t)
-                    store(lanes + np.uint64(16), u)
-                    store(lanes + np.uint64(32), v)
-                    _keep_nearest(slot, block, bits, lanes)
+                candidates = candidates & (t >= t_min) & (t <= nearest)
+                # Only now the weights: rays that leave a surface meet its triangle behind
+                # their origin.
+                if any_lane(candidates):
+                    hit, u, v = weigh_lanes(images, False)
+                    bits = lane_bits(candidates & hit)
+                    if bits != np.uint64(0):
+                        if wants_any:
+                            store(slot + PRIM, np.int32(0))
+                            return True
+                        store(lanes, t)
+                        store(lanes + np.uint64(16), u)
+                        store(lanes + np.uint64(32), v)
+                        _keep_nearest(slot, block, bits, lanes)
         block += BLOCK
     return False
 
