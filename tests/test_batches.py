@@ -9,6 +9,7 @@ import raystream as rs
 from batches import BATCHES
 from conftest import assert_same_bits
 from meshes import soup
+from raystream.structures.bvh import sorted_batch
 from test_agreement import assert_same_answers
 
 KERNELS = ("auto", "wavefront", "packet", "stream", "single")
@@ -98,3 +99,26 @@ def test_large_batches_are_shared_by_the_threads(make_tracer, rng):
         assert_same_bits(tracer.first_hit(**rays).u, expected.u)
     finally:
         rs.set_thread_count(None)
+
+
+def test_rays_are_sorted_in_parts(monkeypatch, rng):
+    """Rays that are sorted together end where the next ones begin, and so does progress."""
+    scene = rs.Scene.from_arrays(*soup(40, 2))
+    tracer, oracle = rs.Tracer(scene, kernel="stream"), rs.Tracer(scene, "brute")
+    count = 5_003
+    origins = rng.random((count, 3)) * 3 - 1
+    rays = {"origins": origins, "directions": rng.random((count, 3)) - origins}
+    rays["directions"][::777] = 0.0  # invalid
+    rays["origins"][5::777] *= 1e9  # taken the long way
+    expected = oracle.first_hit(**rays)
+    for together in (1, 1024, 1500, count):
+        monkeypatch.setattr(sorted_batch, "SORTED_RAYS", together)
+        seen = []
+        part = slice(0, 40) if together == 1 else slice(None)
+        some = {name: array[part] for name, array in rays.items()}
+        hits = tracer.first_hit(**some, progress=lambda done, total, seen=seen: seen.append(done))
+        for column in ("t", "u", "v", "prim_id", "status"):
+            assert_same_bits(getattr(hits, column), getattr(expected, column)[part])
+        assert_same_bits(tracer.any_hit(**some), expected.is_hit[part])
+        assert seen == sorted(seen)
+        assert seen[-1] == len(some["origins"])

@@ -17,7 +17,7 @@ from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_all import Rows, collect_all, count_all, place_all
 from raystream.structures.bvh.packet_rays import PacketOrder, packet_order
 from raystream.structures.bvh.probe import choose, probe
-from raystream.structures.bvh.stream import trace_streams
+from raystream.structures.bvh.sorted_batch import trace_sorted
 from raystream.structures.bvh.traversal import TreeAddresses
 from raystream.structures.bvh.wavefront import trace_wavefront
 
@@ -47,11 +47,8 @@ SMALL_BATCH = 1024
 LEAST_CHUNK = 1024
 MOST_CHUNK = 8192
 
-#: The same for packets of 256 rays, traced as packets, and as streams, which sort the rays of
-#: a call: four times as many share more nodes, but no longer lie in the second-level cache
-#: while they are sorted, and are slower by a tenth.
+#: The same for packets of 256 rays.
 MOST_PACKETS = 64
-MOST_STREAMS = 128
 
 #: Trees of more bytes do not stay in the cache: their nodes are asked for beforehand.
 PREFETCHED_BYTES = 1 << 21
@@ -130,11 +127,15 @@ def trace_batch(
     )
     order, packet_count = packet_order(batch.shape)
     if kernel == "auto" and count:
-        kernel = choose(probe(source, order, packet_count, tree.frame), tree.byte_count)
+        found = probe(source, order, packet_count, tree.frame, tree.byte_count)
+        kernel = choose(found, count, tree.byte_count)
     if kernel == "wavefront":
         _trace_wavefront(tree, count, source, wants_any, results, progress)
+    elif kernel == "stream":
+        (nodes, leaves), frame = tree.addresses, tree.frame
+        trace_sorted(nodes, leaves, frame, count, source, wants_any, results, progress)
     else:
-        _trace_packed(kernel, tree, order, packet_count, source, wants_any, results, progress)
+        _trace_packets(tree, order, packet_count, source, wants_any, results, progress)
     del kept  # the kernels read it by address
 
 
@@ -215,7 +216,8 @@ def place_rows(batch: RayBatch, rows: Rows, splits: NDArray[np.int64], out: HitA
 
 
 def _suits_packets(tree: Tree, source: RaySource, order: PacketOrder, packet_count: int) -> bool:
-    return choose(probe(source, order, packet_count, tree.frame), tree.byte_count) == "packet"
+    found = probe(source, order, packet_count, tree.frame, tree.byte_count)
+    return choose(found, int(order.ray_count), tree.byte_count) == "packet"
 
 
 def _trace_wavefront(
@@ -241,8 +243,7 @@ def _trace_wavefront(
         parallel_for(body, count, max(LEAST_CHUNK, min(share, MOST_CHUNK)), progress)
 
 
-def _trace_packed(
-    kernel: str,
+def _trace_packets(
     tree: Tree,
     order: PacketOrder,
     packet_count: int,
@@ -251,18 +252,14 @@ def _trace_packed(
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
-    if kernel == "packet":
-        trace, most = trace_packets, MOST_PACKETS
-    else:
-        trace, most = trace_streams, MOST_STREAMS
     (nodes, leaves), frame = tree.addresses, tree.frame
 
     def body(begin: int, end: int) -> None:
-        trace(begin, end, nodes, leaves, frame, source, order, wants_any, results)
+        trace_packets(begin, end, nodes, leaves, frame, source, order, wants_any, results)
 
     share = -(-packet_count // (8 * thread_count()))
     report = _of_rays(progress, packet_count, int(order.ray_count))
-    parallel_for(body, packet_count, max(4, min(share, most)), report)
+    parallel_for(body, packet_count, max(4, min(share, MOST_PACKETS)), report)
 
 
 def _of_rays(progress: Progress | None, packet_count: int, ray_count: int) -> Progress | None:

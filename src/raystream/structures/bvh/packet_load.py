@@ -60,13 +60,14 @@ from raystream.structures.bvh.packet_rays import (
     group_rows,
 )
 
-__all__ = ["load_directions", "load_group", "load_origins", "load_packet"]
+__all__ = ["load_directions", "load_group", "load_origins", "load_packet", "load_rays"]
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _INF = np.float32(np.inf)
 _INF64 = np.float64(np.inf)
 _INVALID = np.uint8(RayStatus.INVALID)
+_U0 = np.uint64(0)
 _U1 = np.uint64(1)
 _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
@@ -138,13 +139,19 @@ def _patch(packet, long, lane, status, source, i, frame):
 @device
 def _load_group(packet, long, source, first, frame, status):
     """Load 16 rays into the local frame; returns whether one of them took the long way."""
-    wx, wy, wz = load_origins(source, first)
-    dx, dy, dz = load_directions(source, first)
+    rays = load_origins(source, first) + load_directions(source, first)
+    t_min = _numbers(source.t_min, source.t_min_step, first)
+    t_max = _numbers(source.t_max, source.t_max_step, first)
+    return _localise_group(packet, long, rays, t_min, t_max, source, first, frame, status)
+
+
+@device
+def _localise_group(packet, long, rays, t_min, t_max, source, first, frame, status):
+    """Bring 16 rays into the local frame; returns whether one of them took the long way."""
+    wx, wy, wz, dx, dy, dz = rays
     ox = narrow((wx - frame.center[0]) * frame.scale)
     oy = narrow((wy - frame.center[1]) * frame.scale)
     oz = narrow((wz - frame.center[2]) * frame.scale)
-    t_min = _numbers(source.t_min, source.t_min_step, first)
-    t_max = _numbers(source.t_max, source.t_max_step, first)
 
     # See `ray_source.load_ray` for why these lanes, and only these, may take the short way.
     largest = maximum(maximum(absolute(dx), absolute(dy)), absolute(dz))
@@ -271,6 +278,29 @@ def load_group(group, first, count, source, frame, status):
         is_long = False
     else:
         _load_few(group, group + LONG_FACTOR, source, first, count, frame, status)
+    _prepare_group(group, frame.extreme)
+    return is_long
+
+
+@device
+def load_rays(group, rays, t_min, t_max, source, frame, status):
+    """Load and prepare 16 rays that were read already, as `load_group` does.
+
+    Parameters
+    ----------
+    group : uint64
+        Address of `GROUP_BYTES` bytes.
+    rays : tuple of six f64x16
+        Origins and directions, world space.
+    t_min, t_max : f32x16
+    source : RaySource
+        Where the first of them lies, for those that take the long way.
+    frame : SceneFrame
+    status : uint64
+        Address of 16 statuses.
+    """
+    long = group + LONG_FACTOR
+    is_long = _localise_group(group, long, rays, t_min, t_max, source, _U0, frame, status)
     _prepare_group(group, frame.extreme)
     return is_long
 

@@ -37,35 +37,23 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.kernels.triangle_lanes import (
-    interval_lanes,
-)
+from raystream.kernels.triangle_lanes import interval_lanes
 from raystream.structures.bvh.layout import MAX_DEPTH, STACK_SIZE
-from raystream.structures.bvh.packet_load import load_group
-from raystream.structures.bvh.packet_rays import (
-    CLASS,
-    GROUP_BYTES,
-    NO_CLASS,
-)
 from raystream.structures.bvh.stream_leaf import test_block
-from raystream.structures.bvh.stream_order import (
-    BLOCK_BYTES,
-    KEY_COUNT,
-    gather_rays,
-    sort_rays,
-)
 from raystream.structures.bvh.stream_rays import (
+    FILL_BYTES,
+    HOT,
     HOT_FAR,
     HOT_INV,
     HOT_NEAR,
     HOT_T,
     HOT_T_MIN,
-    RECORD,
+    STREAM_BYTES,
     STREAM_RAYS,
-    add_ray,
+    fill,
+    stream_rays,
     three,
-    write_miss,
-    write_ray,
+    write_results,
 )
 from raystream.structures.bvh.wide import (
     BLOCK,
@@ -82,6 +70,14 @@ from raystream.structures.bvh.wide import (
 
 __all__ = ["trace_streams"]
 
+
+# Small memory: the nearest distances and the keys of a node's children, the numbers of the
+# lanes, and results of a leaf's lanes.
+_KEYS = np.uint64(32)
+_NUMBERS = np.uint64(64)
+_RESULTS = np.uint64(128)
+_SMALL_BYTES = 128 + 96
+
 _U0 = np.uint64(0)
 _U1 = np.uint64(1)
 _U2 = np.uint64(2)
@@ -94,8 +90,6 @@ _LANES = np.uint64(16)
 
 _CAPACITY = np.uint64(STREAM_RAYS)
 _OCTANTS = np.uint64(8)
-_KEYS_OF_OCTANT = np.uint64(KEY_COUNT // 8)
-_RECORD_BYTES = 2 * STREAM_RAYS * 64
 _HIT_BYTES = 4 * STREAM_RAYS + 64
 
 # A stack entry: the child, the length and the address of its list of rays, the distance at
@@ -119,7 +113,7 @@ def _still_wanted(rays, count, hot, t_in):
     for j in range(count):
         ray = load(np.uint32, rays + j * LANE)
         store(rays + kept * LANE, ray)
-        kept += np.uint64(load(np.float32, hot + np.uint64(ray) * RECORD + HOT_T) >= t_in)
+        kept += np.uint64(load(np.float32, hot + np.uint64(ray) * HOT + HOT_T) >= t_in)
     return kept
 
 
@@ -136,7 +130,7 @@ def _visit_node(node, rays, count, hot, near_x, near_y, near_z, hits, nearest):
     least = f32x8(_INF)
     entered_by_any = _U0
     for j in range(count):
-        record = hot + np.uint64(load(np.uint32, rays + j * LANE)) * RECORD
+        record = hot + np.uint64(load(np.uint32, rays + j * LANE)) * HOT
         t_in, t_out = interval_lanes(
             low_x,
             low_y,
@@ -185,8 +179,9 @@ def _prefetch_child(child, nodes, leaves):
 
 
 @device
-def _trace_stream(octant, count, hot, cold, nodes, leaves, stack, lists, hits, small, wants_any):
+def _trace_stream(octant, count, records, nodes, leaves, stack, lists, hits, small, wants_any):
     """Take a stream of rays through the tree."""
+    hot, cold = records.hot, records.cold
     back_x = octant & _U1 != _U0
     back_y = octant & _U2 != _U0
     back_z = octant & np.uint64(4) != _U0
@@ -194,11 +189,11 @@ def _trace_stream(octant, count, hot, cold, nodes, leaves, stack, lists, hits, s
     near_y = NODE_AXIS + BOX_FLIP if back_y else NODE_AXIS
     near_z = NODE_AXIS + NODE_AXIS + BOX_FLIP if back_z else NODE_AXIS + NODE_AXIS
     nearest = small
-    keys = small + np.uint64(32)
-    lanes = small + np.uint64(64)
+    keys = small + _KEYS
+    lanes = small + _RESULTS
     for j in range(count):
         store(lists + j * LANE, np.uint32(j))
-    lane_numbers = load(i32x8, small + np.uint64(128))
+    lane_numbers = load(i32x8, small + _NUMBERS)
 
     top = stack
     store(top, np.int32(0))
@@ -249,81 +244,44 @@ def _trace_stream(octant, count, hot, cold, nodes, leaves, stack, lists, hits, s
             room += written * LANE
 
 
-@device
-def _empty(octant, count, memory, nodes, leaves, wants_any, out):
-    """Trace a stream, and write its results."""
-    hot, cold, stack, lists, hits, small = memory
-    _trace_stream(octant, count, hot, cold, nodes, leaves, stack, lists, hits, small, wants_any)
-    for j in range(count):
-        write_ray(hot + j * RECORD, cold + j * RECORD, wants_any, out)
-
-
 @kernel
-def trace_streams(begin, end, nodes, leaves, frame, source, order, wants_any, out):
-    """Trace the rays of packets begin to end.
+def trace_streams(begin, end, nodes, leaves, frame, source, rays, wants_any, out):
+    """Trace sorted rays begin to end.
 
     Parameters
     ----------
     begin, end : int
-        Packets as `packet_rays.group_rows` numbers them, 256 rays each.
     nodes, leaves : int
         Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
     frame : SceneFrame
     source : RaySource
-    order : PacketOrder
+    rays : SortedRays
+        By octant; their rows are written.
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     out : ResultAddresses
+        Written, but for nearest hits.
     """
-    records = np.empty(_RECORD_BYTES + 64, np.uint8)
-    hot = (address(records) + np.uint64(63)) & ~np.uint64(63)
-    cold = hot + _CAPACITY * RECORD
-    list_memory = np.empty(_LIST_BYTES, np.uint8)
-    ray_count = (np.uint64(end) - np.uint64(begin)) * np.uint64(256)
-    numbers = np.empty(np.int64(ray_count) * 3 + 64, np.uint32)
-    keys = address(numbers)
-    arrived = keys + (ray_count + _LANES) * LANE
-    rays = arrived + (ray_count + _LANES) * LANE
-    key_ends = np.empty(KEY_COUNT, np.uint32)
-    group = scratch(GROUP_BYTES)
-    block = scratch(BLOCK_BYTES)
-    ends = address(key_ends)
-    flags = scratch(64)
-    small = scratch(160)
+    memory = np.empty(STREAM_BYTES + _LIST_BYTES + 64, np.uint8)
+    stream = stream_rays((address(memory) + np.uint64(63)) & ~np.uint64(63))
+    lists = stream.hot + np.uint64(STREAM_BYTES)
+    group = scratch(FILL_BYTES)
+    stack = scratch(_STACK_BYTES)
+    hits = scratch(_HIT_BYTES)
+    small = scratch(_SMALL_BYTES)
     for k in range(np.uint64(8)):
-        store(small + np.uint64(128) + k * LANE, np.int32(k))
-    memory = (hot, cold, scratch(_STACK_BYTES), address(list_memory), scratch(_HIT_BYTES), small)
+        store(small + _NUMBERS + k * LANE, np.int32(k))
 
-    sort_rays(
-        np.uint64(begin), np.uint64(end), order, source, frame, keys, arrived, rays, ends, block
-    )
-    at = _U0
+    at = np.uint64(begin)
     for octant in range(_OCTANTS):
-        octant_end = np.uint64(key_ends[(octant + _U1) * _KEYS_OF_OCTANT - _U1])
-        filled = _U0
-        while at != octant_end:
-            count = min(octant_end - at, _LANES)
-            sixteen = gather_rays(block, source, rays + at * LANE, count)
-            store(flags, _U0)
-            store(flags + np.uint64(8), _U0)
-            is_long = load_group(group, _U0, _LANES, sixteen, frame, flags)
-            for lane in range(count):
-                ray = np.uint64(load(np.uint32, rays + (at + lane) * LANE))
-                kind = load(np.int32, group + CLASS + lane * LANE)
-                if kind == NO_CLASS:
-                    write_miss(ray, wants_any, out)
-                    if load(np.uint8, flags + lane) != np.uint8(0):
-                        store(out.status + ray, load(np.uint8, flags + lane))
-                    continue
-                record = filled * RECORD
-                add_ray(hot + record, cold + record, group, lane, kind, is_long, ray)
-                filled += _U1
+        octant_end = load(np.uint64, rays.octant_ends + octant * _OCTANTS)
+        while at < min(octant_end, np.uint64(end)):
+            count = min(min(octant_end, np.uint64(end)) - at, _CAPACITY)
+            fill(stream, source, rays, at, count, frame, group, out.status)
+            _trace_stream(
+                octant, count, stream, nodes, leaves, stack, lists, hits, small, wants_any
+            )
+            write_results(stream, rays, at, count, wants_any, out)
             at += count
-            # Room for another 16.
-            if filled + _LANES > _CAPACITY:
-                _empty(octant, filled, memory, nodes, leaves, wants_any, out)
-                filled = _U0
-        _empty(octant, filled, memory, nodes, leaves, wants_any, out)
     # The memory must outlive its addresses.
-    records[0] = list_memory[0]
-    numbers[0] = key_ends[0]
+    memory[0] = np.uint8(0)

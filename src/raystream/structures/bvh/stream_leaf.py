@@ -25,11 +25,13 @@ from raystream.kernels.triangle_lanes import (
     weigh_lanes,
 )
 from raystream.structures.bvh.stream_rays import (
+    COLD,
     COLD_DIRECTION,
     COLD_PRIM,
     COLD_SY,
     COLD_U,
     COLD_V,
+    HOT,
     HOT_AXES,
     HOT_FAR,
     HOT_INV,
@@ -38,7 +40,6 @@ from raystream.structures.bvh.stream_rays import (
     HOT_SX,
     HOT_T,
     HOT_T_MIN,
-    RECORD,
     axis_offsets,
     three,
 )
@@ -110,10 +111,10 @@ def test_block(rays, count, hot, cold, block, back_x, back_y, back_z, hits, lane
     # for each ray, those that the processor foresees wrongly cost half the time of a leaf.)
     candidate_count = _U0
     for j in range(count):
-        ray = load(np.uint32, rays + j * LANE)
-        at = np.uint64(ray) * RECORD
-        store(hits + candidate_count * LANE, ray)
-        candidate_count += np.uint64(any_lane(same_sign(_images(hot + at, cold + at, block))))
+        number = load(np.uint32, rays + j * LANE)
+        ray, more = hot + np.uint64(number) * HOT, cold + np.uint64(number) * COLD
+        store(hits + candidate_count * LANE, number)
+        candidate_count += np.uint64(any_lane(same_sign(_images(ray, more, block))))
     if candidate_count == _U0:
         return _U0
 
@@ -126,8 +127,8 @@ def test_block(rays, count, hot, cold, block, back_x, back_y, back_z, hits, lane
     near_y, far_y = select(back_y, high_y, low_y), select(back_y, low_y, high_y)
     near_z, far_z = select(back_z, high_z, low_z), select(back_z, low_z, high_z)
     for j in range(candidate_count):
-        at = np.uint64(load(np.uint32, hits + j * LANE)) * RECORD
-        ray, more = hot + at, cold + at
+        number = np.uint64(load(np.uint32, hits + j * LANE))
+        ray, more = hot + number * HOT, cold + number * COLD
         t_in, t_out = interval_lanes(
             near_x,
             near_y,
@@ -144,10 +145,14 @@ def test_block(rays, count, hot, cold, block, back_x, back_y, back_z, hits, lane
         images = _images(ray, more, block)
         candidates = same_sign(images) & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
         if any_lane(candidates):
+            # The distance first: rays that leave a surface meet its triangle behind their
+            # origin, and need no weights.
+            t = minimum(maximum(_distances(ray, more, block), t_in), t_out) + _ZERO
+            candidates = candidates & (t >= t_min) & (t <= nearest)
+            if not any_lane(candidates):
+                continue
             hit, u, v = weigh_lanes(images, False)
-            t = _distances(ray, more, block)
-            t = minimum(maximum(t, t_in), t_out) + _ZERO
-            bits = lane_bits(candidates & hit & (t >= t_min) & (t <= nearest))
+            bits = lane_bits(candidates & hit)
             if bits != _U0:
                 hit_count += _U1
                 if wants_any:

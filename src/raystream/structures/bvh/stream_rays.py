@@ -1,21 +1,34 @@
-"""The rays of a stream: bins of rays of one octant, filled from the batch, emptied to the results.
+"""The rays of a stream: records that are filled from the batch and emptied to results.
 
 A ray has two records. What nodes want is one cache line; what only leaves and results want is
-another, elsewhere.
+half of another, elsewhere.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import load, store
+from raystream.jit.simd import (
+    bits_as_float,
+    f32x16,
+    i32x16,
+    load,
+    select,
+    store,
+    store_records,
+)
 from raystream.kernels.local_ray import world_t
+from raystream.structures.bvh.packet_load import load_rays
 from raystream.structures.bvh.packet_rays import (
     ARRAY,
+    CLASS,
     DIRECTION,
     FACTOR,
     FAR,
+    GROUP_BYTES,
     INV,
     LONG_FACTOR,
     LONG_OFFSET,
@@ -26,23 +39,47 @@ from raystream.structures.bvh.packet_rays import (
     T_MIN,
     T,
 )
+from raystream.structures.bvh.ray_order import (
+    COPIES_BYTES,
+    copy_sixteen,
+    load_copies,
+    number_at,
+    write_row,
+)
 
 __all__ = [
-    "RECORD",
+    "COLD",
+    "COLD_DIRECTION",
+    "COLD_PRIM",
+    "COLD_SY",
+    "COLD_U",
+    "COLD_V",
+    "FILL_BYTES",
+    "HOT",
+    "HOT_AXES",
+    "HOT_FAR",
+    "HOT_INV",
+    "HOT_NEAR",
+    "HOT_ORIGIN",
+    "HOT_SX",
+    "HOT_T",
+    "HOT_T_MIN",
+    "STREAM_BYTES",
     "STREAM_RAYS",
-    "add_ray",
+    "StreamRays",
     "axis_offsets",
+    "fill",
+    "stream_rays",
     "three",
-    "write_miss",
-    "write_ray",
+    "write_results",
 ]
 
-#: Most rays of a stream: their hot records fill a first-level cache, and half of them or twice
-#: as many are slower by a tenth.
+#: Most rays of a stream: half of them, or twice as many, are slower by a tenth.
 STREAM_RAYS = 1024
 
-#: Bytes of each of a ray's two records.
-RECORD = np.uint64(64)
+#: Bytes of a hot and of a cold record.
+HOT = np.uint64(64)
+COLD = np.uint64(32)
 
 # The hot record. Axes in world order, but for the origin.
 HOT_INV = np.uint64(0)
@@ -55,25 +92,68 @@ HOT_AXES = np.uint64(56)
 HOT_SX = np.uint64(60)
 
 # The cold record.
-COLD_SY = np.uint64(0)
-COLD_DIRECTION = np.uint64(48)  # in the order of the frame
-COLD_PRIM = np.uint64(8)
-COLD_U = np.uint64(12)
-COLD_V = np.uint64(16)
-COLD_RAY = np.uint64(24)
-COLD_FACTOR = np.uint64(32)
-COLD_OFFSET = np.uint64(40)
+COLD_DIRECTION = np.uint64(0)  # in the order of the frame
+COLD_SY = np.uint64(12)
+COLD_FACTOR = np.uint64(16)
+COLD_U = np.uint64(20)
+COLD_V = np.uint64(24)
+COLD_PRIM = np.uint64(28)
+
+# Behind the records: factor and offset in float64, for groups with a ray that took the long
+# way; and whether a group has one.
+_LONG = np.uint64(16)
+_COLD_AT = np.uint64(STREAM_RAYS * 64)
+_LONG_AT = np.uint64(STREAM_RAYS * (64 + 32))
+_FLAGS_AT = np.uint64(STREAM_RAYS * (64 + 32 + 16))
+
+#: Bytes of all that belongs to the rays of a stream.
+STREAM_BYTES = STREAM_RAYS * (64 + 32 + 16) + STREAM_RAYS // 16 + 64
+
+# The scratch of `fill`: a group, then the statuses and the copies of its rays.
+_FOUND = np.uint64(GROUP_BYTES)
+_COPIES = np.uint64(GROUP_BYTES + 64)
+FILL_BYTES = GROUP_BYTES + 64 + COPIES_BYTES
 
 _Y = np.uint64(4)
 _Z = np.uint64(8)
-_LANE = np.uint64(4)
+_WORD = np.uint64(8)
 _U0 = np.uint64(0)
-_U1 = np.uint64(1)
-_U2 = np.uint64(2)
+_LANES = np.uint64(16)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _MISS = np.int32(-1)
 _BYTE = np.uint64(255)
+
+
+def _packed(kx: int, ky: int, kz: int) -> np.int32:
+    """Where a leaf block has the coordinates of a frame's axes, for `axis_offsets`."""
+    return np.int32(16 * (kx | ky << 8 | kz << 16))
+
+
+_AXES_X = _packed(1, 2, 0)
+_AXES_Y = _packed(2, 0, 1)
+_AXES_Z = _packed(0, 1, 2)
+
+
+class StreamRays(NamedTuple):
+    """Where the rays of a stream are.
+
+    Attributes
+    ----------
+    hot, cold, long, flags : uint64
+        Addresses: of the records, and of what the long way leaves.
+    """
+
+    hot: np.uint64
+    cold: np.uint64
+    long: np.uint64
+    flags: np.uint64
+
+
+@device
+def stream_rays(memory):
+    """The parts of `STREAM_BYTES` of memory."""
+    return StreamRays(memory, memory + _COLD_AT, memory + _LONG_AT, memory + _FLAGS_AT)
 
 
 @device
@@ -94,89 +174,105 @@ def three(record):
 
 
 @device
-def _copy_three(to, source):
-    store(to, load(np.float32, source))
-    store(to + _Y, load(np.float32, source + ARRAY))
-    store(to + _Z, load(np.float32, source + ARRAY + ARRAY))
+def _vectors(at):
+    return load(f32x16, at), load(f32x16, at + ARRAY), load(f32x16, at + ARRAY + ARRAY)
 
 
 @device
-def add_ray(hot, cold, group, lane, kind, is_long, ray):
-    """Copy a prepared ray of a group into a stream.
+def _in_frame(is_y, is_z, x, y, z):
+    """Coordinates in the order of the frames, whose last axis is y, z or else x."""
+    return (
+        select(is_z, x, select(is_y, z, y)),
+        select(is_z, y, select(is_y, x, z)),
+        select(is_z, z, select(is_y, y, x)),
+    )
+
+
+@device
+def _write_records(hot, cold, group):
+    """Turn a prepared group into 16 records."""
+    kinds = load(i32x16, group + CLASS) & np.int32(3)
+    is_y, is_z = kinds == np.int32(1), kinds == np.int32(2)
+    ox, oy, oz = _vectors(group + ORIGIN)
+    dx, dy, dz = _vectors(group + DIRECTION)
+    sx, sy, _ = _vectors(group + SHEAR)
+    axes = select(is_z, i32x16(_AXES_Z), select(is_y, i32x16(_AXES_Y), i32x16(_AXES_X)))
+    slabs = _vectors(group + INV) + _vectors(group + NEAR) + _vectors(group + FAR)
+    limits = load(f32x16, group + T_MIN), load(f32x16, group + T)
+    origin = _in_frame(is_y, is_z, ox, oy, oz)
+    store_records(hot, slabs + limits + origin + (bits_as_float(axes), sx))
+    zero = f32x16(_ZERO)
+    result = load(f32x16, group + FACTOR), zero, zero, bits_as_float(i32x16(NO_PRIM))
+    store_records(cold, _in_frame(is_y, is_z, dx, dy, dz) + (sy,) + result)
+
+
+@device
+def fill(stream, source, rays, place, count, frame, memory, status):
+    """Load sorted rays into a stream.
 
     Parameters
     ----------
-    hot, cold : uint64
-        Addresses of its records.
-    group : uint64
-        Address of a group, see `packet_rays`.
-    lane : uint64
-    kind : int32
-        The ray's class.
-    is_long : bool
-        Whether the group has rays that took the long way.
-    ray : uint64
-        Its number in the batch.
+    stream : StreamRays
+    source : RaySource
+    rays : SortedRays
+    place : uint64
+        Of the first one.
+    count : uint64
+    frame : SceneFrame
+    memory : uint64
+        Scratch of `FILL_BYTES`.
+    status : uint64
+        Address of the batch's statuses; written for invalid rays only.
     """
-    at = group + lane * _LANE
-    kz = np.uint64(kind & np.int32(3))
-    kx = kz + _U1 if kz < _U2 else _U0
-    ky = kx + _U1 if kx < _U2 else _U0
-    _copy_three(hot + HOT_INV, at + INV)
-    _copy_three(hot + HOT_NEAR, at + NEAR)
-    _copy_three(hot + HOT_FAR, at + FAR)
-    store(hot + HOT_T_MIN, load(np.float32, at + T_MIN))
-    store(hot + HOT_T, load(np.float32, at + T))
-    store(hot + HOT_ORIGIN, load(np.float32, at + ORIGIN + kx * ARRAY))
-    store(hot + (HOT_ORIGIN + _Y), load(np.float32, at + ORIGIN + ky * ARRAY))
-    store(hot + (HOT_ORIGIN + _Z), load(np.float32, at + ORIGIN + kz * ARRAY))
-    axes = (kx | (ky << np.uint64(8)) | (kz << np.uint64(16))) << np.uint64(4)
-    store(hot + HOT_AXES, np.uint32(axes))
-    store(hot + HOT_SX, load(np.float32, at + SHEAR))
-    store(cold + COLD_SY, load(np.float32, at + SHEAR + ARRAY))
-    store(cold + COLD_DIRECTION, load(np.float32, at + DIRECTION + kx * ARRAY))
-    store(cold + (COLD_DIRECTION + _Y), load(np.float32, at + DIRECTION + ky * ARRAY))
-    store(cold + (COLD_DIRECTION + _Z), load(np.float32, at + DIRECTION + kz * ARRAY))
-    store(cold + COLD_PRIM, NO_PRIM)
-    store(cold + COLD_U, _ZERO)
-    store(cold + COLD_V, _ZERO)
-    store(cold + COLD_RAY, ray)
-    if is_long:
-        wide = lane * np.uint64(8)
-        store(cold + COLD_FACTOR, load(np.float64, group + LONG_FACTOR + wide))
-        store(cold + COLD_OFFSET, load(np.float64, group + LONG_FACTOR + LONG_OFFSET + wide))
-    else:
-        store(cold + COLD_FACTOR, np.float64(load(np.float32, at + FACTOR)))
-        store(cold + COLD_OFFSET, np.float64(0.0))
+    found = memory + _FOUND
+    is_double = source.origins_are_double or source.directions_are_double
+    for j in range(_U0, count, _LANES):
+        store(found, _U0)
+        store(found + _WORD, _U0)
+        copied = copy_sixteen(memory + _COPIES, source, rays, place + j, count - j)
+        sixteen, t_min, t_max = load_copies(memory + _COPIES, is_double)
+        is_long = load_rays(memory, sixteen, t_min, t_max, copied, frame, found)
+        _write_records(stream.hot + j * HOT, stream.cold + j * COLD, memory)
+        store(stream.flags + j // _LANES, np.uint8(is_long))
+        if is_long:
+            for k in range(min(_LANES, count - j)):
+                to, at = stream.long + (j + k) * _LONG, memory + LONG_FACTOR + k * _WORD
+                store(to, load(np.float64, at))
+                store(to + _WORD, load(np.float64, at + LONG_OFFSET))
+                kind = load(np.uint8, found + k)
+                if kind != np.uint8(0):
+                    store(status + rays.first + number_at(rays, place + j + k), kind)
 
 
 @device
-def write_miss(ray, wants_any, out):
-    """Write that a ray hits nothing."""
-    if wants_any:
-        store(out.seen + ray, np.uint8(0))
-        return
-    at = ray * _LANE
-    store(out.t + at, _INF)
-    store(out.u + at, _ZERO)
-    store(out.v + at, _ZERO)
-    store(out.prim_id + at, _MISS)
+def write_results(stream, rays, place, count, wants_any, out):
+    """Write the results of a stream's rays.
 
-
-@device
-def write_ray(hot, cold, wants_any, out):
-    """Write the result of a ray of a stream."""
-    ray = load(np.uint64, cold + COLD_RAY)
-    prim_id = load(np.int32, cold + COLD_PRIM)
-    if wants_any:
-        store(out.seen + ray, np.uint8(prim_id != NO_PRIM))
-        return
-    if prim_id == NO_PRIM:
-        write_miss(ray, False, out)
-        return
-    at = ray * _LANE
-    factor, offset = load(np.float64, cold + COLD_FACTOR), load(np.float64, cold + COLD_OFFSET)
-    store(out.t + at, world_t(load(np.float32, hot + HOT_T), factor, offset))
-    store(out.u + at, load(np.float32, cold + COLD_U))
-    store(out.v + at, load(np.float32, cold + COLD_V))
-    store(out.prim_id + at, prim_id)
+    Parameters
+    ----------
+    stream, rays, place, count
+        See `fill`.
+    wants_any : bool
+    out : ResultAddresses
+    """
+    for j in range(count):
+        number = number_at(rays, place + j)
+        cold = stream.cold + j * COLD
+        prim_id = load(np.int32, cold + COLD_PRIM)
+        if wants_any:
+            store(out.seen + rays.first + number, np.uint8(prim_id != NO_PRIM))
+            continue
+        factor, offset = np.float64(load(np.float32, cold + COLD_FACTOR)), np.float64(0.0)
+        if load(np.uint8, stream.flags + j // _LANES) != np.uint8(0):
+            factor = load(np.float64, stream.long + j * _LONG)
+            offset = load(np.float64, stream.long + j * _LONG + _WORD)
+        t = world_t(load(np.float32, stream.hot + j * HOT + HOT_T), factor, offset)
+        is_miss = prim_id == NO_PRIM
+        write_row(
+            rays,
+            number,
+            _INF if is_miss else t,
+            load(np.float32, cold + COLD_U),
+            load(np.float32, cold + COLD_V),
+            _MISS if is_miss else prim_id,
+        )
