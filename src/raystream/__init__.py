@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Any
 from raystream._version import __version__
 
 if TYPE_CHECKING:
-    from raystream.core.errors import FileFormatError, RaystreamError, RaystreamWarning
+    from raystream import streams
+    from raystream.core.errors import (
+        FileFormatError,
+        LoopLimitError,
+        RaystreamError,
+        RaystreamWarning,
+    )
     from raystream.core.hits import Hits, MultiHits
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
@@ -42,6 +48,7 @@ _HOMES = {
     "FileFormatError": "core.errors",
     "Hits": "core.hits",
     "Image": "render",
+    "LoopLimitError": "core.errors",
     "Material": "scene.material",
     "Mesh": "scene.mesh",
     "MultiHits": "core.hits",
@@ -67,6 +74,7 @@ __all__ = [
     "FileFormatError",
     "Hits",
     "Image",
+    "LoopLimitError",
     "Material",
     "Mesh",
     "MultiHits",
@@ -83,13 +91,14 @@ __all__ = [
     "register_device",
     "render",
     "set_thread_count",
+    "streams",
     "thread_count",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "render":  # the room is callable, see there
-        return importlib.import_module("raystream.render")
+    if name in ("render", "streams"):  # rooms; the first is callable, see there
+        return importlib.import_module(f"raystream.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'raystream' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"raystream.{_HOMES[name]}"), name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from os import PathLike, fspath
 
-__all__ = ["FileFormatError", "RaystreamError", "RaystreamWarning"]
+__all__ = ["FileFormatError", "LoopLimitError", "RaystreamError", "RaystreamWarning"]
 
 
 class RaystreamError(Exception):
@@ -29,6 +29,32 @@ class FileFormatError(RaystreamError, ValueError):
         self.path = fspath(path)
         self.reason = reason
         super().__init__(f"{self.path}: {reason}")
+
+
+class LoopLimitError(RaystreamError, RuntimeError):
+    """A loop over streams that did not end within its limit.
+
+    Parameters
+    ----------
+    name : str
+        What was repeated.
+    limit : int
+        How often it was.
+    written_count : int
+        Records that the last round still wrote.
+    """
+
+    def __init__(self, name: str, limit: int, written_count: int) -> None:
+        self.name = name
+        self.limit = limit
+        self.written_count = written_count
+        super().__init__(name, limit, written_count)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name}: still wrote {self.written_count:,} records in round {self.limit:,}; "
+            "return None for records that are done, or raise limit="
+        )
 
 
 class RaystreamWarning(UserWarning):

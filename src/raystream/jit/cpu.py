@@ -9,7 +9,7 @@ import numba
 
 from raystream.jit.cache import KernelCache
 
-__all__ = ["device", "device_call", "kernel"]
+__all__ = ["FLAGS", "device", "device_call", "kernel"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -17,7 +17,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 # costs a branch in each division. fastmath=False is said although it is the default: it is
 # then part of the function and not taken from its caller. boundscheck=False likewise, so
 # that NUMBA_BOUNDSCHECK cannot half-apply.
-_FLAGS: dict[str, Any] = {
+FLAGS: dict[str, Any] = {
     "nogil": True,
     "error_model": "numpy",
     "fastmath": False,
@@ -33,17 +33,17 @@ def kernel(function: Function) -> Function:
 
     It runs without the interpreter lock, so that threads run it in parallel.
     """
-    dispatcher = numba.njit(**_FLAGS)(function)
+    dispatcher = numba.njit(**FLAGS)(function)
     dispatcher._cache = KernelCache(function)
     return dispatcher
 
 
 def device(function: Function) -> Function:
     """Compile a function that kernels call; it is inlined into each of them."""
-    return numba.njit(forceinline=True, **_UNCALLED, **_FLAGS)(function)
+    return numba.njit(forceinline=True, **_UNCALLED, **FLAGS)(function)
 
 
 def device_call(function: Function) -> Function:
     """Compile a function that kernels call without inlining it: for rare, long branches."""
     # Said, because a function that does not say takes the flag of the one that calls it.
-    return numba.njit(forceinline=False, **_UNCALLED, **_FLAGS)(function)
+    return numba.njit(forceinline=False, **_UNCALLED, **FLAGS)(function)

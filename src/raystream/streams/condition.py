@@ -1,0 +1,114 @@
+"""Conditions: which records a kernel runs on, like the stencil test of a graphics card."""
+
+from __future__ import annotations
+
+import operator
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from raystream.streams.stream import Stream
+
+__all__ = ["Condition", "as_condition"]
+
+_OPERATIONS = {
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+
+
+class Condition:
+    """A comparison of a stream's records with a number, made anew whenever it is used.
+
+    ``state == 2`` makes one. It takes no memory, and follows the stream as kernels change it.
+
+    Parameters
+    ----------
+    stream : Stream
+        Its records are numbers.
+    operation : str
+        One of ``== != < <= > >=``.
+    value : number
+    """
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, stream: Stream, operation: str, value: Any) -> None:
+        if stream.layout.shape != stream.dtype.name:
+            raise TypeError(f"{stream.label}: only a stream of numbers can be compared")
+        self.stream = stream
+        self.operation = operation
+        self.value = _number(stream, value)
+
+    @property
+    def array(self) -> NDArray[np.bool_]:
+        """What holds now, for each record."""
+        result: NDArray[np.bool_] = _OPERATIONS[self.operation](self.stream.array, self.value)
+        return result
+
+    def count(self) -> int:
+        """Number of records for which it holds."""
+        return int(np.count_nonzero(self.array))
+
+    def any(self) -> bool:
+        """Whether it holds for some record."""
+        return bool(self.array.any())
+
+    def all(self) -> bool:
+        """Whether it holds for every record."""
+        return bool(self.array.all())
+
+    def __bool__(self) -> NoReturn:
+        raise TypeError("a condition holds for some records and not for others: use any() or all()")
+
+    def __repr__(self) -> str:
+        return f"<Condition {self.stream.label} {self.operation} {self.value!r}>"
+
+
+def _number(stream: Stream, value: Any) -> Any:
+    """The value, as one of few types: each compiles its own loop."""
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value) if -(2**63) <= value < 2**63 else np.uint64(value)
+    if isinstance(value, float | np.floating):
+        return float(value)
+    raise TypeError(
+        f"{stream.label}: compared with {type(value).__name__}; a condition compares with a number"
+    )
+
+
+def as_condition(where: Any, count: int) -> Condition | None:
+    """Read the argument `where`.
+
+    Parameters
+    ----------
+    where : Condition, Stream, array_like or None
+        A stream or an array must be of bool.
+    count : int
+        Records that it must be about.
+    """
+    from raystream.streams.stream import Stream
+
+    if where is None:
+        return None
+    if not isinstance(where, Condition):
+        stream = where if isinstance(where, Stream) else Stream(where, name="where")
+        if stream.layout.shape != "bool":
+            raise TypeError(
+                "where: expected a comparison such as (state == 2), or booleans, got "
+                f"dtype {stream.dtype}"
+            )
+        where = Condition(stream, "!=", False)
+    if len(where.stream) != count:
+        raise ValueError(
+            f"where: {where.stream.label} has {len(where.stream):,} records, and the kernel's "
+            f"streams have {count:,}"
+        )
+    return where

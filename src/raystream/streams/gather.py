@@ -1,0 +1,79 @@
+"""Gather arrays: read anywhere by a kernel, written by none."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.streams.layout import Layout, find_layout, native_array
+from raystream.streams.stream import Stream
+
+__all__ = ["GatherArray"]
+
+
+class GatherArray:
+    """An array that a kernel reads at any index.
+
+    In a kernel's function ``table[i]`` is one record, or ``table[i, j]`` if it has two
+    dimensions; ``len(table)`` and ``table.shape`` say how many there are. As for any kernel,
+    indices are not checked, except in counted passes; negative ones count from the end.
+
+    Parameters
+    ----------
+    values : array_like or Stream
+        An array is not copied. Of a stream the current records are read, so that a kernel
+        which also writes it reads the old ones.
+    shape : tuple of int, optional
+        To read the records as an array of this shape, the last index running fastest.
+    vectors : bool
+        Whether the last axis of an array holds the components of vectors. A stream knows that.
+    name : str, optional
+        For counters; by default the kernel's name for it.
+
+    Raises
+    ------
+    TypeError
+        If kernels cannot compute with the dtype.
+    ValueError
+        If the array has no dimension, or not that many records.
+    """
+
+    def __init__(
+        self,
+        values: Any,
+        shape: tuple[int, ...] | None = None,
+        *,
+        vectors: bool = False,
+        name: str | None = None,
+    ) -> None:
+        label = "gather array" if name is None else f"gather array {name!r}"
+        self.name = name
+        self.stream: Stream | None = None
+        if isinstance(values, Stream):
+            self.stream = values
+            self.layout: Layout = values.layout
+            array = values.array
+            self.name = values.name if name is None else name
+        else:
+            array = native_array(label, values)
+            if array.ndim < 1 + vectors:
+                raise ValueError(f"{label}: expected at least {1 + vectors} dimension(s), got 0")
+            self.layout = find_layout(label, array, vectors)
+        record_shape = array.shape[array.ndim - 1 :] if self.layout.component_count else ()
+        found = array.shape[: array.ndim - len(record_shape)]
+        if shape is None:
+            shape = found
+        elif math.prod(shape) != math.prod(found) or min(shape, default=-1) < 0:
+            raise ValueError(f"{label}: {math.prod(found):,} records cannot have shape {shape}")
+        self.shape = tuple(shape)
+        self._array_shape = (*self.shape, *record_shape)
+        self._array = array
+
+    @property
+    def array(self) -> NDArray[Any]:
+        """The records as they are now; not a copy if the shape allows it."""
+        array = self._array if self.stream is None else self.stream.array
+        return np.reshape(array, self._array_shape)

@@ -1,0 +1,228 @@
+"""The loop around a kernel's function, as text: load a record, call, store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.loops import Loop, compile_loop
+from raystream.jit.records import accept, counted_gather, plain_gather
+from raystream.streams.layout import Layout
+
+__all__ = ["KernelSource", "Output", "compile_fold", "compile_kernel"]
+
+
+@dataclass(frozen=True)
+class Output:
+    """A stream that a loop writes.
+
+    Attributes
+    ----------
+    layout : Layout
+    is_double : bool
+        Whether the new records go to another array than the old ones.
+    """
+
+    layout: Layout
+    is_double: bool
+
+
+@dataclass(frozen=True)
+class KernelSource:
+    """All that the text of a loop depends on; equal ones share compiled code.
+
+    The loop is ``loop(begin, end, *inputs, *gathers, *constants, *outputs, ...)`` and returns
+    the number of records written. An output that is double takes two arrays, the new
+    and the old; then come the condition's array and value, then the counts.
+
+    Attributes
+    ----------
+    inputs : tuple of (str, Layout or None)
+        Parameter and layout of each input; None is the record's index.
+    gathers : tuple of (str, Layout, int)
+        Parameter, layout and number of dimensions.
+    constants : tuple of str
+    outputs : tuple of Output
+    is_single : bool
+        Whether the function returns one record, not a tuple with one for each output.
+    operation : str or None
+        The comparison of the condition.
+    is_counted : bool
+    """
+
+    inputs: tuple[tuple[str, Layout | None], ...]
+    gathers: tuple[tuple[str, Layout, int], ...]
+    constants: tuple[str, ...]
+    outputs: tuple[Output, ...]
+    is_single: bool
+    operation: str | None = None
+    is_counted: bool = False
+
+    def parameters(self) -> list[str]:
+        """Names of the loop's parameters."""
+        names = ["begin", "end"]
+        names += [f"in_{k}" for k, (_, layout) in enumerate(self.inputs) if layout is not None]
+        names += [f"table_{k}" for k in range(len(self.gathers))]
+        names += [f"constant_{k}" for k in range(len(self.constants))]
+        for k, output in enumerate(self.outputs):
+            names += [f"out_{k}", *([f"old_{k}"] if output.is_double else [])]
+        names += ["where", "value"] if self.operation else []
+        return names + (["counts"] if self.is_counted else [])
+
+    def arguments(self) -> list[str]:
+        """What the function is called with."""
+        parts = []
+        for k, (name, layout) in enumerate(self.inputs):
+            loaded = "index(i)" if layout is None else layout.load(f"in_{k}", ["i"], f"Input_{k}")
+            parts.append(f"{name}={loaded}")
+        parts += [f"{name}=gather_{k}" for k, (name, _, _) in enumerate(self.gathers)]
+        return parts + [f"{name}=constant_{k}" for k, name in enumerate(self.constants)]
+
+    def stores(self) -> list[str]:
+        """The statements that write the result."""
+        lines = ["record = accept(result)"]
+        for k, output in enumerate(self.outputs):
+            value = "record" if self.is_single else f"record[{k}]"
+            lines += output.layout.store(f"out_{k}", "i", value)
+        return lines
+
+    def copies(self) -> list[str]:
+        """The statements that keep a record which is not written."""
+        lines = []
+        for k, output in enumerate(self.outputs):
+            if output.is_double:
+                lines += output.layout.copy(f"out_{k}", f"old_{k}", "i")
+        return lines
+
+    def text(self) -> str:
+        """The loop."""
+        # The first line tells loops apart whose layouts do not show in the rest.
+        lines = [f"# {self!r}", f"def loop({', '.join(self.parameters())}):"]
+        for k in range(len(self.gathers)):
+            counted = f", inside_{k}, counts" if self.is_counted else ""
+            lines.append(f"    gather_{k} = make_gather_{k}(table_{k}, load_{k}{counted})")
+        lines += [
+            "    run = written = 0",
+            "    for i in range(unsigned(begin), unsigned(end)):",
+            f"        if where[i] {self.operation} value:"
+            if self.operation
+            else "        if True:",
+            *(["            run += 1"] if self.is_counted else []),
+            f"            result = function({', '.join(self.arguments())})",
+            "            if result is not None:",
+            *(f"                {line}" for line in self.stores()),
+            "                written += 1",
+            "                continue",
+            *(f"        {line}" for line in self.copies()),
+            *(["    counts[0] = run"] if self.is_counted else []),
+            "    return written",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def names(self) -> dict[str, Any]:
+        """What the text uses."""
+        shapes = tuple(output.layout.shape for output in self.outputs)
+        names: dict[str, Any] = {
+            "accept": accept(shapes[0] if self.is_single else shapes, "its output"),
+            "index": np.int64,
+            "unsigned": np.uint64,
+        }
+        for k, (_, layout) in enumerate(self.inputs):
+            if layout is not None:
+                names[f"Input_{k}"] = layout.record
+        for k, (name, layout, dimensions) in enumerate(self.gathers):
+            names[f"load_{k}"] = _load_function(layout, dimensions)
+            if self.is_counted:
+                names[f"inside_{k}"] = _inside_function(dimensions)
+                names[f"make_gather_{k}"] = counted_gather(dimensions, k + 1, name)
+            else:
+                names[f"make_gather_{k}"] = plain_gather(dimensions)
+        return names
+
+
+def compile_kernel(function: Callable[..., Any], source: KernelSource) -> Loop:
+    """Make the loop of a kernel; equal functions and sources share one."""
+    return compile_loop(source.text(), function, source.names(), __name__)
+
+
+def compile_fold(function: Callable[..., Any], layout: Layout) -> Loop:
+    """Make the loop of a reduction.
+
+    It is ``loop(begin, end, block, records, folds)``: it folds the blocks begin to end, of
+    `block` records each, into one record of `folds` for each.
+    """
+    names = _parameter_names(function)
+    first = layout.load("folds", ["b"], "Record")
+    second = layout.load("records", ["i"], "Record")
+    lines = [
+        f"# {layout!r}",
+        "def loop(begin, end, block, records, folds):",
+        "    for b in range(unsigned(begin), unsigned(end)):",
+        "        start = b * unsigned(block)",
+        "        stop = min(start + unsigned(block), unsigned(len(records)))",
+        *(f"        {line}" for line in _copy_first(layout)),
+        "        for i in range(start + unsigned(1), stop):",
+        f"            result = function({names[0]}={first}, {names[1]}={second})",
+        "            record = accept(result)",
+        *(f"            {line}" for line in layout.store("folds", "b", "record")),
+    ]
+    known = {
+        "accept": accept(layout.shape, "the stream"),
+        "unsigned": np.uint64,
+        "Record": layout.record,
+    }
+    return compile_loop("\n".join(lines) + "\n", function, known, __name__)
+
+
+def _parameter_names(function: Callable[..., Any]) -> Sequence[str]:
+    """Names of the two parameters of a function that folds."""
+    python = getattr(function, "py_func", function)
+    code = getattr(python, "__code__", None)
+    if code is None or code.co_argcount != 2:
+        raise TypeError(
+            f"{getattr(function, '__name__', function)}: a function that folds takes two records"
+        )
+    names: Sequence[str] = code.co_varnames[:2]
+    return names
+
+
+def _copy_first(layout: Layout) -> list[str]:
+    """The first record of a block begins its fold."""
+    if layout.component_count:
+        return [f"folds[b, {k}] = records[start, {k}]" for k in range(layout.component_count)]
+    return ["folds[b] = records[start]"]
+
+
+_FUNCTIONS: dict[tuple[Any, ...], Callable[..., Any]] = {}
+
+
+def _load_function(layout: Layout, dimensions: int) -> Callable[..., Any]:
+    """The device function (array, index) that reads a record of a gather array."""
+    text = f"return {layout.load('array', _indices(dimensions), 'Record')}"
+    return _device_function((layout, dimensions), text, {"Record": layout.record})
+
+
+def _inside_function(dimensions: int) -> Callable[..., Any]:
+    """The device function (array, index) that says whether an index is in range."""
+    parts = [
+        f"-array.shape[{k}] <= {index} < array.shape[{k}]"
+        for k, index in enumerate(_indices(dimensions))
+    ]
+    return _device_function((dimensions,), f"return {' and '.join(parts)}", {})
+
+
+def _indices(dimensions: int) -> list[str]:
+    return ["index"] if dimensions == 1 else [f"index[{k}]" for k in range(dimensions)]
+
+
+def _device_function(key: tuple[Any, ...], body: str, names: dict[str, Any]) -> Callable[..., Any]:
+    function = _FUNCTIONS.get(key)
+    if function is None:
+        namespace = {"__name__": __name__, **names}
+        exec(f"def function(array, index):\n    {body}\n", namespace)
+        function = _FUNCTIONS[key] = device(namespace["function"])
+    return function

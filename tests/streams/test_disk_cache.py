@@ -1,0 +1,69 @@
+"""Loops around users' functions are kept on disk, and compiled anew when anything changes."""
+
+import subprocess
+import sys
+
+from conftest import child_environment
+
+HELPER = """
+from raystream.streams import device
+
+FACTOR = 2.0
+
+@device
+def scaled(x):
+    return x * FACTOR
+"""
+
+PROGRAM = """
+import helper
+import numpy as np
+from helper import scaled
+from raystream.streams import Kernel, Stream
+
+def scale(x, y):
+    return scaled(x) + OFFSET + y
+
+def through_module(x):
+    return helper.scaled(x)
+
+OFFSET = 1.0
+stream = Stream(np.ones(3))
+kernel = Kernel(scale, inputs={"x": stream}, outputs=stream, constants={"y": 0.0})
+kernel.execute()
+loop = kernel._loop(None, False)
+print(stream.array[0], loop.compiled_count)
+kernel = Kernel(through_module, inputs={"x": stream}, outputs=stream)
+kernel.execute()
+print(kernel._loop(None, False).is_kept)
+"""
+
+
+def run(folder):
+    done = subprocess.run(
+        [sys.executable, "program.py"],
+        cwd=folder,
+        env=child_environment(RAYSTREAM_CACHE_DIR=str(folder / "cache")),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_what_a_kernel_uses_decides_whether_its_code_is_up_to_date(tmp_path):
+    (tmp_path / "helper.py").write_text(HELPER)
+    (tmp_path / "program.py").write_text(PROGRAM)
+    assert run(tmp_path) == ["3.0", "1", "False"]
+    assert run(tmp_path) == ["3.0", "0", "False"]
+    (tmp_path / "program.py").write_text("\n\n" + PROGRAM)  # other lines, the same code
+    assert run(tmp_path) == ["3.0", "0", "False"]
+    (tmp_path / "helper.py").write_text(HELPER.replace("2.0", "5.0"))
+    assert run(tmp_path) == ["6.0", "1", "False"]
+    (tmp_path / "program.py").write_text(PROGRAM.replace("OFFSET = 1.0", "OFFSET = 2.0"))
+    assert run(tmp_path) == ["7.0", "1", "False"]
+    (tmp_path / "helper.py").write_text(HELPER)
+    (tmp_path / "program.py").write_text(PROGRAM)
+    assert run(tmp_path) == ["3.0", "0", "False"]
