@@ -2,6 +2,7 @@ import operator
 import re
 import subprocess
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -38,6 +39,10 @@ def keep_positive(x):
 
 def add_one(x):
     return x + 1
+
+
+def add_two(x, y):
+    return x + y
 
 
 def left_neighbour(i, table):
@@ -274,6 +279,80 @@ def test_gather_arrays_of_several_dimensions():
     )
     kernel.execute()
     np.testing.assert_array_equal(triples.array, table[:, 1])
+
+
+class Rows(NamedTuple):
+    """Rows of unlike length, one after another."""
+
+    splits: np.ndarray
+    values: np.ndarray
+    scale: float
+
+
+def sum_row(i, rows):
+    return _sum_row(rows, i)
+
+
+@device
+def _sum_row(rows, i):
+    total = 0.0
+    for k in range(rows.splits[i], rows.splits[i + 1]):
+        total += rows.values[k, 0] * rows.scale
+    return total
+
+
+def test_a_named_tuple_of_arrays_is_one_parameter():
+    rows = Rows(np.array([0, 2, 2, 3]), np.array([[1.0], [2.0], [4.0]]), 10.0)
+    target = Stream.zeros(3)
+    kernel = Kernel(sum_row, inputs={"i": INDEX}, outputs=target, gathers={"rows": rows})
+    assert kernel.execute() == 3
+    assert target.array.tolist() == [30, 0, 40]
+    counters = Counters()
+    kernel.execute(counters=counters)
+    assert counters.words_read == {"rows.splits": 12, "rows.values": 6}
+    with pytest.raises(TypeError, match=r"sum_row, rows.scale: expected a number"):
+        Kernel(
+            sum_row,
+            inputs={"i": INDEX},
+            outputs=target,
+            gathers={"rows": rows._replace(scale="a")},
+        )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        np.ascontiguousarray,
+        np.asfortranarray,
+        lambda table: np.repeat(table, 2, axis=0)[::2],
+        lambda table: table.astype(">f8"),
+        np.ndarray.tolist,
+        lambda table: np.frombuffer(table.tobytes()).reshape(table.shape),  # read-only
+    ],
+)
+def test_any_memory_layout_can_be_gathered_from(change):
+    table = np.arange(12.0).reshape(4, 3)
+    target = Stream.zeros(4)
+    kernel = Kernel(
+        lambda i, t: t[i, 2] - t[-1, i % 3],
+        inputs={"i": INDEX},
+        outputs=target,
+        gathers={"t": change(table)},
+    )
+    for counters in (None, Counters()):
+        assert kernel.execute(counters=counters) == 4
+        np.testing.assert_array_equal(target.array, table[:, 2] - table[-1, np.arange(4) % 3])
+
+
+def test_an_error_that_the_function_raises_arrives():
+    def check(x):
+        if x > 2:
+            raise ValueError("too large")
+        return x
+
+    stream = Stream(np.arange(4))
+    with pytest.raises(ValueError, match="too large"):
+        Kernel(check, inputs={"x": stream}, outputs=stream).execute()
 
 
 # Constants
@@ -527,14 +606,22 @@ STREAM = Stream.zeros(3)
         ({"inputs": {"x": STREAM, "y": STREAM}}, TypeError, "has no parameter 'y'"),
         ({"inputs": {"x": [1, 2, 3]}}, TypeError, "input 'x': expected a Stream, got list"),
         ({"constants": {"x": 1}}, TypeError, "'x' is declared twice"),
-        ({"constants": {"c": [1]}}, TypeError, "constant 'c': expected a number"),
-        ({"constants": {"c": "a"}}, TypeError, "constant 'c': expected a number"),
+        (
+            {"function": add_two, "constants": {"y": [1]}},
+            TypeError,
+            "constant 'y': expected a number",
+        ),
+        (
+            {"function": add_two, "constants": {"y": "a"}},
+            TypeError,
+            "constant 'y': expected a number",
+        ),
         ({"outputs": []}, ValueError, "at least one stream"),
         ({"outputs": [np.zeros(3)]}, TypeError, "expected streams, got ndarray"),
         ({"outputs": [STREAM, STREAM]}, ValueError, "writes a stream twice"),
         ({"outputs": Stream.zeros(4)}, ValueError, "differ in length: 3, 4 records"),
         ({"where": Stream.zeros(4) == 0}, ValueError, "4 records"),
-        ({"gathers": {"g": ["a"]}}, TypeError, "gather array"),
+        ({"function": add_two, "gathers": {"y": ["a"]}}, TypeError, "gather array"),
         ({"function": np.sin}, TypeError, "expected a Python function"),
         ({"function": lambda *x: x}, TypeError, "plain name"),
         ({"function": lambda *, x: x}, TypeError, "plain name"),

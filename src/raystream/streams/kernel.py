@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -15,25 +14,16 @@ from raystream.jit.loops import Loop
 from raystream.jit.threads import Progress, parallel_for
 from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
 from raystream.streams.condition import Condition, as_condition
-from raystream.streams.constants import as_constant, changed_constant
+from raystream.streams.constants import changed_constant
 from raystream.streams.counters import Counters, Pass
-from raystream.streams.gather import GatherArray
-from raystream.streams.source import KernelSource, Output, compile_kernel
+from raystream.streams.declarations import INDEX, declare
+from raystream.streams.source import compile_kernel
 from raystream.streams.stream import Stream
 
 __all__ = ["CHUNK", "INDEX", "Kernel"]
 
 #: Records that a thread takes at a time.
 CHUNK = 1 << 14
-
-
-class _Index:
-    def __repr__(self) -> str:
-        return "INDEX"
-
-
-#: As an input: the position of the record, an int64.
-INDEX = _Index()
 
 
 class Kernel:
@@ -52,7 +42,8 @@ class Kernel:
     outputs : Stream or sequence of Stream
         A stream may be both input and output.
     gathers : mapping of str to GatherArray, optional
-        A Stream or an array is made one.
+        A Stream or an array is made one. Of a named tuple all members are, except numbers:
+        the function gets a named tuple of that class.
     constants : mapping of str to number, optional
         Or to tuples of numbers. `set_constants` changes them.
     where : Condition, optional
@@ -110,37 +101,16 @@ class Kernel:
     ) -> None:
         self.function = function
         self.name: str = getattr(function, "__name__", "kernel") if name is None else name
-        self._inputs = dict(inputs or {})
-        is_single = isinstance(outputs, Stream)
-        self._outputs: list[Stream] = [outputs] if isinstance(outputs, Stream) else list(outputs)
-        self._gathers = {
-            key: value if isinstance(value, GatherArray) else GatherArray(value)
-            for key, value in (gathers or {}).items()
-        }
-        self._constants = {
-            key: as_constant(f"{self.name}, constant {key!r}", value)
-            for key, value in (constants or {}).items()
-        }
-        self._check()
-        self.record_count = len(self._outputs[0])
+        self._declared = declare(self.name, function, inputs, outputs, gathers, constants)
+        self._source = self._declared.source()
+        self.record_count = len(self._declared.outputs[0])
         self.where: Condition | None = as_condition(where, self.record_count)
-        gathered = {id(gather.stream) for gather in self._gathers.values()}
-        self._source = KernelSource(
-            tuple(
-                (key, stream.layout if isinstance(stream, Stream) else None)
-                for key, stream in self._inputs.items()
-            ),
-            tuple((key, gather.layout, len(gather.shape)) for key, gather in self._gathers.items()),
-            tuple(self._constants),
-            tuple(Output(stream.layout, id(stream) in gathered) for stream in self._outputs),
-            is_single,
-        )
         self._loops: dict[tuple[str | None, bool], Loop] = {}
 
     @property
     def constants(self) -> Mapping[str, Any]:
         """The constants as they are now."""
-        return MappingProxyType(self._constants)
+        return MappingProxyType(self._declared.constants)
 
     def set_constants(self, **values: Any) -> None:
         """Change constants; nothing is compiled again.
@@ -156,10 +126,12 @@ class Kernel:
             If a constant was not declared, or its type cannot hold the value.
         """
         for key, value in values.items():
-            if key not in self._constants:
+            if key not in self._declared.constants:
                 raise TypeError(f"{self.name}: has no constant {key!r}")
             label = f"{self.name}, constant {key!r}"
-            self._constants[key] = changed_constant(label, self._constants[key], value)
+            self._declared.constants[key] = changed_constant(
+                label, self._declared.constants[key], value
+            )
 
     def execute(
         self,
@@ -203,18 +175,20 @@ class Kernel:
             written.append(loop(begin, end, *arguments))
 
         def run_counted(begin: int, end: int) -> None:
-            counts = np.zeros(1 + len(self._gathers), np.int64)
+            counts = np.zeros(1 + len(self._declared.gathers), np.int64)
             written.append(loop(begin, end, *arguments, counts))
             counted.append(counts)
 
         body = run if counters is None else run_counted
         parallel_for(body, self.record_count, CHUNK, progress)
-        for stream, output in zip(self._outputs, self._source.outputs, strict=True):
+        for stream, output in zip(self._declared.outputs, self._source.outputs, strict=True):
             if output.is_double and self.record_count:
                 stream._swap()
         total = sum(written)
         if counters is not None:
-            counts = [int(count) for count in sum(counted, np.zeros(1 + len(self._gathers), int))]
+            counts = [
+                int(count) for count in sum(counted, np.zeros(1 + len(self._declared.gathers), int))
+            ]
             counters.passes.append(self._pass(condition, total, counts[0], counts[1:]))
         return total
 
@@ -264,57 +238,6 @@ class Kernel:
     def __repr__(self) -> str:
         return f"<Kernel {self.name!r}: {self.record_count:,} records>"
 
-    def _check(self) -> None:
-        """Check the declarations against each other and the function."""
-        for key, stream in self._inputs.items():
-            if stream is not INDEX and not isinstance(stream, Stream):
-                raise TypeError(
-                    f"{self.name}, input {key!r}: expected a Stream, got {type(stream).__name__}"
-                )
-        if not self._outputs:
-            raise ValueError(f"{self.name}: a kernel writes at least one stream")
-        for stream in self._outputs:
-            if not isinstance(stream, Stream):
-                raise TypeError(
-                    f"{self.name}, outputs: expected streams, got {type(stream).__name__}"
-                )
-        if len({id(stream) for stream in self._outputs}) < len(self._outputs):
-            raise ValueError(f"{self.name}: writes a stream twice")
-        streams = [*self._inputs.values(), *self._outputs]
-        lengths = {len(stream) for stream in streams if isinstance(stream, Stream)}
-        if len(lengths) > 1:
-            found = ", ".join(f"{length:,}" for length in sorted(lengths))
-            raise ValueError(f"{self.name}: its streams differ in length: {found} records")
-        for key, gather in self._gathers.items():
-            if any(stream.shares_memory(gather.array) for stream in self._outputs) and (
-                gather.stream is None
-            ):
-                raise ValueError(
-                    f"{self.name}, gather array {key!r}: is the array of a stream that the kernel "
-                    "writes; give it the stream instead"
-                )
-        self._check_parameters()
-
-    def _check_parameters(self) -> None:
-        declared = [*self._inputs, *self._gathers, *self._constants]
-        for key in declared:
-            if declared.count(key) > 1:
-                raise TypeError(f"{self.name}: {key!r} is declared twice")
-        python = getattr(self.function, "py_func", self.function)
-        if not inspect.isfunction(python):
-            raise TypeError(f"{self.name}: expected a Python function, got {python!r:.60}")
-        parameters = inspect.signature(python).parameters
-        for key, parameter in parameters.items():
-            if parameter.kind is not inspect.Parameter.POSITIONAL_OR_KEYWORD:
-                raise TypeError(f"{self.name}: the parameter {parameter} must have a plain name")
-            if parameter.default is inspect.Parameter.empty and key not in declared:
-                raise TypeError(
-                    f"{self.name}: the parameter {key!r} is no input, gather array or constant"
-                )
-        for key in declared:
-            if key not in parameters:
-                raise TypeError(f"{self.name}: the function has no parameter {key!r}")
-
     def _loop(self, condition: Condition | None, is_counted: bool) -> Loop:
         operation = None if condition is None else condition.operation
         loop = self._loops.get((operation, is_counted))
@@ -325,10 +248,10 @@ class Kernel:
 
     def _arguments(self, condition: Condition | None) -> list[Any]:
         """The loop's arguments between the range and the counts."""
-        arguments = [s.array for s in self._inputs.values() if isinstance(s, Stream)]
-        arguments += [gather.array for gather in self._gathers.values()]
-        arguments += self._constants.values()
-        for stream, output in zip(self._outputs, self._source.outputs, strict=True):
+        arguments = [s.array for s in self._declared.inputs.values() if isinstance(s, Stream)]
+        arguments += [gather.array for gather in self._declared.gathers.values()]
+        arguments += self._declared.constants.values()
+        for stream, output in zip(self._declared.outputs, self._source.outputs, strict=True):
             if output.is_double:
                 arguments += [stream._new_records(), stream.array]
             else:
@@ -347,20 +270,19 @@ class Kernel:
         def add(words: dict[str, int], name: str, more: int) -> None:
             words[name] = words.get(name, 0) + more
 
-        for key, stream in self._inputs.items():
+        for key, stream in self._declared.inputs.items():
             if isinstance(stream, Stream):
                 add(read, stream.name or key, run * stream.layout.word_count)
-        for (key, gather), count in zip(self._gathers.items(), gathered, strict=True):
+        for (key, gather), count in zip(self._declared.gathers.items(), gathered, strict=True):
             add(read, gather.name or key, count * gather.layout.word_count)
         if condition is not None:
             state = condition.stream
-            add(read, self._name_of(state) or "where", self.record_count * state.layout.word_count)
-        for k, stream in enumerate(self._outputs):
-            name = self._name_of(stream) or f"output {k}"
+            add(
+                read,
+                self._declared.name_of(state) or "where",
+                self.record_count * state.layout.word_count,
+            )
+        for k, stream in enumerate(self._declared.outputs):
+            name = self._declared.name_of(stream) or f"output {k}"
             add(wrote, name, written * stream.layout.word_count)
         return Pass(self.name, self.record_count, run, written, read, wrote)
-
-    def _name_of(self, stream: Stream) -> str | None:
-        """The stream's own name, else that of the parameter which it is an input for."""
-        keys = [key for key, one in self._inputs.items() if one is stream]
-        return stream.name or (keys[0] if keys else None)

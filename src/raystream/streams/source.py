@@ -44,9 +44,13 @@ class KernelSource:
     inputs : tuple of (str, Layout or None)
         Parameter and layout of each input; None is the record's index.
     gathers : tuple of (str, Layout, int)
-        Parameter, layout and number of dimensions.
-    constants : tuple of str
+        Name, layout and number of dimensions.
+    constant_count : int
     outputs : tuple of Output
+    bindings : tuple of (str, str)
+        Other parameters of the function, and the loop's expressions for them.
+    groups : tuple of (tuple of str, type)
+        Fields and class of named tuples in these expressions.
     is_single : bool
         Whether the function returns one record, not a tuple with one for each output.
     operation : str or None
@@ -56,8 +60,10 @@ class KernelSource:
 
     inputs: tuple[tuple[str, Layout | None], ...]
     gathers: tuple[tuple[str, Layout, int], ...]
-    constants: tuple[str, ...]
+    constant_count: int
     outputs: tuple[Output, ...]
+    bindings: tuple[tuple[str, str], ...]
+    groups: tuple[tuple[tuple[str, ...], type], ...]
     is_single: bool
     operation: str | None = None
     is_counted: bool = False
@@ -67,7 +73,7 @@ class KernelSource:
         names = ["begin", "end"]
         names += [f"in_{k}" for k, (_, layout) in enumerate(self.inputs) if layout is not None]
         names += [f"table_{k}" for k in range(len(self.gathers))]
-        names += [f"constant_{k}" for k in range(len(self.constants))]
+        names += [f"constant_{k}" for k in range(self.constant_count)]
         for k, output in enumerate(self.outputs):
             names += [f"out_{k}", *([f"old_{k}"] if output.is_double else [])]
         names += ["where", "value"] if self.operation else []
@@ -79,8 +85,7 @@ class KernelSource:
         for k, (name, layout) in enumerate(self.inputs):
             loaded = "index(i)" if layout is None else layout.load(f"in_{k}", ["i"], f"Input_{k}")
             parts.append(f"{name}={loaded}")
-        parts += [f"{name}=gather_{k}" for k, (name, _, _) in enumerate(self.gathers)]
-        return parts + [f"{name}=constant_{k}" for k, name in enumerate(self.constants)]
+        return parts + [f"{name}={expression}" for name, expression in self.bindings]
 
     def stores(self) -> list[str]:
         """The statements that write the result."""
@@ -134,6 +139,8 @@ class KernelSource:
         for k, (_, layout) in enumerate(self.inputs):
             if layout is not None:
                 names[f"Input_{k}"] = layout.record
+        for k, (_, group) in enumerate(self.groups):
+            names[f"Group_{k}"] = group
         for k, (name, layout, dimensions) in enumerate(self.gathers):
             names[f"load_{k}"] = _load_function(layout, dimensions)
             if self.is_counted:

@@ -1,0 +1,176 @@
+"""What a kernel is declared to read and write, checked against its function."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from raystream.streams.constants import as_constant
+from raystream.streams.gather import GatherArray
+from raystream.streams.source import KernelSource, Output
+from raystream.streams.stream import Stream
+
+__all__ = ["INDEX", "Declarations", "declare"]
+
+
+class _Index:
+    def __repr__(self) -> str:
+        return "INDEX"
+
+
+#: As an input: the position of the record, an int64.
+INDEX = _Index()
+
+
+@dataclass
+class Declarations:
+    """A kernel's streams, gather arrays and constants.
+
+    Attributes
+    ----------
+    inputs : dict of str to Stream or INDEX
+    outputs : list of Stream
+    is_single : bool
+        Whether the function returns one record, not a tuple with one for each output.
+    gathers : dict of str to GatherArray
+        Members of named tuples too, as ``"table.member"``.
+    constants : dict of str to number or tuple
+        Likewise.
+    bindings : list of (str, str)
+        Parameters for gather arrays and constants, and the loop's expressions for them.
+    groups : list of (tuple of str, type)
+        Fields and class of the named tuples.
+    """
+
+    inputs: dict[str, Any]
+    outputs: list[Stream]
+    is_single: bool
+    gathers: dict[str, GatherArray] = field(default_factory=dict)
+    constants: dict[str, Any] = field(default_factory=dict)
+    bindings: list[tuple[str, str]] = field(default_factory=list)
+    groups: list[tuple[tuple[str, ...], type]] = field(default_factory=list)
+
+    def source(self) -> KernelSource:
+        """What the text of the loop depends on."""
+        gathered = {id(gather.stream) for gather in self.gathers.values()}
+        return KernelSource(
+            tuple(
+                (key, stream.layout if isinstance(stream, Stream) else None)
+                for key, stream in self.inputs.items()
+            ),
+            tuple((key, gather.layout, len(gather.shape)) for key, gather in self.gathers.items()),
+            len(self.constants),
+            tuple(Output(stream.layout, id(stream) in gathered) for stream in self.outputs),
+            tuple(self.bindings),
+            tuple(self.groups),
+            self.is_single,
+        )
+
+    def name_of(self, stream: Stream) -> str | None:
+        """The stream's own name, else that of the parameter which it is an input for."""
+        keys = [key for key, one in self.inputs.items() if one is stream]
+        return stream.name or (keys[0] if keys else None)
+
+    def add_gather(self, name: str, key: str, value: Any) -> None:
+        """Declare a gather array, or a named tuple of such and of constants."""
+        fields = getattr(value, "_fields", None)
+        if fields is None:
+            self.bindings.append((key, self._gather(key, value)))
+            return
+        members = []
+        for member, part in zip(fields, value, strict=True):
+            place = f"{key}.{member}"
+            if isinstance(part, np.ndarray | Stream | GatherArray):
+                members.append(self._gather(place, part))
+            else:
+                members.append(self._constant(f"{name}, {place}", place, part))
+        self.bindings.append((key, f"Group_{len(self.groups)}({', '.join(members)})"))
+        self.groups.append((fields, type(value)))
+
+    def add_constant(self, name: str, key: str, value: Any) -> None:
+        """Declare a constant."""
+        self.bindings.append((key, self._constant(f"{name}, constant {key!r}", key, value)))
+
+    def _gather(self, key: str, value: Any) -> str:
+        self.gathers[key] = value if isinstance(value, GatherArray) else GatherArray(value)
+        return f"gather_{len(self.gathers) - 1}"
+
+    def _constant(self, label: str, key: str, value: Any) -> str:
+        self.constants[key] = as_constant(label, value)
+        return f"constant_{len(self.constants) - 1}"
+
+
+def declare(
+    name: str,
+    function: Callable[..., Any],
+    inputs: Mapping[str, Any] | None,
+    outputs: Stream | Sequence[Stream],
+    gathers: Mapping[str, Any] | None,
+    constants: Mapping[str, Any] | None,
+) -> Declarations:
+    """Read and check what `Kernel` is given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        See `Kernel`.
+    """
+    written = [outputs] if isinstance(outputs, Stream) else list(outputs)
+    declared = Declarations(dict(inputs or {}), written, isinstance(outputs, Stream))
+    _check_parameters(name, function, [*(inputs or {}), *(gathers or {}), *(constants or {})])
+    for key, value in (gathers or {}).items():
+        declared.add_gather(name, key, value)
+    for key, value in (constants or {}).items():
+        declared.add_constant(name, key, value)
+    _check_streams(name, declared)
+    for key, gather in declared.gathers.items():
+        if gather.stream is None and any(s.shares_memory(gather.array) for s in written):
+            raise ValueError(
+                f"{name}, gather array {key!r}: is the array of a stream that the kernel "
+                "writes; give it the stream instead"
+            )
+    return declared
+
+
+def _check_streams(name: str, declared: Declarations) -> None:
+    for key, stream in declared.inputs.items():
+        if stream is not INDEX and not isinstance(stream, Stream):
+            raise TypeError(f"{name}, input {key!r}: expected a Stream, got {_kind(stream)}")
+    if not declared.outputs:
+        raise ValueError(f"{name}: a kernel writes at least one stream")
+    for stream in declared.outputs:
+        if not isinstance(stream, Stream):
+            raise TypeError(f"{name}, outputs: expected streams, got {_kind(stream)}")
+    if len({id(stream) for stream in declared.outputs}) < len(declared.outputs):
+        raise ValueError(f"{name}: writes a stream twice")
+    streams = [*declared.inputs.values(), *declared.outputs]
+    lengths = {len(stream) for stream in streams if isinstance(stream, Stream)}
+    if len(lengths) > 1:
+        found = ", ".join(f"{length:,}" for length in sorted(lengths))
+        raise ValueError(f"{name}: its streams differ in length: {found} records")
+
+
+def _check_parameters(name: str, function: Callable[..., Any], declared: list[str]) -> None:
+    for key in declared:
+        if declared.count(key) > 1:
+            raise TypeError(f"{name}: {key!r} is declared twice")
+    python = getattr(function, "py_func", function)
+    if not inspect.isfunction(python):
+        raise TypeError(f"{name}: expected a Python function, got {python!r:.60}")
+    parameters = inspect.signature(python).parameters
+    for key, parameter in parameters.items():
+        if parameter.kind is not inspect.Parameter.POSITIONAL_OR_KEYWORD:
+            raise TypeError(f"{name}: the parameter {parameter} must have a plain name")
+        if parameter.default is inspect.Parameter.empty and key not in declared:
+            raise TypeError(f"{name}: the parameter {key!r} is no input, gather array or constant")
+    for key in declared:
+        if key not in parameters:
+            raise TypeError(f"{name}: the function has no parameter {key!r}")
+
+
+def _kind(value: object) -> str:
+    return type(value).__name__
