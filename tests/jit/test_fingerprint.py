@@ -22,7 +22,11 @@ SCALE = "def f(x):\n    return x * scale"
 
 def test_it_is_the_same_for_the_same_code_wherever_it_stands():
     assert fingerprint(define(SCALE, scale=2)) == fingerprint(define("\n\n" + SCALE, scale=2))
-    assert len(fingerprint(define(SCALE, scale=2))) == 32
+    often = define(SCALE, scale=2)
+    for _ in range(1000):  # Python adapts the code of what runs often
+        often(1)
+    assert fingerprint(often) == fingerprint(define(SCALE, scale=2))
+    assert len(fingerprint(often)) == 32
 
 
 @pytest.mark.parametrize(

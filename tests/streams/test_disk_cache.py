@@ -31,11 +31,11 @@ OFFSET = 1.0
 stream = Stream(np.ones(3))
 kernel = Kernel(scale, inputs={"x": stream}, outputs=stream, constants={"y": 0.0})
 kernel.execute()
-loop = kernel._loop(None, False)
+loop = kernel._loop()
 print(stream.array[0], loop.compiled_count)
 kernel = Kernel(through_module, inputs={"x": stream}, outputs=stream)
 kernel.execute()
-print(kernel._loop(None, False).is_kept)
+print(kernel._loop().is_kept)
 """
 
 

@@ -367,7 +367,7 @@ def test_constants_change_without_a_new_compilation():
         constants={"step": 1.0, "more": (1, 2)},
     )
     kernel.execute()
-    loop = kernel._loop(None, False)
+    loop = kernel._loop()
     compiled = len(loop._dispatcher.overloads)
     kernel.set_constants(step=2, more=(0, 10))
     assert type(kernel.constants["step"]) is float
@@ -401,7 +401,7 @@ def test_a_new_kernel_sees_what_names_stand_for_now(monkeypatch):
 
 def test_equal_functions_and_types_share_compiled_code():
     loops = [
-        Kernel(add_one, inputs={"x": stream}, outputs=stream)._loop(None, False)
+        Kernel(add_one, inputs={"x": stream}, outputs=stream)._loop()
         for stream in (Stream.zeros(3), Stream.zeros(5))
     ]
     assert loops[0] is loops[1]
@@ -586,7 +586,7 @@ def test_nothing_is_counted_unless_asked():
     kernel = Kernel(add_one, inputs={"x": stream}, outputs=stream)
     kernel.execute()
     assert "counts" not in kernel._source.text()
-    assert list(kernel._loops) == [(None, False)]
+    assert list(kernel._loops) == [(None, None, False)]
 
 
 # Errors

@@ -158,10 +158,13 @@ def counted_gather(index_count: int, slot: int, name: str) -> Callable[..., Any]
 
 
 def _pack(context, builder, made, **values):
+    """Borrow the arrays, which the loop's arguments keep alive: reads count no references."""
     packed = cgutils.create_struct_proxy(made)(context, builder)
     for name, kind in made.members:
-        setattr(packed, name, values[name])
-        context.nrt.incref(builder, kind, values[name])
+        array = context.make_array(kind)(context, builder, values[name])
+        for owner in ("meminfo", "parent"):
+            setattr(array, owner, cgutils.get_null_value(getattr(array, owner).type))
+        setattr(packed, name, array._getvalue())
     return packed._getvalue()
 
 
@@ -172,9 +175,7 @@ def _member(name: str) -> Callable[[Any], Any]:
 
         def generate(context, builder, signature, arguments):
             packed = cgutils.create_struct_proxy(gather)(context, builder, value=arguments[0])
-            value = getattr(packed, name)
-            context.nrt.incref(builder, kind, value)
-            return value
+            return getattr(packed, name)
 
         return kind(gather), generate
 

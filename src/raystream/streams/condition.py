@@ -37,8 +37,6 @@ class Condition:
     value : number
     """
 
-    __hash__ = None  # type: ignore[assignment]
-
     def __init__(self, stream: Stream, operation: str, value: Any) -> None:
         if stream.layout.shape != stream.dtype.name:
             raise TypeError(f"{stream.label}: only a stream of numbers can be compared")

@@ -11,7 +11,7 @@ import numpy as np
 
 from raystream.streams.constants import as_constant
 from raystream.streams.gather import GatherArray
-from raystream.streams.source import KernelSource, Output
+from raystream.streams.source import KernelSource
 from raystream.streams.stream import Stream
 
 __all__ = ["INDEX", "Declarations", "declare"]
@@ -54,17 +54,23 @@ class Declarations:
     bindings: list[tuple[str, str]] = field(default_factory=list)
     groups: list[tuple[tuple[str, ...], type]] = field(default_factory=list)
 
+    def streams(self) -> list[Stream]:
+        """Inputs and outputs, each once."""
+        streams = {id(one): one for one in self.inputs.values() if isinstance(one, Stream)}
+        streams.update({id(one): one for one in self.outputs})
+        return list(streams.values())
+
     def source(self) -> KernelSource:
         """What the text of the loop depends on."""
+        streams = self.streams()
+        place = {id(stream): k for k, stream in enumerate(streams)}
         gathered = {id(gather.stream) for gather in self.gathers.values()}
         return KernelSource(
-            tuple(
-                (key, stream.layout if isinstance(stream, Stream) else None)
-                for key, stream in self.inputs.items()
-            ),
+            tuple(stream.layout for stream in streams),
+            tuple((key, place.get(id(stream))) for key, stream in self.inputs.items()),
+            tuple((place[id(stream)], id(stream) in gathered) for stream in self.outputs),
             tuple((key, gather.layout, len(gather.shape)) for key, gather in self.gathers.items()),
             len(self.constants),
-            tuple(Output(stream.layout, id(stream) in gathered) for stream in self.outputs),
             tuple(self.bindings),
             tuple(self.groups),
             self.is_single,

@@ -64,7 +64,7 @@ class Kernel:
     -----
     Records run in any order and on several threads. A function sees its own record, and
     through gather arrays the records as they were before: the result is the same for every
-    number of threads.
+    number of threads. One kernel is not to be executed twice at a time.
 
     Python's numbers are float64 and int64 inside, as constants and in the function's text:
     write ``np.float32(0.5)`` to stay in float32. A float is not stored in a stream of
@@ -105,7 +105,8 @@ class Kernel:
         self._source = self._declared.source()
         self.record_count = len(self._declared.outputs[0])
         self.where: Condition | None = as_condition(where, self.record_count)
-        self._loops: dict[tuple[str | None, bool], Loop] = {}
+        self._streams = self._declared.streams()
+        self._loops: dict[tuple[str | None, int | None, bool], Loop] = {}
 
     @property
     def constants(self) -> Mapping[str, Any]:
@@ -181,9 +182,9 @@ class Kernel:
 
         body = run if counters is None else run_counted
         parallel_for(body, self.record_count, CHUNK, progress)
-        for stream, output in zip(self._declared.outputs, self._source.outputs, strict=True):
-            if output.is_double and self.record_count:
-                stream._swap()
+        for k, is_double in self._source.outputs:
+            if is_double and self.record_count:
+                self._streams[k].swap()
         total = sum(written)
         if counters is not None:
             counts = [
@@ -238,26 +239,37 @@ class Kernel:
     def __repr__(self) -> str:
         return f"<Kernel {self.name!r}: {self.record_count:,} records>"
 
-    def _loop(self, condition: Condition | None, is_counted: bool) -> Loop:
+    def _loop(self, condition: Condition | None = None, is_counted: bool = False) -> Loop:
         operation = None if condition is None else condition.operation
-        loop = self._loops.get((operation, is_counted))
+        place = self._place(condition)
+        loop = self._loops.get((operation, place, is_counted))
         if loop is None:
-            source = replace(self._source, operation=operation, is_counted=is_counted)
-            loop = self._loops[operation, is_counted] = compile_kernel(self.function, source)
+            source = replace(
+                self._source, operation=operation, condition=place, is_counted=is_counted
+            )
+            loop = self._loops[operation, place, is_counted] = compile_kernel(self.function, source)
         return loop
+
+    def _place(self, condition: Condition | None) -> int | None:
+        """Which of the kernel's streams the condition is about; None if none."""
+        if condition is not None:
+            for k, stream in enumerate(self._streams):
+                if stream is condition.stream:
+                    return k
+        return None
 
     def _arguments(self, condition: Condition | None) -> list[Any]:
         """The loop's arguments between the range and the counts."""
-        arguments = [s.array for s in self._declared.inputs.values() if isinstance(s, Stream)]
+        arguments = [stream.array for stream in self._streams]
+        arguments += [
+            self._streams[k].new_array() for k, is_double in self._source.outputs if is_double
+        ]
         arguments += [gather.array for gather in self._declared.gathers.values()]
         arguments += self._declared.constants.values()
-        for stream, output in zip(self._declared.outputs, self._source.outputs, strict=True):
-            if output.is_double:
-                arguments += [stream._new_records(), stream.array]
-            else:
-                arguments.append(stream.array)
         if condition is not None:
-            arguments += [condition.stream.array, condition.value]
+            if self._place(condition) is None:
+                arguments.append(condition.stream.array)
+            arguments.append(condition.value)
         return arguments
 
     def _pass(

@@ -13,40 +13,28 @@ from raystream.jit.loops import Loop, compile_loop
 from raystream.jit.records import accept, counted_gather, plain_gather
 from raystream.streams.layout import Layout
 
-__all__ = ["KernelSource", "Output", "compile_fold", "compile_kernel"]
-
-
-@dataclass(frozen=True)
-class Output:
-    """A stream that a loop writes.
-
-    Attributes
-    ----------
-    layout : Layout
-    is_double : bool
-        Whether the new records go to another array than the old ones.
-    """
-
-    layout: Layout
-    is_double: bool
+__all__ = ["KernelSource", "compile_fold", "compile_kernel"]
 
 
 @dataclass(frozen=True)
 class KernelSource:
     """All that the text of a loop depends on; equal ones share compiled code.
 
-    The loop is ``loop(begin, end, *inputs, *gathers, *constants, *outputs, ...)`` and returns
-    the number of records written. An output that is double takes two arrays, the new
-    and the old; then come the condition's array and value, then the counts.
+    The loop is ``loop(begin, end, *streams, *new_streams, *tables, *constants, ...)`` and
+    returns the number of records written. Then come the condition's array, unless it is one of
+    the streams, and value; then the counts. Each stream is one argument, however many parts
+    it plays: loops over arrays that might overlap are slow.
 
     Attributes
     ----------
-    inputs : tuple of (str, Layout or None)
-        Parameter and layout of each input; None is the record's index.
+    streams : tuple of Layout
+    inputs : tuple of (str, int or None)
+        Parameter and stream of each input; None is the record's index.
+    outputs : tuple of (int, bool)
+        Stream of each output, and whether its new records go to another array than the old.
     gathers : tuple of (str, Layout, int)
         Name, layout and number of dimensions.
     constant_count : int
-    outputs : tuple of Output
     bindings : tuple of (str, str)
         Other parameters of the function, and the loop's expressions for them.
     groups : tuple of (tuple of str, type)
@@ -55,53 +43,67 @@ class KernelSource:
         Whether the function returns one record, not a tuple with one for each output.
     operation : str or None
         The comparison of the condition.
+    condition : int or None
+        Its stream, if it is one of these.
     is_counted : bool
     """
 
-    inputs: tuple[tuple[str, Layout | None], ...]
+    streams: tuple[Layout, ...]
+    inputs: tuple[tuple[str, int | None], ...]
+    outputs: tuple[tuple[int, bool], ...]
     gathers: tuple[tuple[str, Layout, int], ...]
     constant_count: int
-    outputs: tuple[Output, ...]
     bindings: tuple[tuple[str, str], ...]
     groups: tuple[tuple[tuple[str, ...], type], ...]
     is_single: bool
     operation: str | None = None
+    condition: int | None = None
     is_counted: bool = False
 
     def parameters(self) -> list[str]:
         """Names of the loop's parameters."""
         names = ["begin", "end"]
-        names += [f"in_{k}" for k, (_, layout) in enumerate(self.inputs) if layout is not None]
+        names += [f"stream_{k}" for k in range(len(self.streams))]
+        names += [f"new_{k}" for k, is_double in self.outputs if is_double]
         names += [f"table_{k}" for k in range(len(self.gathers))]
         names += [f"constant_{k}" for k in range(self.constant_count)]
-        for k, output in enumerate(self.outputs):
-            names += [f"out_{k}", *([f"old_{k}"] if output.is_double else [])]
-        names += ["where", "value"] if self.operation else []
+        if self.operation:
+            names += ["value"] if self.condition is not None else ["where", "value"]
         return names + (["counts"] if self.is_counted else [])
 
     def arguments(self) -> list[str]:
         """What the function is called with."""
         parts = []
-        for k, (name, layout) in enumerate(self.inputs):
-            loaded = "index(i)" if layout is None else layout.load(f"in_{k}", ["i"], f"Input_{k}")
+        for name, k in self.inputs:
+            if k is None:
+                loaded = "index(i)"
+            else:
+                loaded = self.streams[k].load(f"stream_{k}", ["i"], f"Record_{k}")
             parts.append(f"{name}={loaded}")
         return parts + [f"{name}={expression}" for name, expression in self.bindings]
 
     def stores(self) -> list[str]:
         """The statements that write the result."""
         lines = ["record = accept(result)"]
-        for k, output in enumerate(self.outputs):
-            value = "record" if self.is_single else f"record[{k}]"
-            lines += output.layout.store(f"out_{k}", "i", value)
+        for part, (k, is_double) in enumerate(self.outputs):
+            value = "record" if self.is_single else f"record[{part}]"
+            lines += self.streams[k].store(f"{'new' if is_double else 'stream'}_{k}", "i", value)
         return lines
 
     def copies(self) -> list[str]:
         """The statements that keep a record which is not written."""
         lines = []
-        for k, output in enumerate(self.outputs):
-            if output.is_double:
-                lines += output.layout.copy(f"out_{k}", f"old_{k}", "i")
+        for k, is_double in self.outputs:
+            if is_double:
+                lines += self.streams[k].copy(f"new_{k}", f"stream_{k}", "i")
         return lines
+
+    def test(self) -> str:
+        """The condition for one record."""
+        if self.operation is None:
+            return "True"
+        array = "where" if self.condition is None else f"stream_{self.condition}"
+        return f"{array}[i] {self.operation} value"
 
     def text(self) -> str:
         """The loop."""
@@ -113,9 +115,7 @@ class KernelSource:
         lines += [
             "    run = written = 0",
             "    for i in range(unsigned(begin), unsigned(end)):",
-            f"        if where[i] {self.operation} value:"
-            if self.operation
-            else "        if True:",
+            f"        if {self.test()}:",
             *(["            run += 1"] if self.is_counted else []),
             f"            result = function({', '.join(self.arguments())})",
             "            if result is not None:",
@@ -130,15 +130,14 @@ class KernelSource:
 
     def names(self) -> dict[str, Any]:
         """What the text uses."""
-        shapes = tuple(output.layout.shape for output in self.outputs)
+        shapes = tuple(self.streams[k].shape for k, _ in self.outputs)
         names: dict[str, Any] = {
             "accept": accept(shapes[0] if self.is_single else shapes, "its output"),
             "index": np.int64,
             "unsigned": np.uint64,
         }
-        for k, (_, layout) in enumerate(self.inputs):
-            if layout is not None:
-                names[f"Input_{k}"] = layout.record
+        for k, layout in enumerate(self.streams):
+            names[f"Record_{k}"] = layout.record
         for k, (_, group) in enumerate(self.groups):
             names[f"Group_{k}"] = group
         for k, (name, layout, dimensions) in enumerate(self.gathers):

@@ -208,13 +208,13 @@ class Stream:
             own is not None and np.may_share_memory(own, array) for own in (self._front, self._back)
         )
 
-    def _new_records(self) -> NDArray[Any]:
+    def new_array(self) -> NDArray[Any]:
         """The second array, for a kernel that reads the first while it writes."""
         if self._back is None:
             self._back = np.empty_like(self._front)
         return self._back
 
-    def _swap(self) -> None:
+    def swap(self) -> None:
         """Make the second array the first."""
         assert self._back is not None
         self._front, self._back = self._back, self._front
