@@ -25,6 +25,9 @@ TRACERS = {
     "bvh, high, packets": {"structure": "bvh", "quality": "high", "kernel": "packet"},
     "bvh, leaves of 1": {"structure": "bvh", "max_leaf_size": 1},
     "bvh, leaves of 32": {"structure": "bvh", "max_leaf_size": 32, "kernel": "wavefront"},
+    "grid": {"structure": "grid"},
+    "grid, one cell": {"structure": "grid", "resolution": 1},
+    "grid, 7 x 3 x 5": {"structure": "grid", "resolution": (7, 3, 5)},
 }
 
 

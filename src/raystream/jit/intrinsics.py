@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["stay_out_of_line"]
+__all__ = ["corners_at", "stay_out_of_line"]
 
 
 @intrinsic
@@ -23,3 +24,37 @@ def stay_out_of_line(typing_context: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(), generate
+
+
+@intrinsic
+def corners_at(typing_context: Any, at: Any) -> Any:
+    """An array of shape (?, 3, 3), float32, that begins at an address, to be read only.
+
+    It has no owner, so that handing it on costs nothing: the caller keeps the memory alive.
+    Its length is not known; nothing checks indices.
+    """
+    if at != types.uint64:
+        return None
+    array = types.Array(types.float32, 3, "C", readonly=True)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        size = context.get_value_type(types.intp)
+        ary = context.make_array(array)(context, builder)
+        data = builder.inttoptr(arguments[0], context.get_data_type(types.float32).as_pointer())
+        shape = [size(0), size(3), size(3)]
+        strides = [size(36), size(12), size(4)]
+        attributes = {
+            "data": data,
+            "shape": cgutils.pack_array(builder, shape),
+            "strides": cgutils.pack_array(builder, strides),
+            "itemsize": size(4),
+            "nitems": size(0),
+            "meminfo": None,
+            "parent": None,
+        }
+        for name, value in attributes.items():
+            empty = value is None
+            setattr(ary, name, cgutils.get_null_value(getattr(ary, name).type) if empty else value)
+        return ary._getvalue()
+
+    return array(at), generate

@@ -9,11 +9,12 @@ from raystream.jit.threads import Progress
 from raystream.structures.base import Structure
 from raystream.structures.brute import Brute
 from raystream.structures.bvh import Bvh
+from raystream.structures.grid import Grid
 
 __all__ = ["STRUCTURES", "Structure", "build_structure"]
 
 #: Structures by the name that `Tracer` takes.
-STRUCTURES: dict[str, type[Structure]] = {cls.name: cls for cls in (Brute, Bvh)}
+STRUCTURES: dict[str, type[Structure]] = {cls.name: cls for cls in (Brute, Bvh, Grid)}
 
 
 def build_structure(

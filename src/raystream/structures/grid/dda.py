@@ -1,0 +1,215 @@
+"""Walking through a lattice of cells: set-up and step.
+
+The walk assigns each distance t along a ray to one cell. Along an axis, the ray passes plane p
+at ``D(p) = fma(p, inv, middle)``, which is monotone in p; it is in the cell between two planes
+while D(first) <= t < D(second). The first cell of an axis reaches back, and the last one on,
+without end. Distances come from the planes' positions and never from adding up, so each t is
+in exactly one cell, whatever the rounding, and cells come by increasing t.
+
+Sources: Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics
+1987; Purcell 2002, section 3.1.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import fma
+from raystream.kernels.ray import pick
+
+__all__ = ["Walk", "WalkState", "cell_end", "set_up_walk", "step_walk"]
+
+_ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
+_INF = np.float32(np.inf)
+
+
+class Walk(NamedTuple):
+    """What does not change while a ray walks through a lattice; triples are in world order.
+
+    Attributes
+    ----------
+    low, size : triple of float32
+        Of the lattice.
+    inv, middle : triple of float32
+        A plane's distance is ``fma(plane, inv, middle)``.
+    end : triple of float32
+        Number of the last plane, which the ray never passes.
+    step : triple of float32
+        From a plane's number to the next one's: 1 or -1.
+    stride : triple of int64
+        From a cell's number to the next one's.
+    """
+
+    low: object
+    size: object
+    inv: object
+    middle: object
+    end: object
+    step: object
+    stride: object
+
+
+class WalkState(NamedTuple):
+    """Where a ray is.
+
+    Attributes
+    ----------
+    cell : int64
+        Number of the cell.
+    plane : triple of float32
+        Number of the plane that the ray meets next, for each axis.
+    t_next : triple of float32
+        Its distance; inf for the last one.
+    """
+
+    cell: object
+    plane: object
+    t_next: object
+
+
+@device
+def _distance(number, low, size, inv, middle):
+    """Where a ray passes plane `number` of an axis."""
+    return fma(fma(number, size, low), inv, middle)
+
+
+@device
+def _start(t, o, d, inv, middle, low, size, count):
+    """The cell of an axis in which a ray is at distance t, as a float32."""
+    step = np.copysign(_ONE, inv)
+    ahead = _ONE if step > _ZERO else _ZERO
+    first, last = _ZERO, count - _ONE
+    if step < _ZERO:
+        first, last = last, first
+    # Step 1: a guess that is right but for rounding. A NaN, of a flat axis, becomes 0.
+    guess = (fma(t, d, o) - low) / size
+    guess = guess if guess > _ZERO else _ZERO
+    cell = np.floor(min(guess, count - _ONE))
+    # Step 2: the right one, by the rule. One of the two loops is empty.
+    while cell != last and _distance(cell + ahead, low, size, inv, middle) <= t:
+        cell += step
+    behind = _ONE - ahead
+    while cell != first and _distance(cell + behind, low, size, inv, middle) > t:
+        cell -= step
+    return cell
+
+
+@device
+def _middle(near, far):
+    # That of the plane itself, between those that padding moves it to.
+    return (near + far) * _HALF
+
+
+@device
+def set_up_walk(lattice, ray, t):
+    """Begin a walk at distance t.
+
+    Parameters
+    ----------
+    lattice : GridAddresses
+        Its `low`, `size` and `counts` are read.
+    ray : Ray
+    t : float32
+        Finite.
+
+    Returns
+    -------
+    Walk
+    WalkState
+    """
+    low, size, counts = lattice.low, lattice.size, lattice.counts
+    kz = ray.kz
+    o = (
+        pick(kz, ray.oz, ray.oy, ray.ox),
+        pick(kz, ray.ox, ray.oz, ray.oy),
+        pick(kz, ray.oy, ray.ox, ray.oz),
+    )
+    d = (
+        pick(kz, ray.dz, ray.dy, ray.dx),
+        pick(kz, ray.dx, ray.dz, ray.dy),
+        pick(kz, ray.dy, ray.dx, ray.dz),
+    )
+    inv = (ray.inv_x, ray.inv_y, ray.inv_z)
+    middle = (
+        _middle(ray.near_x, ray.far_x),
+        _middle(ray.near_y, ray.far_y),
+        _middle(ray.near_z, ray.far_z),
+    )
+    step = (
+        np.copysign(_ONE, inv[0]),
+        np.copysign(_ONE, inv[1]),
+        np.copysign(_ONE, inv[2]),
+    )
+    end = (
+        counts[0] if step[0] > _ZERO else _ZERO,
+        counts[1] if step[1] > _ZERO else _ZERO,
+        counts[2] if step[2] > _ZERO else _ZERO,
+    )
+    row, layer = np.int64(counts[0]), np.int64(counts[0]) * np.int64(counts[1])
+    stride = (
+        np.int64(step[0]),
+        row if step[1] > _ZERO else -row,
+        layer if step[2] > _ZERO else -layer,
+    )
+    walk = Walk(low, size, inv, middle, end, step, stride)
+    i = _start(t, o[0], d[0], inv[0], middle[0], low[0], size[0], counts[0])
+    j = _start(t, o[1], d[1], inv[1], middle[1], low[1], size[1], counts[1])
+    k = _start(t, o[2], d[2], inv[2], middle[2], low[2], size[2], counts[2])
+    cell = np.int64(i) + row * np.int64(j) + layer * np.int64(k)
+    plane = (
+        i + max(step[0], _ZERO),
+        j + max(step[1], _ZERO),
+        k + max(step[2], _ZERO),
+    )
+    t_next = (
+        _next(plane[0], walk.end[0], low[0], size[0], inv[0], middle[0]),
+        _next(plane[1], walk.end[1], low[1], size[1], inv[1], middle[1]),
+        _next(plane[2], walk.end[2], low[2], size[2], inv[2], middle[2]),
+    )
+    return walk, WalkState(cell, plane, t_next)
+
+
+@device
+def _next(plane, end, low, size, inv, middle):
+    """Distance of a plane that a ray meets next; inf for the last one."""
+    return _INF if plane == end else _distance(plane, low, size, inv, middle)
+
+
+@device
+def cell_end(state):
+    """Distance at which the ray leaves its cell; inf where it never does."""
+    return min(state.t_next[0], state.t_next[1], state.t_next[2])
+
+
+@device
+def step_walk(walk, state):
+    """Go to the next cell: through all planes that are passed at the cell's end.
+
+    Must not be called where `cell_end` is inf.
+    """
+    t = cell_end(state)
+    x, y, z = state.t_next[0] <= t, state.t_next[1] <= t, state.t_next[2] <= t
+    cell = state.cell
+    plane_x, plane_y, plane_z = state.plane
+    if x:
+        cell += walk.stride[0]
+        plane_x += walk.step[0]
+    if y:
+        cell += walk.stride[1]
+        plane_y += walk.step[1]
+    if z:
+        cell += walk.stride[2]
+        plane_z += walk.step[2]
+    plane = (plane_x, plane_y, plane_z)
+    low, size, inv, middle = walk.low, walk.size, walk.inv, walk.middle
+    t_next = (
+        _next(plane_x, walk.end[0], low[0], size[0], inv[0], middle[0]),
+        _next(plane_y, walk.end[1], low[1], size[1], inv[1], middle[1]),
+        _next(plane_z, walk.end[2], low[2], size[2], inv[2], middle[2]),
+    )
+    return WalkState(cell, plane, t_next)

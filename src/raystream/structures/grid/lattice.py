@@ -1,0 +1,190 @@
+"""Lattice: where the cells of a grid are, and how many of them to make."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.core.triangles import Triangles
+
+__all__ = ["GROWTH", "MAX_AXIS", "MAX_CELLS", "Lattice", "choose_lattice", "chosen_resolution"]
+
+#: A cell lists the triangles that come this near to it, as a share of the scene's largest
+#: coordinate. A hit lies within 1.5 paddings of its triangle's box, and a triangle's plane
+#: within 1 of the hit (docs/decisions/0010-grid). The padding is `kernels.ray.PAD` of scene
+#: and origin, 2**-20 each, and no origin is further away than 5 times the largest
+#: coordinate: 9 units of 2**-20. The other 7 cover what the positions of planes are rounded.
+GROWTH = 2.0**-16
+
+#: Added to it, for scenes so small that padding is rounded to a denormal number.
+_LEAST_GROWTH = 2.0**-140
+
+#: Cells along an axis: their numbers, and the next few, are exact in float32.
+MAX_AXIS = 1 << 20
+
+#: Cells of a grid: 2 GB for their lists while building, without any triangle.
+MAX_CELLS = 1 << 28
+
+#: Cells for each triangle where nobody says how many.
+_DENSITY = 8.0
+
+#: Sides of such cells are at least so many growths, so that lists do not grow by them.
+_LEAST_SIDE = 4.0
+
+
+class Lattice(NamedTuple):
+    """Cells of one size in a box; cell (i, j, k) is number i + counts[0] * (j + counts[1] * k).
+
+    Plane i of an axis is at ``fma(i, size, low)``, rounded once. The first cell of an axis
+    reaches down, and the last one up, without end.
+
+    Attributes
+    ----------
+    low, high, size : tuple of three float
+        Low and high corner, and size of a cell: float32 numbers, local frame.
+    counts : tuple of three int
+        Cells along each axis. An axis on which the scene is flat has one, of size 0.
+    growth : float
+        How near a triangle must come to a cell to be in its list.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    size: tuple[float, float, float]
+    counts: tuple[int, int, int]
+    growth: float
+
+    @property
+    def cell_count(self) -> int:
+        """How many cells there are."""
+        return math.prod(self.counts)
+
+    @classmethod
+    def of(cls, triangles: Triangles, counts: Sequence[int]) -> Lattice:
+        """Divide the box around the triangles."""
+        low, high = triangles.bounds.astype(np.float64)
+        size = ((high - low) / counts).astype(np.float32)
+        counts = tuple(int(n) if s > 0.0 else 1 for n, s in zip(counts, size, strict=True))
+        size = ((high - low) / counts).astype(np.float32)
+        growth = GROWTH * float(triangles.extreme) + _LEAST_GROWTH
+        return cls(
+            tuple(low.tolist()), tuple(high.tolist()), tuple(size.tolist()), counts, growth
+        )
+
+
+def chosen_resolution(
+    resolution: Any, min_resolution: Any
+) -> tuple[tuple[int, int, int] | None, int | None]:
+    """Check the options that say how many cells there are.
+
+    Parameters
+    ----------
+    resolution : int, sequence of three int, or None
+    min_resolution : int or None
+
+    Returns
+    -------
+    resolution : tuple of three int, or None
+    min_resolution : int or None
+
+    Raises
+    ------
+    ValueError
+        If both are given, or one is out of range.
+    TypeError
+        If a number is no integer.
+    """
+    if resolution is not None and min_resolution is not None:
+        raise ValueError("min_resolution: expected None where resolution is given")
+    if min_resolution is not None:
+        return None, _checked("min_resolution", min_resolution)
+    if resolution is None:
+        return None, None
+    if not isinstance(resolution, Sequence | np.ndarray):
+        resolution = [resolution] * 3
+    if len(resolution) != 3:
+        raise ValueError(f"resolution: expected one number or three, got {len(resolution)}")
+    x, y, z = (_checked("resolution", number) for number in resolution)
+    _check_cells("resolution", (x, y, z))
+    return (x, y, z), None
+
+
+def _checked(option: str, number: Any) -> int:
+    number = operator.index(number)
+    if not 1 <= number <= MAX_AXIS:
+        raise ValueError(f"{option}: expected 1 to {MAX_AXIS:,}, got {number:,}")
+    return number
+
+
+def _check_cells(option: str, counts: Sequence[int]) -> None:
+    if math.prod(counts) > MAX_CELLS or max(counts) > MAX_AXIS:
+        cells = " x ".join(f"{count:,}" for count in counts)
+        raise ValueError(
+            f"{option}: {cells} cells are too many; at most {MAX_CELLS:,} are possible,"
+            f" and {MAX_AXIS:,} along an axis"
+        )
+
+
+def choose_lattice(
+    triangles: Triangles,
+    resolution: tuple[int, int, int] | None,
+    min_resolution: int | None,
+    coarser: int = 0,
+) -> Lattice:
+    """Choose the cells for a scene.
+
+    Parameters
+    ----------
+    triangles : Triangles
+        At least one that can be hit.
+    resolution : tuple of three int, optional
+        Cells along each axis.
+    min_resolution : int, optional
+        Cells along the shortest axis that has an extent; the others get cells of about the
+        same size (Purcell 2002, section 4.1).
+    coarser : int
+        Where neither is given: how often to halve the number of cells.
+
+    Returns
+    -------
+    Lattice
+
+    Raises
+    ------
+    ValueError
+        If those are too many.
+    """
+    if resolution is not None:
+        return Lattice.of(triangles, resolution)
+    low, high = triangles.bounds.astype(np.float64)
+    extent = high - low
+    if min_resolution is not None:
+        side = extent[extent > 0.0].min() / min_resolution
+        counts = _counts(extent, side)
+        _check_cells("min_resolution", counts)
+    else:
+        wanted = max(1.0, _DENSITY * len(triangles.prim_ids) / 2.0**coarser)
+        side = _side(extent, min(wanted, MAX_CELLS / 4))
+        side = max(side, _LEAST_SIDE * GROWTH * float(triangles.extreme))
+        counts = _counts(extent, side)
+    return Lattice.of(triangles, counts)
+
+
+def _counts(extent: np.ndarray[Any, np.dtype[np.float64]], side: float) -> tuple[int, ...]:
+    return tuple(max(1, round(min(length / side, 2.0**40))) for length in extent.tolist())
+
+
+def _side(extent: np.ndarray[Any, np.dtype[np.float64]], wanted: float) -> float:
+    """Side of the cubes that fill a box in such a number; shorter axes than that have one."""
+    lengths = sorted(length for length in extent.tolist() if length > 0.0)
+    while True:
+        # The root is taken of each length, since their product may leave float64.
+        power = 1.0 / len(lengths)
+        side = math.prod(length**power for length in lengths) / wanted**power
+        if len(lengths) == 1 or lengths[0] >= side:
+            return side
+        del lengths[0]

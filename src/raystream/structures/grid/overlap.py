@@ -1,0 +1,140 @@
+"""Which cells of a lattice a triangle is listed in.
+
+A hit lies near its triangle's plane and near its triangle's box (docs/decisions/0010-grid);
+the cells are those that meet the plane and the box, both grown. A triangle's edges cannot be
+used to leave out more: a ray in a triangle's plane, but for rounding, may cross that plane
+beyond an edge, and is hit there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import load, store
+
+__all__ = ["range_along", "spread", "spread_within"]
+
+#: Rounding of the normal's product with an edge, as a share of the product of three edges:
+#: 18 products and sums of 2**-53 each, rounded up.
+_NORMAL_ERROR = 2.0**-48
+
+_ZERO = np.int64(0)
+_ONE = np.int64(1)
+
+
+@device
+def _cell_at(x, low, inverse_size, count):
+    """Number of the cell of an axis in which x is; the first or last one for outside."""
+    number = math.floor((x - low) * inverse_size)
+    return np.int64(min(max(number, 0.0), np.float64(count - _ONE)))
+
+
+@device
+def _range(a, b, c, origin, size, count, growth):
+    inverse = 1.0 / size if size > 0.0 else 0.0
+    low = np.float64(min(a, b, c)) - growth
+    high = np.float64(max(a, b, c)) + growth
+    return _cell_at(low, origin, inverse, count), _cell_at(high, origin, inverse, count)
+
+
+@device
+def range_along(lattice, corners, i, axis):
+    """First and last cell along an axis that the grown box of a triangle meets.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    corners : array of shape (F, 3, 3), float32
+    i : uint64
+        Row of `corners`.
+    axis : int64
+
+    Returns
+    -------
+    first, last : int64
+    """
+    a, b, c = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
+    return _range(
+        a, b, c, lattice.low[axis], lattice.size[axis], lattice.counts[axis], lattice.growth
+    )
+
+
+@device
+def spread_within(lattice, corners, i, axis, begin, end, cursors, references, is_fill):
+    """Do `spread` for the cells whose layers along an axis are begin to end."""
+    begin_x, end_x = (begin, end) if axis == 0 else (_ZERO, lattice.counts[0])
+    begin_y, end_y = (begin, end) if axis == 1 else (_ZERO, lattice.counts[1])
+    begin_z, end_z = (begin, end) if axis == 2 else (_ZERO, lattice.counts[2])
+    first_x, last_x = range_along(lattice, corners, i, 0)
+    first_y, last_y = range_along(lattice, corners, i, 1)
+    first_z, last_z = range_along(lattice, corners, i, 2)
+    first = (max(first_x, begin_x), max(first_y, begin_y), max(first_z, begin_z))
+    last = (min(last_x, end_x - _ONE), min(last_y, end_y - _ONE), min(last_z, end_z - _ONE))
+    return spread(lattice, corners, i, first, last, cursors, references, is_fill)
+
+
+@device
+def spread(lattice, corners, i, first, last, cursors, references, is_fill):
+    """Count a triangle in the cells that it is listed in, or write it to their lists.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    corners : array of shape (F, 3, 3), float32
+    i : uint64
+        Row of `corners`: the prim_id.
+    first, last : triple of int64
+        Cells along each axis to look at, both included.
+    cursors : uint64
+        Address of a uint32 for each cell: grows by one for each that the triangle is in.
+    references : uint64
+        Address to whose row, given by the cursor, the prim_id goes.
+    is_fill : bool
+        Whether to write it.
+
+    Returns
+    -------
+    int64
+        In how many cells it is.
+    """
+    # Step 1: the plane, in float64 as `kernels.triangle` has it.
+    ax, ay = np.float64(corners[i, 0, 0]), np.float64(corners[i, 0, 1])
+    az = np.float64(corners[i, 0, 2])
+    px, py, pz = corners[i, 1, 0] - ax, corners[i, 1, 1] - ay, corners[i, 1, 2] - az
+    qx, qy, qz = corners[i, 2, 0] - ax, corners[i, 2, 1] - ay, corners[i, 2, 2] - az
+    nx = py * qz - pz * qy
+    ny = pz * qx - px * qz
+    nz = px * qy - py * qx
+
+    # Step 2: a cell of half size h meets it if |n . (middle - a)| <= |n| . (h + growth).
+    size, growth = lattice.size, lattice.growth
+    reach = (
+        abs(nx) * (0.5 * size[0] + growth)
+        + abs(ny) * (0.5 * size[1] + growth)
+        + abs(nz) * (0.5 * size[2] + growth)
+    )
+    # The corners themselves are off the plane by the rounding of its normal.
+    p = max(abs(px), abs(py), abs(pz))
+    q = max(abs(qx), abs(qy), abs(qz))
+    reach += _NORMAL_ERROR * p * q * (p + q)
+    x = lattice.low[0] + 0.5 * size[0] - ax
+    y = lattice.low[1] + 0.5 * size[1] - ay
+    z = lattice.low[2] + 0.5 * size[2] - az
+    counts = lattice.counts
+    total = _ZERO
+    for k in range(first[2], last[2] + _ONE):
+        for j in range(first[1], last[1] + _ONE):
+            row = counts[0] * (j + counts[1] * k)
+            away = ny * (y + size[1] * j) + nz * (z + size[2] * k) + nx * x
+            for m in range(first[0], last[0] + _ONE):
+                if abs(away + nx * size[0] * m) <= reach:
+                    at = cursors + np.uint64(4) * np.uint64(row + m)
+                    cursor = load(np.uint32, at)
+                    store(at, np.uint32(cursor + np.uint32(1)))
+                    if is_fill:
+                        store(references + np.uint64(4) * np.uint64(cursor), np.int32(i))
+                    total += _ONE
+    return total
