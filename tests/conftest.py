@@ -28,6 +28,7 @@ TRACERS = {
     "grid": {"structure": "grid"},
     "grid, one cell": {"structure": "grid", "resolution": 1},
     "grid, 7 x 3 x 5": {"structure": "grid", "resolution": (7, 3, 5)},
+    "grid, two levels": {"structure": "grid", "resolution": (2, 3, 2), "levels": 2},
 }
 
 

@@ -43,7 +43,7 @@ __all__ = [
 #: The names that the library has, for help and completion; a test compares them.
 SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis")
-STRUCTURES = ("bvh", "brute")
+STRUCTURES = ("bvh", "brute", "grid")
 DEVICES = ("cpu",)
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")

@@ -35,6 +35,7 @@ def build_grid(
     triangles: Triangles,
     resolution: tuple[int, int, int] | None,
     min_resolution: int | None,
+    levels: int = 1,
     progress: Progress | None = None,
 ) -> tuple[Lattice, GridArrays]:
     """Choose a lattice and list the triangles of each cell.
@@ -44,7 +45,8 @@ def build_grid(
     triangles : Triangles
     resolution : tuple of three int, optional
     min_resolution : int, optional
-        See `lattice.choose_lattice`. Without either, cells are made coarser until lists are
+    levels : int
+        See `lattice.choose_lattice`. Without a resolution, cells are made coarser until lists are
         short.
     progress : callable, optional
         Called with (triangles placed, triangles).
@@ -64,13 +66,12 @@ def build_grid(
     """
     count = len(triangles.prim_ids)
     if count == 0:
-        empty = GridArrays(np.zeros(2, np.uint32), np.zeros(0, np.int32))
-        return Lattice((0.0,) * 3, (0.0,) * 3, (0.0,) * 3, (1, 1, 1), 0.0), empty
+        return Lattice.of(triangles, (1, 1, 1)), GridArrays.empty(1)
     is_free = resolution is None and min_resolution is None
     option = "resolution" if min_resolution is None else "min_resolution"
     coarser = 0
     while True:
-        lattice = choose_lattice(triangles, resolution, min_resolution, coarser)
+        lattice = choose_lattice(triangles, resolution, min_resolution, levels, coarser)
         # One cell needs one reference for each triangle, so coarsening comes to an end.
         most = MAX_REFERENCES
         if is_free:

@@ -20,7 +20,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import fma
 from raystream.kernels.ray import pick
 
-__all__ = ["Walk", "WalkState", "cell_end", "set_up_walk", "step_walk"]
+__all__ = ["Walk", "WalkState", "cell_end", "cell_low", "set_up_walk", "step_walk"]
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -61,15 +61,18 @@ class WalkState(NamedTuple):
     ----------
     cell : int64
         Number of the cell.
-    plane : triple of float32
-        Number of the plane that the ray meets next, for each axis.
     t_next : triple of float32
-        Its distance; inf for the last one.
+        Distance of the plane that the ray meets next, for each axis; inf for the last one.
+    plane : triple of float32
+        Number of the plane after that.
+    t_after : triple of float32
+        Distance of that one: known a step ahead, so that no step waits for it.
     """
 
     cell: object
-    plane: object
     t_next: object
+    plane: object
+    t_after: object
 
 
 @device
@@ -111,8 +114,8 @@ def set_up_walk(lattice, ray, t):
 
     Parameters
     ----------
-    lattice : GridAddresses
-        Its `low`, `size` and `counts` are read.
+    lattice : NamedTuple
+        With `low`, `size` and `counts`, each a triple of float32.
     ray : Ray
     t : float32
         Finite.
@@ -161,17 +164,13 @@ def set_up_walk(lattice, ray, t):
     j = _start(t, o[1], d[1], inv[1], middle[1], low[1], size[1], counts[1])
     k = _start(t, o[2], d[2], inv[2], middle[2], low[2], size[2], counts[2])
     cell = np.int64(i) + row * np.int64(j) + layer * np.int64(k)
-    plane = (
+    first = (
         i + max(step[0], _ZERO),
         j + max(step[1], _ZERO),
         k + max(step[2], _ZERO),
     )
-    t_next = (
-        _next(plane[0], walk.end[0], low[0], size[0], inv[0], middle[0]),
-        _next(plane[1], walk.end[1], low[1], size[1], inv[1], middle[1]),
-        _next(plane[2], walk.end[2], low[2], size[2], inv[2], middle[2]),
-    )
-    return walk, WalkState(cell, plane, t_next)
+    second = (first[0] + step[0], first[1] + step[1], first[2] + step[2])
+    return walk, WalkState(cell, _distances(walk, first), second, _distances(walk, second))
 
 
 @device
@@ -181,9 +180,27 @@ def _next(plane, end, low, size, inv, middle):
 
 
 @device
+def _distances(walk, plane):
+    low, size, inv, middle = walk.low, walk.size, walk.inv, walk.middle
+    return (
+        _next(plane[0], walk.end[0], low[0], size[0], inv[0], middle[0]),
+        _next(plane[1], walk.end[1], low[1], size[1], inv[1], middle[1]),
+        _next(plane[2], walk.end[2], low[2], size[2], inv[2], middle[2]),
+    )
+
+
+@device
 def cell_end(state):
     """Distance at which the ray leaves its cell; inf where it never does."""
     return min(state.t_next[0], state.t_next[1], state.t_next[2])
+
+
+@device
+def cell_low(low, size, plane, step):
+    """Low plane of the cell of an axis that a ray is in, given `WalkState.plane`."""
+    # The plane after the next one is two further than the cell's first.
+    number = plane - step - step
+    return fma(number if step > _ZERO else number - _ONE, size, low)
 
 
 @device
@@ -193,23 +210,20 @@ def step_walk(walk, state):
     Must not be called where `cell_end` is inf.
     """
     t = cell_end(state)
-    x, y, z = state.t_next[0] <= t, state.t_next[1] <= t, state.t_next[2] <= t
     cell = state.cell
+    t_x, t_y, t_z = state.t_next
     plane_x, plane_y, plane_z = state.plane
-    if x:
+    if t_x <= t:
+        t_x = state.t_after[0]
         cell += walk.stride[0]
         plane_x += walk.step[0]
-    if y:
+    if t_y <= t:
+        t_y = state.t_after[1]
         cell += walk.stride[1]
         plane_y += walk.step[1]
-    if z:
+    if t_z <= t:
+        t_z = state.t_after[2]
         cell += walk.stride[2]
         plane_z += walk.step[2]
     plane = (plane_x, plane_y, plane_z)
-    low, size, inv, middle = walk.low, walk.size, walk.inv, walk.middle
-    t_next = (
-        _next(plane_x, walk.end[0], low[0], size[0], inv[0], middle[0]),
-        _next(plane_y, walk.end[1], low[1], size[1], inv[1], middle[1]),
-        _next(plane_z, walk.end[2], low[2], size[2], inv[2], middle[2]),
-    )
-    return WalkState(cell, plane, t_next)
+    return WalkState(cell, (t_x, t_y, t_z), plane, _distances(walk, plane))

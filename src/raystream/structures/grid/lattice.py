@@ -11,7 +11,16 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 
-__all__ = ["GROWTH", "MAX_AXIS", "MAX_CELLS", "Lattice", "choose_lattice", "chosen_resolution"]
+__all__ = [
+    "GROWTH",
+    "LEAST_SIDE",
+    "MAX_AXIS",
+    "MAX_CELLS",
+    "Lattice",
+    "check_cells",
+    "choose_lattice",
+    "chosen_resolution",
+]
 
 #: A cell lists the triangles that come this near to it, as a share of the scene's largest
 #: coordinate. A hit lies within 1.5 paddings of its triangle's box, and a triangle's plane
@@ -29,11 +38,12 @@ MAX_AXIS = 1 << 20
 #: Cells of a grid: 2 GB for their lists while building, without any triangle.
 MAX_CELLS = 1 << 28
 
-#: Cells for each triangle where nobody says how many.
-_DENSITY = 8.0
+#: Cells for each triangle where nobody says how many: of a grid, and of one whose cells are
+#: divided again.
+_DENSITIES = {1: 2.0, 2: 0.25}
 
 #: Sides of such cells are at least so many growths, so that lists do not grow by them.
-_LEAST_SIDE = 4.0
+LEAST_SIDE = 4.0
 
 
 class Lattice(NamedTuple):
@@ -71,9 +81,7 @@ class Lattice(NamedTuple):
         counts = tuple(int(n) if s > 0.0 else 1 for n, s in zip(counts, size, strict=True))
         size = ((high - low) / counts).astype(np.float32)
         growth = GROWTH * float(triangles.extreme) + _LEAST_GROWTH
-        return cls(
-            tuple(low.tolist()), tuple(high.tolist()), tuple(size.tolist()), counts, growth
-        )
+        return cls(tuple(low.tolist()), tuple(high.tolist()), tuple(size.tolist()), counts, growth)
 
 
 def chosen_resolution(
@@ -109,7 +117,7 @@ def chosen_resolution(
     if len(resolution) != 3:
         raise ValueError(f"resolution: expected one number or three, got {len(resolution)}")
     x, y, z = (_checked("resolution", number) for number in resolution)
-    _check_cells("resolution", (x, y, z))
+    check_cells("resolution", (x, y, z))
     return (x, y, z), None
 
 
@@ -120,11 +128,12 @@ def _checked(option: str, number: Any) -> int:
     return number
 
 
-def _check_cells(option: str, counts: Sequence[int]) -> None:
-    if math.prod(counts) > MAX_CELLS or max(counts) > MAX_AXIS:
+def check_cells(option: str, counts: Sequence[int]) -> None:
+    """Raise ValueError if there are more cells than a grid can have, or none."""
+    if min(counts) < 1 or math.prod(counts) > MAX_CELLS or max(counts) > MAX_AXIS:
         cells = " x ".join(f"{count:,}" for count in counts)
         raise ValueError(
-            f"{option}: {cells} cells are too many; at most {MAX_CELLS:,} are possible,"
+            f"{option}: {cells} cells are out of range; at most {MAX_CELLS:,} are possible,"
             f" and {MAX_AXIS:,} along an axis"
         )
 
@@ -133,6 +142,7 @@ def choose_lattice(
     triangles: Triangles,
     resolution: tuple[int, int, int] | None,
     min_resolution: int | None,
+    levels: int = 1,
     coarser: int = 0,
 ) -> Lattice:
     """Choose the cells for a scene.
@@ -146,6 +156,8 @@ def choose_lattice(
     min_resolution : int, optional
         Cells along the shortest axis that has an extent; the others get cells of about the
         same size (Purcell 2002, section 4.1).
+    levels : int
+        1, or 2 if cells with many triangles are divided again.
     coarser : int
         Where neither is given: how often to halve the number of cells.
 
@@ -165,11 +177,11 @@ def choose_lattice(
     if min_resolution is not None:
         side = extent[extent > 0.0].min() / min_resolution
         counts = _counts(extent, side)
-        _check_cells("min_resolution", counts)
+        check_cells("min_resolution", counts)
     else:
-        wanted = max(1.0, _DENSITY * len(triangles.prim_ids) / 2.0**coarser)
+        wanted = max(1.0, _DENSITIES[levels] * len(triangles.prim_ids) / 2.0**coarser)
         side = _side(extent, min(wanted, MAX_CELLS / 4))
-        side = max(side, _LEAST_SIDE * GROWTH * float(triangles.extreme))
+        side = max(side, LEAST_SIDE * GROWTH * float(triangles.extreme))
         counts = _counts(extent, side)
     return Lattice.of(triangles, counts)
 

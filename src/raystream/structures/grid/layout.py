@@ -9,12 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.structures.grid.lattice import Lattice
+from raystream.structures.grid.lattice import MAX_CELLS
 
-__all__ = ["MAX_REFERENCES", "GridAddresses", "GridArrays", "check_lists"]
+__all__ = [
+    "MAX_FINE_AXIS",
+    "MAX_REFERENCES",
+    "FineArrays",
+    "GridAddresses",
+    "GridArrays",
+    "check_fine",
+    "check_lists",
+    "checked_array",
+]
 
 #: References in all lists together: their number is uint32.
 MAX_REFERENCES = 2**32 - 1
+
+#: Cells of the second level along an axis of one of the first.
+MAX_FINE_AXIS = 1 << 10
 
 
 class GridArrays(NamedTuple):
@@ -31,6 +43,53 @@ class GridArrays(NamedTuple):
     splits: NDArray[np.uint32]
     references: NDArray[np.int32]
 
+    @classmethod
+    def empty(cls, cell_count: int) -> GridArrays:
+        """Cells without triangles."""
+        return cls(np.zeros(cell_count + 1, np.uint32), np.zeros(0, np.int32))
+
+
+class FineArrays(NamedTuple):
+    """The finer lattices inside some cells: the second level.
+
+    Attributes
+    ----------
+    cells : ndarray of shape (S,), int64
+        The cells that have one, in increasing order.
+    counts : ndarray of shape (S, 3), int32
+        Its cells along each axis.
+    lists : GridArrays
+        Of their cells, one lattice after another.
+    """
+
+    cells: NDArray[np.int64]
+    counts: NDArray[np.int32]
+    lists: GridArrays
+
+    @classmethod
+    def none(cls) -> FineArrays:
+        """No cell has one."""
+        return cls(np.zeros(0, np.int64), np.zeros((0, 3), np.int32), GridArrays.empty(0))
+
+    @property
+    def first_cells(self) -> NDArray[np.int64]:
+        """Where the cells of each lattice begin in `lists`, shape (S + 1,), int64."""
+        firsts = np.zeros(len(self.cells) + 1, np.int64)
+        np.cumsum(self.counts.astype(np.int64).prod(axis=1), out=firsts[1:])
+        return firsts
+
+    def records(self) -> NDArray[np.int64]:
+        """What kernels read of each lattice: first cell and three counts, (S, 4), int64."""
+        return np.column_stack([self.first_cells[:-1], self.counts.astype(np.int64)])
+
+    def children(self, cell_count: int) -> NDArray[np.int32]:
+        """The lattice of each cell, -1 for none; of no cells if there is no lattice at all."""
+        if len(self.cells) == 0:
+            return np.zeros(0, np.int32)
+        children = np.full(cell_count, -1, np.int32)
+        children[self.cells] = np.arange(len(self.cells), dtype=np.int32)
+        return children
+
 
 class GridAddresses(NamedTuple):
     """A grid as kernels take it; whoever calls one keeps its arrays alive.
@@ -45,6 +104,10 @@ class GridAddresses(NamedTuple):
         Addresses of `GridArrays`; 0 for a grid without triangles.
     corners : uint64
         Address of the triangles' corners, by prim_id.
+    children, records : uint64
+        Addresses of `FineArrays.children` and `FineArrays.records`; 0 without a second level.
+    fine_splits, fine_references : uint64
+        Addresses of the second level's lists.
     """
 
     low: tuple[np.float32, np.float32, np.float32]
@@ -54,27 +117,17 @@ class GridAddresses(NamedTuple):
     splits: np.uint64
     references: np.uint64
     corners: np.uint64
-
-    @classmethod
-    def of(
-        cls, lattice: Lattice, arrays: GridArrays, corners: NDArray[np.float32]
-    ) -> GridAddresses:
-        """Where a grid is."""
-        vectors = [
-            tuple(np.float32(number) for number in vector)
-            for vector in (lattice.low, lattice.high, lattice.size, lattice.counts)
-        ]
-        addresses = [np.uint64(array.ctypes.data) for array in (*arrays, corners)]
-        if len(arrays.references) == 0:
-            addresses[0] = np.uint64(0)
-        return cls(*vectors, *addresses)
+    children: np.uint64
+    records: np.uint64
+    fine_splits: np.uint64
+    fine_references: np.uint64
 
 
 def check_lists(
     arrays: Mapping[str, NDArray[Any]],
+    prefix: str,
     cell_count: int,
-    solid_ids: NDArray[np.int32],
-    triangle_count: int,
+    solid: NDArray[np.bool_],
 ) -> GridArrays:
     """Check the lists from a file: no traversal of them may read out of bounds or not end.
 
@@ -82,11 +135,11 @@ def check_lists(
     ----------
     arrays : mapping of str to ndarray
         ``splits`` and ``references``, see `GridArrays`.
+    prefix : str
+        What their names begin with.
     cell_count : int
-    solid_ids : ndarray of shape (A,), int32
-        The triangles that the cells must hold.
-    triangle_count : int
-        Triangles of the scene.
+    solid : ndarray of shape (F,), bool
+        The triangles that may be in them.
 
     Returns
     -------
@@ -97,30 +150,46 @@ def check_lists(
     ValueError
         What is wrong.
     """
-    splits = _array(arrays, "splits", np.uint32)
-    references = _array(arrays, "references", np.int32)
+    splits = checked_array(arrays, f"{prefix}splits", np.uint32, ())
+    references = checked_array(arrays, f"{prefix}references", np.int32, ())
     if len(splits) != cell_count + 1:
         raise ValueError(f"{len(splits):,} splits do not delimit {cell_count:,} cells")
     if splits[0] != 0 or splits[-1] != len(references):
         raise ValueError("the cells' lists are not those of the file")
     if (splits[:-1] > splits[1:]).any():
         raise ValueError("a cell's list ends before it begins")
-    wanted = np.zeros(triangle_count, np.bool_)
-    wanted[solid_ids] = True
-    if not _are_good(splits, references, wanted):
+    if not _are_good(splits, references, solid):
         raise ValueError("a cell lists a triangle twice, or one that cannot be hit")
-    found = np.zeros(triangle_count, np.bool_)
-    found[references] = True
-    if not np.array_equal(found, wanted):
-        raise ValueError("its cells do not hold every triangle")
     return GridArrays(splits, references)
 
 
-def _array(arrays: Mapping[str, NDArray[Any]], name: str, dtype: Any) -> NDArray[Any]:
+def check_fine(
+    arrays: Mapping[str, NDArray[Any]], cell_count: int, solid: NDArray[np.bool_]
+) -> FineArrays:
+    """Check the second level from a file; see `check_lists`."""
+    cells = checked_array(arrays, "fine_cells", np.int64, ())
+    counts = checked_array(arrays, "fine_counts", np.int32, (3,))
+    if len(cells) != len(counts) or (np.diff(cells) <= 0).any():
+        raise ValueError("the cells that are divided are not in order")
+    if len(cells) and (cells[0] < 0 or cells[-1] >= cell_count):
+        raise ValueError("a cell that is divided is out of range")
+    if (counts < 1).any() or (counts > MAX_FINE_AXIS).any():
+        raise ValueError("a cell is divided into too few or too many")
+    if counts.astype(np.float64).prod(axis=1).sum() > MAX_CELLS:
+        raise ValueError("there are too many cells within cells")
+    bare = FineArrays(cells, counts, GridArrays.empty(0))
+    lists = check_lists(arrays, "fine_", int(bare.first_cells[-1]), solid)
+    return FineArrays(cells, counts, lists)
+
+
+def checked_array(
+    arrays: Mapping[str, NDArray[Any]], name: str, dtype: Any, row_shape: tuple[int, ...]
+) -> NDArray[Any]:
+    """An array from a file; ValueError if it is missing or of another kind."""
     if name not in arrays:
         raise ValueError(f"array {name!r} is missing")
     array = arrays[name]
-    if array.dtype != dtype or array.ndim != 1:
+    if array.dtype != dtype or array.shape[1:] != row_shape or array.ndim != len(row_shape) + 1:
         raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
     return np.ascontiguousarray(array)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -14,8 +15,16 @@ from raystream.jit.threads import Progress
 from raystream.kernels.queries import ray_queries
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.grid.build import build_grid
-from raystream.structures.grid.lattice import MAX_CELLS, Lattice, chosen_resolution
-from raystream.structures.grid.layout import GridAddresses, GridArrays, check_lists
+from raystream.structures.grid.lattice import Lattice, check_cells, chosen_resolution
+from raystream.structures.grid.layout import (
+    FineArrays,
+    GridAddresses,
+    GridArrays,
+    check_fine,
+    check_lists,
+    checked_array,
+)
+from raystream.structures.grid.refine import refine
 from raystream.structures.grid.traversal import STACK_BYTES, traverse
 
 __all__ = ["Grid"]
@@ -33,6 +42,9 @@ class Grid(Structure):
     min_resolution : int, optional
         Cells along the shortest axis on which the scene is not flat; the others get cells of
         about the same size (Purcell 2002, section 4.1).
+    levels : {1, 2}
+        With 2, cells with many triangles are divided again (Purcell 2002, section 5.1): for
+        scenes with details of many sizes.
     progress : callable, optional
         Called with (triangles placed, triangles) while building.
 
@@ -64,19 +76,23 @@ class Grid(Structure):
         *,
         resolution: Any = None,
         min_resolution: int | None = None,
+        levels: int = 1,
         progress: Progress | None = None,
     ) -> None:
         resolution, min_resolution = chosen_resolution(resolution, min_resolution)
+        levels = _checked_levels(levels)
         started = time.perf_counter()
-        lattice, lists = build_grid(triangles, resolution, min_resolution, progress)
-        options = {"resolution": resolution, "min_resolution": min_resolution}
-        self._set(triangles, lattice, lists, options, started)
+        lattice, lists = build_grid(triangles, resolution, min_resolution, levels, progress)
+        fine = refine(triangles, lattice, lists) if levels == 2 else FineArrays.none()
+        options = {"resolution": resolution, "min_resolution": min_resolution, "levels": levels}
+        self._set(triangles, lattice, lists, fine, options, started)
 
     def _set(
         self,
         triangles: Triangles,
         lattice: Lattice,
         lists: GridArrays,
+        fine: FineArrays,
         options: Mapping[str, Any],
         started: float,
     ) -> None:
@@ -84,12 +100,20 @@ class Grid(Structure):
         self.lattice = lattice
         self.lists = lists
         self.options = options
-        # Kept, as rays read it by its address.
-        self._corners = np.ascontiguousarray(triangles.corners)
-        self._addresses = GridAddresses.of(lattice, lists, self._corners)
+        self.fine = fine
+        # Kept, as rays read them by their addresses.
+        self._kept = (
+            *lists,
+            np.ascontiguousarray(triangles.corners),
+            fine.children(lattice.cell_count),
+            fine.records(),
+            *fine.lists,
+        )
+        self._addresses = _addresses(lattice, self._kept)
+        kept_bytes = sum(array.nbytes for array in self._kept)
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
-            byte_count=sum(array.nbytes for array in lists),
+            byte_count=kept_bytes - self._kept[2].nbytes,
         )
 
     @property
@@ -98,14 +122,31 @@ class Grid(Structure):
         return self._addresses
 
     def quality(self) -> dict[str, float]:
-        """Cells along each axis, how many are empty, and how long the others' lists are."""
+        """Figures of the grid.
+
+        Returns
+        -------
+        dict of str to float
+            ``cells x``, ``cells y``, ``cells z``: cells along each axis; ``cells``: in all,
+            those of the second level included; ``divided cells``: those that have such;
+            ``empty share``: of the cells; ``references per triangle``, ``largest list``: of
+            the cells in which rays are tested; ``bytes``.
+        """
         sizes = np.diff(self.lists.splits)
-        count = len(self.triangles.prim_ids)
+        sizes[self.fine.cells] = 0
+        sizes = np.concatenate([sizes, np.diff(self.fine.lists.splits)])
+        x, y, z = self.lattice.counts
+        divided_count = len(self.fine.cells)
+        empty_count = np.count_nonzero(sizes == 0) - divided_count
+        reference_count = float(sizes.sum(dtype=np.int64))
         return {
-            **{f"cells {axis}": float(n) for axis, n in zip("xyz", self.lattice.counts, strict=True)},
+            "cells x": float(x),
+            "cells y": float(y),
+            "cells z": float(z),
             "cells": float(len(sizes)),
-            "empty share": float(np.count_nonzero(sizes == 0) / len(sizes)),
-            "references per triangle": len(self.lists.references) / max(1, count),
+            "divided cells": float(divided_count),
+            "empty share": float(empty_count / len(sizes)),
+            "references per triangle": reference_count / max(1, len(self.triangles.prim_ids)),
             "largest list": float(sizes.max()),
             "bytes": float(self.report.byte_count),
         }
@@ -118,7 +159,11 @@ class Grid(Structure):
             "splits": self.lists.splits,
             "references": self.lists.references,
             "counts": np.array(self.lattice.counts, np.int64),
-            "options": np.array([*chosen, least], np.int64),
+            "fine_cells": self.fine.cells,
+            "fine_counts": self.fine.counts,
+            "fine_splits": self.fine.lists.splits,
+            "fine_references": self.fine.lists.references,
+            "options": np.array([*chosen, least, self.options["levels"]], np.int64),
         }
 
     @classmethod
@@ -126,28 +171,53 @@ class Grid(Structure):
         """Make a grid of saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
         counts = _integers(arrays, "counts", 3)
-        *chosen, least = _integers(arrays, "options", 4)
+        *chosen, least, levels = _integers(arrays, "options", 5)
         resolution, min_resolution = chosen_resolution(
             chosen if any(chosen) else None, least if least else None
         )
-        if min(counts) < 1 or max(counts) > MAX_CELLS or np.prod(counts, dtype=float) > MAX_CELLS:
-            raise ValueError("its cells are too many or too few")
-        if len(triangles.prim_ids):
-            lattice = Lattice.of(triangles, counts)
-            if list(lattice.counts) != counts:
-                raise ValueError("its cells are not those of the scene's box")
-        else:
-            lattice, _ = build_grid(triangles, None, None)
-        ids = triangles.prim_ids
-        lists = check_lists(arrays, lattice.cell_count, ids, len(triangles))
-        options = {"resolution": resolution, "min_resolution": min_resolution}
+        options = {
+            "resolution": resolution,
+            "min_resolution": min_resolution,
+            "levels": _checked_levels(levels),
+        }
+        check_cells("counts", counts)
+        lattice = Lattice.of(triangles, counts)
+        if list(lattice.counts) != counts:
+            raise ValueError("its cells are not those of the scene's box")
+        solid = np.zeros(len(triangles), np.bool_)
+        solid[triangles.prim_ids] = True
+        lists = check_lists(arrays, "", lattice.cell_count, solid)
+        found = np.zeros(len(triangles), np.bool_)
+        found[lists.references] = True
+        if not np.array_equal(found, solid):
+            raise ValueError("its cells do not hold every triangle")
+        fine = check_fine(arrays, lattice.cell_count, solid)
         structure = cls.__new__(cls)
-        structure._set(triangles, lattice, lists, options, started)
+        structure._set(triangles, lattice, lists, fine, options, started)
         return structure
 
 
+def _addresses(lattice: Lattice, kept: tuple[NDArray[Any], ...]) -> GridAddresses:
+    """Where a grid is, in arrays in the order of `GridAddresses`; empty ones are nowhere."""
+    low, high, size, counts = (
+        (np.float32(x), np.float32(y), np.float32(z))
+        for x, y, z in (lattice.low, lattice.high, lattice.size, lattice.counts)
+    )
+    at = [np.uint64(array.ctypes.data if array.size else 0) for array in kept]
+    if kept[1].size == 0:
+        at[0] = np.uint64(0)
+    return GridAddresses(low, high, size, counts, *at)
+
+
+def _checked_levels(levels: Any) -> int:
+    levels = operator.index(levels)
+    if levels not in (1, 2):
+        raise ValueError(f"levels: expected 1 or 2, got {levels}")
+    return levels
+
+
 def _integers(arrays: Mapping[str, NDArray[Any]], name: str, count: int) -> list[int]:
-    array = arrays.get(name)
-    if array is None or array.shape != (count,) or array.dtype != np.int64:
-        raise ValueError(f"array {name!r} is missing or of another kind")
+    array = checked_array(arrays, name, np.int64, ())
+    if len(array) != count or array.min() < 0:
+        raise ValueError(f"array {name!r} is of another kind")
     return array.tolist()

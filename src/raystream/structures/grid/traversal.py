@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from raystream.jit.cpu import device
-from raystream.jit.intrinsics import corners_at
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import corners_at, stay_out_of_line
 from raystream.jit.simd import load
 from raystream.kernels.collect import keep_hit
 from raystream.kernels.slab import box_interval
 from raystream.kernels.triangle import intersect
-from raystream.structures.grid.dda import cell_end, set_up_walk, step_walk
+from raystream.structures.grid.dda import cell_end, cell_low, set_up_walk, step_walk
 
 __all__ = ["STACK_BYTES", "cell_list", "enter_grid", "intersect_list", "traverse"]
 
@@ -21,6 +23,10 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
+_NO_CHILD = np.int32(-1)
+
+#: Bytes of a row of `FineArrays.records`.
+_RECORD = np.uint64(32)
 
 
 @device
@@ -35,21 +41,35 @@ def enter_grid(grid, ray, t_min, t_max):
 
 
 @device
-def cell_list(grid, cell):
-    """Where the list of a cell begins and ends."""
-    at = grid.splits + (np.uint64(cell) << _WORD)
+def cell_list(splits, cell):
+    """Where the list of a cell begins and ends, given the address of all cells' splits."""
+    at = splits + (np.uint64(cell) << _WORD)
     return np.uint64(load(np.uint32, at)), np.uint64(load(np.uint32, at + np.uint64(4)))
 
 
 @device
 def intersect_list(
-    grid, ray, begin, end, t_in, t_out, t_far, surfaces, keep, count, capacity, first, out
+    references,
+    corners,
+    ray,
+    begin,
+    end,
+    t_in,
+    t_out,
+    t_far,
+    surfaces,
+    keep,
+    count,
+    capacity,
+    first,
+    out,
 ):
     """Test the triangles of a cell against a ray.
 
     Parameters
     ----------
-    grid : GridAddresses
+    references, corners : uint64
+        See `GridAddresses`.
     ray : Ray
     begin, end : uint64
         See `cell_list`.
@@ -66,12 +86,12 @@ def intersect_list(
     t_far : float32
         Hits beyond are no longer wanted.
     """
-    at, stop = grid.references + (begin << _WORD), grid.references + (end << _WORD)
-    corners = corners_at(grid.corners)
+    at, stop = references + (begin << _WORD), references + (end << _WORD)
+    triangles = corners_at(corners)
     while at != stop:
         prim_id = load(np.int32, at)
         at += np.uint64(4)
-        hit, t, u, v = intersect(ray, corners, np.uint64(prim_id), surfaces)
+        hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), surfaces)
         # Written so that a NaN would fail.
         if hit and t >= t_in and t < t_out and t <= t_far:
             if keep:
@@ -80,6 +100,74 @@ def intersect_list(
                 count += _ONE
                 if count == capacity:
                     break
+    return count, t_far
+
+
+class _Cells(NamedTuple):
+    """What `set_up_walk` reads of a lattice."""
+
+    low: object
+    size: object
+    counts: object
+
+
+@device
+def _fine_cells(grid, walk, state, record):
+    """The lattice within the cell that a ray is in, and the address of its cells' splits."""
+    first = load(np.int64, record)
+    counts = (
+        np.float32(load(np.int64, record + np.uint64(8))),
+        np.float32(load(np.int64, record + np.uint64(16))),
+        np.float32(load(np.int64, record + np.uint64(24))),
+    )
+    low = (
+        cell_low(walk.low[0], walk.size[0], state.plane[0], walk.step[0]),
+        cell_low(walk.low[1], walk.size[1], state.plane[1], walk.step[1]),
+        cell_low(walk.low[2], walk.size[2], state.plane[2], walk.step[2]),
+    )
+    size = (
+        walk.size[0] / counts[0],
+        walk.size[1] / counts[1],
+        walk.size[2] / counts[2],
+    )
+    return _Cells(low, size, counts), grid.fine_splits + (np.uint64(first) << _WORD)
+
+
+@device_call
+def _visit_fine(
+    grid, cells, splits, ray, t_in, t_end, t_far, surfaces, keep, count, capacity, first, out
+):
+    """Visit the cells within a cell, from t_in to t_end; see `intersect_list`."""
+    stay_out_of_line()
+    is_any = capacity == _ONE and not keep
+    walk, state = set_up_walk(cells, ray, t_in)
+    while True:
+        t_out = min(cell_end(state), t_end)
+        begin, end = cell_list(splits, state.cell)
+        while begin == end and t_out <= t_far and t_out < t_end:
+            state = step_walk(walk, state)
+            t_in, t_out = t_out, min(cell_end(state), t_end)
+            begin, end = cell_list(splits, state.cell)
+        count, t_far = intersect_list(
+            grid.fine_references,
+            grid.corners,
+            ray,
+            begin,
+            end,
+            t_in,
+            _INF if is_any else t_out,
+            t_far,
+            surfaces,
+            keep,
+            count,
+            capacity,
+            first,
+            out,
+        )
+        if t_far < t_out or t_out >= t_end or (not keep and count == capacity):
+            break
+        state = step_walk(walk, state)
+        t_in = t_out
     return count, t_far
 
 
@@ -92,19 +180,28 @@ def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
         return count
     # Whoever wants one hit, no matter which, takes it from wherever it is.
     is_any = capacity == _ONE and not keep
-    walk, state = set_up_walk(grid, ray, t_in)
+    cells = _Cells(grid.low, grid.size, grid.counts)
+    walk, state = set_up_walk(cells, ray, t_in)
     while True:
         t_out = cell_end(state)
-        begin, end = cell_list(grid, state.cell)
-        if begin != end:
-            last = _INF if is_any else t_out
-            count, t_far = intersect_list(
+        begin, end = cell_list(grid.splits, state.cell)
+        # A hit at the cell's end is in the next cell, and may tie with one at t_far.
+        while begin == end and t_out <= t_far:
+            state = step_walk(walk, state)
+            t_in, t_out = t_out, cell_end(state)
+            begin, end = cell_list(grid.splits, state.cell)
+        child = _NO_CHILD
+        if grid.children != _NONE:
+            child = load(np.int32, grid.children + (np.uint64(state.cell) << _WORD))
+        if child != _NO_CHILD:
+            fine, splits = _fine_cells(grid, walk, state, grid.records + np.uint64(child) * _RECORD)
+            count, t_far = _visit_fine(
                 grid,
+                fine,
+                splits,
                 ray,
-                begin,
-                end,
                 t_in,
-                last,
+                t_out,
                 t_far,
                 surfaces,
                 keep,
@@ -113,10 +210,24 @@ def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
                 first,
                 out,
             )
-            if not keep and count == capacity:
-                break
-        # A hit at the cell's end is in the next cell, and may tie with one at t_far.
-        if t_far < t_out:
+        else:
+            count, t_far = intersect_list(
+                grid.references,
+                grid.corners,
+                ray,
+                begin,
+                end,
+                t_in,
+                _INF if is_any else t_out,
+                t_far,
+                surfaces,
+                keep,
+                count,
+                capacity,
+                first,
+                out,
+            )
+        if t_far < t_out or (not keep and count == capacity):
             break
         state = step_walk(walk, state)
         t_in = t_out
