@@ -1,6 +1,7 @@
-"""Millions of hard rays: does the BVH return brute force's bits?
+"""Millions of hard rays: does a structure return brute force's bits?
 
     python benchmarks/agreement.py --rays 5000000
+    python benchmarks/agreement.py --rays 5000000 --structure grid
 
 Runs every case of the test suite again and again with other seeds, more rays, and intervals
 of all kinds (t_min above, at and below zero), and counts the rays whose answer differs in any
@@ -19,6 +20,18 @@ import raystream as rs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import cases
+
+
+#: Build options of each structure, one after another.
+OPTIONS = {
+    "bvh": [{"max_leaf_size": 2}],
+    "grid": [
+        {"resolution": (7, 3, 5)},
+        {},
+        {"resolution": 3, "levels": 2},
+        {"min_resolution": 16},
+    ],
+}
 
 
 def differing(tracer, oracle, rays):
@@ -56,6 +69,7 @@ def limits(kind, t, rng):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--rays", type=int, default=1_000_000)
+    parser.add_argument("--structure", choices=OPTIONS, default="bvh")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     cases.RAY_COUNT = 10_000
@@ -67,7 +81,10 @@ def main():
         for make in cases.CASES.values():
             rng = np.random.default_rng([seed, sum(done.values())])
             case = make(rng)
-            tracer, oracle = rs.Tracer(case.scene, max_leaf_size=2), rs.Tracer(case.scene, "brute")
+            options = OPTIONS[arguments.structure]
+            options = options[seed % len(options)]
+            tracer = rs.Tracer(case.scene, arguments.structure, **options)
+            oracle = rs.Tracer(case.scene, "brute")
             rays = {"origins": case.origins, "directions": case.directions}
             t = oracle.first_hit(**rays).t
             for kind in kinds:

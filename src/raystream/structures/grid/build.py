@@ -17,7 +17,15 @@ from raystream.structures.grid.lattice import Lattice, choose_lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
 from raystream.structures.grid.overlap import range_along, spread_within
 
-__all__ = ["build_grid", "build_lists"]
+__all__ = [
+    "Layers",
+    "TooManyError",
+    "build_grid",
+    "build_lists",
+    "find_layers",
+    "most_references",
+    "spread_layers",
+]
 
 #: Triangles that one call of the first kernel gets.
 _CHUNK = 1 << 13
@@ -27,7 +35,7 @@ _CHUNK = 1 << 13
 _MOST_REFERENCES, _FEW_REFERENCES = 24, 1 << 20
 
 
-class _TooManyError(Exception):
+class TooManyError(Exception):
     """Ends a count as soon as there are more references than allowed."""
 
 
@@ -66,19 +74,17 @@ def build_grid(
     """
     count = len(triangles.prim_ids)
     if count == 0:
-        return Lattice.of(triangles, (1, 1, 1)), GridArrays.empty(1)
+        return Lattice.of(triangles.bounds, (1, 1, 1)), GridArrays.empty(1)
     is_free = resolution is None and min_resolution is None
     option = "resolution" if min_resolution is None else "min_resolution"
     coarser = 0
     while True:
         lattice = choose_lattice(triangles, resolution, min_resolution, levels, coarser)
         # One cell needs one reference for each triangle, so coarsening comes to an end.
-        most = MAX_REFERENCES
-        if is_free:
-            most = max(_FEW_REFERENCES, _MOST_REFERENCES * count)
+        most = most_references(count) if is_free else MAX_REFERENCES
         try:
             return lattice, build_lists(triangles, lattice, most, option, progress)
-        except _TooManyError:
+        except TooManyError:
             if not is_free:
                 raise ValueError(
                     f"{option}: more than {most:,} references of cells to triangles are too many"
@@ -86,7 +92,12 @@ def build_grid(
         coarser += 2
 
 
-class _Layers(NamedTuple):
+def most_references(triangle_count: int) -> int:
+    """How many references there may be where the grid itself says how many cells."""
+    return min(MAX_REFERENCES, max(_FEW_REFERENCES, _MOST_REFERENCES * triangle_count))
+
+
+class Layers(NamedTuple):
     """The axis along which threads share the cells, and where triangles are along it.
 
     Attributes
@@ -128,53 +139,87 @@ def build_lists(
     cell_count = lattice.cell_count
     remedy = "choose a coarser one"
     check_memory(cell_count * 8, f"{option}: {cell_count:,} cells would", remedy)
-    layers = _find_layers(triangles, lattice)
+    corners, prim_ids = triangles.corners, triangles.prim_ids
+    layers = find_layers(corners, prim_ids, lattice)
     splits = np.zeros(cell_count + 1, np.uint32)
-    references = np.empty(0, np.int32)
-    solid_count = len(triangles.prim_ids)
-    halves = [None, None]
-    if progress is not None:
-        report = progress  # layers done, of twice as many, as triangles
-        steps = 2 * lattice.counts[layers.axis]
-        whole = lambda done, _: report(done * solid_count // steps, solid_count)  # noqa: E731
-        halves = [part_of(whole, 0, steps), part_of(whole, steps // 2, steps)]
-    total = _spread_all(triangles, lattice, layers, splits[1:], references, most, halves[0])
+    nothing = np.empty(0, np.int32)
+    first_half, second_half = _halves(progress, lattice.counts[layers.axis], len(prim_ids))
+    total = spread_layers(corners, prim_ids, lattice, layers, splits[1:], nothing, most, first_half)
     check_memory(total * 4, f"{option}: {total:,} references would", remedy)
     np.cumsum(splits, out=splits)
     references = np.empty(total, np.int32)
     cursors = splits[:-1].copy()
-    _spread_all(triangles, lattice, layers, cursors, references, most, halves[1])
+    spread_layers(corners, prim_ids, lattice, layers, cursors, references, most, second_half)
     return GridArrays(splits, references)
 
 
-def _find_layers(triangles: Triangles, lattice: Lattice) -> _Layers:
+def _halves(
+    progress: Progress | None, layer_count: int, triangle_count: int
+) -> tuple[Progress | None, Progress | None]:
+    """Callbacks for two loops over the layers, in terms of triangles."""
+    if progress is None:
+        return None, None
+    report, steps = progress, 2 * layer_count
+
+    def whole(done: int, _: int) -> None:
+        report(done * triangle_count // steps, triangle_count)
+
+    return part_of(whole, 0, steps), part_of(whole, layer_count, steps)
+
+
+def find_layers(
+    corners: NDArray[np.float32], prim_ids: NDArray[np.int32], lattice: Lattice
+) -> Layers:
+    """Find the layers of cells that triangles are in."""
     axis = int(np.argmax(lattice.counts))
-    prim_ids, corners = triangles.prim_ids, triangles.corners
     ranges = np.empty((len(prim_ids), 2), np.int32)
 
     def body(begin: int, end: int) -> None:
         _find_ranges(begin, end, lattice, axis, corners, prim_ids, ranges)
 
     parallel_for(body, len(prim_ids), _CHUNK)
-    return _Layers(axis, ranges)
+    return Layers(axis, ranges)
 
 
-def _spread_all(
-    triangles: Triangles,
+def spread_layers(
+    corners: NDArray[np.float32],
+    prim_ids: NDArray[np.int32],
     lattice: Lattice,
-    layers: _Layers,
+    layers: Layers,
     cursors: NDArray[np.uint32],
     references: NDArray[np.int32],
-    most: int,
-    progress: Progress | None,
+    most: int = MAX_REFERENCES,
+    progress: Progress | None = None,
 ) -> int:
-    """Count the triangles of each cell, or write them; returns how many there are.
+    """Count the triangles of each cell, or write them.
 
     Each thread takes some layers and looks for the triangles there, in order: so lists
     come out the same whoever makes them, and no two threads write to one cell.
+
+    Parameters
+    ----------
+    corners : ndarray of shape (F, 3, 3), float32
+    prim_ids : ndarray of shape (A,), int32
+        Rows of `corners`, in increasing order.
+    lattice : Lattice
+    layers : Layers
+        From `find_layers` for the same triangles.
+    cursors : ndarray of shape (C,), uint32
+        Grows by one for each triangle in the cell.
+    references : ndarray of shape (R,), int32
+        If it is not empty, each triangle is written to the row that the cursor says.
+    most : int
+        `TooManyError` is raised if there are more references.
+    progress : callable, optional
+        Called with (layers done, layers).
+
+    Returns
+    -------
+    int
+        How many references there are.
     """
     is_fill = len(references) > 0
-    prim_ids, corners = triangles.prim_ids, triangles.corners
+    ranges, axis = layers.ranges, layers.axis
     found = 0
     lock = threading.Lock()
 
@@ -184,8 +229,8 @@ def _spread_all(
             begin,
             end,
             lattice,
-            layers.axis,
-            layers.ranges,
+            axis,
+            ranges,
             corners,
             prim_ids,
             cursors,
@@ -196,9 +241,9 @@ def _spread_all(
         with lock:
             found += here
         if found > most:
-            raise _TooManyError
+            raise TooManyError
 
-    layer_count = lattice.counts[layers.axis]
+    layer_count = lattice.counts[axis]
     # Each call reads all ranges: few calls, but enough to share the work evenly.
     chunk = max(1, -(-layer_count // (8 * thread_count())))
     parallel_for(body, layer_count, chunk, progress)

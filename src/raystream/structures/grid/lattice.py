@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 
@@ -20,6 +21,7 @@ __all__ = [
     "check_cells",
     "choose_lattice",
     "chosen_resolution",
+    "cube_side",
 ]
 
 #: A cell lists the triangles that come this near to it, as a share of the scene's largest
@@ -73,15 +75,20 @@ class Lattice(NamedTuple):
         """How many cells there are."""
         return math.prod(self.counts)
 
+    @property
+    def box(self) -> NDArray[np.float32]:
+        """Low and high corner, shape (2, 3), float32."""
+        return np.array([self.low, self.high], np.float32)
+
     @classmethod
-    def of(cls, triangles: Triangles, counts: Sequence[int]) -> Lattice:
-        """Divide the box around the triangles."""
-        low, high = triangles.bounds.astype(np.float64)
+    def of(cls, box: NDArray[np.float32], counts: Sequence[int]) -> Lattice:
+        """Divide a box, of shape (2, 3); an axis without extent gets one cell."""
+        low, high = box.astype(np.float64)
         size = ((high - low) / counts).astype(np.float32)
-        counts = tuple(int(n) if s > 0.0 else 1 for n, s in zip(counts, size, strict=True))
-        size = ((high - low) / counts).astype(np.float32)
-        growth = GROWTH * float(triangles.extreme) + _LEAST_GROWTH
-        return cls(tuple(low.tolist()), tuple(high.tolist()), tuple(size.tolist()), counts, growth)
+        nx, ny, nz = (n if s > 0.0 else 1 for n, s in zip(counts, size, strict=True))
+        x, y, z = ((high - low) / (nx, ny, nz)).astype(np.float32).tolist()
+        growth = GROWTH * float(np.abs(box).max()) + _LEAST_GROWTH
+        return cls(tuple(low.tolist()), tuple(high.tolist()), (x, y, z), (nx, ny, nz), growth)
 
 
 def chosen_resolution(
@@ -171,7 +178,7 @@ def choose_lattice(
         If those are too many.
     """
     if resolution is not None:
-        return Lattice.of(triangles, resolution)
+        return Lattice.of(triangles.bounds, resolution)
     low, high = triangles.bounds.astype(np.float64)
     extent = high - low
     if min_resolution is not None:
@@ -180,23 +187,36 @@ def choose_lattice(
         check_cells("min_resolution", counts)
     else:
         wanted = max(1.0, _DENSITIES[levels] * len(triangles.prim_ids) / 2.0**coarser)
-        side = _side(extent, min(wanted, MAX_CELLS / 4))
+        side = float(cube_side(extent, np.array([min(wanted, MAX_CELLS / 4)]))[0])
         side = max(side, LEAST_SIDE * GROWTH * float(triangles.extreme))
         counts = _counts(extent, side)
-    return Lattice.of(triangles, counts)
+    return Lattice.of(triangles.bounds, counts)
 
 
-def _counts(extent: np.ndarray[Any, np.dtype[np.float64]], side: float) -> tuple[int, ...]:
+def _counts(extent: NDArray[np.float64], side: float) -> tuple[int, ...]:
     return tuple(max(1, round(min(length / side, 2.0**40))) for length in extent.tolist())
 
 
-def _side(extent: np.ndarray[Any, np.dtype[np.float64]], wanted: float) -> float:
-    """Side of the cubes that fill a box in such a number; shorter axes than that have one."""
-    lengths = sorted(length for length in extent.tolist() if length > 0.0)
-    while True:
-        # The root is taken of each length, since their product may leave float64.
-        power = 1.0 / len(lengths)
-        side = math.prod(length**power for length in lengths) / wanted**power
-        if len(lengths) == 1 or lengths[0] >= side:
-            return side
-        del lengths[0]
+def cube_side(extent: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Side of the cubes that fill a box in such a number.
+
+    Parameters
+    ----------
+    extent : ndarray of shape (3,), float64
+        Lengths of the box. Axes shorter than a cube count as one cube long, flat ones too.
+    wanted : ndarray of shape (N,), float64
+        Numbers of cubes, at least 1.
+
+    Returns
+    -------
+    ndarray of shape (N,), float64
+    """
+    lengths = np.sort(extent[extent > 0.0])[::-1]
+    # The longest axis alone, and then with one more for as long as cubes fit in that one.
+    # Roots are taken of each length, since a product of lengths may leave float64.
+    side = lengths[0] / wanted
+    for axis in range(1, len(lengths)):
+        power = 1.0 / (axis + 1)
+        smaller = np.prod(lengths[: axis + 1] ** power) / wanted**power
+        side = np.where(smaller <= lengths[axis], smaller, side)
+    return side

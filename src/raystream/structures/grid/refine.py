@@ -7,7 +7,6 @@ several sizes.
 from __future__ import annotations
 
 import threading
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +16,9 @@ from raystream.core.triangles import Triangles
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for, thread_count
-from raystream.structures.grid.lattice import LEAST_SIDE, MAX_CELLS, Lattice
-from raystream.structures.grid.layout import (
-    MAX_FINE_AXIS,
-    MAX_REFERENCES,
-    FineArrays,
-    GridArrays,
-)
+from raystream.structures.grid.build import TooManyError, most_references
+from raystream.structures.grid.lattice import LEAST_SIDE, MAX_CELLS, Lattice, cube_side
+from raystream.structures.grid.layout import MAX_FINE_AXIS, FineArrays, GridArrays
 from raystream.structures.grid.overlap import range_along, spread
 
 __all__ = ["refine"]
@@ -33,14 +28,6 @@ _LONG_LIST = 6
 
 #: Cells for each triangle of a cell that is divided.
 _DENSITY = 2.5
-
-#: References for each one that is divided beyond which cells are made coarser, and how many
-#: there may be in any case.
-_MOST_REFERENCES, _FEW_REFERENCES = 16, 1 << 20
-
-
-class _TooManyError(Exception):
-    """Ends a count as soon as there are more references than allowed."""
 
 
 def refine(triangles: Triangles, lattice: Lattice, lists: GridArrays) -> FineArrays:
@@ -69,7 +56,7 @@ def refine(triangles: Triangles, lattice: Lattice, lists: GridArrays) -> FineArr
             return FineArrays.none()
         try:
             return _build(triangles, lattice, lists, cells, counts)
-        except _TooManyError:
+        except TooManyError:
             density /= 4.0
 
 
@@ -78,12 +65,11 @@ def _divided(
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Which cells are divided, and into how many along each axis."""
     cells = np.flatnonzero(list_sizes > _LONG_LIST)
+    if len(cells) == 0:
+        return cells, np.zeros((0, 3), np.int32)
     size = np.array(lattice.size)
-    solid = size[size > 0.0]
-    power = 1.0 / max(1, len(solid))
-    wanted = density * list_sizes[cells].astype(np.float64)
-    side = np.prod(solid**power) / wanted**power
-    side = np.maximum(side, LEAST_SIDE * lattice.growth)
+    wanted = np.maximum(1.0, density * list_sizes[cells].astype(np.float64))
+    side = np.maximum(cube_side(size, wanted), LEAST_SIDE * lattice.growth)
     counts = np.clip(np.rint(size / side[:, None]), 1, MAX_FINE_AXIS).astype(np.int32)
     several = counts.max(axis=1) > 1
     cells, counts = cells[several], counts[several]
@@ -103,8 +89,7 @@ def _build(
     firsts = fine.first_cells
     cell_count = int(firsts[-1])
     check_memory(cell_count * 8, f"levels: {cell_count:,} cells would", "choose 1")
-    divided = int(np.diff(lists.splits)[cells].sum(dtype=np.int64))
-    most = min(MAX_REFERENCES, max(_FEW_REFERENCES, _MOST_REFERENCES * divided))
+    most = most_references(len(triangles.prim_ids))
     splits = np.zeros(cell_count + 1, np.uint32)
     nothing = np.empty(0, np.int32)
     whole = lattice, lists, cells, counts, firsts, triangles.corners
@@ -130,15 +115,28 @@ def _spread_all(
     """Count the triangles of the finer cells, or write them; returns how many there are."""
     found = 0
     lock = threading.Lock()
-    arrays: tuple[Any, ...] = (*lists, cells, counts, firsts, corners, cursors, references)
+    splits, prim_ids = lists
 
     def body(begin: int, end: int) -> None:
         nonlocal found
-        here = _spread_cells(begin, end, lattice, *arrays, most)
+        here = _spread_cells(
+            begin,
+            end,
+            lattice,
+            splits,
+            prim_ids,
+            cells,
+            counts,
+            firsts,
+            corners,
+            cursors,
+            references,
+            most,
+        )
         with lock:
             found += here
         if found > most:
-            raise _TooManyError
+            raise TooManyError
 
     chunk = min(256, max(1, -(-len(cells) // (8 * thread_count()))))
     parallel_for(body, len(cells), chunk)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 import time
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import ray_queries
-from raystream.structures.base import BuildReport, Structure
+from raystream.structures.base import BuildReport, Structure, UpdateReport
 from raystream.structures.grid.build import build_grid
 from raystream.structures.grid.lattice import Lattice, check_cells, chosen_resolution
 from raystream.structures.grid.layout import (
@@ -25,9 +26,14 @@ from raystream.structures.grid.layout import (
     checked_array,
 )
 from raystream.structures.grid.refine import refine
+from raystream.structures.grid.statistics import statistics, trace_cost
 from raystream.structures.grid.traversal import STACK_BYTES, traverse
+from raystream.structures.grid.update import move_lists
 
 __all__ = ["Grid"]
+
+#: No local coordinate is beyond it, so that no distance leaves float32.
+_LARGEST_BOX = 2.0**60
 
 
 class Grid(Structure):
@@ -116,40 +122,20 @@ class Grid(Structure):
             byte_count=kept_bytes - self._kept[2].nbytes,
         )
 
+    @cached_property
+    def cost_when_built(self) -> float:
+        """Expected cost of a ray before triangles moved; see `UpdateReport`."""
+        return trace_cost(self.lattice, self.lists, self.fine, self.triangles.bounds)
+
     @property
     def arrays(self) -> GridAddresses:
         """Where the grid is; the structure keeps it."""
         return self._addresses
 
     def quality(self) -> dict[str, float]:
-        """Figures of the grid.
-
-        Returns
-        -------
-        dict of str to float
-            ``cells x``, ``cells y``, ``cells z``: cells along each axis; ``cells``: in all,
-            those of the second level included; ``divided cells``: those that have such;
-            ``empty share``: of the cells; ``references per triangle``, ``largest list``: of
-            the cells in which rays are tested; ``bytes``.
-        """
-        sizes = np.diff(self.lists.splits)
-        sizes[self.fine.cells] = 0
-        sizes = np.concatenate([sizes, np.diff(self.fine.lists.splits)])
-        x, y, z = self.lattice.counts
-        divided_count = len(self.fine.cells)
-        empty_count = np.count_nonzero(sizes == 0) - divided_count
-        reference_count = float(sizes.sum(dtype=np.int64))
-        return {
-            "cells x": float(x),
-            "cells y": float(y),
-            "cells z": float(z),
-            "cells": float(len(sizes)),
-            "divided cells": float(divided_count),
-            "empty share": float(empty_count / len(sizes)),
-            "references per triangle": reference_count / max(1, len(self.triangles.prim_ids)),
-            "largest list": float(sizes.max()),
-            "bytes": float(self.report.byte_count),
-        }
+        """Cells, empty ones, and how long lists are; see `statistics`."""
+        figures = statistics(self.lattice, self.lists, self.fine, len(self.triangles.prim_ids))
+        return {**figures, "bytes": float(self.report.byte_count)}
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The lists, how many cells there are, and the options that say so."""
@@ -159,6 +145,7 @@ class Grid(Structure):
             "splits": self.lists.splits,
             "references": self.lists.references,
             "counts": np.array(self.lattice.counts, np.int64),
+            "box": self.lattice.box,
             "fine_cells": self.fine.cells,
             "fine_counts": self.fine.counts,
             "fine_splits": self.fine.lists.splits,
@@ -181,7 +168,7 @@ class Grid(Structure):
             "levels": _checked_levels(levels),
         }
         check_cells("counts", counts)
-        lattice = Lattice.of(triangles, counts)
+        lattice = _saved_lattice(arrays, counts, triangles)
         if list(lattice.counts) != counts:
             raise ValueError("its cells are not those of the scene's box")
         solid = np.zeros(len(triangles), np.bool_)
@@ -195,6 +182,58 @@ class Grid(Structure):
         structure = cls.__new__(cls)
         structure._set(triangles, lattice, lists, fine, options, started)
         return structure
+
+    def updated(
+        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
+    ) -> tuple[Structure, UpdateReport]:
+        """Change the lists of cells that something moved in; see `Structure.updated`.
+
+        Notes
+        -----
+        Built anew is a grid whose box does not hold all triangles any more, or whose expected
+        cost grew too much, as when they gather in a part of the box. The second level is
+        made anew in any case.
+        """
+        started = time.perf_counter()
+        if self._holds(triangles):
+            lists = move_lists(self.triangles, triangles, self.lattice, self.lists)
+            is_fine = self.options["levels"] == 2
+            fine = refine(triangles, self.lattice, lists) if is_fine else FineArrays.none()
+            cost = trace_cost(self.lattice, lists, fine, triangles.bounds)
+            if cost <= max_cost_growth * self.cost_when_built:
+                moved = Grid.__new__(Grid)
+                moved.cost_when_built = self.cost_when_built
+                moved._set(triangles, self.lattice, lists, fine, self.options, started)
+                return moved, UpdateReport(False, moved.report.seconds, cost, self.cost_when_built)
+        rebuilt = Grid(triangles, progress=progress, **self.options)
+        cost = rebuilt.cost_when_built
+        return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
+
+    def _holds(self, triangles: Triangles) -> bool:
+        """Whether the grid's box has room for all, in the same frame."""
+        if len(self.triangles.prim_ids) == 0 or len(triangles.prim_ids) == 0:
+            return False
+        if triangles.scale != self.triangles.scale:
+            return False
+        if not np.array_equal(triangles.center, self.triangles.center):
+            return False
+        low, high = self.lattice.box
+        return bool((triangles.bounds[0] >= low).all() and (triangles.bounds[1] <= high).all())
+
+
+def _saved_lattice(
+    arrays: Mapping[str, NDArray[Any]], counts: list[int], triangles: Triangles
+) -> Lattice:
+    """The lattice of a file, whose box holds the triangles but may be larger."""
+    box = checked_array(arrays, "box", np.float32, (3,))
+    if len(box) != 2 or not (np.abs(box) <= _LARGEST_BOX).all():
+        raise ValueError("its box is no box, or too large")
+    low, high = triangles.bounds
+    if len(triangles.prim_ids) and ((box[0] > low).any() or (box[1] < high).any()):
+        raise ValueError("its box does not hold the triangles")
+    if (box[0] > box[1]).any():
+        raise ValueError("its box is no box, or too large")
+    return Lattice.of(box, counts)
 
 
 def _addresses(lattice: Lattice, kept: tuple[NDArray[Any], ...]) -> GridAddresses:

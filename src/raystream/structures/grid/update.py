@@ -1,0 +1,153 @@
+"""Moving triangles from cell to cell: only lists that something leaves or enters change.
+
+Purcell 2002, section 5.1, names grids as the structure that takes to moving triangles.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.memory import check_memory
+from raystream.core.triangles import Triangles
+from raystream.jit.cpu import kernel
+from raystream.jit.threads import parallel_for
+from raystream.structures.grid.build import find_layers, spread_layers
+from raystream.structures.grid.lattice import Lattice
+from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
+
+__all__ = ["move_lists"]
+
+#: Triangles, and cells, that one call of a kernel gets.
+_TRIANGLE_CHUNK = 1 << 14
+_CELL_CHUNK = 1 << 14
+
+
+def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArrays) -> GridArrays:
+    """Make the lists of moved triangles.
+
+    Parameters
+    ----------
+    old, new : Triangles
+        In the same frame, and both in the lattice's box.
+    lattice : Lattice
+    lists : GridArrays
+        Of the old ones; not changed.
+
+    Returns
+    -------
+    GridArrays
+        Those that `build.build_lists` would make of the new ones.
+
+    Raises
+    ------
+    MemoryError
+        If there is not enough memory.
+    """
+    was, now = _solid(old), _solid(new)
+    moved = np.empty(len(now), np.bool_)
+    arrays = _flat(old.corners), _flat(new.corners), was, now, moved
+
+    def compare(begin: int, end: int) -> None:
+        _compare(begin, end, *arrays)
+
+    parallel_for(compare, len(now), _TRIANGLE_CHUNK)
+
+    # Step 1: in how many cells something left, and how many triangles each gets.
+    cell_count = lattice.cell_count
+    check_memory(cell_count * 16, f"update: {cell_count:,} cells would")
+    left, kept, entered = (np.zeros(cell_count, np.uint32) for _ in range(3))
+    nothing = np.empty(0, np.int32)
+    ids = np.flatnonzero(moved & was).astype(np.int32)
+    spread_layers(old.corners, ids, lattice, find_layers(old.corners, ids, lattice), left, nothing)
+    ids = np.flatnonzero(moved & now).astype(np.int32)
+    layers = find_layers(new.corners, ids, lattice)
+    spread_layers(new.corners, ids, lattice, layers, entered, nothing)
+
+    # Step 2: room for what stays and what comes.
+    def count(begin: int, end: int) -> None:
+        _count_kept(begin, end, *lists, left, moved, kept)
+
+    parallel_for(count, cell_count, _CELL_CHUNK)
+    total = int(kept.sum(dtype=np.int64) + entered.sum(dtype=np.int64))
+    check_memory(total * 4, f"update: {total:,} references would")
+    if total > MAX_REFERENCES:
+        raise MemoryError(f"update: {total:,} references are more than {MAX_REFERENCES:,}")
+    splits = np.zeros(cell_count + 1, np.uint32)
+    np.add(kept, entered, out=splits[1:])
+    np.cumsum(splits, out=splits)
+    result = GridArrays(splits, np.empty(total, np.int32))
+
+    # Step 3: what stays, then what comes, then the order.
+    cursors = kept  # from here on: where what comes goes to
+
+    def keep(begin: int, end: int) -> None:
+        _copy_kept(begin, end, *lists, left, moved, *result, cursors)
+
+    parallel_for(keep, cell_count, _CELL_CHUNK)
+    spread_layers(new.corners, ids, lattice, layers, cursors, result.references)
+
+    def sort(begin: int, end: int) -> None:
+        _sort_lists(begin, end, *result, entered)
+
+    parallel_for(sort, cell_count, _CELL_CHUNK)
+    return result
+
+
+def _solid(triangles: Triangles) -> NDArray[np.bool_]:
+    solid = np.zeros(len(triangles), np.bool_)
+    solid[triangles.prim_ids] = True
+    return solid
+
+
+def _flat(corners: NDArray[np.float32]) -> NDArray[Any]:
+    return np.ascontiguousarray(corners).reshape(-1, 9)
+
+
+@kernel
+def _compare(begin, end, old, new, was, now, moved):
+    """Find the triangles that are elsewhere, or can be hit only before or after."""
+    for i in range(np.uint64(begin), np.uint64(end)):
+        differs = was[i] != now[i]
+        for k in range(np.uint64(9)):
+            differs |= old[i, k] != new[i, k]
+        moved[i] = differs
+
+
+@kernel
+def _count_kept(begin, end, splits, references, left, moved, kept):
+    """Count the triangles of each cell that did not move."""
+    for cell in range(np.uint64(begin), np.uint64(end)):
+        first, last = np.uint64(splits[cell]), np.uint64(splits[cell + np.uint64(1)])
+        count = last - first
+        if left[cell] != 0:
+            for row in range(first, last):
+                if moved[np.uint64(references[row])]:
+                    count -= np.uint64(1)
+        kept[cell] = count
+
+
+@kernel
+def _copy_kept(begin, end, splits, references, left, moved, new_splits, new_references, cursors):
+    """Copy the triangles of each cell that did not move; cursors become where they end."""
+    for cell in range(np.uint64(begin), np.uint64(end)):
+        to = np.uint64(new_splits[cell])
+        leaves = left[cell] != 0
+        for row in range(np.uint64(splits[cell]), np.uint64(splits[cell + np.uint64(1)])):
+            prim_id = references[row]
+            if not (leaves and moved[np.uint64(prim_id)]):
+                new_references[to] = prim_id
+                to += np.uint64(1)
+        cursors[cell] = to
+
+
+@kernel
+def _sort_lists(begin, end, splits, references, entered):
+    """Sort the lists that something entered: two runs in order each."""
+    for cell in range(np.uint64(begin), np.uint64(end)):
+        if entered[cell] == 0:
+            continue
+        first, last = np.int64(splits[cell]), np.int64(splits[cell + np.uint64(1)])
+        references[first:last].sort()
