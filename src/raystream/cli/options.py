@@ -43,7 +43,7 @@ __all__ = [
 #: The names that the library has, for help and completion; a test compares them.
 SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis")
-STRUCTURES = ("bvh", "brute", "grid")
+STRUCTURES = ("bvh", "kdtree", "grid", "brute")
 DEVICES = ("cpu",)
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")

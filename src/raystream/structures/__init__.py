@@ -10,11 +10,14 @@ from raystream.structures.base import Structure
 from raystream.structures.brute import Brute
 from raystream.structures.bvh import Bvh
 from raystream.structures.grid import Grid
+from raystream.structures.kdtree import KdTree
 
 __all__ = ["STRUCTURES", "Structure", "build_structure"]
 
 #: Structures by the name that `Tracer` takes.
-STRUCTURES: dict[str, type[Structure]] = {cls.name: cls for cls in (Brute, Bvh, Grid)}
+STRUCTURES: dict[str, type[Structure]] = {
+    cls.name: cls for cls in (Brute, Bvh, Grid, KdTree)
+}
 
 
 def build_structure(

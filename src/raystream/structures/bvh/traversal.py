@@ -54,7 +54,7 @@ from raystream.structures.bvh.wide import (
     t_key,
 )
 
-__all__ = ["STACK_BYTES", "TreeAddresses", "test_block", "traverse"]
+__all__ = ["STACK_BYTES", "LaneFrame", "TreeAddresses", "lane_frame", "test_block", "traverse"]
 
 _ONE = np.uint64(1)
 _NONE = np.uint64(0)
@@ -84,7 +84,7 @@ class TreeAddresses(NamedTuple):
     leaves: np.uint64
 
 
-class _Frame(NamedTuple):
+class LaneFrame(NamedTuple):
     """A ray's numbers in the order of its frame, and where a node or block has its axes."""
 
     plane: object
@@ -98,12 +98,13 @@ class _Frame(NamedTuple):
 
 
 @device
-def _frame(ray):
+def lane_frame(ray):
+    """What `test_block` needs of a ray."""
     kx, ky, kz = ray.kx, ray.ky, ray.kz
     inv_x = pick(kx, ray.inv_x, ray.inv_y, ray.inv_z)
     inv_y = pick(ky, ray.inv_x, ray.inv_y, ray.inv_z)
     inv_z = ray.sz
-    return _Frame(
+    return LaneFrame(
         (plane_offset(kx, inv_x), plane_offset(ky, inv_y), plane_offset(kz, inv_z)),
         (kx << np.uint64(4), ky << np.uint64(4), kz << np.uint64(4)),
         (inv_x, inv_y, inv_z),
@@ -136,7 +137,7 @@ def test_block(block, frame, t_min, t_far, surfaces, lanes):
     ----------
     block : uint64
         Address.
-    frame : _Frame
+    frame : LaneFrame
     t_min, t_far : float32
         Closed interval in which a hit is wanted.
     surfaces : bool
@@ -202,7 +203,7 @@ def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
     if tree.nodes == _NONE or not (t_min <= t_max):
         return count
     t_far = t_max
-    frame = _frame(ray)
+    frame = lane_frame(ray)
     lanes = scratch(64)
     numbers = scratch(32)
     for k in range(np.uint64(8)):

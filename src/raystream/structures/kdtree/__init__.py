@@ -1,0 +1,5 @@
+"""The kd-tree: nested split planes, and three ways through them (Foley 2005)."""
+
+from raystream.structures.kdtree.structure import KdTree
+
+__all__ = ["KdTree"]

@@ -1,0 +1,262 @@
+"""The arrays of a kd-tree, and the check that they are safe to traverse."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address, load, store
+from raystream.structures.bvh.layout import BLOCK_FLOATS, BLOCK_SIZE
+
+__all__ = [
+    "LEAF_AXIS",
+    "MAX_DEPTH",
+    "MAX_NODES",
+    "KdArrays",
+    "check_arrays",
+    "fill_blocks",
+    "walk",
+]
+
+#: Splits on the longest path that the builder makes and the traversal can take.
+MAX_DEPTH = 64
+
+#: Nodes of a tree: a child's number takes 29 bits.
+MAX_NODES = 1 << 29
+
+#: What a leaf has for an axis.
+LEAF_AXIS = 3
+
+_NAN = np.float32(np.nan)
+_WORD = np.uint64(4)
+_TRIANGLE_BYTES = np.uint64(36)
+_BLOCK_BYTES = np.uint64(4 * BLOCK_FLOATS)
+
+
+class KdArrays(NamedTuple):
+    """Nodes of 8 bytes, and leaves of blocks with 4 triangles each.
+
+    Attributes
+    ----------
+    nodes : ndarray of shape (M, 2), int32
+        Row 0 is the root; M is odd. A split: the position of its plane, as the bits of a
+        float32, local frame; ``left << 2 | axis``, where `left` is the row of the child below
+        the plane; the one above it has the next row. `left` is odd and greater than the
+        split's own row. A leaf: its first block; ``triangle_count << 2 | 3``.
+    prim_ids : ndarray of shape (B, 4), int32
+        The triangles of the blocks; -1 where there is none.
+    """
+
+    nodes: NDArray[np.int32]
+    prim_ids: NDArray[np.int32]
+
+
+@kernel
+def fill_blocks(begin, end, prim_ids, corners, blocks):
+    """Write the corners of triangles to blocks begin to end, NaN where there is none.
+
+    Parameters
+    ----------
+    begin, end : int
+    prim_ids : ndarray of shape (B, 4), int32
+    corners : ndarray of shape (F, 3, 3), float32
+    blocks : ndarray of shape (B, 40), float32
+        See `bvh.layout.BvhArrays.leaves`.
+    """
+    id_at, corner_at, block_at = address(prim_ids), address(corners), address(blocks)
+    for block in range(np.uint64(begin), np.uint64(end)):
+        to = block_at + block * _BLOCK_BYTES
+        for lane in range(np.uint64(4)):
+            at = lane * _WORD
+            prim_id = load(np.int32, id_at + block * np.uint64(16) + at)
+            for k in range(np.uint64(9)):
+                number = _NAN
+                if prim_id >= np.int32(0):
+                    source = corner_at + np.uint64(prim_id) * _TRIANGLE_BYTES + k * _WORD
+                    number = load(np.float32, source)
+                store(to + k * np.uint64(16) + at, number)
+            store(to + np.uint64(144) + at, prim_id)
+
+
+class Walk(NamedTuple):
+    """What `walk` finds in a tree.
+
+    Attributes
+    ----------
+    depth : int
+        Splits on the longest path.
+    leaf_count, empty_count : int
+        Leaves, and those without triangles.
+    reference_count : int
+        Triangles of all leaves, those in several counted as often.
+    splits_per_ray, leaves_per_ray, tests_per_ray : float
+        What a random line through the bounds meets, hits or no hits.
+    """
+
+    depth: int
+    leaf_count: int
+    empty_count: int
+    reference_count: int
+    splits_per_ray: float
+    leaves_per_ray: float
+    tests_per_ray: float
+
+
+@device
+def _half_area(cells, node):
+    x = np.float64(cells[node, 3]) - cells[node, 0]
+    y = np.float64(cells[node, 4]) - cells[node, 1]
+    z = np.float64(cells[node, 5]) - cells[node, 2]
+    return x * y + y * z + z * x
+
+
+@kernel
+def _walk(nodes, positions, cells, depths):
+    """Walk a tree that was checked; row 0 of `cells` is the scene's box."""
+    deepest, leaf_count, empty_count, reference_count = 0, 0, 0, 0
+    splits, leaves, tests = 0.0, 0.0, 0.0
+    whole = _half_area(cells, 0)
+    for node in range(len(nodes)):
+        axis, number = nodes[node, 1] & 3, nodes[node, 1] >> 2
+        area = _half_area(cells, node)
+        deepest = max(deepest, depths[node])
+        if axis == LEAF_AXIS:
+            leaf_count += 1
+            empty_count += number == 0
+            reference_count += number
+            leaves += area
+            tests += area * number
+            continue
+        splits += area
+        for side in range(2):
+            child = number + side
+            depths[child] = depths[node] + 1
+            for k in range(6):
+                cells[child, k] = cells[node, k]
+            inside = min(max(positions[node, 0], cells[node, axis]), cells[node, axis + 3])
+            cells[child, axis + 3 * (1 - side)] = inside
+    return (
+        (deepest, leaf_count, empty_count, reference_count),
+        (splits / whole, leaves / whole, tests / whole),
+    )
+
+
+def walk(nodes: NDArray[np.int32], bounds: NDArray[np.float32]) -> Walk:
+    """Look at each node of a tree, at least one; `bounds` of shape (2, 3) is the scene's box."""
+    cells = np.empty((len(nodes), 6), np.float32)
+    cells[0] = bounds.ravel()
+    depths = np.zeros(len(nodes), np.int32)
+    counts, sums = _walk(nodes, nodes.view(np.float32), cells, depths)
+    return Walk(*counts, *sums)
+
+
+# Codes that `_check_tree` returns.
+_BAD_CHILD, _BAD_PLANE, _BAD_LEAF, _BAD_ID, _MISSING = -1, -2, -3, -4, -5
+
+_FAULTS = {
+    _BAD_CHILD: "a node's child is out of range or has two parents",
+    _BAD_PLANE: "the plane of a split is nowhere",
+    _BAD_LEAF: "a leaf is out of range",
+    _BAD_ID: "a leaf has a triangle that is none, or lacks one",
+    _MISSING: "its leaves do not hold every triangle",
+}
+
+
+@kernel
+def _check_tree(nodes, positions, prim_ids, depths, solid, wanted):
+    """Depth of the tree, or a negative code for what is wrong with it."""
+    node_count, block_count = len(nodes), len(prim_ids)
+    deepest = 0
+    for node in range(node_count):
+        # Parents come before their children, so a node not reached by now never is.
+        if node > 0 and depths[node] == 0:
+            return _BAD_CHILD
+        axis, number = nodes[node, 1] & 3, np.int64(nodes[node, 1]) >> 2
+        if axis == LEAF_AXIS:
+            first = np.int64(nodes[node, 0])
+            if number < 0 or first < 0:
+                return _BAD_LEAF
+            if first + (number + BLOCK_SIZE - 1) // BLOCK_SIZE > block_count:
+                return _BAD_LEAF
+            for i in range(-(-number // BLOCK_SIZE) * BLOCK_SIZE):
+                prim_id = np.int64(prim_ids[first + i // BLOCK_SIZE, i % BLOCK_SIZE])
+                if i >= number:
+                    if prim_id != -1:
+                        return _BAD_ID
+                    continue
+                if prim_id < 0 or prim_id >= len(solid) or not solid[prim_id]:
+                    return _BAD_ID
+                wanted[prim_id] = False
+            continue
+        if not np.isfinite(positions[node, 0]):
+            return _BAD_PLANE
+        # A greater row than the parent's: no cycle. Not seen yet: one parent.
+        if number <= node or number + 1 >= node_count or number % 2 == 0 or depths[number] != 0:
+            return _BAD_CHILD
+        depths[number] = depths[number + 1] = depths[node] + 1
+        deepest = max(deepest, depths[number])
+    for row in range(len(wanted)):
+        if wanted[row]:
+            return _MISSING
+    return deepest
+
+
+def check_arrays(
+    arrays: Mapping[str, NDArray[Any]], solid_ids: NDArray[np.int32], triangle_count: int
+) -> KdArrays:
+    """Check a tree from a file: no traversal of it may read out of bounds or not end.
+
+    Parameters
+    ----------
+    arrays : mapping of str to ndarray
+        ``nodes`` and ``prim_ids``, see `KdArrays`.
+    solid_ids : ndarray of shape (A,), int32
+        The triangles that the tree must hold, and no others.
+    triangle_count : int
+        Of the scene.
+
+    Returns
+    -------
+    KdArrays
+
+    Raises
+    ------
+    ValueError
+        What is wrong.
+
+    Notes
+    -----
+    The tree may still be a wrong one, whose cells lack triangles. Every ray ends in any tree
+    that passes: see `steps`.
+    """
+    nodes = _array(arrays, "nodes", 2)
+    prim_ids = _array(arrays, "prim_ids", BLOCK_SIZE)
+    if len(nodes) == 0:
+        if len(solid_ids) or len(prim_ids):
+            raise ValueError(_FAULTS[_MISSING])
+        return KdArrays(nodes, prim_ids)
+    if len(nodes) % 2 == 0 or len(nodes) > MAX_NODES:
+        raise ValueError(f"a tree cannot have {len(nodes):,} nodes")
+    solid = np.zeros(triangle_count, np.bool_)
+    solid[solid_ids] = True
+    depths = np.zeros(len(nodes), np.int32)
+    positions = nodes.view(np.float32)
+    depth = _check_tree(nodes, positions, prim_ids, depths, solid, solid.copy())
+    if depth in _FAULTS:
+        raise ValueError(_FAULTS[depth])
+    if depth > MAX_DEPTH:
+        raise ValueError(f"the tree is {depth} splits deep; at most {MAX_DEPTH} are possible")
+    return KdArrays(nodes, prim_ids)
+
+
+def _array(arrays: Mapping[str, NDArray[Any]], name: str, columns: int) -> NDArray[np.int32]:
+    if name not in arrays:
+        raise ValueError(f"array {name!r} is missing")
+    array = arrays[name]
+    if array.dtype != np.int32 or array.ndim != 2 or array.shape[1] != columns:
+        raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
+    return np.ascontiguousarray(array)

@@ -1,0 +1,260 @@
+"""Choosing the plane that splits a cell: the surface area heuristic.
+
+Of few references every plane is tried at which a box begins or ends; of many, equidistant
+planes and the two ends of what the cell holds. A plane that cuts off empty space is cheaper by
+a bonus.
+
+References
+----------
+MacDonald and Booth, "Heuristics for ray tracing using space subdivision", The Visual Computer
+6(3), 1990. Havran and Bittner, "On improving kd-trees for ray shooting", WSCG 2002. Pharr and
+Humphreys, "Physically Based Rendering: From Theory to Implementation", 2004, whose rules for
+the bonus and for splits that do not pay at once these are.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import load, store
+from raystream.structures.kdtree.clip import BOX_BYTES, HIGH, WORD
+
+__all__ = ["LEAF", "WORK_BYTES", "Costs", "choose_split"]
+
+#: Cells of so many references or fewer try every plane.
+_EXACT = 128
+
+#: Equidistant planes of a cell cut each axis into so many bins.
+_BINS = 64
+
+#: Memory that `choose_split` needs: two lists of numbers, or two rows of bins.
+WORK_BYTES = 2 * 4 * _EXACT
+
+#: The axis of no split.
+LEAF = np.uint64(3)
+
+#: Splits in a row that may cost more than a leaf; and what cell is never split when it costs
+#: so much more (pbrt's numbers).
+_MAX_BAD_SPLITS = np.uint64(3)
+_FEW = np.uint64(16)
+_TOO_COSTLY = 4.0
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LAST_BIN = np.uint64(_BINS - 1)
+_EXACT_COUNT = np.uint64(_EXACT)
+_BIN_COUNT = np.uint64(_BINS)
+_HALF_WORK = np.uint64(4 * _EXACT)
+_BIN_SHARE = np.float32(1.0 / _BINS)
+_INF = np.float32(np.inf)
+_ZERO = np.float32(0.0)
+
+
+class Costs(NamedTuple):
+    """The cost model.
+
+    Attributes
+    ----------
+    traversal, intersection : float
+        Time of a step at a split, and of a triangle test; only their ratio matters.
+    empty_bonus : float
+        Share of the cost that is taken off where one side is empty.
+    """
+
+    traversal: float
+    intersection: float
+    empty_bonus: float
+
+
+class _Axis(NamedTuple):
+    """A cell as seen along one axis: its ends, and half its surface as base + length * side."""
+
+    low: np.float32
+    high: np.float32
+    base: np.float64
+    side: np.float64
+
+
+@device
+def _axis_of(cell, axis):
+    step = axis * WORD
+    other = (axis + _ONE if axis < np.uint64(2) else _NONE) * WORD
+    third = np.uint64(12) - step - other  # the offsets 0, 4 and 8 add up to it
+    low, high = load(np.float32, cell + step), load(np.float32, cell + HIGH + step)
+    d = np.float64(load(np.float32, cell + HIGH + other)) - load(np.float32, cell + other)
+    e = np.float64(load(np.float32, cell + HIGH + third)) - load(np.float32, cell + third)
+    return _Axis(low, high, d * e, d + e)
+
+
+@device
+def _price(costs, along, position, below, above):
+    """Expected cost of a split, with so many references on either side."""
+    length_below = np.float64(position) - along.low
+    length_above = np.float64(along.high) - position
+    area = along.base + (length_below + length_above) * along.side
+    tests = (along.base + length_below * along.side) * np.float64(below)
+    tests += (along.base + length_above * along.side) * np.float64(above)
+    if below == _NONE or above == _NONE:
+        tests *= 1.0 - costs.empty_bonus
+    return costs.traversal + costs.intersection * tests / area
+
+
+@device
+def _sort(at, count):
+    """Sort float32 numbers by insertion: they are few."""
+    for i in range(_ONE, count):
+        number = load(np.float32, at + i * WORD)
+        hole = i
+        while hole != _NONE:
+            before = load(np.float32, at + (hole - _ONE) * WORD)
+            if not before > number:
+                break
+            store(at + hole * WORD, before)
+            hole -= _ONE
+        store(at + hole * WORD, number)
+
+
+@device
+def _at(list_, place, count):
+    return load(np.float32, list_ + place * WORD) if place < count else _INF
+
+
+@device_call
+def _find_exact(boxes, begin, end, cell, costs, work):
+    """The best plane of all at which a box begins or ends: axis, position, cost."""
+    count = end - begin
+    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    starts, ends = work, work + _HALF_WORK
+    for axis in range(np.uint64(3)):
+        along = _axis_of(cell, axis)
+        for i in range(count):
+            box = boxes + (begin + i) * BOX_BYTES + axis * WORD
+            store(starts + i * WORD, load(np.float32, box))
+            store(ends + i * WORD, load(np.float32, box + HIGH))
+        _sort(starts, count)
+        _sort(ends, count)
+        begun, ended = _NONE, _NONE
+        while begun < count or ended < count:
+            position = min(_at(starts, begun, count), _at(ends, ended, count))
+            while ended < count and load(np.float32, ends + ended * WORD) <= position:
+                ended += _ONE
+            if position > along.low and position < along.high:
+                cost = _price(costs, along, position, begun, count - ended)
+                if cost < best_cost:
+                    best_axis, best_position, best_cost = axis, position, cost
+            while begun < count and load(np.float32, starts + begun * WORD) <= position:
+                begun += _ONE
+    return best_axis, best_position, best_cost
+
+
+@device
+def _bin(number, low, scale):
+    return min(np.uint64(max((number - low) * scale, _ZERO)), _LAST_BIN)
+
+
+@device
+def _count_one(at):
+    store(at, np.int32(load(np.int32, at) + np.int32(1)))
+
+
+@device_call
+def _find_binned(boxes, begin, end, cell, costs, work):
+    """The best of some planes: axis, position, cost."""
+    count = end - begin
+    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    starts, ends = work, work + _HALF_WORK
+    for axis in range(np.uint64(3)):
+        along = _axis_of(cell, axis)
+        width = (along.high - along.low) * _BIN_SHARE
+        scale = np.float32(1.0) / width
+        if not (width > _ZERO and scale < _INF):
+            continue
+        for k in range(_BIN_COUNT):
+            store(starts + k * WORD, np.int32(0))
+            store(ends + k * WORD, np.int32(0))
+        lowest, highest = _INF, -_INF
+        for i in range(begin, end):
+            box = boxes + i * BOX_BYTES + axis * WORD
+            low, high = load(np.float32, box), load(np.float32, box + HIGH)
+            lowest, highest = min(lowest, low), max(highest, high)
+            _count_one(starts + _bin(low, along.low, scale) * WORD)
+            _count_one(ends + _bin(high, along.low, scale) * WORD)
+        begun, ended = _NONE, _NONE
+        for k in range(_BIN_COUNT):
+            begun += np.uint64(load(np.int32, starts + k * WORD))
+            ended += np.uint64(load(np.int32, ends + k * WORD))
+            position = along.low + np.float32(k + _ONE) * width
+            if position > along.low and position < along.high:
+                cost = _price(costs, along, position, begun, count - ended)
+                if cost < best_cost:
+                    best_axis, best_position, best_cost = axis, position, cost
+        if lowest > along.low and lowest < along.high:
+            cost = _price(costs, along, lowest, _NONE, count)
+            if cost < best_cost:
+                best_axis, best_position, best_cost = axis, lowest, cost
+        if highest > along.low and highest < along.high:
+            cost = _price(costs, along, highest, count, _NONE)
+            if cost < best_cost:
+                best_axis, best_position, best_cost = axis, highest, cost
+    return best_axis, best_position, best_cost
+
+
+@device_call
+def _count_sides(boxes, begin, end, axis, position):
+    """References on both sides of a plane together, those on it counted twice."""
+    total = _NONE
+    for i in range(begin, end):
+        box = boxes + i * BOX_BYTES + axis * WORD
+        low, high = load(np.float32, box), load(np.float32, box + HIGH)
+        total += _ONE
+        if low < position and high > position:
+            total += _ONE
+    return total
+
+
+@device_call
+def choose_split(boxes, begin, end, cell, bad_splits, room, costs, work):
+    """Decide whether a cell is split, and where.
+
+    Parameters
+    ----------
+    boxes : uint64
+        Address of all references' boxes.
+    begin, end : uint64
+        The cell's.
+    cell : uint64
+        Address of its box.
+    bad_splits : uint64
+        Splits above it that cost more than a leaf.
+    room : uint64
+        References that its leaves may have.
+    costs : Costs
+    work : uint64
+        Address of `WORK_BYTES`.
+
+    Returns
+    -------
+    axis : uint64
+        0 to 2, or `LEAF`.
+    position : float32
+    bad_splits : uint64
+        For its parts.
+    """
+    count = end - begin
+    if count <= _EXACT_COUNT:
+        axis, position, cost = _find_exact(boxes, begin, end, cell, costs, work)
+    else:
+        axis, position, cost = _find_binned(boxes, begin, end, cell, costs, work)
+    leaf_cost = costs.intersection * np.float64(count)
+    if cost > leaf_cost:
+        bad_splits += _ONE
+    if axis == LEAF or bad_splits >= _MAX_BAD_SPLITS:
+        return LEAF, position, bad_splits
+    if cost > _TOO_COSTLY * leaf_cost and count < _FEW:
+        return LEAF, position, bad_splits
+    if _count_sides(boxes, begin, end, axis, position) > room:
+        return LEAF, position, bad_splits
+    return axis, position, bad_splits

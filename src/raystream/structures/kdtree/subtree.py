@@ -1,0 +1,311 @@
+"""Growing the kd-tree over a cell's references on one thread."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.simd import address, load, scratch, store
+from raystream.structures.kdtree.clip import BOX_BYTES, HIGH, WORD, tighten
+from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_DEPTH
+from raystream.structures.kdtree.split import LEAF, WORK_BYTES, choose_split
+
+__all__ = ["grow_subtree", "make_references", "place_subtree", "split_range"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_LANES = np.uint64(4)
+_NODE = np.uint64(8)
+_TRIANGLE = np.uint64(36)
+_LEAF_BITS = np.int32(LEAF_AXIS)
+_ABSENT = np.int32(-1)
+
+#: Cells that wait: begin, end, node, depth, bad splits and room (uint64), and the box.
+_PENDING = np.uint64(72)
+_PENDING_BYTES = 72 * (MAX_DEPTH + 2)
+_END_AT, _NODE_AT, _DEPTH_AT = np.uint64(8), np.uint64(16), np.uint64(24)
+_BAD_AT, _ROOM_AT, _CELL_AT = np.uint64(32), np.uint64(40), np.uint64(48)
+
+
+@kernel
+def make_references(begin, end, corners, prim_ids, bound, boxes, bounds):
+    """Write the grown boxes of triangles to rows begin to end of `boxes`, and their bounds.
+
+    Parameters
+    ----------
+    begin, end : int
+    corners : ndarray of shape (F, 3, 3), float32
+    prim_ids : ndarray of shape (A,), int32
+        Rows of `corners`.
+    bound : float32
+        How far they are grown.
+    boxes : ndarray of shape (A, 6), float32
+        Low x, y, z, high x, y, z.
+    bounds : ndarray of shape (6,), float32
+    """
+    for i in range(np.uint64(begin), np.uint64(end)):
+        prim_id = np.uint64(prim_ids[i])
+        for axis in range(np.uint64(3)):
+            a, b, c = (
+                corners[prim_id, 0, axis],
+                corners[prim_id, 1, axis],
+                corners[prim_id, 2, axis],
+            )
+            low, high = min(a, b, c) - bound, max(a, b, c) + bound
+            boxes[i, axis], boxes[i, axis + np.uint64(3)] = low, high
+            bounds[axis] = min(bounds[axis], low)
+            bounds[axis + np.uint64(3)] = max(bounds[axis + np.uint64(3)], high)
+
+
+@device
+def _copy_box(to, source):
+    for k in range(np.uint64(6)):
+        store(to + k * WORD, load(np.float32, source + k * WORD))
+
+
+@device_call
+def _partition(boxes, ids, begin, end, axis, position, corners, bound):
+    """Part a cell's references at a plane, and cut those that it meets.
+
+    Those above stay, from row `begin` on; those below are written from row `end` on.
+
+    Returns
+    -------
+    above_end, below_end : uint64
+    """
+    above, below = begin, end
+    step = axis * WORD
+    for i in range(begin, end):
+        box, prim_id = boxes + i * BOX_BYTES, load(np.int32, ids + i * WORD)
+        triangle = corners + np.uint64(prim_id) * _TRIANGLE
+        low, high = load(np.float32, box + step), load(np.float32, box + HIGH + step)
+        is_above = high > position
+        is_below = low < position or not is_above
+        is_cut = is_above and is_below
+        if is_below:
+            to = boxes + below * BOX_BYTES
+            _copy_box(to, box)
+            if is_cut:
+                store(to + HIGH + step, position)
+                is_below = tighten(triangle, bound, to)
+        if is_above:
+            to = boxes + above * BOX_BYTES
+            _copy_box(to, box)
+            if is_cut:
+                store(to + step, position)
+                # Rounding must not lose it on both sides.
+                is_above = tighten(triangle, bound, to) or not is_below
+            if is_above:
+                store(ids + above * WORD, prim_id)
+                above += _ONE
+        if is_below:
+            store(ids + below * WORD, prim_id)
+            below += _ONE
+    return above, below
+
+
+@kernel
+def split_range(boxes, ids, count, cell, bad_splits, room, corners, bound, costs, result):
+    """Split a cell in two, if that pays.
+
+    Parameters
+    ----------
+    boxes, ids : ndarray of shape (3 N, 6), float32, and (3 N,), int32
+        References; the rows from `count` on are free. Written: those above the plane from
+        row 0 on, those below it from row `count` on.
+    count : int
+        N; 0 does nothing.
+    cell : ndarray of shape (6,), float32
+    bad_splits, room : int
+        See `choose_split`.
+    corners : ndarray of shape (F, 3, 3), float32
+    bound : float
+    costs : Costs
+    result : ndarray of shape (4,), int64
+        Written: axis, or 3; bad splits; end of the rows above, and of those below.
+
+    Returns
+    -------
+    float32
+        The position of the plane.
+    """
+    position = np.float32(0.0)
+    if count == 0:
+        return position
+    end = np.uint64(count)
+    axis, position, bad = choose_split(
+        address(boxes),
+        _NONE,
+        end,
+        address(cell),
+        np.uint64(bad_splits),
+        np.uint64(room),
+        costs,
+        scratch(WORK_BYTES),
+    )
+    result[0], result[1] = axis, bad
+    if axis != LEAF:
+        above, below = _partition(
+            address(boxes), address(ids), _NONE, end, axis, position, address(corners), bound
+        )
+        result[2], result[3] = above, below
+    return position
+
+
+@device
+def _put_pending(to, begin, end, node, depth, bad_splits, room):
+    store(to, begin)
+    store(to + _END_AT, end)
+    store(to + _NODE_AT, node)
+    store(to + _DEPTH_AT, depth)
+    store(to + _BAD_AT, bad_splits)
+    store(to + _ROOM_AT, room)
+
+
+@device
+def _put_leaf(node, ids, begin, end, leaf_ids, block):
+    """Write a leaf, and its triangles from a block on; returns the block after them."""
+    count = end - begin
+    store(node, np.int32(block))
+    store(node + WORD, np.int32((np.int32(count) << np.int32(2)) | _LEAF_BITS))
+    next_block = block + (count + _LANES - _ONE) // _LANES
+    to, last = leaf_ids + block * _LANES * WORD, leaf_ids + next_block * _LANES * WORD
+    for i in range(begin, end):
+        store(to, load(np.int32, ids + i * WORD))
+        to += WORD
+    while to != last:
+        store(to, _ABSENT)
+        to += WORD
+    return next_block
+
+
+@kernel
+def grow_subtree(
+    boxes,
+    ids,
+    count,
+    cell,
+    depth,
+    max_depth,
+    bad_splits,
+    room,
+    max_leaf_size,
+    corners,
+    bound,
+    costs,
+    nodes,
+    leaf_ids,
+    result,
+):
+    """Build all of the tree over a cell.
+
+    Parameters
+    ----------
+    boxes, ids : ndarray of shape (A, 6), float32, and (A,), int32
+        The cell's references, then free rows: A is 2 room + count or more.
+    count : int
+        0 does nothing.
+    cell : ndarray of shape (6,), float32
+    depth, max_depth : int
+        Splits above the cell, and on a path at most.
+    bad_splits, room : int
+        See `choose_split`.
+    max_leaf_size : int
+        Cells of so many references are not split.
+    corners : ndarray of shape (F, 3, 3), float32
+    bound : float
+    costs : Costs
+    nodes : ndarray of shape (M, 2), int32
+        Written: the tree, as `layout.KdArrays.nodes`. Cells are not split once it is full.
+    leaf_ids : ndarray of shape (room / 4 + M / 2 + 2, 4), int32
+        Written: the triangles of the leaves.
+    result : ndarray of shape (2,), int64
+        Written: numbers of nodes and of blocks.
+    """
+    if count == 0:
+        return
+    box_at, id_at, node_at, leaf_at = (
+        address(boxes),
+        address(ids),
+        address(nodes),
+        address(leaf_ids),
+    )
+    pending, work = scratch(_PENDING_BYTES), scratch(WORK_BYTES)
+    first_room = np.uint64(room)
+    _put_pending(
+        pending, _NONE, np.uint64(count), _NONE, np.uint64(depth), np.uint64(bad_splits), first_room
+    )
+    _copy_box(pending + _CELL_AT, address(cell))
+    node_end, block = _ONE, _NONE
+    top = pending + _PENDING
+    while top != pending:
+        top -= _PENDING
+        begin, end = load(np.uint64, top), load(np.uint64, top + _END_AT)
+        node = node_at + load(np.uint64, top + _NODE_AT) * _NODE
+        level, left_room = load(np.uint64, top + _DEPTH_AT), load(np.uint64, top + _ROOM_AT)
+        axis, position, bad = LEAF, np.float32(0.0), _NONE
+        is_large = end - begin > np.uint64(max_leaf_size)
+        if is_large and level < np.uint64(max_depth) and node_end + _TWO <= np.uint64(len(nodes)):
+            axis, position, bad = choose_split(
+                box_at,
+                begin,
+                end,
+                top + _CELL_AT,
+                load(np.uint64, top + _BAD_AT),
+                left_room,
+                costs,
+                work,
+            )
+        if axis == LEAF:
+            block = _put_leaf(node, id_at, begin, end, leaf_at, block)
+            continue
+        store(node, position)
+        store(node + WORD, np.int32(node_end << _TWO | axis))
+        above_end, below_end = _partition(
+            box_at, id_at, begin, end, axis, position, address(corners), bound
+        )
+        # Those below move down, so that all free rows are behind them.
+        below_count = below_end - end
+        for i in range(below_count):
+            _copy_box(box_at + (above_end + i) * BOX_BYTES, box_at + (end + i) * BOX_BYTES)
+            store(id_at + (above_end + i) * WORD, load(np.int32, id_at + (end + i) * WORD))
+        below_end = above_end + below_count
+        # Both parts get room in proportion, and at least what they have: choose_split has
+        # seen to it that there is enough.
+        above_room = left_room * (above_end - begin) // max(below_end - begin, _ONE)
+        above_room = max(above_room, above_end - begin)
+        above_room = min(above_room, left_room - below_count)
+        below = top + _PENDING
+        _copy_box(below + _CELL_AT, top + _CELL_AT)
+        step = axis * WORD
+        store(top + _CELL_AT + step, position)
+        store(below + _CELL_AT + HIGH + step, position)
+        level += _ONE
+        _put_pending(top, begin, above_end, node_end + _ONE, level, bad, above_room)
+        _put_pending(below, above_end, below_end, node_end, level, bad, left_room - above_room)
+        top = below + _PENDING
+        node_end += _TWO
+    result[0], result[1] = node_end, block
+
+
+@kernel
+def place_subtree(begin, end, nodes, slot, base, first_block, tree):
+    """Copy a subtree's nodes into the tree: its root to row `slot`, the others from `base` on.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rows of `nodes` to copy.
+    nodes : ndarray of shape (M, 2), int32
+    slot, base, first_block : int
+        `base` is odd.
+    tree : ndarray of shape (T, 2), int32
+    """
+    for i in range(begin, end):
+        to = slot if i == 0 else base + i - 1
+        first, word = nodes[i, 0], nodes[i, 1]
+        if word & 3 == LEAF_AXIS:
+            tree[to, 0], tree[to, 1] = first + first_block, word
+        else:
+            tree[to, 0], tree[to, 1] = first, word + ((base - 1) << 2)
