@@ -1,7 +1,6 @@
 """Millions of hard rays: does a structure return brute force's bits?
 
-    python benchmarks/agreement.py --rays 5000000
-    python benchmarks/agreement.py --rays 5000000 --structure grid
+    python benchmarks/agreement.py --rays 5000000 --structure bvh
 
 Runs every case of the test suite again and again with other seeds, more rays, and intervals
 of all kinds (t_min above, at and below zero), and counts the rays whose answer differs in any
@@ -20,18 +19,6 @@ import raystream as rs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import cases
-
-
-#: Build options of each structure, one after another.
-OPTIONS = {
-    "bvh": [{"max_leaf_size": 2}],
-    "grid": [
-        {"resolution": (7, 3, 5)},
-        {},
-        {"resolution": 3, "levels": 2},
-        {"min_resolution": 16},
-    ],
-}
 
 
 def differing(tracer, oracle, rays):
@@ -66,6 +53,23 @@ def limits(kind, t, rng):
     }[kind]
 
 
+#: Options of the structures, taken in turn: trees that are as deep as can be.
+OPTIONS = {
+    "bvh": [{"max_leaf_size": 2}],
+    "grid": [
+        {"resolution": (7, 3, 5)},
+        {},
+        {"resolution": 3, "levels": 2},
+        {"min_resolution": 16},
+    ],
+    "kdtree": [
+        {"traversal": traversal, "layout": layout, "intersection_cost": cost}
+        for traversal in ("stack", "restart", "backtrack")
+        for layout, cost in (("compact", 12.0), ("foley", 100.0))
+    ],
+}
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--rays", type=int, default=1_000_000)
@@ -78,11 +82,11 @@ def main():
     kinds = ["t_min = 0", "t_min > 0", "t_min < 0", "t_min = t of a hit", "t_max = t of a hit"]
     seed = arguments.seed
     while sum(done.values()) < arguments.rays:
-        for make in cases.CASES.values():
+        for number, make in enumerate(cases.CASES.values()):
             rng = np.random.default_rng([seed, sum(done.values())])
             case = make(rng)
-            options = OPTIONS[arguments.structure]
-            options = options[seed % len(options)]
+            choices = OPTIONS[arguments.structure]
+            options = choices[(seed + number) % len(choices)]
             tracer = rs.Tracer(case.scene, arguments.structure, **options)
             oracle = rs.Tracer(case.scene, "brute")
             rays = {"origins": case.origins, "directions": case.directions}

@@ -29,6 +29,27 @@ TRACERS = {
     "grid, one cell": {"structure": "grid", "resolution": 1},
     "grid, 7 x 3 x 5": {"structure": "grid", "resolution": (7, 3, 5)},
     "grid, two levels": {"structure": "grid", "resolution": (2, 3, 2), "levels": 2},
+    "kdtree, stack": {"structure": "kdtree"},
+    "kdtree, restart": {"structure": "kdtree", "traversal": "restart", "intersection_cost": 12.0},
+    "kdtree, backtrack": {
+        "structure": "kdtree",
+        "traversal": "backtrack",
+        "intersection_cost": 12.0,
+        "empty_bonus": 0.8,
+    },
+    "kdtree, Foley's": {
+        "structure": "kdtree",
+        "traversal": "backtrack",
+        "layout": "foley",
+        "traversal_cost": 8.0,
+        "intersection_cost": 1.0,
+    },
+    "kdtree, shallow": {
+        "structure": "kdtree",
+        "layout": "foley",
+        "intersection_cost": 12.0,
+        "max_depth": 3,
+    },
 }
 
 

@@ -25,6 +25,22 @@ def test_bvh_equals_brute_force(drawn):
 
 
 @quiet
+@given(
+    scenes_and_rays(),
+    st.sampled_from(["stack", "restart", "backtrack"]),
+    st.sampled_from(["compact", "foley"]),
+    st.sampled_from([1.0, 10.0, 1000.0]),
+    st.sampled_from([(0.0, np.inf), (-np.inf, np.inf), (0.5, 1.5)]),
+)
+def test_kdtree_equals_brute_force(drawn, traversal, layout, intersection_cost, limits):
+    vertices, faces, origins, directions = drawn
+    scene = rs.Scene.from_arrays(vertices, faces)
+    rays = {"origins": origins, "directions": directions, "t_min": limits[0], "t_max": limits[1]}
+    options = {"traversal": traversal, "layout": layout, "intersection_cost": intersection_cost}
+    assert_same_answers(rs.Tracer(scene, "kdtree", **options), rs.Tracer(scene, "brute"), rays)
+
+
+@quiet
 @given(scenes_and_rays(), st.floats(-2, 2, width=32), st.floats(-1, 3, width=32))
 def test_intervals_select_among_the_hits(drawn, t_min, length):
     """A closed interval gives just the hits of the whole line that lie in it."""
