@@ -15,9 +15,7 @@ from raystream.structures.kdtree import KdTree
 __all__ = ["STRUCTURES", "Structure", "build_structure"]
 
 #: Structures by the name that `Tracer` takes.
-STRUCTURES: dict[str, type[Structure]] = {
-    cls.name: cls for cls in (Brute, Bvh, Grid, KdTree)
-}
+STRUCTURES: dict[str, type[Structure]] = {cls.name: cls for cls in (Brute, Bvh, Grid, KdTree)}
 
 
 def build_structure(
