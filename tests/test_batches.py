@@ -122,3 +122,16 @@ def test_rays_are_sorted_in_parts(monkeypatch, rng):
         assert_same_bits(tracer.any_hit(**some), expected.is_hit[part])
         assert seen == sorted(seen)
         assert seen[-1] == len(some["origins"])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_limit_of_minus_zero_is_zero(make_tracer, dtype):
+    scene = rs.Scene.from_arrays([[0, 0, 0], [0, 1, 0], [1, 0, 0]], [[0, 1, 2]])
+    tracer = make_tracer(scene)
+    origins, directions = np.zeros((40, 3), dtype), np.tile(np.array([0, 0, 1], dtype), (40, 1))
+    for limits in ({"t_max": -0.0}, {"t_min": -0.0}, {"t_min": -0.0, "t_max": -0.0}):
+        assert (tracer.first_hit(origins, directions, **limits).t == 0.0).all()
+        assert tracer.any_hit(origins, directions, **limits).all()
+        assert (tracer.count_hits(origins, directions, **limits) == 1).all()
+        assert (tracer.multi_hit(origins, directions, **limits).counts == 1).all()
+        assert tracer.multi_hit(origins, directions, **limits, max_hits=1).t.tolist() == [0.0] * 40

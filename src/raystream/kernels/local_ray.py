@@ -255,8 +255,9 @@ def localise(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
         np.float32(dx),
         np.float32(dy),
         np.float32(dz),
-        _local_limit(t_min, factor, offset, -1),
-        _local_limit(t_max, factor, offset, 1),
+        # Adding zero turns -0 into 0, whose bits are in the order of the numbers.
+        _local_limit(t_min, factor, offset, -1) + _ZERO,
+        _local_limit(t_max, factor, offset, 1) + _ZERO,
         factor,
         offset,
         _VALID,

@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 _VALID = np.uint8(RayStatus.VALID)
+_ZERO = np.float32(0.0)
 _Y = np.uint64(4)
 _Z = np.uint64(8)
 
@@ -218,8 +219,9 @@ def load_ray(source, i, frame):
         power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
         factor = power * frame.inverse_scale
         inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
-        low = np.float32(np.float64(t_min) * inverse)
-        high = np.float32(np.float64(t_max) * inverse)
+        # Adding zero turns -0 into 0, whose bits are in the order of the numbers.
+        low = np.float32(np.float64(t_min) * inverse) + _ZERO
+        high = np.float32(np.float64(t_max) * inverse) + _ZERO
         if np.float64(low) * factor == t_min and np.float64(high) * factor == t_max:
             return LocalRay(
                 ox,

@@ -159,8 +159,8 @@ def _localise_group(packet, long, rays, t_min, t_max, source, first, frame, stat
     power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
     factor = power * frame.inverse_scale
     inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
-    low = narrow(widen(t_min) * inverse)
-    high = narrow(widen(t_max) * inverse)
+    low = narrow(widen(t_min) * inverse) + _ZERO
+    high = narrow(widen(t_max) * inverse) + _ZERO
     reach = NEAR_REACH * frame.extreme
     near_by = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz)) <= reach
     short = (
