@@ -84,14 +84,24 @@ def test_without_scene_a_built_in_one(run):
     assert pixels("out.png").std() > 10
 
 
-def test_structures_give_one_picture(run):
-    for structure in ("bvh", "brute"):
+@pytest.mark.parametrize(
+    ("structure", "options"),
+    [
+        ("bvh", ["--option", "quality=fast", "--option", "max_leaf_size=8"]),
+        ("grid", ["--option", "resolution=[3, 2, 4]"]),
+        ("kdtree", ["--traversal", "restart"]),
+        ("kdtree", ["--traversal", "backtrack", "--option", "layout=foley"]),
+    ],
+)
+def test_structures_give_one_picture(run, structure, options):
+    for name, more in ((structure, options), ("brute", [])):
         result = run(
-            *("render", "cornell", "--size", "32x24", "--structure", structure, "--json"),
-            *("-o", f"{structure}.png", "--threads", 1),
+            *("render", "cornell", "--size", "32x24", "--structure", name, "--json"),
+            *("-o", f"{name}.png", "--threads", 1),
+            *more,
         )
-        assert result.figures["structure"] == structure
-    np.testing.assert_array_equal(pixels("bvh.png"), pixels("brute.png"))
+        assert result.figures["structure"] == name
+    np.testing.assert_array_equal(pixels(f"{structure}.png"), pixels("brute.png"))
 
 
 def test_exposure_brightens_a_png(run):
@@ -146,6 +156,13 @@ def test_scene_with_nothing_to_hit_is_legal(run, tmp_path):
         (["--camera", "fov=180"], "fov"),
         (["--camera", "eye=1,2,3 look-at=1,2,3"], "look_at"),
         (["--camera", "up=0,0,1"], "up"),
+        (["--traversal", "diagonal"], "--traversal"),
+        (["--traversal", "stack"], "bvh: has no option 'traversal'"),
+        (["--option", "quality"], "KEY=VALUE"),
+        (["--option", "quality=best"], "quality"),
+        (["--option", "structure=grid"], "--structure"),
+        (["--structure", "grid", "--option", "resolution=0"], "resolution"),
+        (["--structure", "grid", "--option", "cells=5"], "has no option 'cells'"),
         (["-o", "out.jpg"], "out.jpg"),
         (["-o", "out"], "out"),
         (["-o", "nowhere/out.png"], "nowhere"),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import json as json_text
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.keywords import parse_keywords
 from raystream.cli.messages import (
     BadInputError,
     one_line,
@@ -175,13 +175,13 @@ def _names(option: str, text: str, known: tuple[str, ...]) -> list[str]:
 def _entries(peers: list[str], option: list[str], variants: list[str]) -> list[Entry]:
     from raystream.bench.contenders import Entry
 
-    shared = _parse_options("--option", option)
+    shared = parse_keywords("--option", option)
     entries = [Entry("raystream", "raystream", shared)]
     for text in variants:
         name, colon, rest = text.partition(":")
         if not colon or not name.strip() or "=" in name:
             raise BadInputError(f"--variant: expected NAME:KEY=VALUE,..., got {text!r}")
-        own = _parse_options("--variant", rest.split(","))
+        own = parse_keywords("--variant", rest.split(","))
         entries.append(Entry(name.strip(), "raystream", {**shared, **own}))
     entries += [Entry(name, name, {}) for name in peers]
     labels = [entry.label for entry in entries]
@@ -189,22 +189,6 @@ def _entries(peers: list[str], option: list[str], variants: list[str]) -> list[E
         if labels.count(label) > 1:
             raise BadInputError(f"--variant or --peers: {label!r} is there twice")
     return entries
-
-
-def _parse_options(where: str, words: list[str]) -> dict[str, Any]:
-    """Read ``key=value``; a value is a number, true, false or null, else text."""
-    parsed: dict[str, Any] = {}
-    for word in words:
-        key, equals, value = word.strip().partition("=")
-        if not equals or not key.isidentifier():
-            raise BadInputError(f"{where}: expected KEY=VALUE, got {word!r}")
-        if key in ("scene", "progress"):
-            raise BadInputError(f"{where}: {key} cannot be chosen")
-        try:
-            parsed[key] = json_text.loads(value)
-        except ValueError:
-            parsed[key] = value
-    return parsed
 
 
 def _show(result: BenchResult, json: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.keywords import tracer_options
 from raystream.cli.messages import write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer
 from raystream.cli.tables import set_table
@@ -20,6 +21,8 @@ MAX_ROWS = 12
 def info(
     scene: options.SceneName,
     structure: options.Structure = None,
+    traversal: options.Traversal = None,
+    option: options.TracerOption = None,
     device: options.Device = "cpu",
     threads: options.Threads = None,
     time: options.Time = 0.0,
@@ -27,12 +30,13 @@ def info(
     json: options.Json = False,
 ) -> None:
     """Show what is in a scene, and the time, memory and quality of its structure."""
+    chosen = tracer_options(option or [], traversal)
     choose_threads(threads)
     from raystream.cli.describe import describe
 
     watch = Stopwatch()
     with Bars() as bars:
-        tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)
+        tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         figures = describe(scene, tracer, watch)
     if json:
         write_json(figures)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 from raystream.cli.bars import Bars
 from raystream.cli.messages import BadInputError, refuse
@@ -52,6 +53,8 @@ class Source:
     device : str
     time : float
     triangles : int or None
+    options : mapping
+        Options of `Tracer`.
     """
 
     name: str
@@ -59,6 +62,7 @@ class Source:
     device: str = "cpu"
     time: float = 0.0
     triangles: int | None = None
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def choose_threads(count: int | None) -> None:
@@ -101,8 +105,15 @@ def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
         with refuse(*kinds):
             scene = load(source.name, time=source.time, triangles=source.triangles)
         _ = scene.triangles  # made when first asked for; the build is timed without
-    with watch.measure("build"), bars.step("building") as progress:
-        return Tracer(scene, source.structure or "bvh", source.device, progress=progress)
+    wrong = (ValueError, TypeError) if source.options else ()
+    with (
+        watch.measure("build"),
+        bars.step("building") as progress,
+        refuse(*wrong, where="--option"),
+    ):
+        return Tracer(
+            scene, source.structure or "bvh", source.device, progress=progress, **source.options
+        )
 
 
 def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
@@ -110,6 +121,10 @@ def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
 
     if source.time != 0.0 or source.triangles is not None:
         raise BadInputError(f"{source.name}: a saved structure has neither --time nor --triangles")
+    if source.options:
+        raise BadInputError(
+            f"{source.name}: a saved structure has neither --option nor --traversal"
+        )
     with watch.measure("load"), bars.step("loading"):
         tracer = Tracer.load(source.name)
     watch.seconds["build"] = 0.0

@@ -44,6 +44,7 @@ __all__ = [
 SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis")
 STRUCTURES = ("bvh", "kdtree", "grid", "brute")
+TRAVERSALS = ("stack", "restart", "backtrack")
 DEVICES = ("cpu",)
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
@@ -119,6 +120,24 @@ Structure = Annotated[
         show_default=False,
         callback=one_of(STRUCTURES),
         autocompletion=complete(STRUCTURES),
+    ),
+]
+Traversal = Annotated[
+    str | None,
+    typer.Option(
+        help=f"How a kd-tree is searched: {' or '.join(TRAVERSALS)}; {TRAVERSALS[0]} without it.",
+        metavar="NAME",
+        show_default=False,
+        callback=one_of(TRAVERSALS),
+        autocompletion=complete(TRAVERSALS),
+    ),
+]
+TracerOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="An option of the structure, such as resolution=50 or quality=high; can be repeated.",
+        metavar="KEY=VALUE",
+        show_default=False,
     ),
 ]
 Device = Annotated[

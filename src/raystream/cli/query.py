@@ -10,6 +10,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.keywords import tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 
@@ -75,6 +76,8 @@ def query(
         ),
     ] = None,
     structure: options.Structure = None,
+    traversal: options.Traversal = None,
+    option: options.TracerOption = None,
     device: options.Device = "cpu",
     threads: options.Threads = None,
     time: options.Time = 0.0,
@@ -89,13 +92,16 @@ def query(
     chosen = {"first": first, "any": anything, "multi": multi, "count": count}
     question = _Question(_only(chosen), max_hits, crossings)
     options.check_output(output, (".npz",), inputs=[scene, str(rays)])
+    tracing = tracer_options(option or [], traversal)
     choose_threads(threads)
     from raystream.core.npz import write_npz
 
     watch = Stopwatch()
     with Bars() as bars:
         given = _read_rays(rays)
-        tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)
+        tracer = open_tracer(
+            Source(scene, structure, device, time, triangles, tracing), bars, watch
+        )
         with watch.measure("trace"), bars.step("tracing") as progress:
             answer = question.ask(tracer, given, progress)
         with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):

@@ -10,6 +10,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.keywords import tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 
@@ -51,6 +52,8 @@ def render(
         ),
     ] = 1.0,
     structure: options.Structure = None,
+    traversal: options.Traversal = None,
+    option: options.TracerOption = None,
     device: options.Device = "cpu",
     threads: options.Threads = None,
     time: options.Time = 0.0,
@@ -61,6 +64,7 @@ def render(
     width, height = options.parse_size(size)
     parts = {} if camera is None else options.parse_camera(camera)
     options.check_output(output, (".png", ".exr"), inputs=[scene])
+    chosen = tracer_options(option or [], traversal)
     choose_threads(threads)
     import raystream.render as renderers
     from raystream.render.picture import MAX_PIXELS
@@ -69,7 +73,7 @@ def render(
         raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
     watch = Stopwatch()
     with Bars() as bars:
-        tracer = open_tracer(Source(scene, structure, device, time, triangles), bars, watch)
+        tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
             view = dataclasses.replace(view, **parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 from raystream.core.triangles import Triangles
@@ -43,4 +44,11 @@ def build_structure(
     if name not in list(STRUCTURES):
         known = ", ".join(repr(known) for known in STRUCTURES)
         raise ValueError(f"structure: expected one of {known}, got {name!r}")
-    return STRUCTURES[name](triangles, progress=progress, **options)
+    structure = STRUCTURES[name]
+    names = list(inspect.signature(structure).parameters)
+    own = [option for option in names if option not in ("triangles", "progress")]
+    for option in options:
+        if option not in own:
+            has = f"it has {', '.join(own)}" if own else "it has none"
+            raise TypeError(f"{name}: has no option {option!r}; {has}")
+    return structure(triangles, progress=progress, **options)
