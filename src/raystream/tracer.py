@@ -33,7 +33,7 @@ class Tracer:
     ----------
     scene : Scene
         Its triangles are copied: later changes of the scene's arrays have no effect.
-    structure : {"bvh", "kdtree", "brute"}
+    structure : {"bvh", "kdtree", "grid", "brute"}
         Acceleration structure. All return the same bits; ``"brute"`` tests every triangle.
     device : {"cpu"}
         Where rays are traced.

@@ -1,4 +1,4 @@
-"""The grid as a structure: options, hard rays, limits of memory, files, and moved triangles."""
+"""The grid as a structure: options, hard rays, limits of memory, the build, and files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, grid_floor, soup
 from raystream.core.npz import read_npz, write_npz
-from raystream.structures.grid.build import build_lists
 from raystream.structures.grid.lattice import MAX_CELLS
 from strategies import scenes_and_rays
 from test_agreement import assert_same_answers
@@ -280,6 +279,13 @@ def test_progress_and_interrupts():
         rs.Tracer(scene, "grid", progress=interrupt)
 
 
+def test_long_lists_make_short_calls():
+    """Else Ctrl-C would not get through."""
+    mesh = soup(20_000, 1, 0.02)
+    assert build(*mesh, resolution=1).rays_per_call() < 300
+    assert build(*mesh).rays_per_call() == 4096
+
+
 # ---- Files.
 
 
@@ -343,62 +349,3 @@ def test_hostile_files_are_refused(tmp_path, name, change):
     write_npz(tmp_path / "y.npz", arrays)
     with pytest.raises(rs.FileFormatError, match="missing"):
         rs.Tracer.load(tmp_path / "y.npz")
-
-
-# ---- Moved triangles.
-
-
-def assert_lists_as_built(structure):
-    lists = build_lists(structure.triangles, structure.lattice, 2**32 - 1, "resolution")
-    assert_same_bits(structure.lists.splits, lists.splits)
-    assert_same_bits(structure.lists.references, lists.references)
-
-
-@pytest.mark.parametrize("levels", [1, 2])
-def test_lists_follow_triangles(levels, rng):
-    vertices, faces = soup(300, 5)
-    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "grid", resolution=4, levels=levels)
-    kept = rng.integers(0, 900, 30)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    oracle = rs.Tracer(tracer.scene, "brute")
-    rays = rays_at(vertices, rng)
-    for step in range(8):
-        moved = vertices.copy()
-        which = rng.integers(0, 900, (0, 3, 40, 900)[step % 4])
-        moved[which] += rng.normal(size=(len(which), 3)) * 0.3
-        moved[kept] = np.clip(moved[kept], low, high)
-        moved = np.clip(moved, low, high)
-        if step % 2:
-            moved[rng.integers(0, 900, 5)] = np.nan
-        report = tracer.update(moved, max_cost_growth=np.inf)
-        oracle.update(moved)
-        assert not report.rebuilt
-        assert report.cost > 0
-        assert_lists_as_built(tracer.structure)
-        assert_same_answers(tracer, oracle, rays)
-
-
-def test_lists_are_built_anew_when_the_box_does_not_do(rng):
-    vertices, faces = soup(300, 5)
-    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "grid")
-    middle = vertices.mean(axis=0)
-    assert tracer.update(vertices * 1.5).rebuilt
-    assert not tracer.update(vertices, max_cost_growth=np.inf).rebuilt
-    assert tracer.update(middle + (vertices - middle) * 0.1).rebuilt  # a corner of the box
-    assert tracer.update(vertices, max_cost_growth=0).rebuilt
-    assert tracer.update(np.full_like(vertices, np.nan)).rebuilt
-    assert not tracer.any_hit([0, 0, 0], [1, 1, 1])
-    assert tracer.update(vertices).rebuilt
-
-
-def test_a_moved_grid_in_a_file(tmp_path, rng):
-    vertices, faces = soup(300, 5)
-    tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), "grid", levels=2)
-    inner = vertices * 0.9 + vertices.mean(axis=0) * 0.1
-    assert not tracer.update(inner).rebuilt
-    tracer.save(tmp_path / "x.npz")
-    loaded = rs.Tracer.load(tmp_path / "x.npz")
-    assert loaded.structure.lattice == tracer.structure.lattice
-    assert_same_answers(loaded, tracer, rays_at(vertices, rng))
-    assert not loaded.update(inner * 0.99 + vertices.mean(axis=0) * 0.01).rebuilt
-    assert_lists_as_built(loaded.structure)

@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import ray_queries
-from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.base import (
+    RAYS_PER_CALL,
+    BuildReport,
+    Structure,
+    UpdateReport,
+)
 from raystream.structures.grid.build import build_grid
 from raystream.structures.grid.lattice import Lattice, check_cells, chosen_resolution
 from raystream.structures.grid.layout import (
@@ -31,6 +36,9 @@ from raystream.structures.grid.traversal import STACK_BYTES, traverse
 from raystream.structures.grid.update import move_lists
 
 __all__ = ["Grid"]
+
+#: Cells and triangles in one call of a compiled loop: about 50 ms.
+_STEPS_PER_CALL = 1 << 22
 
 #: No local coordinate is beyond it, so that no distance leaves float32.
 _LARGEST_BOX = 2.0**60
@@ -121,6 +129,19 @@ class Grid(Structure):
             seconds=time.perf_counter() - started,
             byte_count=kept_bytes - self._kept[2].nbytes,
         )
+
+    def rays_per_call(self) -> int:
+        """Fewer rays where lists or ways through the grid are long, so that a call is short."""
+        return max(1, min(RAYS_PER_CALL, _STEPS_PER_CALL // self._steps_per_ray))
+
+    @cached_property
+    def _steps_per_ray(self) -> int:
+        """About as many cells and triangles as a ray may meet."""
+        sizes = np.diff(self.lists.splits)
+        sizes[self.fine.cells] = 0
+        inner = np.diff(self.fine.lists.splits)
+        longest = max(int(sizes.max()), int(inner.max(initial=0)))
+        return longest + sum(self.lattice.counts)
 
     @cached_property
     def cost_when_built(self) -> float:
