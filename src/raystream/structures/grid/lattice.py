@@ -82,12 +82,12 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, box: NDArray[np.float32], counts: Sequence[int]) -> Lattice:
-        """Divide a box, of shape (2, 3); an axis without extent gets one cell."""
+        """Divide a box, of shape (2, 3), into no smaller cells than the growth."""
         low, high = box.astype(np.float64)
-        size = ((high - low) / counts).astype(np.float32)
-        nx, ny, nz = (n if s > 0.0 else 1 for n, s in zip(counts, size, strict=True))
-        x, y, z = ((high - low) / (nx, ny, nz)).astype(np.float32).tolist()
         growth = GROWTH * float(np.abs(box).max()) + _LEAST_GROWTH
+        most = np.clip((high - low) / growth, 1.0, MAX_AXIS).astype(np.int64).tolist()
+        nx, ny, nz = map(min, counts, most)
+        x, y, z = ((high - low) / (nx, ny, nz)).astype(np.float32).tolist()
         return cls(tuple(low.tolist()), tuple(high.tolist()), (x, y, z), (nx, ny, nz), growth)
 
 
@@ -183,6 +183,7 @@ def choose_lattice(
     extent = high - low
     if min_resolution is not None:
         side = extent[extent > 0.0].min() / min_resolution
+        side = max(side, GROWTH * float(triangles.extreme))
         counts = _counts(extent, side)
         check_cells("min_resolution", counts)
     else:

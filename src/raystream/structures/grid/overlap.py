@@ -21,6 +21,9 @@ __all__ = ["range_along", "spread", "spread_within"]
 #: 18 products and sums of 2**-53 each, rounded up.
 _NORMAL_ERROR = 2.0**-48
 
+#: Rows of more cells than this are cut to where the plane is before cells are looked at.
+_LONG_ROW = np.int64(8)
+
 _ZERO = np.int64(0)
 _ONE = np.int64(1)
 
@@ -120,18 +123,42 @@ def spread(lattice, corners, i, first, last, cursors, references, is_fill):
     p = max(abs(px), abs(py), abs(pz))
     q = max(abs(qx), abs(qy), abs(qz))
     reach += _NORMAL_ERROR * p * q * (p + q)
-    x = lattice.low[0] + 0.5 * size[0] - ax
-    y = lattice.low[1] + 0.5 * size[1] - ay
-    z = lattice.low[2] + 0.5 * size[2] - az
+    # Step 3: row by row along the axis with the most cells; in a long row, only where the
+    # plane can be, and a cell more on either side, since the quotients are rounded.
     counts = lattice.counts
+    u = 0
+    if counts[1] > counts[u]:
+        u = 1
+    if counts[2] > counts[u]:
+        u = 2
+    v, w = (u + 1) % 3, (u + 2) % 3
+    normal = (nx, ny, nz)
+    middle = (
+        lattice.low[0] + 0.5 * size[0] - ax,
+        lattice.low[1] + 0.5 * size[1] - ay,
+        lattice.low[2] + 0.5 * size[2] - az,
+    )
+    stride = (_ONE, counts[0], counts[0] * counts[1])
+    slope = normal[u] * size[u]
     total = _ZERO
-    for k in range(first[2], last[2] + _ONE):
-        for j in range(first[1], last[1] + _ONE):
-            row = counts[0] * (j + counts[1] * k)
-            away = ny * (y + size[1] * j) + nz * (z + size[2] * k) + nx * x
-            for m in range(first[0], last[0] + _ONE):
-                if abs(away + nx * size[0] * m) <= reach:
-                    at = cursors + np.uint64(4) * np.uint64(row + m)
+    for k in range(first[w], last[w] + _ONE):
+        for j in range(first[v], last[v] + _ONE):
+            away = (
+                normal[v] * (middle[v] + size[v] * j)
+                + normal[w] * (middle[w] + size[w] * k)
+                + normal[u] * middle[u]
+            )
+            begin, end = first[u], last[u]
+            if end - begin > _LONG_ROW and slope != 0.0:
+                low, high = (-reach - away) / slope, (reach - away) / slope
+                if low > high:
+                    low, high = high, low
+                begin = np.int64(min(max(low - 1.0, np.float64(begin)), np.float64(end)))
+                end = np.int64(max(min(high + 1.0, np.float64(end)), np.float64(begin)))
+            for m in range(begin, end + _ONE):
+                if abs(away + slope * m) <= reach:
+                    cell = stride[u] * m + stride[v] * j + stride[w] * k
+                    at = cursors + np.uint64(4) * np.uint64(cell)
                     cursor = load(np.uint32, at)
                     store(at, np.uint32(cursor + np.uint32(1)))
                     if is_fill:

@@ -52,7 +52,8 @@ class Grid(Structure):
     triangles : Triangles
     resolution : int or sequence of three int, optional
         Cells along the axes x, y and z, of whatever shape that makes them; a number is for
-        all three. An axis on which the scene is flat has one.
+        all three. No cell is smaller than 2**-16 of the largest coordinate, so an axis on which
+        the scene is flat has fewer, or one.
     min_resolution : int, optional
         Cells along the shortest axis on which the scene is not flat; the others get cells of
         about the same size (Purcell 2002, section 4.1).
