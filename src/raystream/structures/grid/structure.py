@@ -142,7 +142,8 @@ class Grid(Structure):
         sizes[self.fine.cells] = 0
         inner = np.diff(self.fine.lists.splits)
         longest = max(int(sizes.max()), int(inner.max(initial=0)))
-        return longest + sum(self.lattice.counts)
+        usual = 1 + len(self.lists.references) // self.lattice.cell_count
+        return longest + usual * sum(self.lattice.counts)
 
     @cached_property
     def cost_when_built(self) -> float:
