@@ -112,6 +112,31 @@ def in_the_plane_of_a_triangle(rng):
     return Case(*mesh, origins, directions)
 
 
+def almost_in_the_plane_of_a_triangle(rng):
+    """Rays that pass an edge: rounding accepts them, and their t can be far from the triangle.
+
+    Small triangles all around make boxes and planes between the large ones' edges and those hits.
+    """
+    large = rng.random((30, 3, 3))
+    small = rng.random((1000, 1, 3)) + rng.normal(size=(1000, 3, 3)) * 0.01
+    vertices = np.concatenate([large, small]).astype(np.float32).reshape(-1, 3)
+    count = 4 * RAY_COUNT
+    triangles = vertices.reshape(-1, 3, 3)[rng.integers(0, len(large), count)].astype(float)
+    # From a point in the plane, outside the edges, towards one inside.
+    outer = rng.uniform(-1, 2, (count, 3, 1))
+    outside = (outer / outer.sum(axis=1, keepdims=True) * triangles).sum(axis=1)
+    inside = (rng.dirichlet([1, 1, 1], count)[:, :, None] * triangles).sum(axis=1)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    tilt = 10.0 ** rng.uniform(-9, -6, (count, 1)) * rng.choice([-1, 1], (count, 1))
+    directions = inside - outside
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions += normals * tilt
+    origins = outside - directions * rng.uniform(0.5, 3, (count, 1))
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    return Case(vertices, faces, origins, directions)
+
+
 def flat_box(rng):
     mesh = grid_floor(6)
     origins = rng.uniform(-2, 2, (RAY_COUNT, 3))
@@ -212,6 +237,7 @@ CASES: dict[str, Callable[[np.random.Generator], Case]] = {
         axis_parallel,
         one_zero_component,
         in_the_plane_of_a_triangle,
+        almost_in_the_plane_of_a_triangle,
         flat_box,
         degenerate_and_duplicate,
         huge_offset,

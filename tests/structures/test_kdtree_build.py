@@ -7,8 +7,8 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import cube, dented_sphere, grid_floor, soup
 from raystream.core.triangles import Triangles
+from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.build import MAX_REFERENCES, Method, build_arrays
-from raystream.structures.kdtree.clip import BOUND
 from raystream.structures.kdtree.layout import MAX_DEPTH, check_arrays, walk
 from raystream.structures.kdtree.packed import extend, pack
 from raystream.structures.kdtree.split import Costs

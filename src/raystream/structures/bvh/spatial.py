@@ -31,7 +31,7 @@ from raystream.jit.simd import (
 )
 from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES, block_count
 from raystream.structures.bvh.collapse import collapse_subtree
-from raystream.structures.bvh.cut import SIDE_AT, cut_record
+from raystream.structures.bvh.cut import PAD, SIDE_AT, cut_record
 from raystream.structures.bvh.records import (
     RECORD_BYTES,
     half_area,
@@ -67,10 +67,6 @@ _OWN_OVERLAP = np.float32(0.1)
 
 #: A split in space must cost less than this, in units of the other split's cost.
 _GAIN = np.float32(0.99)
-
-#: Boxes of parts reach so far beyond the plane that cut them, in units of the scene's largest
-#: coordinate: hits that the triangle test accepts lie up to 12 units in the last place outside.
-PAD = 2.0**-20
 
 #: Sides of a record.
 _LEFT, _RIGHT = np.float32(2.0), np.float32(3.0)

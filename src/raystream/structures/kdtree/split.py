@@ -20,7 +20,7 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
-from raystream.structures.kdtree.clip import BOX_BYTES, HIGH, WORD
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 
 __all__ = ["LEAF", "WORK_BYTES", "Costs", "choose_split"]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, scratch, store
-from raystream.structures.kdtree.clip import BOX_BYTES, HIGH, WORD, tighten
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD, tighten
 from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_DEPTH
 from raystream.structures.kdtree.split import LEAF, WORK_BYTES, choose_split
 
