@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.gather import accept, counted_gather, plain_gather
 from raystream.jit.loops import Loop, compile_loop
-from raystream.jit.records import accept, counted_gather, plain_gather
 from raystream.streams.layout import Layout
 
 __all__ = ["KernelSource", "compile_fold", "compile_kernel"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from raystream.structures.grid.overlap import range_along, spread_within
 __all__ = [
     "Layers",
     "TooManyError",
+    "add_up",
     "build_grid",
     "build_lists",
     "find_layers",
@@ -220,33 +222,56 @@ def spread_layers(
     """
     is_fill = len(references) > 0
     ranges, axis = layers.ranges, layers.axis
+
+    def spread_some(begin: int, end: int) -> int:
+        return int(
+            _spread_layers(
+                begin,
+                end,
+                lattice,
+                axis,
+                ranges,
+                corners,
+                prim_ids,
+                cursors,
+                references,
+                is_fill,
+                most,
+            )
+        )
+
+    layer_count = lattice.counts[axis]
+    # Each call reads all ranges: few calls, but enough to share the work evenly.
+    chunk = max(1, -(-layer_count // (8 * thread_count())))
+    return add_up(spread_some, layer_count, chunk, most, progress)
+
+
+def add_up(
+    count_some: Callable[[int, int], int],
+    count: int,
+    chunk: int,
+    most: int,
+    progress: Progress | None = None,
+) -> int:
+    """Run a loop over [0, count) whose calls count references; returns how many there are.
+
+    Raises
+    ------
+    TooManyError
+        As soon as there are more than `most`.
+    """
     found = 0
     lock = threading.Lock()
 
     def body(begin: int, end: int) -> None:
         nonlocal found
-        here = _spread_layers(
-            begin,
-            end,
-            lattice,
-            axis,
-            ranges,
-            corners,
-            prim_ids,
-            cursors,
-            references,
-            is_fill,
-            most,
-        )
+        here = count_some(begin, end)
         with lock:
             found += here
         if found > most:
             raise TooManyError
 
-    layer_count = lattice.counts[axis]
-    # Each call reads all ranges: few calls, but enough to share the work evenly.
-    chunk = max(1, -(-layer_count // (8 * thread_count())))
-    parallel_for(body, layer_count, chunk, progress)
+    parallel_for(body, count, chunk, progress)
     return found
 
 

@@ -6,8 +6,6 @@ several sizes.
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +13,8 @@ from raystream.core.memory import check_memory
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
-from raystream.jit.threads import parallel_for, thread_count
-from raystream.structures.grid.build import TooManyError, most_references
+from raystream.jit.threads import thread_count
+from raystream.structures.grid.build import TooManyError, add_up, most_references
 from raystream.structures.grid.lattice import LEAST_SIDE, MAX_CELLS, Lattice, cube_side
 from raystream.structures.grid.layout import MAX_FINE_AXIS, FineArrays, GridArrays
 from raystream.structures.grid.overlap import range_along, spread
@@ -113,34 +111,28 @@ def _spread_all(
     most: int,
 ) -> int:
     """Count the triangles of the finer cells, or write them; returns how many there are."""
-    found = 0
-    lock = threading.Lock()
     splits, prim_ids = lists
 
-    def body(begin: int, end: int) -> None:
-        nonlocal found
-        here = _spread_cells(
-            begin,
-            end,
-            lattice,
-            splits,
-            prim_ids,
-            cells,
-            counts,
-            firsts,
-            corners,
-            cursors,
-            references,
-            most,
+    def spread_some(begin: int, end: int) -> int:
+        return int(
+            _spread_cells(
+                begin,
+                end,
+                lattice,
+                splits,
+                prim_ids,
+                cells,
+                counts,
+                firsts,
+                corners,
+                cursors,
+                references,
+                most,
+            )
         )
-        with lock:
-            found += here
-        if found > most:
-            raise TooManyError
 
     chunk = min(256, max(1, -(-len(cells) // (8 * thread_count()))))
-    parallel_for(body, len(cells), chunk)
-    return found
+    return add_up(spread_some, len(cells), chunk, most)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Records inside loops: the result of a user's function, and arrays that are read by index."""
+"""Arrays that loops read by index, and what they accept as the result of a user's function."""
 
 from __future__ import annotations
 
