@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import operator
+from collections.abc import Mapping
 from os import PathLike
-from typing import Any, Literal
+from types import MappingProxyType
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from raystream.core.hits import Hits, MultiHits
-from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.moving import move_triangles
-from raystream.kernels.queries import UNLIMITED
+from raystream.machines import Counting, RayCounters, make_machine, own_options
+from raystream.machines.queries import Crossings, Queries
 from raystream.scene.moving import moved_meshes
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
@@ -23,10 +20,8 @@ from raystream.structures.storage import load_structure, save_structure
 
 __all__ = ["Crossings", "Tracer"]
 
-Crossings = Literal["triangles", "surfaces"]
 
-
-class Tracer:
+class Tracer(Queries):
     """Traces rays against a scene.
 
     Parameters
@@ -37,10 +32,18 @@ class Tracer:
         Acceleration structure. All return the same bits; ``"brute"`` tests every triangle.
     device : {"cpu"}
         Where rays are traced.
+    machine : {"branching", "multipass"}
+        How the structure is traversed: one ray from start to end on each thread; or all rays
+        step by step, in passes (Purcell 2002, section 2.2). All return the same bits;
+        ``"multipass"`` is slower, and says how many passes it took.
+    counters : bool
+        Count what each ray meets: see `counters`. Rays are then traced one by one, without
+        the kernels for many rays that ``"bvh"`` has. Not counting costs nothing.
     progress : callable, optional
         Called with (triangles done, triangles) during a long build.
     **options
-        Build options of the structure, such as ``max_leaf_size`` of ``"bvh"``.
+        Build options of the structure, such as ``max_leaf_size`` of ``"bvh"``; and those of the
+        machine: see `raystream.machines.Multipass`.
 
     Raises
     ------
@@ -80,27 +83,52 @@ class Tracer:
     ([1.0, inf], [0, -1])
     """
 
-    structure: Structure
-
     def __init__(
         self,
         scene: Scene,
         structure: str = "bvh",
         device: str = "cpu",
         *,
+        machine: str = "branching",
+        counters: bool = False,
         progress: Progress | None = None,
         **options: Any,
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
-        self._set(
-            scene,
-            build_on_device(device, structure, scene.triangles, progress=progress, **options),
-        )
+        own = self._set_machine(machine, counters, options)
+        rest = {name: value for name, value in options.items() if name not in own}
+        built = build_on_device(device, structure, scene.triangles, progress=progress, **rest)
+        self._set(scene, built)
+
+    def _set_machine(
+        self, machine: str, counters: bool, options: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        own = own_options(machine, options)
+        self.machine = machine
+        self._counts = bool(counters)
+        self._machine_options = MappingProxyType(own)
+        return own
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
         self.structure = structure
+        self._machine = make_machine(self.machine, structure, self._counts, self._machine_options)
+
+    @property
+    def counters(self) -> RayCounters:
+        """What the rays of the latest query met.
+
+        Raises
+        ------
+        ValueError
+            If the tracer does not count, or has not been asked anything yet.
+        """
+        if not isinstance(self._machine, Counting):
+            raise ValueError("counters: this tracer does not count; make it with counters=True")
+        if self._machine.latest is None:
+            raise ValueError("counters: there are none before the first query")
+        return self._machine.latest
 
     @property
     def scene(self) -> Scene:
@@ -108,176 +136,6 @@ class Tracer:
         if self._scene is None:
             self._scene = Scene.from_triangles(self.structure.triangles)
         return self._scene
-
-    def first_hit(
-        self,
-        origins: Any,
-        directions: Any,
-        *,
-        t_min: Any = 0.0,
-        t_max: Any = np.inf,
-        progress: Progress | None = None,
-    ) -> Hits:
-        """Find the nearest triangle along each ray.
-
-        Parameters
-        ----------
-        origins, directions : array_like of shape S + (3,), real
-        t_min, t_max : float or array_like that broadcasts to S
-            Closed search interval, in direction lengths.
-        progress : callable, optional
-            Called with (rays done, rays).
-
-        Returns
-        -------
-        Hits
-            ``t``, ``u``, ``v`` of shape S, float32, and ``prim_id`` of shape S, int32. A
-            miss has ``t = inf`` and ``prim_id = -1``.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If shapes disagree or an array does not hold real numbers.
-
-        Notes
-        -----
-        Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
-        """
-        batch = RayBatch(origins, directions, t_min, t_max)
-        structure = self.structure
-        status = np.zeros(len(batch), np.uint8)
-        t, u, v, prim_id = structure.first_hit_batch(batch, status, progress)
-        shape = batch.shape
-        return Hits(
-            t.reshape(shape),
-            u.reshape(shape),
-            v.reshape(shape),
-            prim_id.reshape(shape),
-            status.reshape(shape),
-            structure.triangles,
-        )
-
-    def any_hit(
-        self,
-        origins: Any,
-        directions: Any,
-        *,
-        t_min: Any = 0.0,
-        t_max: Any = np.inf,
-        progress: Progress | None = None,
-    ) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way; cheaper than the nearest hit.
-
-        Parameters
-        ----------
-        origins, directions, t_min, t_max, progress
-            See `first_hit`.
-
-        Returns
-        -------
-        ndarray of shape S, bool
-            Exactly where `first_hit` would report a hit.
-
-        Raises
-        ------
-        ValueError, TypeError
-            See `first_hit`.
-        """
-        batch = RayBatch(origins, directions, t_min, t_max)
-        status = np.zeros(len(batch), np.uint8)
-        return self.structure.any_hit_batch(batch, status, progress).reshape(batch.shape)
-
-    def count_hits(
-        self,
-        origins: Any,
-        directions: Any,
-        *,
-        t_min: Any = 0.0,
-        t_max: Any = np.inf,
-        crossings: Crossings = "triangles",
-        progress: Progress | None = None,
-    ) -> NDArray[np.int64]:
-        """Count what lies along each ray.
-
-        Parameters
-        ----------
-        origins, directions, t_min, t_max, progress
-            See `first_hit`.
-        crossings : {"triangles", "surfaces"}
-            What a ray exactly through an edge or a vertex meets: every triangle there, or
-            one triangle each time that it passes through the surface (none or two where it
-            only grazes it), so that a closed mesh is crossed an even number of times by a
-            ray from outside.
-
-        Returns
-        -------
-        ndarray of shape S, int64
-
-        Raises
-        ------
-        ValueError, TypeError
-            As `first_hit`, or if `crossings` is unknown.
-        """
-        batch = RayBatch(origins, directions, t_min, t_max)
-        surfaces = _is_surfaces(crossings)
-        status = np.zeros(len(batch), np.uint8)
-        counts = self.structure.count_hits_batch(batch, surfaces, UNLIMITED, status, progress)
-        return counts.reshape(batch.shape)
-
-    def multi_hit(
-        self,
-        origins: Any,
-        directions: Any,
-        *,
-        t_min: Any = 0.0,
-        t_max: Any = np.inf,
-        max_hits: int | None = None,
-        crossings: Crossings = "triangles",
-        progress: Progress | None = None,
-    ) -> MultiHits:
-        """Find all hits of each ray, or the nearest few, by increasing distance.
-
-        Parameters
-        ----------
-        origins, directions, t_min, t_max
-            See `first_hit`.
-        max_hits : int, optional
-            Keep the nearest `max_hits` of each ray; without it all of them, however many.
-        crossings : {"triangles", "surfaces"}
-            See `count_hits`.
-        progress : callable, optional
-            Called with (steps done, steps): a ray may take two, to count its hits
-            and to keep them.
-
-        Returns
-        -------
-        MultiHits
-            ``ray_splits`` of shape (N + 1,), int64, delimits each ray's rows of ``t``,
-            ``u``, ``v`` (float32) and ``prim_id`` (int32).
-
-        Raises
-        ------
-        ValueError, TypeError
-            As `first_hit`, or if `crossings` is unknown or `max_hits` negative.
-        MemoryError
-            If all hits together need more memory than there is: nothing is cut off
-            silently. Give `max_hits`, or fewer rays.
-
-        Notes
-        -----
-        Exact: hits are counted before they are written, or kept in memory that grows. Equal
-        t, before it is rounded to float32: the lower prim_id comes first. No hit is found
-        twice and none is lost between two others, however close.
-        """
-        batch = RayBatch(origins, directions, t_min, t_max)
-        surfaces = _is_surfaces(crossings)
-        limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
-        if limit < 0:
-            raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
-        status = np.zeros(len(batch), np.uint8)
-        structure = self.structure
-        splits, hits = structure.multi_hit_batch(batch, surfaces, limit, status, progress)
-        return MultiHits(splits, *hits, status.reshape(batch.shape), structure.triangles)
 
     def update(
         self,
@@ -362,7 +220,15 @@ class Tracer:
         save_structure(path, self.structure)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], scene: Scene | None = None) -> Tracer:
+    def load(
+        cls,
+        path: str | PathLike[str],
+        scene: Scene | None = None,
+        *,
+        machine: str = "branching",
+        counters: bool = False,
+        **options: Any,
+    ) -> Tracer:
         """Read a structure that `save` wrote.
 
         Parameters
@@ -371,6 +237,8 @@ class Tracer:
         scene : Scene, optional
             The scene it was built of, for its materials, lights and camera. Without it, the
             tracer has a scene of bare triangles.
+        machine, counters, **options
+            As for a new tracer; the options are the machine's.
 
         Returns
         -------
@@ -384,17 +252,16 @@ class Tracer:
         """
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
-        structure = load_structure(path, None if scene is None else scene.triangles)
         tracer = cls.__new__(cls)
+        own = tracer._set_machine(machine, counters, options)
+        for option in options:
+            if option not in own:
+                raise TypeError(f"{machine}: has no option {option!r}")
+        structure = load_structure(path, None if scene is None else scene.triangles)
         tracer._set(scene, structure)
         return tracer
 
     def __repr__(self) -> str:
         triangle_count = len(self.structure.triangles)
-        return f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r})"
-
-
-def _is_surfaces(crossings: str) -> bool:
-    if crossings not in ("triangles", "surfaces"):
-        raise ValueError(f"crossings: expected 'triangles' or 'surfaces', got {crossings!r}")
-    return crossings == "surfaces"
+        machine = "" if self.machine == "branching" else f", machine={self.machine!r}"
+        return f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r}{machine})"

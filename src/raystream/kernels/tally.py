@@ -57,4 +57,5 @@ def add_to(tally, column, more):
     """Add to a count of a ray, unless its tally is None."""
     if tally is not None:
         at = tally + column
-        store(at, load(np.uint32, at) + np.uint32(more))
+        # A sum of two uint32 is a uint64.
+        store(at, np.uint32(load(np.uint32, at) + np.uint32(more)))

@@ -148,8 +148,8 @@ class Kernel:
         where : Condition, optional
             Instead of the kernel's own.
         counters : Counters, optional
-            Gets the pass. Another variant of the loop is compiled for it, which also checks
-            the indices of gather arrays.
+            Gets the pass. If there are gather arrays, another variant of the loop is compiled
+            for it, which counts what is read of them and checks their indices.
         progress : callable, optional
             Called with how many records are done and how many there are.
 
@@ -167,8 +167,12 @@ class Kernel:
             have some of the new records.
         """
         condition = self.where if where is None else as_condition(where, self.record_count)
-        loop = self._loop(condition, counters is not None)
+        is_counted = counters is not None and bool(self._declared.gathers)
+        loop = self._loop(condition, is_counted)
         arguments = self._arguments(condition)
+        run_count = 0
+        if counters is not None and not is_counted:
+            run_count = self.record_count if condition is None else condition.count()
         written: list[int] = []
         counted: list[Any] = []
 
@@ -180,17 +184,17 @@ class Kernel:
             written.append(loop(begin, end, *arguments, counts))
             counted.append(counts)
 
-        body = run if counters is None else run_counted
+        body = run_counted if is_counted else run
         parallel_for(body, self.record_count, CHUNK, progress)
         for k, is_double in self._source.outputs:
             if is_double and self.record_count:
                 self._streams[k].swap()
         total = sum(written)
         if counters is not None:
-            counts = [
-                int(count) for count in sum(counted, np.zeros(1 + len(self._declared.gathers), int))
-            ]
-            counters.passes.append(self._pass(condition, total, counts[0], counts[1:]))
+            first = np.zeros(1 + len(self._declared.gathers), np.int64)
+            first[0] = run_count
+            run_count, *gathered = sum(counted, first).tolist()
+            counters.passes.append(self._pass(condition, total, run_count, gathered))
         return total
 
     def loop(

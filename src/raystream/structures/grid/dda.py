@@ -20,7 +20,17 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import fma
 from raystream.kernels.ray import pick
 
-__all__ = ["Walk", "WalkState", "cell_end", "cell_low", "set_up_walk", "step_walk"]
+__all__ = [
+    "Walk",
+    "WalkState",
+    "cell_end",
+    "cell_low",
+    "set_up_walk",
+    "start_walk",
+    "step_walk",
+    "walk_from",
+    "walk_through",
+]
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -125,18 +135,14 @@ def set_up_walk(lattice, ray, t):
     Walk
     WalkState
     """
+    walk = walk_through(lattice, ray)
+    return walk, start_walk(lattice, walk, ray, t)
+
+
+@device
+def walk_through(lattice, ray):
+    """What does not change while a ray walks; see `set_up_walk`."""
     low, size, counts = lattice.low, lattice.size, lattice.counts
-    kz = ray.kz
-    o = (
-        pick(kz, ray.oz, ray.oy, ray.ox),
-        pick(kz, ray.ox, ray.oz, ray.oy),
-        pick(kz, ray.oy, ray.ox, ray.oz),
-    )
-    d = (
-        pick(kz, ray.dz, ray.dy, ray.dx),
-        pick(kz, ray.dx, ray.dz, ray.dy),
-        pick(kz, ray.dy, ray.dx, ray.dz),
-    )
     inv = (ray.inv_x, ray.inv_y, ray.inv_z)
     middle = (
         _middle(ray.near_x, ray.far_x),
@@ -159,18 +165,47 @@ def set_up_walk(lattice, ray, t):
         row if step[1] > _ZERO else -row,
         layer if step[2] > _ZERO else -layer,
     )
-    walk = Walk(low, size, inv, middle, end, step, stride)
+    return Walk(low, size, inv, middle, end, step, stride)
+
+
+@device
+def start_walk(lattice, walk, ray, t):
+    """Where a walk begins; see `set_up_walk`."""
+    low, size, counts = lattice.low, lattice.size, lattice.counts
+    kz = ray.kz
+    o = (
+        pick(kz, ray.oz, ray.oy, ray.ox),
+        pick(kz, ray.ox, ray.oz, ray.oy),
+        pick(kz, ray.oy, ray.ox, ray.oz),
+    )
+    d = (
+        pick(kz, ray.dz, ray.dy, ray.dx),
+        pick(kz, ray.dx, ray.dz, ray.dy),
+        pick(kz, ray.dy, ray.dx, ray.dz),
+    )
+    inv, middle = walk.inv, walk.middle
     i = _start(t, o[0], d[0], inv[0], middle[0], low[0], size[0], counts[0])
     j = _start(t, o[1], d[1], inv[1], middle[1], low[1], size[1], counts[1])
     k = _start(t, o[2], d[2], inv[2], middle[2], low[2], size[2], counts[2])
+    return walk_from(lattice, walk, i, j, k)
+
+
+@device
+def walk_from(lattice, walk, i, j, k):
+    """Where a walk is in the cell with numbers i, j and k (float32) along the axes."""
+    row, layer = (
+        np.int64(lattice.counts[0]),
+        np.int64(lattice.counts[0]) * np.int64(lattice.counts[1]),
+    )
     cell = np.int64(i) + row * np.int64(j) + layer * np.int64(k)
+    step = walk.step
     first = (
         i + max(step[0], _ZERO),
         j + max(step[1], _ZERO),
         k + max(step[2], _ZERO),
     )
     second = (first[0] + step[0], first[1] + step[1], first[2] + step[2])
-    return walk, WalkState(cell, _distances(walk, first), second, _distances(walk, second))
+    return WalkState(cell, _distances(walk, first), second, _distances(walk, second))
 
 
 @device

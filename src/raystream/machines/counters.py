@@ -1,0 +1,87 @@
+"""RayCounters: what the rays of a query met."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.kernels.tally import COLUMNS
+from raystream.machines.passes import Passes
+
+__all__ = ["RayCounters"]
+
+
+@dataclass(frozen=True)
+class RayCounters:
+    """What the rays of a query met, counted for each; arrays have the rays' shape S, uint32.
+
+    Attributes
+    ----------
+    steps : ndarray
+        Traversal steps: cells looked at in a grid; splits gone down at in a kd-tree (Foley's
+        Down); inner nodes whose boxes were tested in a BVH. Purcell's v.
+    leaves : ndarray
+        Lists of triangles looked at: cells that are not empty, or leaves.
+    tests : ndarray
+        Triangles tested. Purcell's t.
+    restarts : ndarray
+        How often a kd-tree's search began at the root again.
+    backtracks : ndarray
+        How often a kd-tree's search began to climb.
+    backtrack_steps : ndarray
+        Nodes climbed to (Foley's Up).
+    shadings : ndarray
+        Hits handed over. Purcell's s.
+    structure : str
+        The structure's name.
+    passes : Passes or None
+        What a multipass machine ran.
+
+    Notes
+    -----
+    `Tracer.multi_hit` counts hits before it keeps them, and its counts are of both searches.
+    """
+
+    steps: NDArray[np.uint32]
+    leaves: NDArray[np.uint32]
+    tests: NDArray[np.uint32]
+    restarts: NDArray[np.uint32]
+    backtracks: NDArray[np.uint32]
+    backtrack_steps: NDArray[np.uint32]
+    shadings: NDArray[np.uint32]
+    structure: str
+    passes: Passes | None = None
+
+    @classmethod
+    def of(
+        cls,
+        tallies: NDArray[np.uint32],
+        shape: tuple[int, ...],
+        structure: str,
+        passes: Passes | None,
+    ) -> RayCounters:
+        """Name the columns of tallies, of shape (N, 8)."""
+        columns = {name: tallies[:, k].reshape(shape) for k, name in enumerate(COLUMNS)}
+        return cls(**columns, structure=structure, passes=passes)
+
+    @property
+    def cells(self) -> NDArray[np.uint32]:
+        """Cells of space that a ray looked at: a grid's cells, or a tree's leaves."""
+        return self.steps if self.structure == "grid" else self.leaves
+
+    @property
+    def total(self) -> MappingProxyType[str, int]:
+        """Sums over all rays, by name."""
+        sums = {name: int(getattr(self, name).sum(dtype=np.int64)) for name in COLUMNS}
+        return MappingProxyType(sums)
+
+    def __str__(self) -> str:
+        count = max(self.steps.size, 1)
+        lines = [f"{'':16} {'total':>14} {'a ray':>10} {'most':>10}"]
+        for name, total in self.total.items():
+            most = int(getattr(self, name).max(initial=0))
+            lines.append(f"{name:16} {total:14,} {total / count:10.2f} {most:10,}")
+        return "\n".join([*lines, *([str(self.passes)] if self.passes else [])])

@@ -1,0 +1,254 @@
+"""The multipass machine: in each pass one kernel, over all rays that wait for it."""
+
+from __future__ import annotations
+
+import copy
+import operator
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.collect import HitArrays
+from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.queries import UNLIMITED, LocalRays
+from raystream.kernels.tally import new_tallies
+from raystream.machines.passes import Passes
+from raystream.machines.ray_streams import RayStreams
+from raystream.machines.records import Query
+from raystream.machines.schedulers import USUAL_THRESHOLD, Queues, Scheduler, make_scheduler
+from raystream.machines.steps import steps_of
+from raystream.structures import Structure
+from raystream.structures.batches import RayBatches
+
+__all__ = ["Multipass"]
+
+#: Memory for the rays of a query; more rays are traced in parts.
+MAX_BYTES = 1 << 29
+
+#: Bytes of a ray besides its place and its stack, with counters.
+_RAY_BYTES = 160
+
+#: Rays are moved together when at most this share of them is active.
+_COMPACTION = 0.5
+
+
+class Multipass(RayBatches):
+    """Runs each step of a traversal as a kernel over all rays that wait for it.
+
+    As on hardware without branching (Purcell 2002, section 2.2; Foley 2005, section 3.4): what
+    a ray needs is kept in streams between passes, a state says for which kernel it waits, and
+    a scheduler chooses the kernel of the next pass, until no ray is active.
+
+    Parameters
+    ----------
+    structure : Structure
+    scheduler : {"threshold", "naive", "most-work", "double"} or Scheduler
+        How the next kernel is chosen; see `schedulers`.
+    threshold : float
+        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
+        intersection.
+    traversal_steps, intersections : int
+        Steps from cell to cell or node to node, and triangles tested (in trees: blocks of up
+        to four), that a ray does in one pass.
+    compaction : bool
+        Drop rays that have ended from the streams whenever they are half of them. Otherwise
+        they stay, and every pass looks at their state.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an option is out of range, or the structure has no kernels.
+    """
+
+    name = "multipass"
+
+    def __init__(
+        self,
+        structure: Structure,
+        *,
+        scheduler: str | Scheduler = "threshold",
+        threshold: float = USUAL_THRESHOLD,
+        traversal_steps: int = 1,
+        intersections: int = 1,
+        compaction: bool = False,
+    ) -> None:
+        self.structure = structure
+        self.scheduler = make_scheduler(scheduler, threshold)
+        self.traversal_steps = _at_least_one("traversal_steps", traversal_steps)
+        self.intersections = _at_least_one("intersections", intersections)
+        self.compaction = bool(compaction)
+        self.passes: Passes | None = None
+        self._steps = steps_of(structure)
+
+    def recording(self, passes: Passes) -> Multipass:
+        """The same machine, which adds its passes to a record."""
+        machine = copy.copy(self)
+        machine.passes = passes
+        return machine
+
+    @property
+    def frame(self) -> SceneFrame:
+        """The frame of the structure's triangles."""
+        return self.structure.frame
+
+    def first_hit(
+        self,
+        rays: LocalRays,
+        out: HitArrays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> None:
+        """Find the nearest hit of each ray; see `Structure.first_hit`."""
+        out.t.fill(np.inf)
+        out.u.fill(0.0)
+        out.v.fill(0.0)
+        out.prim_id.fill(-1)
+        count = len(rays.t_min)
+        rows = np.arange(count, dtype=np.uint64)
+        self._trace(rays, rows, np.ones(count, np.uint64), False, out, True, progress, tallies)
+
+    def any_hit(
+        self,
+        rays: LocalRays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> NDArray[np.bool_]:
+        """Find whether anything is in each ray's way."""
+        one = np.ones(len(rays.t_min), np.uint64)
+        counts = self._trace(rays, one, one, False, None, True, progress, tallies)
+        return counts != 0
+
+    def count_hits(
+        self,
+        rays: LocalRays,
+        surfaces: bool,
+        limit: int = UNLIMITED,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> NDArray[np.int64]:
+        """Count the hits of each ray, up to `limit`."""
+        limits = np.full(len(rays.t_min), limit, np.uint64)
+        counts = self._trace(rays, limits, limits, surfaces, None, False, progress, tallies)
+        return counts.astype(np.int64)
+
+    def multi_hit(
+        self,
+        rays: LocalRays,
+        surfaces: bool,
+        splits: NDArray[np.int64],
+        out: HitArrays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> None:
+        """Write the nearest hits of each ray; see `Structure.multi_hit`."""
+        first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
+        wants_some = np.flatnonzero(capacity)
+        part = LocalRays(*(array[wants_some] for array in rays))
+        own = None if tallies is None else tallies[wants_some]
+        self._trace(
+            part, first[wants_some], capacity[wants_some], surfaces, out, True, progress, own
+        )
+        if tallies is not None and own is not None:
+            tallies[wants_some] = own
+
+    def _trace(
+        self,
+        rays: LocalRays,
+        first: NDArray[np.uint64],
+        capacity: NDArray[np.uint64],
+        surfaces: bool,
+        out: HitArrays | None,
+        hands_over: bool,
+        progress: Progress | None,
+        tallies: NDArray[np.uint32] | None,
+    ) -> NDArray[np.uint32]:
+        """Trace rays, in parts if they are many; returns how many hits each has."""
+        count = len(rays.t_min)
+        counts = np.zeros(count, np.uint32)
+        for part in self._parts(count):
+            of_part = LocalRays(*(array[part] for array in rays))
+            own = None if tallies is None else tallies[part]
+            report = part_of(progress, part.start, count)
+            counts[part] = self._trace_part(
+                of_part, first[part], capacity[part], surfaces, out, hands_over, report, own
+            )
+        return counts
+
+    def _parts(self, count: int) -> Iterator[slice]:
+        """So many rays at a time as there is memory for."""
+        each = _RAY_BYTES + self._steps.place.itemsize + self._steps.stack_bytes
+        size = max(1, MAX_BYTES // each)
+        for begin in range(0, count, size):
+            yield slice(begin, min(begin + size, count))
+
+    def _trace_part(
+        self,
+        rays: LocalRays,
+        first: NDArray[np.uint64],
+        capacity: NDArray[np.uint64],
+        surfaces: bool,
+        out: HitArrays | None,
+        hands_over: bool,
+        progress: Progress | None,
+        tallies: NDArray[np.uint32] | None,
+    ) -> NDArray[np.uint32]:
+        count = len(rays.t_min)
+        runs = None if tallies is None else new_tallies(count)
+        stacks = np.empty((count, self._steps.stack_bytes), np.uint8)
+        columns = tuple(_address(column) for column in out or (None,) * 4)
+        query = Query(
+            np.float32(self.structure.triangles.extreme),
+            surfaces,
+            out is not None,
+            hands_over,
+            *columns,
+            _address(tallies),
+            _address(runs),
+            _address(stacks),
+            np.uint64(self._steps.stack_bytes),
+            np.uint64(self.traversal_steps),
+            np.uint64(self.intersections),
+        )
+        streams = RayStreams(self._steps, query, rays, first, capacity)
+        self._run(streams, progress)
+        streams.finish()
+        if self.passes is not None and runs is not None:
+            names = [one.name for one in self._steps.kernels]
+            at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
+            together = [at_once[one.limit] for one in self._steps.kernels]
+            self.passes.add_bound(names, runs, together)
+        return streams.counts
+
+    def _run(self, streams: RayStreams, progress: Progress | None) -> None:
+        """Pass after pass, until no ray is active."""
+        kernels, count = self._steps.kernels, len(streams)
+        counters = None if self.passes is None else self.passes.counters
+        latest: int | None = None
+        waiting = streams.waiting()
+        while active := sum(waiting):
+            if self.compaction and active <= _COMPACTION * len(streams):
+                streams.drop_ended()
+            latest = self.scheduler.choose(Queues(kernels, waiting, latest))
+            if not waiting[latest]:
+                raise ValueError(
+                    f"scheduler: {self.scheduler!r} chose {kernels[latest].name!r}, for which no "
+                    "ray waits"
+                )
+            streams.run(latest, counters)
+            waiting = streams.waiting()
+            if progress:
+                progress(count - sum(waiting), count)
+
+
+def _address(array: NDArray[Any] | None) -> np.uint64:
+    return np.uint64(0 if array is None or array.size == 0 else array.ctypes.data)
+
+
+def _at_least_one(name: str, number: int) -> int:
+    number = operator.index(number)
+    if number < 1:
+        raise ValueError(f"{name}: expected at least 1, got {number}")
+    return number

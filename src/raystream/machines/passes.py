@@ -1,0 +1,78 @@
+"""Passes: what a multipass machine ran, and the fewest passes that could have done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.streams import Counters, Pass
+
+__all__ = ["Passes"]
+
+
+@dataclass
+class Passes:
+    """The passes of a query, in the order in which they ran.
+
+    Attributes
+    ----------
+    counters : Counters
+        Every pass: its kernel, its active rays (``run_count``), how many rays the streams held
+        (``record_count``), words read and written.
+    optimal_count : int
+        No scheduler needs fewer: for each kernel the most runs on any ray, added up (Purcell
+        2002, section 4.2: a lower bound, which a schedule may not reach).
+    most_runs : dict of str to int
+        For each kernel, the most runs on any ray.
+    """
+
+    counters: Counters = field(default_factory=Counters)
+    optimal_count: int = 0
+    most_runs: dict[str, int] = field(default_factory=dict)
+
+    def add_bound(
+        self, names: Sequence[str], runs: NDArray[np.uint32], at_once: Sequence[int]
+    ) -> None:
+        """Take note of rays that were traced together.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of the kernels.
+        runs : ndarray of shape (N, 8), uint32
+            Runs of each kernel on each ray.
+        at_once : sequence of int
+            How many runs on a ray one pass does.
+        """
+        most = runs.max(axis=0, initial=0)
+        for name, ran, together in zip(names, most.tolist(), at_once, strict=False):
+            self.optimal_count += -(-ran // together)
+            self.most_runs[name] = max(self.most_runs.get(name, 0), ran)
+
+    @property
+    def efficiency(self) -> float:
+        """SIMD efficiency: the mean share of a pass's rays that it ran on; nan without passes.
+
+        Rays that have ended count too, unless compaction took them out.
+        """
+        shares = [one.run_count / one.record_count for one in self]
+        return float(np.mean(shares)) if shares else float("nan")
+
+    def of(self, kernel: str) -> int:
+        """Number of passes of a kernel."""
+        return sum(one.kernel == kernel for one in self)
+
+    def __len__(self) -> int:
+        return self.counters.pass_count
+
+    def __iter__(self) -> Iterator[Pass]:
+        return iter(self.counters.passes)
+
+    def __str__(self) -> str:
+        return (
+            f"{len(self):,} passes, at least {self.optimal_count:,}; "
+            f"efficiency {self.efficiency:.1%}\n{self.counters}"
+        )

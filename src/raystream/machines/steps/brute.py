@@ -1,0 +1,86 @@
+"""Brute force as kernels: every ray takes one triangle after another (Foley 2005, section 4)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.kernels.tally import TESTS
+from raystream.machines.records import RayState, end_of, hits_of, ray_of, tick
+from raystream.machines.steps.base import StepKernel, Steps, with_shade
+from raystream.structures.brute import Brute
+from raystream.structures.grid.traversal import intersect_list
+
+__all__ = ["steps"]
+
+#: The triangle that is next.
+PLACE = np.dtype([("row", np.uint32)])
+
+_INTERSECTING = np.uint8(RayState.INTERSECTING)
+_DONE = np.uint8(RayState.DONE)
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_INF = np.float32(np.inf)
+
+
+class _Triangles(NamedTuple):
+    """All triangles: addresses of their numbers and of the scene's corners."""
+
+    references: np.uint64
+    corners: np.uint64
+    count: np.uint64
+
+
+def set_up(ray, wanted, tree, query, kernel):
+    """Begin with the first triangle."""
+    tick(query, wanted, kernel, TESTS, _NONE)
+    is_active = tree.count != _NONE and ray.t_min <= ray.t_max
+    return (np.uint32(0), ray.t_max), (np.uint32(0),), _INTERSECTING if is_active else _DONE
+
+
+def intersect(ray, wanted, found, place, tree, query, kernel):
+    """Test a triangle."""
+    line = ray_of(ray, query)
+    row, count, t_far = np.uint64(place.row), np.uint64(found.count), found.t_far
+    state = _INTERSECTING
+    for _ in range(query.tests):
+        tick(query, wanted, kernel, TESTS, _ONE)
+        count, t_far = intersect_list(
+            tree.references,
+            tree.corners,
+            line,
+            row,
+            row + _ONE,
+            ray.t_min,
+            _INF,
+            t_far,
+            query.surfaces,
+            query.keep,
+            count,
+            wanted.capacity,
+            wanted.first,
+            hits_of(query),
+        )
+        row += _ONE
+        if row == tree.count or (not query.keep and count == wanted.capacity):
+            state = end_of(count, query)
+            break
+    return (np.uint32(count), t_far), (np.uint32(row),), state
+
+
+_KERNELS = with_shade(
+    StepKernel("set up", RayState.STARTING, device(set_up), ("found", "place")),
+    StepKernel("intersect", RayState.INTERSECTING, device(intersect), ("found", "place"), "tests"),
+)
+
+
+def steps(brute: Brute) -> Steps:
+    """The steps of brute force."""
+    triangles = brute.triangles
+    prim_ids, corners = triangles.prim_ids, triangles.corners
+    tree = _Triangles(
+        np.uint64(prim_ids.ctypes.data), np.uint64(corners.ctypes.data), np.uint64(len(prim_ids))
+    )
+    return Steps(_KERNELS, PLACE, tree)

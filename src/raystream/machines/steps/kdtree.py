@@ -1,0 +1,193 @@
+"""The kd-tree as Foley's kernels: Initialize, Down, Leaf, Intersect, Continue, Up.
+
+Foley 2005, section 3.3. Intersect takes a block of up to four triangles at a time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import scratch
+from raystream.kernels.tally import (
+    BACKTRACK_STEPS,
+    BACKTRACKS,
+    LEAVES,
+    RESTARTS,
+    STEPS,
+    TESTS,
+)
+from raystream.machines.records import RayState, end_of, hits_of, note, ray_of, tick
+from raystream.machines.steps.base import StepKernel, Steps, with_shade
+from raystream.structures.bvh.traversal import lane_frame
+from raystream.structures.bvh.wide import BLOCK
+from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree.state import RESTART, STACK, STACK_BYTES, KdState, split_ray
+from raystream.structures.kdtree.steps import down, intersect_block, is_at_leaf, leaf, leave, up
+from raystream.structures.kdtree.steps import initialize as begin
+
+__all__ = ["steps"]
+
+#: Where a ray's search is: `KdState`, and the blocks of its leaf that are still to be tested:
+#: the offset of the next one, and how many triangles it and those after it hold.
+PLACE = np.dtype(
+    [
+        ("node", np.uint32),
+        ("t_in", np.float32),
+        ("t_out", np.float32),
+        ("t_end", np.float32),
+        ("top", np.uint32),
+        ("block", np.uint64),
+        ("left", np.uint32),
+    ]
+)
+
+_DONE = np.uint8(RayState.DONE)
+_TRAVERSING = np.uint8(RayState.TRAVERSING)
+_AT_LEAF = np.uint8(RayState.AT_LEAF)
+_INTERSECTING = np.uint8(RayState.INTERSECTING)
+_LEAVING = np.uint8(RayState.LEAVING)
+_CLIMBING = np.uint8(RayState.CLIMBING)
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LANES = np.uint64(4)
+
+
+@device
+def _search(place):
+    """A record of `PLACE` as a `KdState`."""
+    node, top = np.uint64(place.node), np.uint64(place.top)
+    return KdState(node, place.t_in, place.t_out, place.t_end, top, False)
+
+
+@device
+def _record(state, block, left):
+    """A `KdState`, and blocks, as a record of `PLACE`."""
+    node, top = np.uint32(state.node), np.uint32(state.top)
+    return (node, state.t_in, state.t_out, state.t_end, top, block, np.uint32(left))
+
+
+@device
+def _stack_of(wanted, query):
+    return query.stacks + np.uint64(wanted.number) * query.stack_bytes
+
+
+@device
+def _downward(tree, state):
+    """What a ray does next at a node."""
+    return _AT_LEAF if is_at_leaf(tree, state) else _TRAVERSING
+
+
+def initialize(ray, wanted, tree, query, kernel):
+    """Begin at the root."""
+    tick(query, wanted, kernel, STEPS, _NONE)
+    is_active, state = begin(tree, ray_of(ray, query), ray.t_min, ray.t_max)
+    status = _DONE
+    if is_active:
+        status = _downward(tree, state)
+    return (np.uint32(0), ray.t_max), _record(state, _NONE, _NONE), status
+
+
+def go_down(ray, wanted, place, tree, query, kernel):
+    """Go to a child."""
+    line, stack = split_ray(ray_of(ray, query)), _stack_of(wanted, query)
+    state = _search(place)
+    status = _TRAVERSING
+    for _ in range(query.steps):
+        tick(query, wanted, kernel, STEPS, _ONE)
+        state = down(tree, line, state, stack)
+        status = _downward(tree, state)
+        if status != _TRAVERSING:
+            break
+    return _record(state, _NONE, _NONE), status
+
+
+def look_at_leaf(wanted, place, tree, query, kernel):
+    """Find the triangles of a leaf."""
+    tick(query, wanted, kernel, LEAVES, _ONE)
+    state = _search(place)
+    triangles = leaf(tree, state)
+    status = _LEAVING if triangles.triangle_count == _NONE else _INTERSECTING
+    return _record(state, triangles.block, triangles.triangle_count), status
+
+
+def intersect(ray, wanted, found, place, query, kernel):
+    """Test a block of triangles."""
+    frame, lanes = lane_frame(ray_of(ray, query)), scratch(64)
+    state = _search(place)
+    block, left = place.block, np.uint64(place.left)
+    count, t_far = np.uint64(found.count), found.t_far
+    status = _INTERSECTING
+    for _ in range(query.tests):
+        tick(query, wanted, kernel, TESTS, min(left, _LANES))
+        count, t_far = intersect_block(
+            block,
+            frame,
+            state,
+            t_far,
+            query.surfaces,
+            query.keep,
+            count,
+            wanted.capacity,
+            wanted.first,
+            hits_of(query),
+            lanes,
+        )
+        block += BLOCK
+        left -= min(left, _LANES)
+        if count == wanted.capacity and not query.keep:
+            status = end_of(count, query)
+            break
+        if left == _NONE:
+            status = _LEAVING
+            break
+    return (np.uint32(count), t_far), _record(state, block, left), status
+
+
+def go_on(wanted, found, place, tree, query, kernel):
+    """Go on after a leaf, unless nothing more is wanted."""
+    tick(query, wanted, kernel, STEPS, _NONE)
+    state = _search(place)
+    count = np.uint64(found.count)
+    status = end_of(count, query)
+    is_over = count == wanted.capacity and found.t_far < state.t_out
+    if not (is_over or state.t_out >= state.t_end):
+        state = leave(tree, state, _stack_of(wanted, query))
+        if state.is_climbing:
+            note(query, wanted, BACKTRACKS, _ONE)
+            status = _CLIMBING
+        else:
+            if tree.traversal == RESTART:
+                note(query, wanted, RESTARTS, _ONE)
+            status = _downward(tree, state)
+    return _record(state, _NONE, _NONE), status
+
+
+def climb(ray, wanted, place, tree, query, kernel):
+    """Go to the parent."""
+    line = split_ray(ray_of(ray, query))
+    state = _search(place)
+    status = _CLIMBING
+    for _ in range(query.steps):
+        tick(query, wanted, kernel, BACKTRACK_STEPS, _ONE)
+        state = up(tree, line, state)
+        if not state.is_climbing:
+            status = _downward(tree, state)
+            break
+    return _record(state, _NONE, _NONE), status
+
+
+_KERNELS = with_shade(
+    StepKernel("initialize", RayState.STARTING, device(initialize), ("found", "place")),
+    StepKernel("down", RayState.TRAVERSING, device(go_down), ("place",), "steps"),
+    StepKernel("leaf", RayState.AT_LEAF, device(look_at_leaf), ("place",)),
+    StepKernel("intersect", RayState.INTERSECTING, device(intersect), ("found", "place"), "tests"),
+    StepKernel("continue", RayState.LEAVING, device(go_on), ("place",)),
+    StepKernel("up", RayState.CLIMBING, device(climb), ("place",), "steps"),
+)
+
+
+def steps(tree: KdTree) -> Steps:
+    """The steps of a kd-tree's traversal: its own of the three."""
+    has_stack = tree.arrays.traversal == STACK
+    return Steps(_KERNELS, PLACE, tree.arrays, STACK_BYTES if has_stack else 0)
