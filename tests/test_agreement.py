@@ -171,7 +171,7 @@ def test_more_hits_than_memory_are_refused(monkeypatch):
     """Nothing is cut off silently, and the system need not kill the process."""
     tracer = rs.Tracer(CASES["one_triangle"](np.random.default_rng(0)).scene)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
-    monkeypatch.setattr("raystream.structures.base.CHECKED_HITS", 1)
+    monkeypatch.setattr("raystream.structures.batches.CHECKED_HITS", 1)
     with pytest.raises(MemoryError, match=r"multi_hit: 1 hits would take .* give max_hits"):
         tracer.multi_hit([0.2, 0.2, 1], [0, 0, -1])
     with pytest.raises(MemoryError, match="a picture of 100x100 would"):

@@ -8,7 +8,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["corners_at", "stay_out_of_line"]
+__all__ = ["corners_at", "row_address", "stay_out_of_line"]
 
 
 @intrinsic
@@ -58,3 +58,23 @@ def corners_at(typing_context: Any, at: Any) -> Any:
         return ary._getvalue()
 
     return array(at), generate
+
+
+@intrinsic
+def row_address(typing_context: Any, array: Any, row: Any) -> Any:
+    """Address of a row of an array of two dimensions; or None of None.
+
+    Numba has no type for a function that returns a number or None, by its argument's type,
+    but one that may be either whenever it runs, and that is slow.
+    """
+    if isinstance(array, types.NoneType):
+        return types.none(array, row), lambda context, *_: context.get_dummy_value()
+    if not isinstance(array, types.Array) or array.ndim != 2 or row != types.uint64:
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        rows = context.make_array(array)(context, builder, arguments[0])
+        offset = builder.mul(arguments[1], builder.extract_value(rows.strides, 0))
+        return builder.add(builder.ptrtoint(rows.data, offset.type), offset)
+
+    return types.uint64(array, row), generate

@@ -6,9 +6,12 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.kernels.collect import keep_hit
+from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle import intersect
 
 __all__ = ["test_triangles"]
+
+_ONE = np.uint64(1)
 
 
 @device
@@ -26,6 +29,7 @@ def test_triangles(
     capacity,
     first,
     out,
+    tally,
 ):
     """Test triangles begin to end against a ray.
 
@@ -46,6 +50,8 @@ def test_triangles(
         Hits so far, and how many are wanted at most.
     first, out : uint64, HitAddresses
         Where hits are kept.
+    tally : uint64 or None
+        See `kernels.tally`.
 
     Returns
     -------
@@ -54,13 +60,14 @@ def test_triangles(
         Hits beyond are no longer wanted.
     """
     for i in range(begin, end):
+        add_to(tally, TESTS, _ONE)
         hit, t, u, v = intersect(ray, corners, i, surfaces)
         # Written so that a NaN would fail.
         if hit and t >= t_min and t <= t_far:
             if keep:
                 count, t_far = keep_hit(out, first, count, capacity, t, u, v, prim_ids[i], t_far)
             else:
-                count += np.uint64(1)
+                count += _ONE
                 if count == capacity:
                     break
     return count, t_far

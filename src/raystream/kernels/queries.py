@@ -13,6 +13,7 @@ from raystream.jit.simd import scratch
 from raystream.kernels.collect import HitAddresses, hit_addresses, sort_hits
 from raystream.kernels.ray import set_up
 from raystream.kernels.seen import LEAST_ROOM, clear_seen
+from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
 __all__ = ["AGAIN", "UNLIMITED", "LocalRays", "RayQueries", "ray_queries"]
 
@@ -52,17 +53,18 @@ class RayQueries(NamedTuple):
 
     Attributes
     ----------
-    first_hit : (begin, end, arrays, extreme, rays, out)
+    first_hit : (begin, end, arrays, extreme, rays, out, tallies)
         Writes row i of `out` (HitArrays) for ray i.
-    any_hit : (begin, end, arrays, extreme, rays, seen)
+    any_hit : (begin, end, arrays, extreme, rays, seen, tallies)
         Writes `seen`, of shape (N,), bool.
-    count_hits : (begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts)
+    count_hits : (begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts, tallies)
         Writes `counts`, of shape (N,), int64: the number of hits, at most `limit`.
-    multi_hit : (begin, end, arrays, extreme, rays, repeats, surfaces, splits, out)
+    multi_hit : (begin, end, arrays, extreme, rays, repeats, surfaces, splits, out, tallies)
         Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row
         splits[i] of `out`.
 
-    `repeats` says whether the structure lists a triangle more than once.
+    `repeats` says whether the structure lists a triangle more than once. What ray i meets is
+    added to row i of `tallies`, of `kernels.tally`; None counts nothing, at no cost.
     """
 
     first_hit: Callable[..., None]
@@ -105,11 +107,12 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     ----------
     traverse : device function
         ``traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack,
-        seen)`` visits every triangle of `arrays` whose hit with `ray` may be wanted, gives
+        seen, tally)`` visits every triangle of `arrays` whose hit with `ray` may be wanted, gives
         it to `kernels.leaf.test_triangles`, and returns the number of hits kept or counted.
         It may stop once it has counted `capacity` of them. `seen` is of no use to one that
         gives no triangle twice; one that does adds each hit's triangle to it
-        (`kernels.seen`) if it has places, and returns `AGAIN` when it is full.
+        (`kernels.seen`) if it has places, and returns `AGAIN` when it is full. What it meets
+        it adds to `tally` (`kernels.tally`).
     stack_bytes : int
         Size of the memory at the address `stack`, which is aligned to 64 bytes.
 
@@ -119,16 +122,17 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     """
 
     @kernel
-    def first_hit(begin, end, arrays, extreme, rays, out):
+    def first_hit(begin, end, arrays, extreme, rays, out, tallies):
         stack = scratch(stack_bytes)
         seen = _new_seen(False)
         to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = _ray(rays, i, extreme)
+            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
             count = traverse(
-                arrays, ray, t_min, t_max, False, True, np.uint64(1), i, to, stack, seen
+                arrays, ray, t_min, t_max, False, True, np.uint64(1), i, to, stack, seen, tally
             )
+            add_to(tally, SHADINGS, count)
             if count == 0:
                 out.t[i] = _INF
                 out.u[i] = _ZERO
@@ -136,42 +140,56 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
                 out.prim_id[i] = _MISS
 
     @kernel
-    def any_hit(begin, end, arrays, extreme, rays, out):
+    def any_hit(begin, end, arrays, extreme, rays, out, tallies):
         stack = scratch(stack_bytes)
         seen = _new_seen(False)
         to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
         one = np.uint64(1)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = _ray(rays, i, extreme)
+            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
             count = traverse(
-                arrays, ray, t_min, t_max, False, False, one, _NOWHERE, to, stack, seen
+                arrays, ray, t_min, t_max, False, False, one, _NOWHERE, to, stack, seen, tally
             )
+            add_to(tally, SHADINGS, count)
             out[i] = count != 0
 
     @kernel
-    def count_hits(begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts):
-        stack = scratch(stack_bytes)
+    def count_hits(begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts, tallies):
+        stack, saved = scratch(stack_bytes), scratch(32)
         seen = _new_seen(repeats)
         to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
         most = np.uint64(limit)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray = _ray(rays, i, extreme)
+            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
+            save_counts(tally, saved)
             while True:
                 count = traverse(
-                    arrays, ray, t_min, t_max, surfaces, False, most, _NOWHERE, to, stack, seen
+                    arrays,
+                    ray,
+                    t_min,
+                    t_max,
+                    surfaces,
+                    False,
+                    most,
+                    _NOWHERE,
+                    to,
+                    stack,
+                    seen,
+                    tally,
                 )
                 if count != AGAIN:
                     break
                 seen = _larger_seen(seen)
+                restore_counts(tally, saved)
             counts[i] = count
             if repeats:
                 seen = _new_seen(True)
 
     @kernel
-    def multi_hit(begin, end, arrays, extreme, rays, repeats, surfaces, splits, out):
-        stack = scratch(stack_bytes)
+    def multi_hit(begin, end, arrays, extreme, rays, repeats, surfaces, splits, out, tallies):
+        stack, saved = scratch(stack_bytes), scratch(32)
         seen = _new_seen(repeats)
         to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
@@ -179,15 +197,29 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
             capacity = np.uint64(splits[i + np.uint64(1)]) - first
             if capacity == 0:
                 continue
-            ray = _ray(rays, i, extreme)
+            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
+            save_counts(tally, saved)
             while True:
                 count = traverse(
-                    arrays, ray, t_min, t_max, surfaces, True, capacity, first, to, stack, seen
+                    arrays,
+                    ray,
+                    t_min,
+                    t_max,
+                    surfaces,
+                    True,
+                    capacity,
+                    first,
+                    to,
+                    stack,
+                    seen,
+                    tally,
                 )
                 if count != AGAIN:
                     break
                 seen = _larger_seen(seen)
+                restore_counts(tally, saved)
+            add_to(tally, SHADINGS, count)
             sort_hits(to, first, count)
             if repeats:
                 seen = _new_seen(True)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import address, load, store
+from raystream.jit.intrinsics import row_address
+from raystream.jit.simd import i32x8, load, store
 
 __all__ = [
     "BACKTRACKS",
@@ -24,6 +25,8 @@ __all__ = [
     "TESTS",
     "add_to",
     "new_tallies",
+    "restore_counts",
+    "save_counts",
     "tally_of",
 ]
 
@@ -47,9 +50,7 @@ def new_tallies(count: int) -> NDArray[np.uint32]:
 @device
 def tally_of(tallies, i):
     """The tally of ray i: its address; or None if `tallies` is None."""
-    if tallies is not None:
-        return address(tallies) + np.uint64(i) * ROW
-    return None
+    return row_address(tallies, np.uint64(i))
 
 
 @device
@@ -59,3 +60,17 @@ def add_to(tally, column, more):
         at = tally + column
         # A sum of two uint32 is a uint64.
         store(at, np.uint32(load(np.uint32, at) + np.uint32(more)))
+
+
+@device
+def save_counts(tally, to):
+    """Write what was counted of a ray to an address, of 32 bytes, unless its tally is None."""
+    if tally is not None:
+        store(to, load(i32x8, tally))
+
+
+@device
+def restore_counts(tally, saved):
+    """Forget what was counted of a ray since `save_counts`."""
+    if tally is not None:
+        store(tally, load(i32x8, saved))

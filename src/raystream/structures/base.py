@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,24 +14,18 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.memory import check_memory
-from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
+from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import UNLIMITED, LocalRays, RayQueries
-from raystream.structures.ray_block import blocks
+from raystream.structures.batches import BatchQueries
 
-__all__ = ["BuildReport", "Structure", "UpdateReport", "allocate_hits"]
+__all__ = ["BuildReport", "Structure", "UpdateReport"]
 
 #: Rays that one call of a compiled loop gets at most: long enough to hide the call's cost
 #: (about 20 microseconds), short enough to balance the threads and to notice Ctrl-C.
 RAYS_PER_CALL = 4096
-
-#: Hits for which it is worth asking the system whether it has the memory, which takes longer
-#: than a small query.
-CHECKED_HITS = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -74,15 +68,7 @@ class UpdateReport:
     cost_when_built: float
 
 
-def allocate_hits(count: int) -> HitArrays:
-    """Make room for the hits of `multi_hit`; raises MemoryError if there is not so much."""
-    if count >= CHECKED_HITS:
-        remedy = "give max_hits, or fewer rays at a time"
-        check_memory(count * 16, f"multi_hit: {count:,} hits would", remedy)
-    return HitArrays.empty(count)
-
-
-class Structure(ABC):
+class Structure(BatchQueries):
     """Triangles arranged for tracing.
 
     A subclass gives `name`, `queries` (from `kernels.queries.ray_queries`), the `arrays`
@@ -175,111 +161,25 @@ class Structure(ABC):
         seconds = time.perf_counter() - started
         return structure, UpdateReport(True, seconds, math.nan, math.nan)
 
-    # ---- Whole batches, in world space: what a tracer asks. A structure that does better than
-    # the blocks of local rays below overrides these.
+    def first_hit(
+        self,
+        rays: LocalRays,
+        out: HitArrays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> None:
+        """Find the nearest hit of each ray; see `BatchQueries.first_hit`."""
+        self._run(self.queries.first_hit, rays, (rays, out, tallies), progress)
 
-    def first_hit_batch(
-        self, batch: RayBatch, status: NDArray[np.uint8], progress: Progress | None = None
-    ) -> HitArrays:
-        """Find the nearest hit of each ray; a miss has t = inf and prim_id = -1.
-
-        Parameters
-        ----------
-        batch : RayBatch
-        status : ndarray of shape (N,), uint8
-            A `RayStatus` for each ray: VALID on entry, changed for invalid ones.
-        progress : callable, optional
-            Called with (rays done, rays).
-
-        Returns
-        -------
-        HitArrays
-            Row i is of ray i, with t in world direction lengths.
-        """
-        out = HitArrays.empty(len(batch))
-        for block in blocks(batch, self.frame, status, progress):
-            part = out.part(block.rows)
-            self.first_hit(block.rays, part, block.progress)
-            block.to_world(part.t, np.arange(len(part.t) + 1))
-        return out
-
-    def any_hit_batch(
-        self, batch: RayBatch, status: NDArray[np.uint8], progress: Progress | None = None
+    def any_hit(
+        self,
+        rays: LocalRays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
     ) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way; returns shape (N,), bool."""
-        seen = np.empty(len(batch), np.bool_)
-        for block in blocks(batch, self.frame, status, progress):
-            seen[block.rows] = self.any_hit(block.rays, block.progress)
-        return seen
-
-    def count_hits_batch(
-        self,
-        batch: RayBatch,
-        surfaces: bool,
-        limit: int,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-    ) -> NDArray[np.int64]:
-        """Count the hits of each ray, up to `limit`; returns shape (N,), int64."""
-        counts = np.empty(len(batch), np.int64)
-        for block in blocks(batch, self.frame, status, progress):
-            counts[block.rows] = self.count_hits(block.rays, surfaces, limit, block.progress)
-        return counts
-
-    def multi_hit_batch(
-        self,
-        batch: RayBatch,
-        surfaces: bool,
-        limit: int,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-    ) -> tuple[NDArray[np.int64], HitArrays]:
-        """Find the nearest `limit` hits of each ray, by t, then prim_id.
-
-        Returns
-        -------
-        splits : ndarray of shape (N + 1,), int64
-            Ray i owns rows splits[i] to splits[i + 1].
-        hits : HitArrays
-            With t in world direction lengths.
-
-        Raises
-        ------
-        MemoryError
-            If the hits need more memory than there is.
-        """
-        splits = np.zeros(len(batch) + 1, np.int64)
-        if limit:
-            first_half = part_of(progress, 0, 2 * len(batch))
-            counts = self.count_hits_batch(batch, surfaces, limit, status, first_half)
-            np.cumsum(counts, out=splits[1:])
-        hits = allocate_hits(int(splits[-1]))
-        second_half = part_of(progress, len(batch), 2 * len(batch))
-        for block in blocks(batch, self.frame, status, second_half):
-            rows = splits[block.rows.start : block.rows.stop + 1]
-            self.multi_hit(block.rays, surfaces, rows, hits, block.progress)
-            block.to_world(hits.t, rows)
-        return splits, hits
-
-    # ---- Local rays.
-
-    def first_hit(self, rays: LocalRays, out: HitArrays, progress: Progress | None = None) -> None:
-        """Find the nearest hit of each ray; a miss has t = inf and prim_id = -1.
-
-        Parameters
-        ----------
-        rays : LocalRays
-        out : HitArrays
-            Row i is written for ray i.
-        progress : callable, optional
-            Called with (rays done, rays to do).
-        """
-        self._run(self.queries.first_hit, rays, (rays, out), progress)
-
-    def any_hit(self, rays: LocalRays, progress: Progress | None = None) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way."""
+        """Find whether anything is in each ray's way; see `BatchQueries.any_hit`."""
         seen = np.empty(len(rays.t_min), np.bool_)
-        self._run(self.queries.any_hit, rays, (rays, seen), progress)
+        self._run(self.queries.any_hit, rays, (rays, seen, tallies), progress)
         return seen
 
     def count_hits(
@@ -288,10 +188,11 @@ class Structure(ABC):
         surfaces: bool,
         limit: int = UNLIMITED,
         progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
     ) -> NDArray[np.int64]:
-        """Count the hits of each ray, up to `limit`."""
+        """Count the hits of each ray, up to `limit`; see `BatchQueries.count_hits`."""
         counts = np.empty(len(rays.t_min), np.int64)
-        arguments = rays, self.lists_twice, surfaces, limit, counts
+        arguments = rays, self.lists_twice, surfaces, limit, counts, tallies
         self._run(self.queries.count_hits, rays, arguments, progress)
         return counts
 
@@ -302,19 +203,10 @@ class Structure(ABC):
         splits: NDArray[np.int64],
         out: HitArrays,
         progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
     ) -> None:
-        """Write the nearest splits[i + 1] - splits[i] hits of each ray i, by t, then prim_id.
-
-        Parameters
-        ----------
-        rays : LocalRays
-        surfaces : bool
-        splits : ndarray of shape (N + 1,), int64
-            From the counts of `count_hits`: no ray may have room for more hits than it has.
-        out : HitArrays
-            Rows splits[0] to splits[N] are written.
-        """
-        arguments = rays, self.lists_twice, surfaces, splits, out
+        """Write the nearest hits of each ray; see `BatchQueries.multi_hit`."""
+        arguments = rays, self.lists_twice, surfaces, splits, out, tallies
         self._run(self.queries.multi_hit, rays, arguments, progress)
 
     def _run(

@@ -71,6 +71,10 @@ class RayBlock:
         if progress is not None:
             self.progress = lambda done, _: progress(rows.start + done, len(batch))
 
+    def part_of(self, tallies: NDArray[np.uint32] | None) -> NDArray[np.uint32] | None:
+        """These rays' rows of the batch's tallies, if there are any."""
+        return None if tallies is None else tallies[self.rows]
+
     def to_world(self, t: NDArray[np.float32], splits: NDArray[np.int64]) -> None:
         """Turn rows splits[i] to splits[i + 1] of t, which belong to ray i, to world distances."""
 

@@ -27,7 +27,7 @@ class BruteArrays(NamedTuple):
 
 
 @device
-def traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen):
+def traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
     """Test every triangle; see `kernels.queries.ray_queries` for the arguments."""
     count = np.uint64(0)
     if t_min <= t_max:
@@ -45,5 +45,6 @@ def traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, st
             capacity,
             first,
             out,
+            tally,
         )
     return count

@@ -17,7 +17,8 @@ from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitArrays, aligned_rows
 from raystream.kernels.queries import UNLIMITED, ray_queries
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.structures.base import BuildReport, Structure, UpdateReport, allocate_hits
+from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.batches import allocate_hits
 from raystream.structures.bvh.build import QUALITIES, build_arrays
 from raystream.structures.bvh.engine import (
     SMALL_BATCH,
@@ -48,7 +49,8 @@ class Bvh(Structure):
         Most triangles in a leaf, 1 to 32.
     kernel : {"auto", "packet", "stream", "wavefront", "single"}
         How rays are traced: ``"auto"`` chooses for each batch. All give the same bits; the
-        others are for measuring. A query that a kernel cannot answer takes another.
+        others are for measuring. A query that a kernel cannot answer takes another, and one
+        that counts what rays meet takes ``"single"``.
     progress : callable, optional
         Called with (triangles placed, triangles) while building.
 
@@ -198,22 +200,30 @@ class Bvh(Structure):
         return moved
 
     def first_hit_batch(
-        self, batch: RayBatch, status: NDArray[np.uint8], progress: Progress | None = None
+        self,
+        batch: RayBatch,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
     ) -> HitArrays:
         """Find the nearest hit of each ray; see `Structure.first_hit_batch`."""
-        if self._is_traced_singly():
-            return super().first_hit_batch(batch, status, progress)
+        if tallies is not None or self._is_traced_singly():
+            return super().first_hit_batch(batch, status, progress, tallies)
         memory = aligned_rows(len(batch))
         to = ResultAddresses.of_first(memory, status)
         trace_batch(self._numbers, batch, False, to, progress, self.kernel)
         return HitArrays.rows_of(memory)
 
     def any_hit_batch(
-        self, batch: RayBatch, status: NDArray[np.uint8], progress: Progress | None = None
+        self,
+        batch: RayBatch,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
     ) -> NDArray[np.bool_]:
         """Find whether anything is in each ray's way; see `Structure.any_hit_batch`."""
-        if self._is_traced_singly():
-            return super().any_hit_batch(batch, status, progress)
+        if tallies is not None or self._is_traced_singly():
+            return super().any_hit_batch(batch, status, progress, tallies)
         seen = np.empty(len(batch), np.bool_)
         to = ResultAddresses.of_any(seen, status)
         trace_batch(self._numbers, batch, True, to, progress, self.kernel)
@@ -226,15 +236,17 @@ class Bvh(Structure):
         limit: int,
         status: NDArray[np.uint8],
         progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
     ) -> NDArray[np.int64]:
         """Count the hits of each ray; see `Structure.count_hits_batch`."""
-        if self._may_collect(batch, limit) and not self.lists_twice:
+        may_collect = tallies is None and self._may_collect(batch, limit)
+        if may_collect and not self.lists_twice:
             counts = count_batch(
                 self._numbers, batch, surfaces, status, progress, self.kernel == "auto"
             )
             if counts is not None:
                 return counts
-        return super().count_hits_batch(batch, surfaces, limit, status, progress)
+        return super().count_hits_batch(batch, surfaces, limit, status, progress, tallies)
 
     def multi_hit_batch(
         self,
@@ -243,6 +255,7 @@ class Bvh(Structure):
         limit: int,
         status: NDArray[np.uint8],
         progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
     ) -> tuple[NDArray[np.int64], HitArrays]:
         """Find the nearest hits of each ray; see `Structure.multi_hit_batch`.
 
@@ -250,7 +263,7 @@ class Bvh(Structure):
         -----
         Packets find all hits in one pass, and need about twice their memory for a while.
         """
-        if self._may_collect(batch, limit):
+        if tallies is None and self._may_collect(batch, limit):
             is_free = self.kernel == "auto"
             found = collect_batch(
                 self._numbers, batch, surfaces, self.lists_twice, status, progress, is_free
@@ -262,7 +275,7 @@ class Bvh(Structure):
                 hits = allocate_hits(int(splits[-1]))
                 place_rows(batch, rows, splits, hits)
                 return splits, hits
-        return super().multi_hit_batch(batch, surfaces, limit, status, progress)
+        return super().multi_hit_batch(batch, surfaces, limit, status, progress, tallies)
 
     def _may_collect(self, batch: RayBatch, limit: int) -> bool:
         """Whether packets could find the hits of a batch: all of them are wanted."""

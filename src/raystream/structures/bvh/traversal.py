@@ -15,6 +15,7 @@ from raystream.jit.simd import (
     f32x8,
     first_bit,
     float_as_bits,
+    i32x4,
     i32x8,
     lane_bits,
     load,
@@ -30,6 +31,7 @@ from raystream.kernels.collect import keep_hit
 from raystream.kernels.queries import AGAIN
 from raystream.kernels.ray import pick
 from raystream.kernels.seen import FULL, OLD, mark_seen
+from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.kernels.triangle_lanes import (
     distance_lanes,
     image_lanes,
@@ -61,6 +63,7 @@ _NONE = np.uint64(0)
 _ZERO = np.float32(0.0)
 _KEY_BITS = np.int32(~7)
 _NO_KEY = np.int32(-1)
+_NO_TRIANGLE = np.int32(-1)
 _U = np.uint64(16)
 _V = np.uint64(32)
 
@@ -193,7 +196,13 @@ def test_block(block, frame, t_min, t_far, surfaces, lanes):
 
 
 @device
-def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen):
+def _triangles_in(block):
+    """How many lanes of a leaf block hold a triangle."""
+    return count_bits(lane_bits(load(i32x4, block + PRIM_IDS) > i32x4(_NO_TRIANGLE)))
+
+
+@device
+def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments.
 
     The stack holds children with a key each: where the ray enters their box, with the lane in
@@ -223,8 +232,10 @@ def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
         if child < np.int32(0):
             block = leaf_address(tree.leaves, child)
             end = leaf_end(block, child)
+            add_to(tally, LEAVES, _ONE)
             while block != end:
                 bits = test_block(block, frame, t_min, t_far, surfaces, lanes)
+                add_to(tally, TESTS, _triangles_in(block))
                 while bits != _NONE:
                     at = first_bit(bits) << np.uint64(2)
                     bits &= bits - _ONE
@@ -254,6 +265,7 @@ def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
                 block += BLOCK
             continue
 
+        add_to(tally, STEPS, _ONE)
         node = tree.nodes + np.uint64(child) * NODE
         at_x, at_y, at_z = node + frame.plane[0], node + frame.plane[1], node + frame.plane[2]
         t_in, t_out = interval_lanes(

@@ -11,6 +11,7 @@ from raystream.jit.intrinsics import corners_at, stay_out_of_line
 from raystream.jit.simd import load
 from raystream.kernels.collect import keep_hit
 from raystream.kernels.slab import box_interval
+from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.kernels.triangle import intersect
 from raystream.structures.grid.dda import cell_end, cell_low, set_up_walk, step_walk
 
@@ -63,6 +64,7 @@ def intersect_list(
     capacity,
     first,
     out,
+    tally,
 ):
     """Test the triangles of a cell against a ray.
 
@@ -77,7 +79,7 @@ def intersect_list(
         A hit counts where t_in <= t < t_out. Outside, it is another cell's.
     t_far : float32
         Hits beyond are not wanted.
-    surfaces, keep, count, capacity, first, out
+    surfaces, keep, count, capacity, first, out, tally
         See `kernels.leaf.test_triangles`.
 
     Returns
@@ -88,7 +90,10 @@ def intersect_list(
     """
     at, stop = references + (begin << _WORD), references + (end << _WORD)
     triangles = corners_at(corners)
+    if begin != end:
+        add_to(tally, LEAVES, _ONE)
     while at != stop:
+        add_to(tally, TESTS, _ONE)
         prim_id = load(np.int32, at)
         at += np.uint64(4)
         hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), surfaces)
@@ -135,7 +140,7 @@ def _fine_cells(grid, walk, state, record):
 
 @device_call
 def _visit_fine(
-    grid, cells, splits, ray, t_in, t_end, t_far, surfaces, keep, count, capacity, first, out
+    grid, cells, splits, ray, t_in, t_end, t_far, surfaces, keep, count, capacity, first, out, tally
 ):
     """Visit the cells within a cell, from t_in to t_end; see `intersect_list`."""
     stay_out_of_line()
@@ -144,10 +149,12 @@ def _visit_fine(
     while True:
         t_out = min(cell_end(state), t_end)
         begin, end = cell_list(splits, state.cell)
+        add_to(tally, STEPS, _ONE)
         while begin == end and t_out <= t_far and t_out < t_end:
             state = step_walk(walk, state)
             t_in, t_out = t_out, min(cell_end(state), t_end)
             begin, end = cell_list(splits, state.cell)
+            add_to(tally, STEPS, _ONE)
         count, t_far = intersect_list(
             grid.fine_references,
             grid.corners,
@@ -163,6 +170,7 @@ def _visit_fine(
             capacity,
             first,
             out,
+            tally,
         )
         if t_far < t_out or t_out >= t_end or (not keep and count == capacity):
             break
@@ -172,7 +180,7 @@ def _visit_fine(
 
 
 @device
-def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen):
+def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
     """Visit the cells along a ray; see `kernels.queries.ray_queries` for the arguments."""
     count = _NONE
     t_in, t_far = enter_grid(grid, ray, t_min, t_max)
@@ -185,11 +193,13 @@ def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
     while True:
         t_out = cell_end(state)
         begin, end = cell_list(grid.splits, state.cell)
+        add_to(tally, STEPS, _ONE)
         # A hit at the cell's end is in the next cell, and may tie with one at t_far.
         while begin == end and t_out <= t_far:
             state = step_walk(walk, state)
             t_in, t_out = t_out, cell_end(state)
             begin, end = cell_list(grid.splits, state.cell)
+            add_to(tally, STEPS, _ONE)
         child = _NO_CHILD
         if grid.children != _NONE:
             child = load(np.int32, grid.children + (np.uint64(state.cell) << _WORD))
@@ -209,6 +219,7 @@ def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
                 capacity,
                 first,
                 out,
+                tally,
             )
         else:
             count, t_far = intersect_list(
@@ -226,6 +237,7 @@ def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
                 capacity,
                 first,
                 out,
+                tally,
             )
         if t_far < t_out or (not keep and count == capacity):
             break
