@@ -11,6 +11,8 @@ import pytest
 
 import raystream as rs
 
+MULTIPASS = {"machine": "multipass"}
+
 #: Every way to trace: structure and the options of its tracer. A new structure, machine or
 #: device gets its line here, and is then compared with brute force in every query.
 TRACERS = {
@@ -49,6 +51,44 @@ TRACERS = {
         "layout": "foley",
         "intersection_cost": 12.0,
         "max_depth": 3,
+    },
+    "brute, multipass": {"structure": "brute", **MULTIPASS, "intersections": 50},
+    "grid, multipass": {"structure": "grid", **MULTIPASS, "scheduler": "naive"},
+    "grid, 7 x 3 x 5, multipass": {
+        "structure": "grid",
+        "resolution": (7, 3, 5),
+        **MULTIPASS,
+        "scheduler": "double",
+        "traversal_steps": 4,
+        "intersections": 2,
+        "compaction": True,
+    },
+    "grid, two levels, multipass": {
+        "structure": "grid",
+        "resolution": (2, 3, 2),
+        "levels": 2,
+        **MULTIPASS,
+        "scheduler": "most-work",
+        "traversal_steps": 2,
+        "intersections": 5,
+    },
+    "kdtree, stack, multipass": {"structure": "kdtree", **MULTIPASS},
+    "kdtree, restart, multipass": {
+        "structure": "kdtree",
+        "traversal": "restart",
+        "intersection_cost": 12.0,
+        **MULTIPASS,
+        "scheduler": "double",
+        "compaction": True,
+    },
+    "kdtree, backtrack, multipass": {
+        "structure": "kdtree",
+        "traversal": "backtrack",
+        "layout": "foley",
+        **MULTIPASS,
+        "scheduler": "most-work",
+        "traversal_steps": 5,
+        "intersections": 3,
     },
 }
 

@@ -12,7 +12,7 @@ from raystream.machines.multipass import Multipass
 from raystream.machines.passes import Passes
 from raystream.machines.schedulers import Queues, Scheduler
 from raystream.structures import Structure
-from raystream.structures.batches import RayBatches
+from raystream.structures.batches import BatchQueries
 
 __all__ = [
     "MACHINES",
@@ -55,7 +55,7 @@ def own_options(machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 def make_machine(
     machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
-) -> RayBatches | Counting:
+) -> BatchQueries | Counting:
     """Make a machine for a structure.
 
     Parameters

@@ -16,7 +16,7 @@ from raystream.machines.counters import RayCounters
 from raystream.machines.multipass import Multipass
 from raystream.machines.passes import Passes
 from raystream.structures import Structure
-from raystream.structures.batches import RayBatches
+from raystream.structures.batches import BatchQueries
 
 __all__ = ["Counting"]
 
@@ -24,7 +24,7 @@ Answer = TypeVar("Answer")
 
 
 class Counting:
-    """Asks a machine to count as it answers queries; see `RayBatches` for these.
+    """Asks a machine to count as it answers queries; see `BatchQueries` for these.
 
     Parameters
     ----------
@@ -91,10 +91,10 @@ class Counting:
         )
 
     def _ask(
-        self, batch: RayBatch, query: Callable[[RayBatches, NDArray[Any]], Answer]
+        self, batch: RayBatch, query: Callable[[BatchQueries, NDArray[Any]], Answer]
     ) -> Answer:
         tallies = new_tallies(len(batch))
-        machine: RayBatches = self._machine
+        machine: BatchQueries = self._machine
         passes: Passes | None = None
         structure = self._machine
         if isinstance(self._machine, Multipass):

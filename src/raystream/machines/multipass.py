@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress, part_of
-from raystream.kernels.collect import HitArrays
+from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import UNLIMITED, LocalRays
 from raystream.kernels.tally import new_tallies
@@ -21,7 +21,7 @@ from raystream.machines.records import Query
 from raystream.machines.schedulers import USUAL_THRESHOLD, Queues, Scheduler, make_scheduler
 from raystream.machines.steps import steps_of
 from raystream.structures import Structure
-from raystream.structures.batches import RayBatches
+from raystream.structures.batches import BatchQueries
 
 __all__ = ["Multipass"]
 
@@ -35,7 +35,7 @@ _RAY_BYTES = 160
 _COMPACTION = 0.5
 
 
-class Multipass(RayBatches):
+class Multipass(BatchQueries):
     """Runs each step of a traversal as a kernel over all rays that wait for it.
 
     As on hardware without branching (Purcell 2002, section 2.2; Foley 2005, section 3.4): what
@@ -198,13 +198,12 @@ class Multipass(RayBatches):
         count = len(rays.t_min)
         runs = None if tallies is None else new_tallies(count)
         stacks = np.empty((count, self._steps.stack_bytes), np.uint8)
-        columns = tuple(_address(column) for column in out or (None,) * 4)
         query = Query(
             np.float32(self.structure.triangles.extreme),
             surfaces,
             out is not None,
             hands_over,
-            *columns,
+            _hit_addresses(out),
             _address(tallies),
             _address(runs),
             _address(stacks),
@@ -241,6 +240,12 @@ class Multipass(RayBatches):
             waiting = streams.waiting()
             if progress:
                 progress(count - sum(waiting), count)
+
+
+def _hit_addresses(out: HitArrays | None) -> HitAddresses:
+    if out is None:
+        return HitAddresses(*(np.uint64(0),) * 4)
+    return HitAddresses(*map(_address, out))
 
 
 def _address(array: NDArray[Any] | None) -> np.uint64:

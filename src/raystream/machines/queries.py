@@ -14,7 +14,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.queries import UNLIMITED
 from raystream.machines.counting import Counting
 from raystream.structures import Structure
-from raystream.structures.batches import RayBatches
+from raystream.structures.batches import BatchQueries
 
 __all__ = ["Crossings", "Queries"]
 
@@ -31,7 +31,7 @@ class Queries:
     """
 
     structure: Structure
-    _machine: RayBatches | Counting
+    _machine: BatchQueries | Counting
 
     def first_hit(
         self,
@@ -68,7 +68,6 @@ class Queries:
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
-        machine = self._machine
         status = np.zeros(len(batch), np.uint8)
         t, u, v, prim_id = self._machine.first_hit_batch(batch, status, progress)
         shape = batch.shape

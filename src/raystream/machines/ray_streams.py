@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,8 @@ class RayStreams:
         self._steps = steps
         self._query = query
         self.counts = np.zeros(count, np.uint32)
+        # Comparing an array with an IntEnum takes NumPy 4 microseconds longer.
+        self._waited_for = [np.uint8(one.state) for one in steps.kernels]
         ray, wanted = np.empty(count, RAY), np.empty(count, WANTED)
         ray["origin"], ray["direction"] = rays.origins, rays.directions
         ray["t_min"], ray["t_max"] = rays.t_min, rays.t_max
@@ -66,8 +69,7 @@ class RayStreams:
         ]
 
     def _kernel(self, number: int, one: StepKernel) -> Kernel:
-        code = one.function.py_func.__code__
-        names = code.co_varnames[: code.co_argcount]
+        names = inspect.signature(one.function).parameters
         known = {
             "tree": self._steps.tree,
             "query": self._query,
@@ -90,7 +92,7 @@ class RayStreams:
     def waiting(self) -> list[int]:
         """How many rays wait for each kernel."""
         states = self._streams["state"].array
-        return [int(np.count_nonzero(states == one.state)) for one in self._steps.kernels]
+        return [int(np.count_nonzero(states == state)) for state in self._waited_for]
 
     def run(self, kernel: int, counters: Counters | None) -> int:
         """Run a kernel on the rays that wait for it; returns how many there were."""

@@ -20,7 +20,6 @@ __all__ = [
     "Query",
     "RayState",
     "end_of",
-    "hits_of",
     "note",
     "ray_of",
     "tick",
@@ -89,8 +88,8 @@ class Query(NamedTuple):
         See `kernels.queries.ray_queries`.
     hands_over : bool
         Whether anyone wants to know of a ray's hits, and not only their number.
-    t, u, v, prim_id : uint64
-        See `HitAddresses`.
+    hits : HitAddresses
+        Where hits are kept.
     tallies, runs : uint64
         Addresses of the rays' tallies, and of how often each kernel ran on each ray, eight
         words for each; 0 if nobody counts.
@@ -104,10 +103,7 @@ class Query(NamedTuple):
     surfaces: bool
     keep: bool
     hands_over: bool
-    t: np.uint64
-    u: np.uint64
-    v: np.uint64
-    prim_id: np.uint64
+    hits: HitAddresses
     tallies: np.uint64
     runs: np.uint64
     stacks: np.uint64
@@ -121,12 +117,6 @@ def ray_of(ray, query):
     """A `RAY` as tests want it: set up anew in each pass."""
     o, d = ray.origin, ray.direction
     return set_up(o[0], o[1], o[2], d[0], d[1], d[2], query.extreme)
-
-
-@device
-def hits_of(query):
-    """Where hits are kept."""
-    return HitAddresses(query.t, query.u, query.v, query.prim_id)
 
 
 @device

@@ -10,7 +10,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.kernels.collect import sort_hits
 from raystream.kernels.tally import SHADINGS
-from raystream.machines.records import RayState, hits_of, tick
+from raystream.machines.records import RayState, tick
 
 __all__ = ["SHADE", "StepKernel", "Steps", "with_shade"]
 
@@ -69,7 +69,7 @@ def shade(wanted, found, query, kernel):
     """Hand a ray's hits over: sorted, where several may have been kept."""
     count = np.uint64(found.count)
     if query.keep and wanted.capacity != _ONE:
-        sort_hits(hits_of(query), wanted.first, count)
+        sort_hits(query.hits, wanted.first, count)
     tick(query, wanted, kernel, SHADINGS, count if query.keep else _ONE)
     return _DONE
 

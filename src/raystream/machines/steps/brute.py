@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.kernels.tally import TESTS
-from raystream.machines.records import RayState, end_of, hits_of, ray_of, tick
+from raystream.machines.records import RayState, end_of, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, with_shade
 from raystream.structures.brute import Brute
 from raystream.structures.grid.traversal import intersect_list
@@ -30,13 +30,13 @@ class _Triangles(NamedTuple):
 
     references: np.uint64
     corners: np.uint64
-    count: np.uint64
+    length: np.uint64
 
 
 def set_up(ray, wanted, tree, query, kernel):
     """Begin with the first triangle."""
     tick(query, wanted, kernel, TESTS, _NONE)
-    is_active = tree.count != _NONE and ray.t_min <= ray.t_max
+    is_active = tree.length != _NONE and ray.t_min <= ray.t_max
     return (np.uint32(0), ray.t_max), (np.uint32(0),), _INTERSECTING if is_active else _DONE
 
 
@@ -61,10 +61,11 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
             count,
             wanted.capacity,
             wanted.first,
-            hits_of(query),
+            query.hits,
+            None,
         )
         row += _ONE
-        if row == tree.count or (not query.keep and count == wanted.capacity):
+        if row == tree.length or (not query.keep and count == wanted.capacity):
             state = end_of(count, query)
             break
     return (np.uint32(count), t_far), (np.uint32(row),), state

@@ -9,7 +9,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
-from raystream.machines.records import RayState, end_of, hits_of, note, ray_of, tick, wants_any
+from raystream.machines.records import RayState, end_of, note, ray_of, tick, wants_any
 from raystream.machines.steps.base import StepKernel, Steps, with_shade
 from raystream.structures.grid import Grid
 from raystream.structures.grid.dda import (
@@ -244,7 +244,8 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
             count,
             wanted.capacity,
             wanted.first,
-            hits_of(query),
+            query.hits,
+            None,
         )
         row += _ONE
         is_enough = not query.keep and count == wanted.capacity

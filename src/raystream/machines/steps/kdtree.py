@@ -17,7 +17,7 @@ from raystream.kernels.tally import (
     STEPS,
     TESTS,
 )
-from raystream.machines.records import RayState, end_of, hits_of, note, ray_of, tick
+from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, with_shade
 from raystream.structures.bvh.traversal import lane_frame
 from raystream.structures.bvh.wide import BLOCK
@@ -130,7 +130,7 @@ def intersect(ray, wanted, found, place, query, kernel):
             count,
             wanted.capacity,
             wanted.first,
-            hits_of(query),
+            query.hits,
             lanes,
         )
         block += BLOCK
