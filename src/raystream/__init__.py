@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
     from raystream.render import Image, render
+    from raystream.render.heatmap import Heatmap, RayCost, heatmap
     from raystream.scene.camera import Camera
     from raystream.scene.lights import AreaLight, DirectionalLight, EnvironmentLight, PointLight
     from raystream.scene.load import load
@@ -46,6 +47,7 @@ _HOMES = {
     "DirectionalLight": "scene.lights",
     "EnvironmentLight": "scene.lights",
     "FileFormatError": "core.errors",
+    "Heatmap": "render.heatmap",
     "Hits": "core.hits",
     "Image": "render",
     "LoopLimitError": "core.errors",
@@ -53,6 +55,7 @@ _HOMES = {
     "Mesh": "scene.mesh",
     "MultiHits": "core.hits",
     "PointLight": "scene.lights",
+    "RayCost": "render.heatmap",
     "RayStatus": "core.rays",
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
@@ -60,6 +63,7 @@ _HOMES = {
     "Texture": "scene.texture",
     "Tracer": "tracer",
     "UpdateReport": "structures.base",
+    "heatmap": "render.heatmap",
     "load": "scene.load",
     "register_device": "structures.devices",
     "set_thread_count": "jit.threads",
@@ -72,6 +76,7 @@ __all__ = [
     "DirectionalLight",
     "EnvironmentLight",
     "FileFormatError",
+    "Heatmap",
     "Hits",
     "Image",
     "LoopLimitError",
@@ -79,6 +84,7 @@ __all__ = [
     "Mesh",
     "MultiHits",
     "PointLight",
+    "RayCost",
     "RayStatus",
     "RaystreamError",
     "RaystreamWarning",
@@ -87,6 +93,7 @@ __all__ = [
     "Tracer",
     "UpdateReport",
     "__version__",
+    "heatmap",
     "load",
     "register_device",
     "render",

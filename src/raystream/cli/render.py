@@ -67,7 +67,7 @@ def render(
     chosen = tracer_options(option or [], traversal)
     choose_threads(threads)
     import raystream.render as renderers
-    from raystream.render.picture import MAX_PIXELS
+    from raystream.render.arguments import MAX_PIXELS
 
     if width * height > MAX_PIXELS:
         raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")

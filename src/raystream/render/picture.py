@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any
 
-from raystream.core.memory import check_memory
 from raystream.jit.threads import Progress, parallel_for
+from raystream.render.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.render.eye_rays import eye_rays
 from raystream.render.film import Film
 from raystream.render.image import Image
@@ -20,18 +19,12 @@ from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["MAX_PIXELS", "MODES", "RENDERERS", "render"]
+__all__ = ["MODES", "RENDERERS", "render"]
 
 RENDERERS: dict[str, Renderer] = {renderer.name: renderer for renderer in (RAYCAST, VIS)}
 
 #: What each mode shows, by its name.
 MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDERERS.items()}
-
-#: Larger pictures are refused.
-MAX_PIXELS = 1 << 30
-
-#: Memory that a picture takes: the film's sums, the image, and its encoding.
-_BYTES_PER_PIXEL = 60
 
 #: Pixels that go through the stages at a time on one thread: bounds memory at about 20 MB a
 #: thread, and is how often progress is reported.
@@ -96,18 +89,10 @@ def render(
     if mode not in RENDERERS:
         known = ", ".join(repr(known) for known in RENDERERS)
         raise ValueError(f"mode: expected one of {known}, got {mode!r}")
-    width, height = _checked_size(size)
-    samples = operator.index(samples)
-    if samples < 1:
-        raise ValueError(f"samples: expected at least 1, got {samples}")
-    if camera is not None and not isinstance(camera, Camera):
-        raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
-    if isinstance(scene, Tracer):
-        if structure != "bvh" or device != "cpu" or options:
-            raise ValueError("structure, device, options: the tracer given has its own")
-        tracer = scene
-    else:
-        tracer = Tracer(scene, structure, device, **options)
+    width, height = check_size(size)
+    samples = check_samples(samples)
+    check_camera(camera)
+    tracer = make_tracer(scene, structure, device, options)
     frame = _make_frame(tracer, camera, Film(width, height))
 
     _trace_bands(RENDERERS[mode], frame, samples, seed, progress)
@@ -151,14 +136,3 @@ def _make_frame(tracer: Tracer, camera: Camera | None, film: Film) -> Frame:
     lights = classic_lights(scene, camera, patches)
     looks = Looks(scene.materials)
     return Frame(tracer, scene, camera, Surfaces(scene), looks, lights, patches, film)
-
-
-def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = (operator.index(length) for length in size)
-    except (TypeError, ValueError):
-        raise ValueError(f"size: expected (width, height), got {size!r}") from None
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise ValueError(f"size: expected 1 to {MAX_PIXELS:,} pixels, got {width}x{height}")
-    check_memory(width * height * _BYTES_PER_PIXEL, f"a picture of {width}x{height} would")
-    return width, height
