@@ -228,11 +228,13 @@ def test_full_disk_behind_stdout_is_one_line(start, square):
 
 def test_names_are_those_of_the_library():
     from raystream.render import MODES
+    from raystream.render.heatmap import HEATMAPS
     from raystream.scene.procedural import BUILTIN
     from raystream.structures import STRUCTURES
     from raystream.structures.devices import DEVICES
 
     assert set(options.MODES) == set(MODES)
+    assert tuple(HEATMAPS) == options.HEATMAPS
     assert tuple(BUILTIN) == options.SCENES
     assert set(options.STRUCTURES) == set(STRUCTURES)
     assert set(options.DEVICES) <= set(DEVICES)
@@ -245,6 +247,9 @@ def test_names_are_those_of_the_library():
         ("raystream render co", {"cornell", "conference"}, {"robots"}),
         ("raystream info ro", {"robots"}, {"cornell"}),
         ("raystream render cornell --mode ", {"raycast", "vis"}, {"bvh"}),
+        ("raystream render cornell --heatmap ", {"cells", "tests", "steps"}, {"vis"}),
+        ("raystream info cornell --machine ", {"branching", "multipass"}, {"naive"}),
+        ("raystream query cornell rays.npz --scheduler ", {"naive", "double"}, {"multipass"}),
         ("raystream query cornell rays.npz --structure b", {"bvh", "brute"}, {"vis"}),
         ("raystream query cornell rays.npz --crossings s", {"surfaces"}, {"triangles"}),
     ],

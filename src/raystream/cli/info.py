@@ -22,6 +22,8 @@ def info(
     scene: options.SceneName,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
+    machine: options.Machine = None,
+    scheduler: options.Scheduler = None,
     option: options.TracerOption = None,
     device: options.Device = "cpu",
     threads: options.Threads = None,
@@ -30,7 +32,7 @@ def info(
     json: options.Json = False,
 ) -> None:
     """Show what is in a scene, and the time, memory and quality of its structure."""
-    chosen = tracer_options(option or [], traversal)
+    chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
     choose_threads(threads)
     from raystream.cli.describe import describe
 

@@ -33,8 +33,16 @@ def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
     return parsed
 
 
-def tracer_options(words: Sequence[str], traversal: str | None) -> dict[str, Any]:
-    """Options of `Tracer` from ``--option`` and ``--traversal``.
+def tracer_options(words: Sequence[str], **named: str | None) -> dict[str, Any]:
+    """Options of `Tracer` from ``--option``, and from options of the command line.
+
+    Parameters
+    ----------
+    words : sequence of str
+        What ``--option`` was given.
+    **named
+        ``traversal``, ``machine``, ``scheduler``: what the option of that name was given, or
+        None.
 
     Raises
     ------
@@ -45,6 +53,9 @@ def tracer_options(words: Sequence[str], traversal: str | None) -> dict[str, Any
     for key in ("structure", "device"):
         if key in parsed:
             raise BadInputError(f"--option: give {key} as --{key}")
-    if traversal is not None and parsed.setdefault("traversal", traversal) != traversal:
-        raise BadInputError("--option: another traversal than --traversal")
+    for key, value in named.items():
+        if value is not None and parsed.setdefault(key, value) != value:
+            raise BadInputError(f"--option: another {key} than --{key}")
+    if named.get("scheduler") is not None and parsed.get("machine") != "multipass":
+        raise BadInputError("--scheduler: only with --machine multipass")
     return parsed

@@ -123,7 +123,8 @@ def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
         raise BadInputError(f"{source.name}: a saved structure has neither --time nor --triangles")
     if source.options:
         raise BadInputError(
-            f"{source.name}: a saved structure has neither --option nor --traversal"
+            f"{source.name}: a saved structure has no --option, --traversal, --machine "
+            "or --scheduler"
         )
     with watch.measure("load"), bars.step("loading"):
         tracer = Tracer.load(source.name)

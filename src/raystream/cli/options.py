@@ -19,17 +19,25 @@ from raystream.cli.messages import BadInputError
 
 __all__ = [
     "DEVICES",
+    "HEATMAPS",
+    "MACHINES",
     "MODES",
     "PEERS",
     "RAY_SETS",
     "SCENES",
+    "SCHEDULERS",
     "STRUCTURES",
+    "TRAVERSALS",
     "Device",
     "Json",
+    "Machine",
     "SceneName",
+    "Scheduler",
     "Structure",
     "Threads",
     "Time",
+    "TracerOption",
+    "Traversal",
     "Triangles",
     "check_output",
     "complete",
@@ -38,13 +46,17 @@ __all__ = [
     "parse_camera",
     "parse_size",
     "positive",
+    "positive_if_given",
 ]
 
 #: The names that the library has, for help and completion; a test compares them.
 SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis")
+HEATMAPS = ("cells", "tests", "steps")
 STRUCTURES = ("bvh", "kdtree", "grid", "brute")
 TRAVERSALS = ("stack", "restart", "backtrack")
+MACHINES = ("branching", "multipass")
+SCHEDULERS = ("threshold", "naive", "most-work", "double")
 DEVICES = ("cpu",)
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
@@ -100,6 +112,11 @@ def positive(value: float) -> float:
     return value
 
 
+def positive_if_given(value: float | None) -> float | None:
+    """Accept a finite number above 0, or that the option was left out."""
+    return None if value is None else positive(value)
+
+
 SCENE_HELP = (
     "A model file (OBJ, PLY, STL, OFF, glTF, GLB, AFF, NFF; also packed as .gz), a structure "
     f"saved by Tracer.save (.npz), a built-in scene ({', '.join(SCENES)}; 'forest:1000000' has "
@@ -132,10 +149,33 @@ Traversal = Annotated[
         autocompletion=complete(TRAVERSALS),
     ),
 ]
+Machine = Annotated[
+    str | None,
+    typer.Option(
+        help="How rays are traced: branching, each from start to end; or multipass, all a step "
+        "at a time. branching without it.",
+        metavar="NAME",
+        show_default=False,
+        callback=one_of(MACHINES),
+        autocompletion=complete(MACHINES),
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        help="With --machine multipass: which rays a pass takes, "
+        f"{' or '.join(SCHEDULERS)}; {SCHEDULERS[0]} without it.",
+        metavar="NAME",
+        show_default=False,
+        callback=one_of(SCHEDULERS),
+        autocompletion=complete(SCHEDULERS),
+    ),
+]
 TracerOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="An option of the structure, such as resolution=50 or quality=high; can be repeated.",
+        help="An option of the structure or the machine, such as resolution=50, quality=high or "
+        "threshold=0.3; can be repeated.",
         metavar="KEY=VALUE",
         show_default=False,
     ),

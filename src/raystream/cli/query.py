@@ -77,6 +77,8 @@ def query(
     ] = None,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
+    machine: options.Machine = None,
+    scheduler: options.Scheduler = None,
     option: options.TracerOption = None,
     device: options.Device = "cpu",
     threads: options.Threads = None,
@@ -92,7 +94,9 @@ def query(
     chosen = {"first": first, "any": anything, "multi": multi, "count": count}
     question = _Question(_only(chosen), max_hits, crossings)
     options.check_output(output, (".npz",), inputs=[scene, str(rays)])
-    tracing = tracer_options(option or [], traversal)
+    tracing = tracer_options(
+        option or [], traversal=traversal, machine=machine, scheduler=scheduler
+    )
     choose_threads(threads)
     from raystream.core.npz import write_npz
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.heatmaps import Maximum, What, check_heatmap, heatmap_figures
 from raystream.cli.keywords import tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
@@ -26,14 +27,17 @@ def render(
         typer.Option("--output", "-o", metavar="FILE", help="The picture: .png or .exr."),
     ] = Path("out.png"),
     mode: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Renderer: {' or '.join(options.MODES)}.",
+            help=f"Renderer: {' or '.join(options.MODES)}; {options.MODES[0]} without it.",
+            show_default=False,
             callback=options.one_of(options.MODES),
             autocompletion=options.complete(options.MODES),
         ),
-    ] = "raycast",
+    ] = None,
+    heatmap: What = None,
+    maximum: Maximum = None,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size in pixels.")] = "1024x768",
     samples: Annotated[int, typer.Option(min=1, metavar="N", help="Rays for each pixel.")] = 1,
     camera: Annotated[
@@ -46,13 +50,18 @@ def render(
         ),
     ] = None,
     exposure: Annotated[
-        float,
+        float | None,
         typer.Option(
-            metavar="FACTOR", callback=options.positive, help="Factor on the colours of a PNG."
+            metavar="FACTOR",
+            callback=options.positive_if_given,
+            help="Factor on the colours of a PNG; 1 without it.",
+            show_default=False,
         ),
-    ] = 1.0,
+    ] = None,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
+    machine: options.Machine = None,
+    scheduler: options.Scheduler = None,
     option: options.TracerOption = None,
     device: options.Device = "cpu",
     threads: options.Threads = None,
@@ -64,34 +73,48 @@ def render(
     width, height = options.parse_size(size)
     parts = {} if camera is None else options.parse_camera(camera)
     options.check_output(output, (".png", ".exr"), inputs=[scene])
-    chosen = tracer_options(option or [], traversal)
+    chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
+    check_heatmap(heatmap, maximum, mode, exposure, scene, chosen)
+    mode = mode or options.MODES[0]
     choose_threads(threads)
     import raystream.render as renderers
     from raystream.render.arguments import MAX_PIXELS
+    from raystream.render.heatmap import Heatmap
+    from raystream.render.heatmap import heatmap as draw_heatmap
 
     if width * height > MAX_PIXELS:
         raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
     watch = Stopwatch()
+    heat: Heatmap | None = None
     with Bars() as bars:
         tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
             view = dataclasses.replace(view, **parts)
         with watch.measure("trace"), bars.step("rendering") as progress:
-            image = renderers.render(
-                tracer, mode, (width, height), samples, camera=view, progress=progress
-            )
+            picture: dict[str, Any] = {
+                "size": (width, height),
+                "samples": samples,
+                "camera": view,
+                "progress": progress,
+            }
+            if heatmap is None:
+                image = renderers.render(tracer, mode, **picture)
+            else:
+                heat = draw_heatmap(tracer, heatmap, maximum=maximum, **picture)
         with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
-            image.save(output, exposure=exposure)
+            image = image if heat is None else heat.image
+            image.save(output, exposure=exposure or 1.0)
     ray_count = width * height * samples
     speed = rays_per_second(ray_count, watch.seconds["trace"])
     triangle_count = len(tracer.structure.triangles)
     if json:
+        shown = {"mode": mode} if heat is None else heatmap_figures(heat)
         write_json(
             {
                 "output": str(output),
                 "scene": scene,
-                "mode": mode,
+                **shown,
                 "width": width,
                 "height": height,
                 "samples": samples,
@@ -104,7 +127,8 @@ def render(
             }
         )
     else:
+        counts = "" if heat is None else f"; {heat.title}"
         write_line(
-            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles; "
+            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles{counts}; "
             f"{watch.text()}; {speed:g} Mrays/s"
         )
