@@ -116,6 +116,11 @@ class Tracer(Queries):
         self._machine = make_machine(self.machine, structure, self._counts, self._machine_options)
 
     @property
+    def is_counting(self) -> bool:
+        """Whether it was made with ``counters=True``."""
+        return self._counts
+
+    @property
     def counters(self) -> RayCounters:
         """What the rays of the latest query met.
 

@@ -73,6 +73,11 @@ class RayCounters:
         return self.steps if self.structure == "grid" else self.leaves
 
     @property
+    def all_steps(self) -> NDArray[np.uint32]:
+        """Steps down, and steps back up."""
+        return self.steps + self.backtrack_steps
+
+    @property
     def total(self) -> MappingProxyType[str, int]:
         """Sums over all rays, by name."""
         sums = {name: int(getattr(self, name).sum(dtype=np.int64)) for name in COLUMNS}
