@@ -32,6 +32,7 @@ from raystream.structures.bvh.engine import (
 from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
+from raystream.structures.bvh.steps import stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, TreeAddresses, traverse
 
 __all__ = ["Bvh"]
@@ -124,6 +125,11 @@ class Bvh(Structure):
     def lists_twice(self) -> bool:
         """Whether a triangle may be in several leaves."""
         return self._lists_twice
+
+    @cached_property
+    def stack_half(self) -> int:
+        """Bytes of half the stack of a search, see `steps.begin`."""
+        return stack_half(self.tree)
 
     def quality(self) -> dict[str, float]:
         """Counts, depth, and the expected cost of a random ray that meets the bounds."""

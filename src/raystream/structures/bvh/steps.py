@@ -1,0 +1,315 @@
+"""The steps of a ray's search in the wide tree, each a function of a small state.
+
+A machine decides when to run which: `traversal.traverse` runs them fused, one ray from start to
+end; another may run each over many rays, with their stacks in memory in between.
+
+A search is a stack of children, with a key each: where the ray enters the child's box, with its
+lane in the lowest three bits, so that eight keys are sorted at once. Keys and children are two
+arrays, the halves of the stack. `begin` puts the root there, `next_entry` takes a child, and
+`visit` puts the children of a node there that the ray enters, or `intersect_block` tests a block
+of a leaf. Between these, a ray's state is how many bytes are on its stack, the child or block
+that is next, the hits counted, and the distance beyond which none is wanted.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import (
+    count_bits,
+    f32x8,
+    first_bit,
+    float_as_bits,
+    i32x4,
+    i32x8,
+    lane_bits,
+    lanes_from_bits,
+    load,
+    mask8,
+    maximum,
+    minimum,
+    permute,
+    select,
+    store,
+)
+from raystream.kernels.collect import keep_hit
+from raystream.kernels.queries import AGAIN
+from raystream.kernels.seen import FULL, OLD, mark_seen
+from raystream.kernels.triangle_lanes import interval_lanes
+from raystream.structures.bvh.block import test_block
+from raystream.structures.bvh.layout import WIDTH, BvhArrays
+from raystream.structures.bvh.wide import (
+    BOX_FLIP,
+    CHILDREN,
+    LANE,
+    NODE,
+    PRIM_IDS,
+    leaf_address,
+    leaf_end,
+    sort_keys,
+    t_key,
+)
+
+__all__ = [
+    "TreeAddresses",
+    "begin",
+    "intersect_block",
+    "is_leaf",
+    "is_over",
+    "leaf_blocks",
+    "next_entry",
+    "stack_half",
+    "triangle_count",
+    "visit",
+]
+
+_ONE = np.uint64(1)
+_NONE = np.uint64(0)
+_ZERO = np.float32(0.0)
+_ROOT = np.int32(0)
+_KEY_BITS = np.int32(~7)
+_NO_KEY = np.int32(-1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_U = np.uint64(16)
+_V = np.uint64(32)
+
+# The lanes whose numbers have bit 0, 1 and 2 set.
+_ODD = np.uint64(0b10101010)
+_SECOND_PAIRS = np.uint64(0b11001100)
+_UPPER = np.uint64(0b11110000)
+
+#: A half of a stack is a multiple of so many bytes, so that both are whole cache lines.
+_HALF_LINE = 32
+
+
+class TreeAddresses(NamedTuple):
+    """`layout.BvhArrays` as kernels take them; whoever calls one keeps the arrays alive.
+
+    Attributes
+    ----------
+    nodes, leaves : uint64
+        Addresses of the first node and the first leaf block; 0 for an empty tree.
+    """
+
+    nodes: np.uint64
+    leaves: np.uint64
+
+
+@device
+def _lane_numbers():
+    """0 to 7: the compiler makes a constant of it."""
+    none = i32x8(np.int32(0))
+    low = select(lanes_from_bits(mask8, _ODD), i32x8(np.int32(1)), none)
+    middle = select(lanes_from_bits(mask8, _SECOND_PAIRS), i32x8(np.int32(2)), none)
+    return low | middle | select(lanes_from_bits(mask8, _UPPER), i32x8(np.int32(4)), none)
+
+
+@device
+def begin(tree, t_min, t_max, stack, half):
+    """Put the root on the stack, if there is anything to search.
+
+    Parameters
+    ----------
+    tree : TreeAddresses
+    t_min, t_max : float32
+        Closed interval in which a hit is wanted; may be empty.
+    stack : uint64
+        Address of two halves.
+    half : uint64
+        Bytes of a half: at least `stack_half` of the tree.
+
+    Returns
+    -------
+    top : uint64
+        Bytes in a half that are in use; 0 for an empty stack.
+    """
+    if tree.nodes == _NONE or not (t_min <= t_max):
+        return _NONE
+    store(stack, np.int32(0))
+    store(stack + half, _ROOT)
+    return LANE
+
+
+@device
+def next_entry(stack, half, top, t_far):
+    """Take the next child from the stack whose box the ray enters soon enough.
+
+    Parameters
+    ----------
+    stack, half, top : uint64
+        See `begin`.
+    t_far : float32
+        Hits beyond are not wanted: nor are boxes.
+
+    Returns
+    -------
+    found : bool
+        Else the search is at its end.
+    child : int32
+        A node or leaf; see `is_leaf`.
+    top : uint64
+    """
+    limit = t_key(t_far)
+    while top != _NONE:
+        top -= LANE
+        if load(np.int32, stack + top) <= limit:
+            return True, load(np.int32, stack + half + top), top
+    return False, _ROOT, top
+
+
+@device
+def is_leaf(child):
+    """Whether a child is a leaf."""
+    return child < np.int32(0)
+
+
+@device
+def leaf_blocks(tree, child):
+    """Addresses of a leaf's first block, and after its last one."""
+    block = leaf_address(tree.leaves, child)
+    return block, leaf_end(block, child)
+
+
+@device
+def visit(tree, child, frame, t_min, t_far, stack, half, top):
+    """Put the children of a node that a ray enters on the stack, the nearest on top.
+
+    Parameters
+    ----------
+    tree : TreeAddresses
+    child : int32
+        A node.
+    frame : LaneFrame
+    t_min, t_far : float32
+        Closed interval in which a hit is wanted.
+    stack, half, top : uint64
+        See `begin`.
+
+    Returns
+    -------
+    top : uint64
+    """
+    node = tree.nodes + np.uint64(child) * NODE
+    at_x, at_y, at_z = node + frame.plane[0], node + frame.plane[1], node + frame.plane[2]
+    t_in, t_out = interval_lanes(
+        load(f32x8, at_x),
+        load(f32x8, at_y),
+        load(f32x8, at_z),
+        load(f32x8, at_x ^ BOX_FLIP),
+        load(f32x8, at_y ^ BOX_FLIP),
+        load(f32x8, at_z ^ BOX_FLIP),
+        frame.inv,
+        frame.near,
+        frame.far,
+    )
+    entered = maximum(t_in, t_min) <= minimum(t_out, t_far)
+    # Only the order of the bits of positive numbers is that of the numbers.
+    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | _lane_numbers()
+    key = sort_keys(select(entered, key, i32x8(_NO_KEY)))
+    store(stack + top, key)
+    store(stack + half + top, permute(load(i32x8, node + CHILDREN), key))
+    return top + (count_bits(lane_bits(entered)) << _WORD)
+
+
+@device
+def intersect_block(
+    block, frame, t_min, t_far, surfaces, keep, count, capacity, first, out, table, room, lanes
+):
+    """Test the triangles of a leaf block, and keep or count their hits.
+
+    Parameters
+    ----------
+    block : uint64
+        Address.
+    frame : LaneFrame
+    t_min, t_far : float32
+        Closed interval in which a hit is wanted.
+    surfaces, keep, count, capacity, first, out
+        See `kernels.leaf.test_triangles`.
+    table, room : uint64
+        The set of triangles seen, see `kernels.seen.mark_seen`; `room` is 0 if none is needed.
+    lanes : uint64
+        Address of 48 bytes.
+
+    Returns
+    -------
+    count : uint64
+        `AGAIN` if the set is full; see `is_over`.
+    t_far : float32
+    """
+    bits = test_block(block, frame, t_min, t_far, surfaces, lanes)
+    while bits != _NONE:
+        at = first_bit(bits) << _WORD
+        bits &= bits - _ONE
+        prim_id = load(np.int32, block + PRIM_IDS + at)
+        if room != _NONE:
+            answer = mark_seen(table, room, prim_id)
+            if answer == OLD:
+                continue
+            if answer == FULL:
+                return AGAIN, t_far
+        if keep:
+            count, t_far = keep_hit(
+                out,
+                first,
+                count,
+                capacity,
+                load(np.float32, lanes + at),
+                load(np.float32, lanes + (_U + at)),
+                load(np.float32, lanes + (_V + at)),
+                prim_id,
+                t_far,
+            )
+        else:
+            count += _ONE
+            if count == capacity:
+                break
+    return count, t_far
+
+
+@device
+def is_over(count, capacity, keep):
+    """Whether a search ends with the count that `intersect_block` returned."""
+    return count == AGAIN or (count == capacity and not keep)
+
+
+@device
+def triangle_count(block):
+    """Triangles in a leaf block."""
+    return count_bits(lane_bits(load(i32x4, block + PRIM_IDS) >= i32x4(np.int32(0))))
+
+
+def stack_half(tree: BvhArrays) -> int:
+    """Bytes that a half of a stack needs for any search in a tree.
+
+    Parameters
+    ----------
+    tree : BvhArrays
+
+    Returns
+    -------
+    int
+        A multiple of 32.
+    """
+    entry_count = _most_entries(tree.children) if len(tree.nodes) else 1
+    return -(-4 * entry_count // _HALF_LINE) * _HALF_LINE
+
+
+@kernel
+def _most_entries(children):
+    """Entries that `visit` may write on one half: those below a node, and its eight lanes."""
+    below = np.zeros(len(children), np.int64)
+    most = 0
+    for node in range(len(children)):  # parents come before their children
+        most = max(most, below[node] + WIDTH)
+        child_count = 0
+        for lane in range(WIDTH):
+            child_count += children[node, lane] != 0
+        for lane in range(WIDTH):
+            child = children[node, lane]
+            if child > 0:
+                below[child] = below[node] + child_count - 1
+    return most

@@ -1,0 +1,387 @@
+"""The steps of a search in the BVH, run one at a time on rays whose state is in memory."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import assert_same_bits
+from meshes import dented_sphere, lattice_soup, soup
+from raystream.jit.cpu import kernel
+from raystream.jit.simd import address, scratch
+from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
+from raystream.kernels.queries import AGAIN, UNLIMITED, LocalRays
+from raystream.kernels.ray import set_up
+from raystream.kernels.seen import clear_seen
+from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
+from raystream.structures.bvh.block import lane_frame
+from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH
+from raystream.structures.bvh.statistics import statistics
+from raystream.structures.bvh.steps import (
+    begin,
+    intersect_block,
+    is_leaf,
+    is_over,
+    leaf_blocks,
+    next_entry,
+    stack_half,
+    triangle_count,
+    visit,
+)
+from raystream.structures.bvh.traversal import STACK_BYTES, traverse
+from raystream.structures.bvh.wide import BLOCK
+
+_ONE = np.uint64(1)
+_NONE = np.uint64(0)
+
+# What is next for a ray.
+_POP, _VISIT, _INTERSECT, _DONE, _FULL = range(5)
+
+#: Written on each half of a stack, and how many bytes of it follow those that are needed.
+_CANARY = 0xA5
+_CANARY_BYTES = 64
+
+
+class States(NamedTuple):
+    """Where each ray's search is; all of shape (N,)."""
+
+    stage: np.ndarray
+    top: np.ndarray
+    child: np.ndarray
+    block: np.ndarray
+    end: np.ndarray
+    count: np.ndarray
+    t_far: np.ndarray
+
+
+def new_states(rays):
+    count = len(rays.t_max)
+    stage = np.full(count, _POP, np.int32)
+    top, block, end, found = (np.zeros(count, np.uint64) for _ in range(4))
+    return States(stage, top, np.zeros(count, np.int32), block, end, found, rays.t_max.copy())
+
+
+class Slots(NamedTuple):
+    """Where each ray's hits go, and how many are wanted; of shape (N,), uint64."""
+
+    first: np.ndarray
+    capacity: np.ndarray
+
+
+@kernel
+def set_off(tree, rays, states, stacks, stride, half):
+    for i in range(len(states.stage)):
+        stack = address(stacks) + np.uint64(i) * np.uint64(stride)
+        states.top[i] = begin(tree, rays.t_min[i], rays.t_max[i], stack, np.uint64(half))
+
+
+@kernel
+def run_pass(
+    tree, extreme, rays, states, stacks, stride, half, surfaces, keep, slots, out, seen, tallies
+):
+    """One step of each ray. Returns how many were not done."""
+    o, d = rays.origins, rays.directions
+    lanes = scratch(64)
+    to = hit_addresses(out)
+    room = np.uint64(seen.shape[1]) - _ONE
+    half_bytes = np.uint64(half)
+    active = 0
+    for i in range(len(states.stage)):
+        stage = states.stage[i]
+        if stage >= _DONE:
+            continue
+        active += 1
+        stack = address(stacks) + np.uint64(i) * np.uint64(stride)
+        table = address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4)
+        top, t_min, t_far = states.top[i], rays.t_min[i], states.t_far[i]
+        first, capacity = slots.first[i], slots.capacity[i]
+        tally = tally_of(tallies, i)
+        frame = lane_frame(set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme))
+        if stage == _POP:
+            found, child, top = next_entry(stack, half_bytes, top, t_far)
+            states.top[i], states.child[i] = top, child
+            if not found:
+                stage = _DONE
+            elif is_leaf(child):
+                add_to(tally, LEAVES, _ONE)
+                states.block[i], states.end[i] = leaf_blocks(tree, child)
+                stage = _INTERSECT
+            else:
+                stage = _VISIT
+        elif stage == _VISIT:
+            add_to(tally, STEPS, _ONE)
+            child = states.child[i]
+            states.top[i] = visit(tree, child, frame, t_min, t_far, stack, half_bytes, top)
+            stage = _POP
+        else:
+            block = states.block[i]
+            add_to(tally, TESTS, triangle_count(block))
+            count, t_far = intersect_block(
+                block,
+                frame,
+                t_min,
+                t_far,
+                surfaces,
+                keep,
+                states.count[i],
+                capacity,
+                first,
+                to,
+                table,
+                room,
+                lanes,
+            )
+            states.count[i], states.t_far[i], states.block[i] = count, t_far, block + BLOCK
+            if count == AGAIN:
+                stage = _FULL
+            elif is_over(count, capacity, keep):
+                stage = _DONE
+            elif block + BLOCK == states.end[i]:
+                stage = _POP
+        states.stage[i] = stage
+    return active
+
+
+@kernel
+def fused(tree, extreme, rays, surfaces, keep, slots, out, seen, counts, tallies):
+    """`traverse` for each ray; the number of its hits, or AGAIN."""
+    o, d = rays.origins, rays.directions
+    stack = scratch(STACK_BYTES)
+    to = hit_addresses(out)
+    for i in range(len(counts)):
+        ray = set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
+        counts[i] = traverse(
+            tree,
+            ray,
+            rays.t_min[i],
+            rays.t_max[i],
+            surfaces,
+            keep,
+            slots.capacity[i],
+            slots.first[i],
+            to,
+            stack,
+            seen[i],
+            tally_of(tallies, i),
+        )
+
+
+@kernel
+def sort_all(slots, counts, out):
+    to = hit_addresses(out)
+    for i in range(len(counts)):
+        sort_hits(to, slots.first[i], counts[i])
+
+
+def new_seen(ray_count, room):
+    """Sets of triangles seen, one for each ray, with `room` places each."""
+    seen = np.empty((ray_count, room + 1), np.int32)
+    for table in seen:
+        clear_seen.py_func(table)
+    return seen
+
+
+def new_hits(slots, keep):
+    """Hits of t = inf and no triangle."""
+    out = HitArrays.empty(int((slots.first + slots.capacity).max()) if keep else 0)
+    for array, miss in zip(out, (np.inf, 0, 0, -1), strict=True):
+        array[:] = miss
+    return out
+
+
+def run_fused(structure, rays, surfaces, keep, slots, room):
+    """Counts, hits and tallies of `traverse`."""
+    count, out = len(rays.t_max), new_hits(slots, keep)
+    counts, tallies = np.zeros(count, np.uint64), new_tallies(count)
+    extreme = structure.triangles.extreme
+    arguments = surfaces, keep, slots, out, new_seen(count, room), counts, tallies
+    fused(structure.arrays, extreme, rays, *arguments)
+    return counts, out, tallies
+
+
+def run_steps(structure, rays, surfaces, keep, slots, room):
+    """The same of passes over all rays; checks that no stack is overrun."""
+    count, out = len(rays.t_max), new_hits(slots, keep)
+    states, tallies = new_states(rays), new_tallies(count)
+    need = structure.stack_half
+    half = need + _CANARY_BYTES
+    stacks = np.full((count, 2, half), _CANARY, np.uint8)
+    where = stacks, 2 * half, half
+    set_off(structure.arrays, rays, states, *where)
+    constants = surfaces, keep, slots, out, new_seen(count, room), tallies
+    extreme = structure.triangles.extreme
+    while run_pass(structure.arrays, extreme, rays, states, *where, *constants):
+        pass
+    assert (stacks[:, :, need:] == _CANARY).all()
+    return states.count, out, tallies
+
+
+def both(structure, rays, surfaces, keep, slots, room):
+    """Counts, sorted hits and tallies, the same ones from both."""
+    arguments = structure, rays, surfaces, keep, slots, room
+    counts, out, tallies = run_fused(*arguments)
+    again, again_out, again_tallies = run_steps(*arguments)
+    assert_same_bits(again, counts)
+    assert_same_bits(again_tallies, tallies)
+    if keep:
+        kept = np.where(counts == AGAIN, 0, counts)
+        for hits in (out, again_out):
+            sort_all(slots, kept, hits)
+        for column, other in zip(again_out, out, strict=True):
+            assert_same_bits(column, other)
+    return counts, out, tallies
+
+
+def local_rays(triangles, count, rng):
+    """Rays from around the triangles, most of them aimed at a point of one."""
+    corners = triangles.corners[triangles.prim_ids]
+    low, high = ([-1] * 3, [1] * 3) if not len(corners) else triangles.bounds
+    size = np.max(np.subtract(high, low))
+    origins = low + rng.random((count, 3)) * np.subtract(high, low)
+    origins += rng.normal(size=(count, 3)) * size * rng.choice([0, 0.01, 1], (count, 1))
+    targets = rng.normal(size=(count, 3)) * size
+    if len(corners):
+        weights = rng.dirichlet([1, 1, 1], count)
+        aimed = corners[rng.integers(len(corners), size=count)]
+        targets[count // 8 :] = (weights[:, :, None] * aimed).sum(axis=1)[count // 8 :]
+    directions = (targets - origins).astype(np.float32)
+    directions[np.abs(directions).max(axis=1) == 0] = 1
+    directions = np.ldexp(directions, 1 - np.frexp(np.abs(directions).max(axis=1))[1][:, None])
+    t_min = np.where(rng.random(count) < 0.8, 0, rng.random(count) * size).astype(np.float32)
+    t_max = np.where(rng.random(count) < 0.8, np.inf, rng.random(count) * size)
+    return LocalRays(origins.astype(np.float32), directions, t_min, t_max.astype(np.float32))
+
+
+def nested(count=1200):
+    """Triangles that grow by a factor from one to the next: the deepest trees there are."""
+    base = np.array([[0, 0, 0], [1, 0, 0.1], [0, 1, 0.2]])
+    sizes = 2.0 ** np.linspace(0, -60, count)
+    vertices = (base[None] * sizes[:, None, None] + sizes[:, None, None] * 3).reshape(-1, 3)
+    return vertices, np.arange(len(vertices)).reshape(-1, 3)
+
+
+def coincident(count=500):
+    """A triangle many times over, and a few others."""
+    vertices, faces = soup(20, 5)
+    return vertices, np.vstack([faces, np.repeat(faces[:1], count, axis=0)])
+
+
+def sticks(count, width):
+    """Long thin triangles: high quality cuts some."""
+    rng = np.random.default_rng(3)
+    start = rng.random((count, 3))
+    stop = start + rng.normal(size=(count, 3)) * 0.3
+    corners = np.stack([start, stop, stop + rng.normal(size=(count, 3)) * width], axis=1)
+    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+
+
+MESHES = {
+    "soup": (soup(400, 1), {}),
+    "small triangles": (soup(3000, 2, 0.02), {}),
+    "closed mesh": (dented_sphere(3), {}),
+    "ties": (lattice_soup(150), {}),
+    "leaves of 1": (soup(400, 3), {"max_leaf_size": 1}),
+    "leaves of 32": (soup(400, 4), {"max_leaf_size": 32}),
+    "nested": (nested(), {"max_leaf_size": 1}),
+    "nested, fast": (nested(), {"quality": "fast"}),
+    "coincident": (coincident(), {"max_leaf_size": 1}),
+    "cut sticks": (sticks(1500, 0.01), {"quality": "high"}),
+    "one triangle": (soup(1), {}),
+    "none": ((np.zeros((0, 3)), np.zeros((0, 3), int)), {}),
+}
+
+
+@pytest.fixture(params=MESHES)
+def pair(request):
+    """A BVH, and brute force."""
+    (vertices, faces), options = MESHES[request.param]
+    scene = rs.Scene.from_arrays(vertices, faces)
+    return rs.Tracer(scene, **options).structure, rs.Tracer(scene, "brute").structure
+
+
+def slots_for(ray_count, capacity):
+    """Room for as many hits for each ray."""
+    each = np.full(ray_count, capacity, np.uint64)
+    return Slots(np.arange(ray_count, dtype=np.uint64) * np.uint64(capacity), each)
+
+
+def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rng):
+    structure, brute = pair
+    rays = local_rays(structure.triangles, 300, rng)
+    count = len(rays.t_max)
+    one, unlimited = slots_for(count, 1), Slots(*np.zeros((2, count), np.uint64))
+    unlimited.capacity[:] = UNLIMITED
+
+    expected = HitArrays.empty(count)
+    brute.first_hit(rays, expected)
+    _, first, _ = both(structure, rays, False, True, one, 0)
+    for column, wanted in zip(first, expected, strict=True):
+        assert_same_bits(column, wanted)
+    seen, _, _ = both(structure, rays, False, False, one, 0)
+    assert_same_bits(seen != 0, brute.any_hit(rays))
+
+    assert structure.lists_twice == (structure.options["quality"] == "high")
+    room = 4096 if structure.lists_twice else 0
+    for surfaces in (False, True):
+        wanted = brute.count_hits(rays, surfaces)
+        counts, _, tallies = both(structure, rays, surfaces, False, unlimited, room)
+        assert_same_bits(counts.astype(np.int64), wanted)
+        assert (tallies[:, COLUMNS.index("tests")] >= counts).all()
+        for most in (3, max(1, wanted.max(initial=0))):
+            splits = np.zeros(count + 1, np.int64)
+            np.cumsum(np.minimum(wanted, most), out=splits[1:])
+            rows = Slots(splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64))
+            some = Slots(rows.first, np.maximum(rows.capacity, 1))  # a miss keeps none
+            expected = new_hits(some, True)
+            brute.multi_hit(rays, surfaces, splits, expected)
+            _, many, _ = both(structure, rays, surfaces, True, some, room)
+            for column, right in zip(many, expected, strict=True):
+                assert_same_bits(column, right)
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_full_set_of_triangles_seen_is_told(keep, rng):
+    scene = rs.Scene.from_arrays(*sticks(6000, 0.05))
+    structure = rs.Tracer(scene, quality="high").structure
+    rays = local_rays(structure.triangles, 200, rng)
+    count = len(rays.t_max)
+    wanted = rs.Tracer(scene, "brute").structure.count_hits(rays, False)
+    slots = slots_for(count, 400)
+    if not keep:
+        counts, _, _ = both(structure, rays, False, keep, slots, 0)
+        assert (counts > wanted).any()  # some are met twice
+    counts, _, _ = both(structure, rays, False, keep, slots, 64)
+    assert_same_bits(counts == AGAIN, wanted > 32)
+    assert 20 < (wanted > 32).sum() < 180
+    counts, _, _ = both(structure, rays, False, keep, slots, 1024)
+    assert_same_bits(counts.astype(np.int64), wanted)
+
+
+def test_the_tally_counts_real_triangles_of_leaves_entered():
+    vertices, faces = coincident(0)
+    one = np.repeat(faces[:1], 30, axis=0)
+    for triangle_count_, leaf_size in ((3, 4), (30, 32), (1, 1)):
+        scene = rs.Scene.from_arrays(vertices, one[:triangle_count_])
+        structure = rs.Tracer(scene, max_leaf_size=leaf_size).structure
+        corners = structure.triangles.corners[0]
+        origin = corners.mean(axis=0) - np.float32(4) * np.array([1, 0.2, 0.3], np.float32)
+        direction = np.array([1, 0.2, 0.3], np.float32)
+        limits = np.array([0, 0, 0, 1], np.float32), np.array([np.inf, 1, -1, 0], np.float32)
+        rays = LocalRays(np.tile(origin, (4, 1)), np.tile(direction, (4, 1)), *limits)
+        slots = Slots(np.zeros(4, np.uint64), np.full(4, UNLIMITED, np.uint64))
+        counts, _, tallies = both(structure, rays, False, False, slots, 0)
+        assert counts.tolist() == [triangle_count_, 0, 0, 0]
+        met = [1, 1, triangle_count_, 0, 0, 0, 0, 0]
+        assert tallies.tolist() == [met, [1] + [0] * 7, [0] * 8, [0] * 8]
+
+
+def test_a_stack_needs_no_more_than_its_tree_is_deep(pair):
+    structure, _ = pair
+    depth = int(statistics(structure.tree)["depth"])
+    assert depth <= MAX_DEPTH
+    need = stack_half(structure.tree)
+    assert need == structure.stack_half
+    assert need % 32 == 0
+    most = 4 * ((WIDTH - 1) * max(depth, 1) + 1)
+    assert 32 <= need <= -(-most // 32) * 32 <= STACK_BYTES // 2
