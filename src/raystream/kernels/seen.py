@@ -7,7 +7,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
-__all__ = ["FULL", "LEAST_ROOM", "NEW", "OLD", "clear_seen", "mark_seen"]
+__all__ = ["FULL", "LEAST_ROOM", "NEW", "OLD", "clear_room", "clear_seen", "mark_seen"]
 
 #: What `mark_seen` answers.
 OLD, NEW, FULL = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -33,6 +33,14 @@ def clear_seen(table):
     for place in range(len(table)):
         table[place] = _FREE
     table[len(table) - 1] = 0
+
+
+@device
+def clear_room(table, room):
+    """Empty a set of which the address and the number of places are given."""
+    for place in range(room):
+        store(table + (place << _WORD), _FREE)
+    store(table + (room << _WORD), np.int32(0))
 
 
 @device

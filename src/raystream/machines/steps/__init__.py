@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from raystream.machines.steps import brute, grid, kdtree
+from raystream.machines.steps import brute, bvh, grid, kdtree
 from raystream.machines.steps.base import Steps
 from raystream.structures import Structure
 
@@ -13,6 +13,7 @@ __all__ = ["STEPS", "Steps", "steps_of"]
 #: By the name of the structure.
 STEPS: dict[str, Callable[..., Steps]] = {
     "brute": brute.steps,
+    "bvh": bvh.steps,
     "grid": grid.steps,
     "kdtree": kdtree.steps,
 }

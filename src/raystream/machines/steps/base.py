@@ -57,12 +57,15 @@ class Steps(NamedTuple):
         What the functions get of the structure: numbers.
     stack_bytes : int
         Memory that each ray needs for itself, besides.
+    grow : callable, optional
+        Gives the same steps with more such memory, for rays that have `OVERFLOWN`.
     """
 
     kernels: tuple[StepKernel, ...]
     place: np.dtype[Any]
     tree: Any
     stack_bytes: int = 0
+    grow: Callable[[], Steps] | None = None
 
 
 def shade(wanted, found, query, kernel):

@@ -19,7 +19,7 @@ from raystream.kernels.tally import (
 )
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, with_shade
-from raystream.structures.bvh.traversal import lane_frame
+from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.kdtree import KdTree
 from raystream.structures.kdtree.state import RESTART, STACK, STACK_BYTES, KdState, split_ray

@@ -18,7 +18,7 @@ from raystream.structures.bvh.packet_all import Rows, collect_all, count_all, pl
 from raystream.structures.bvh.packet_rays import PacketOrder, packet_order
 from raystream.structures.bvh.probe import choose, probe
 from raystream.structures.bvh.sorted_batch import trace_sorted
-from raystream.structures.bvh.traversal import TreeAddresses
+from raystream.structures.bvh.steps import TreeAddresses
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 __all__ = [

@@ -32,8 +32,8 @@ from raystream.structures.bvh.engine import (
 from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
-from raystream.structures.bvh.steps import stack_half
-from raystream.structures.bvh.traversal import STACK_BYTES, TreeAddresses, traverse
+from raystream.structures.bvh.steps import TreeAddresses, stack_half
+from raystream.structures.bvh.traversal import STACK_BYTES, traverse
 
 __all__ = ["Bvh"]
 

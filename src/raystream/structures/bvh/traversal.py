@@ -7,10 +7,9 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import address, scratch
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
-from raystream.structures.bvh.block import LaneFrame, lane_frame, test_block
+from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.steps import (
-    TreeAddresses,
     begin,
     intersect_block,
     is_leaf,
@@ -22,7 +21,7 @@ from raystream.structures.bvh.steps import (
 )
 from raystream.structures.bvh.wide import BLOCK
 
-__all__ = ["STACK_BYTES", "LaneFrame", "TreeAddresses", "lane_frame", "test_block", "traverse"]
+__all__ = ["STACK_BYTES", "traverse"]
 
 _ONE = np.uint64(1)
 _NONE = np.uint64(0)

@@ -33,7 +33,7 @@ from raystream.jit.simd import first_bit, fma, load, store
 from raystream.kernels.collect import keep_hit
 from raystream.kernels.ray import pick
 from raystream.kernels.slab import box_interval
-from raystream.structures.bvh.traversal import test_block
+from raystream.structures.bvh.block import test_block
 from raystream.structures.bvh.wide import BLOCK, PRIM_IDS
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.state import RESTART, STACK, KdLeaf, KdState
@@ -184,7 +184,7 @@ def intersect_block(block, frame, state, t_far, surfaces, keep, count, capacity,
     block : uint64
         Address.
     frame : LaneFrame
-        Of `bvh.traversal.lane_frame`.
+        Of `bvh.block.lane_frame`.
     state : KdState
         At the leaf.
     t_far : float32

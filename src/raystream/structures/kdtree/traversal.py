@@ -15,7 +15,7 @@ from raystream.kernels.tally import (
     TESTS,
     add_to,
 )
-from raystream.structures.bvh.traversal import lane_frame
+from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.kdtree.state import RESTART, split_ray
 from raystream.structures.kdtree.steps import (
