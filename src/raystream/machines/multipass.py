@@ -19,7 +19,8 @@ from raystream.machines.passes import Passes
 from raystream.machines.ray_streams import RayStreams
 from raystream.machines.records import Query
 from raystream.machines.schedulers import USUAL_THRESHOLD, Queues, Scheduler, make_scheduler
-from raystream.machines.steps import steps_of
+from raystream.machines.steps import Steps, steps_of
+from raystream.machines.task import Task, Wish
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
 
@@ -81,7 +82,7 @@ class Multipass(BatchQueries):
         self.intersections = _at_least_one("intersections", intersections)
         self.compaction = bool(compaction)
         self.passes: Passes | None = None
-        self._steps = steps_of(structure)
+        steps_of(structure)  # raises for a structure that has none
 
     def recording(self, passes: Passes) -> Multipass:
         """The same machine, which adds its passes to a record."""
@@ -108,7 +109,8 @@ class Multipass(BatchQueries):
         out.prim_id.fill(-1)
         count = len(rays.t_min)
         rows = np.arange(count, dtype=np.uint64)
-        self._trace(rays, rows, np.ones(count, np.uint64), False, out, True, progress, tallies)
+        task = Task(rays, rows, np.ones(count, np.uint64), tallies)
+        self._trace(task, Wish(surfaces=False, out=out, hands_over=True), progress)
 
     def any_hit(
         self,
@@ -118,8 +120,8 @@ class Multipass(BatchQueries):
     ) -> NDArray[np.bool_]:
         """Find whether anything is in each ray's way."""
         one = np.ones(len(rays.t_min), np.uint64)
-        counts = self._trace(rays, one, one, False, None, True, progress, tallies)
-        return counts != 0
+        task = Task(rays, one, one, tallies)
+        return self._trace(task, Wish(surfaces=False, out=None, hands_over=True), progress) != 0
 
     def count_hits(
         self,
@@ -131,7 +133,8 @@ class Multipass(BatchQueries):
     ) -> NDArray[np.int64]:
         """Count the hits of each ray, up to `limit`."""
         limits = np.full(len(rays.t_min), limit, np.uint64)
-        counts = self._trace(rays, limits, limits, surfaces, None, False, progress, tallies)
+        task = Task(rays, limits, limits, tallies)
+        counts = self._trace(task, Wish(surfaces, out=None, hands_over=False), progress)
         return counts.astype(np.int64)
 
     def multi_hit(
@@ -146,84 +149,59 @@ class Multipass(BatchQueries):
         """Write the nearest hits of each ray; see `Structure.multi_hit`."""
         first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
         wants_some = np.flatnonzero(capacity)
-        part = LocalRays(*(array[wants_some] for array in rays))
-        own = None if tallies is None else tallies[wants_some]
-        self._trace(
-            part, first[wants_some], capacity[wants_some], surfaces, out, True, progress, own
-        )
-        if tallies is not None and own is not None:
-            tallies[wants_some] = own
+        task = Task(rays, first, capacity, tallies).part(wants_some)
+        self._trace(task, Wish(surfaces, out, hands_over=True), progress)
+        if tallies is not None and task.tallies is not None:
+            tallies[wants_some] = task.tallies
 
-    def _trace(
-        self,
-        rays: LocalRays,
-        first: NDArray[np.uint64],
-        capacity: NDArray[np.uint64],
-        surfaces: bool,
-        out: HitArrays | None,
-        hands_over: bool,
-        progress: Progress | None,
-        tallies: NDArray[np.uint32] | None,
-    ) -> NDArray[np.uint32]:
+    def _trace(self, task: Task, wish: Wish, progress: Progress | None) -> NDArray[np.uint32]:
         """Trace rays, in parts if they are many; returns how many hits each has."""
-        count = len(rays.t_min)
-        counts = np.zeros(count, np.uint32)
-        for part in self._parts(count):
-            of_part = LocalRays(*(array[part] for array in rays))
-            own = None if tallies is None else tallies[part]
-            report = part_of(progress, part.start, count)
-            counts[part] = self._trace_part(
-                of_part, first[part], capacity[part], surfaces, out, hands_over, report, own
-            )
+        counts = np.zeros(len(task), np.uint32)
+        steps = steps_of(self.structure)
+        for rows in _parts(len(task), steps):
+            report = part_of(progress, rows.start, len(task))
+            counts[rows] = self._trace_part(steps, task.part(rows), wish, report)
         return counts
 
-    def _parts(self, count: int) -> Iterator[slice]:
-        """So many rays at a time as there is memory for."""
-        each = _RAY_BYTES + self._steps.place.itemsize + self._steps.stack_bytes
-        size = max(1, MAX_BYTES // each)
-        for begin in range(0, count, size):
-            yield slice(begin, min(begin + size, count))
-
     def _trace_part(
-        self,
-        rays: LocalRays,
-        first: NDArray[np.uint64],
-        capacity: NDArray[np.uint64],
-        surfaces: bool,
-        out: HitArrays | None,
-        hands_over: bool,
-        progress: Progress | None,
-        tallies: NDArray[np.uint32] | None,
+        self, steps: Steps, task: Task, wish: Wish, progress: Progress | None
     ) -> NDArray[np.uint32]:
-        count = len(rays.t_min)
-        runs = None if tallies is None else new_tallies(count)
-        stacks = np.empty((count, self._steps.stack_bytes), np.uint8)
+        """Trace rays for which there is memory."""
+        before = task.tallies if steps.grow is None else copy.copy(task.tallies)
+        runs = None if task.tallies is None else new_tallies(len(task))
+        stacks = np.empty((len(task), steps.stack_bytes), np.uint8)
         query = Query(
             np.float32(self.structure.triangles.extreme),
-            surfaces,
-            out is not None,
-            hands_over,
-            _hit_addresses(out),
-            _address(tallies),
+            wish.surfaces,
+            wish.out is not None,
+            wish.hands_over,
+            _hit_addresses(wish.out),
+            _address(task.tallies),
             _address(runs),
             _address(stacks),
-            np.uint64(self._steps.stack_bytes),
+            np.uint64(steps.stack_bytes),
             np.uint64(self.traversal_steps),
             np.uint64(self.intersections),
         )
-        streams = RayStreams(self._steps, query, rays, first, capacity)
-        self._run(streams, progress)
-        streams.finish()
+        streams = RayStreams(steps, query, task)
+        self._run(streams, steps, progress)
         if self.passes is not None and runs is not None:
-            names = [one.name for one in self._steps.kernels]
             at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
-            together = [at_once[one.limit] for one in self._steps.kernels]
-            self.passes.add_bound(names, runs, together)
+            self.passes.add_bound(steps.kernels, runs, at_once)
+        overflown = streams.finish()
+        if overflown.any() and steps.grow is not None:
+            # Their tallies are to be those of the search that succeeds.
+            if task.tallies is not None and before is not None:
+                task.tallies[overflown] = before[overflown]
+            again = task.part(overflown)
+            streams.counts[overflown] = self._trace_part(steps.grow(), again, wish, None)
+            if task.tallies is not None and again.tallies is not None:
+                task.tallies[overflown] = again.tallies
         return streams.counts
 
-    def _run(self, streams: RayStreams, progress: Progress | None) -> None:
+    def _run(self, streams: RayStreams, steps: Steps, progress: Progress | None) -> None:
         """Pass after pass, until no ray is active."""
-        kernels, count = self._steps.kernels, len(streams)
+        kernels, count = steps.kernels, len(streams)
         counters = None if self.passes is None else self.passes.counters
         latest: int | None = None
         waiting = streams.waiting()
@@ -240,6 +218,14 @@ class Multipass(BatchQueries):
             waiting = streams.waiting()
             if progress:
                 progress(count - sum(waiting), count)
+
+
+def _parts(count: int, steps: Steps) -> Iterator[slice]:
+    """So many rays at a time as there is memory for."""
+    each = _RAY_BYTES + steps.place.itemsize + steps.stack_bytes
+    size = max(1, MAX_BYTES // each)
+    for begin in range(0, count, size):
+        yield slice(begin, min(begin + size, count))
 
 
 def _hit_addresses(out: HitArrays | None) -> HitAddresses:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.machines.steps.base import StepKernel
 from raystream.streams import Counters, Pass
 
 __all__ = ["Passes"]
@@ -34,23 +35,25 @@ class Passes:
     most_runs: dict[str, int] = field(default_factory=dict)
 
     def add_bound(
-        self, names: Sequence[str], runs: NDArray[np.uint32], at_once: Sequence[int]
+        self,
+        kernels: Sequence[StepKernel],
+        runs: NDArray[np.uint32],
+        at_once: Mapping[str, int],
     ) -> None:
         """Take note of rays that were traced together.
 
         Parameters
         ----------
-        names : sequence of str
-            Of the kernels.
+        kernels : sequence of StepKernel
         runs : ndarray of shape (N, 8), uint32
             Runs of each kernel on each ray.
-        at_once : sequence of int
-            How many runs on a ray one pass does.
+        at_once : mapping of str to int
+            How many runs on a ray one pass does, by `StepKernel.limit`.
         """
         most = runs.max(axis=0, initial=0)
-        for name, ran, together in zip(names, most.tolist(), at_once, strict=False):
-            self.optimal_count += -(-ran // together)
-            self.most_runs[name] = max(self.most_runs.get(name, 0), ran)
+        for one, ran in zip(kernels, most.tolist(), strict=False):
+            self.optimal_count += -(-ran // at_once[one.limit])
+            self.most_runs[one.name] = max(self.most_runs.get(one.name, 0), ran)
 
     @property
     def efficiency(self) -> float:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.kernels.queries import LocalRays
 from raystream.machines.records import FOUND, RAY, WANTED, Query, RayState
 from raystream.machines.steps.base import StepKernel, Steps
+from raystream.machines.task import Task
 from raystream.streams import Counters, Kernel, Stream
 
 __all__ = ["RayStreams"]
@@ -23,9 +23,7 @@ class RayStreams:
     ----------
     steps : Steps
     query : Query
-    rays : LocalRays
-    first, capacity : ndarray of shape (N,), uint64
-        See `records.WANTED`.
+    task : Task
 
     Attributes
     ----------
@@ -33,15 +31,8 @@ class RayStreams:
         Hits of the rays that have ended.
     """
 
-    def __init__(
-        self,
-        steps: Steps,
-        query: Query,
-        rays: LocalRays,
-        first: NDArray[np.uint64],
-        capacity: NDArray[np.uint64],
-    ) -> None:
-        count = len(rays.t_min)
+    def __init__(self, steps: Steps, query: Query, task: Task) -> None:
+        count, rays = len(task), task.rays
         self._steps = steps
         self._query = query
         self.counts = np.zeros(count, np.uint32)
@@ -50,7 +41,7 @@ class RayStreams:
         ray, wanted = np.empty(count, RAY), np.empty(count, WANTED)
         ray["origin"], ray["direction"] = rays.origins, rays.directions
         ray["t_min"], ray["t_max"] = rays.t_min, rays.t_max
-        wanted["first"], wanted["capacity"] = first, capacity
+        wanted["first"], wanted["capacity"] = task.first, task.capacity
         wanted["number"] = np.arange(count, dtype=np.uint32)
         self._set(
             {

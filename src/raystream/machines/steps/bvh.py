@@ -11,7 +11,7 @@ from raystream.jit.simd import scratch
 from raystream.kernels.queries import AGAIN
 from raystream.kernels.seen import LEAST_ROOM, clear_room
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
-from raystream.machines.records import RayState, end_of, note, ray_of, tick
+from raystream.machines.records import RayState, end_of, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, with_shade
 from raystream.structures.bvh import Bvh
 from raystream.structures.bvh import steps as search
