@@ -53,6 +53,16 @@ TRACERS = {
         "max_depth": 3,
     },
     "brute, multipass": {"structure": "brute", **MULTIPASS, "intersections": 50},
+    "bvh, multipass": {"structure": "bvh", **MULTIPASS},
+    "bvh, high, multipass": {
+        "structure": "bvh",
+        "quality": "high",
+        **MULTIPASS,
+        "scheduler": "most-work",
+        "traversal_steps": 3,
+        "intersections": 2,
+        "compaction": True,
+    },
     "grid, multipass": {"structure": "grid", **MULTIPASS, "scheduler": "naive"},
     "grid, 7 x 3 x 5, multipass": {
         "structure": "grid",
