@@ -55,8 +55,8 @@ class Multipass(BatchQueries):
         Steps from cell to cell or node to node, and triangles tested (in trees: blocks of up
         to four), that a ray does in one pass.
     compaction : bool
-        Drop rays that have ended from the streams whenever they are half of them. Otherwise
-        they stay, and every pass looks at their state.
+        Shade the rays whose search has ended, and drop them from the streams, whenever they are
+        half of them. Otherwise they stay, and every pass looks at their state.
 
     Raises
     ------
@@ -202,12 +202,19 @@ class Multipass(BatchQueries):
     def _run(self, streams: RayStreams, steps: Steps, progress: Progress | None) -> None:
         """Pass after pass, until no ray is active."""
         kernels, count = steps.kernels, len(streams)
+        shading = len(kernels) - 1
         counters = None if self.passes is None else self.passes.counters
         latest: int | None = None
         waiting = streams.waiting()
-        while active := sum(waiting):
-            if self.compaction and active <= _COMPACTION * len(streams):
+        while any(waiting):
+            searching = sum(waiting[:shading])
+            if self.compaction and searching <= _COMPACTION * len(streams):
+                if waiting[shading]:
+                    streams.run(shading, counters)
                 streams.drop_ended()
+                waiting = streams.waiting()
+                if not searching:
+                    break
             latest = self.scheduler.choose(Queues(kernels, waiting, latest))
             if not waiting[latest]:
                 raise ValueError(
