@@ -15,8 +15,8 @@ LATER = ("numba", "llvmlite", "trimesh", "PIL", "typer", "rich", "pooch", "OpenE
 
 
 def modules_after(statement: str) -> set[str]:
-    """Top-level packages in ``sys.modules`` of a new interpreter that ran the statement."""
-    code = f"import sys\n{statement}\nprint(*{{name.partition('.')[0] for name in sys.modules}})"
+    """What is in ``sys.modules`` of a new interpreter that ran the statement."""
+    code = f"import sys\n{statement}\nprint(*sys.modules)"
     assert raystream.__file__ is not None
     source = str(Path(raystream.__file__).resolve().parents[1])
     path = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
@@ -41,6 +41,15 @@ def modules_after(statement: str) -> set[str]:
     ids=["package", "scene", "camera"],
 )
 def test_import_brings_in_only_what_it_needs(statement: str) -> None:
-    modules = modules_after(statement)
-    assert "raystream" in modules
-    assert not modules & set(LATER)
+    packages = {name.partition(".")[0] for name in modules_after(statement)}
+    assert "raystream" in packages
+    assert not packages & set(LATER)
+
+
+def test_branching_brings_in_no_other_machine() -> None:
+    triangle = "[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]"
+    tracer = f"import raystream as rs; tracer = rs.Tracer(rs.Scene.from_arrays({triangle}))"
+    modules = modules_after(f"{tracer}; tracer.first_hit([0, 0, 1], [0, 0, -1])")
+    assert "raystream.machines.queries" in modules
+    late = ("raystream.streams", "raystream.machines.multipass", "raystream.machines.counting")
+    assert not modules & set(late)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from os import PathLike
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from raystream.jit.threads import Progress
 from raystream.kernels.moving import move_triangles
-from raystream.machines import Counting, RayCounters, make_machine, own_options
+from raystream.machines import make_machine, own_options
 from raystream.machines.queries import Crossings, Queries
 from raystream.scene.moving import moved_meshes
 from raystream.scene.scene import Scene
@@ -17,6 +17,9 @@ from raystream.structures import Structure
 from raystream.structures.base import UpdateReport
 from raystream.structures.devices import build_on_device
 from raystream.structures.storage import load_structure, save_structure
+
+if TYPE_CHECKING:
+    from raystream.machines import Counting, RayCounters
 
 __all__ = ["Crossings", "Tracer"]
 
@@ -129,11 +132,12 @@ class Tracer(Queries):
         ValueError
             If the tracer does not count, or has not been asked anything yet.
         """
-        if not isinstance(self._machine, Counting):
+        if not self._counts:
             raise ValueError("counters: this tracer does not count; make it with counters=True")
-        if self._machine.latest is None:
+        latest = cast("Counting", self._machine).latest
+        if latest is None:
             raise ValueError("counters: there are none before the first query")
-        return self._machine.latest
+        return latest
 
     @property
     def scene(self) -> Scene:

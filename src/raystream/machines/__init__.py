@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import inspect
+import importlib
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from raystream.machines.counters import RayCounters
-from raystream.machines.counting import Counting
-from raystream.machines.multipass import Multipass
-from raystream.machines.passes import Passes
-from raystream.machines.schedulers import Queues, Scheduler
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
 
+if TYPE_CHECKING:
+    from raystream.machines.counters import RayCounters
+    from raystream.machines.counting import Counting
+    from raystream.machines.multipass import Multipass
+    from raystream.machines.passes import Passes
+    from raystream.machines.schedulers import Queues, Scheduler
+
 __all__ = [
     "MACHINES",
+    "MULTIPASS_OPTIONS",
     "Counting",
     "Multipass",
     "Passes",
@@ -30,7 +33,25 @@ __all__ = [
 MACHINES = ("branching", "multipass")
 
 #: Options of the multipass machine.
-_MULTIPASS_OPTIONS = tuple(inspect.signature(Multipass).parameters)[1:]
+MULTIPASS_OPTIONS = ("scheduler", "threshold", "traversal_steps", "intersections", "compaction")
+
+# Imported when they are first used: branching costs neither the streams nor their kernels.
+_HOMES = {
+    "Counting": "counting",
+    "Multipass": "multipass",
+    "Passes": "passes",
+    "Queues": "schedulers",
+    "RayCounters": "counters",
+    "Scheduler": "schedulers",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
 
 
 def own_options(machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -46,7 +67,7 @@ def own_options(machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
     if machine not in list(MACHINES):
         known = ", ".join(map(repr, MACHINES))
         raise ValueError(f"machine: expected one of {known}, got {machine!r}")
-    own = {name: value for name, value in options.items() if name in _MULTIPASS_OPTIONS}
+    own = {name: value for name, value in options.items() if name in MULTIPASS_OPTIONS}
     if own and machine != "multipass":
         name = next(iter(own))
         raise TypeError(f"{machine}: has no option {name!r}; it is one of machine='multipass'")
@@ -68,5 +89,13 @@ def make_machine(
     options : mapping
         Of the machine; see `own_options`.
     """
-    made = Multipass(structure, **options) if machine == "multipass" else structure
-    return Counting(made) if counters else made
+    made: Structure | Multipass = structure
+    if machine == "multipass":
+        from raystream.machines.multipass import Multipass
+
+        made = Multipass(structure, **options)
+    if not counters:
+        return made
+    from raystream.machines.counting import Counting
+
+    return Counting(made)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,11 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import UNLIMITED
-from raystream.machines.counting import Counting
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
+
+if TYPE_CHECKING:
+    from raystream.machines.counting import Counting
 
 __all__ = ["Crossings", "Queries"]
 
