@@ -194,6 +194,7 @@ class Tracer(Queries):
 
         Examples
         --------
+        >>> import numpy as np
         >>> import raystream as rs
         >>> vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
         >>> tracer = rs.Tracer(rs.Scene.from_arrays(vertices, [[0, 1, 2]]))
