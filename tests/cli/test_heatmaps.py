@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import numpy as np
@@ -9,15 +10,6 @@ import pytest
 from PIL import Image
 
 import raystream as rs
-from counting import CountingTracer
-from raystream.render.false_colors import color_ramp
-
-
-@pytest.fixture(autouse=True)
-def counting(monkeypatch):
-    """Tracers count by a simple rule."""
-    monkeypatch.setattr("raystream.tracer.Tracer", CountingTracer)
-
 
 VIEW = "eye=0.5,0.5,2 look_at=0.5,0.5,0 fov=53.13"
 PICTURE = ("-o", "heat.png", "--size", "40x40", "--camera", VIEW)
@@ -28,32 +20,37 @@ def pixels(path):
         return np.asarray(image)
 
 
-def test_picture_shows_what_rays_cost(run, square):
-    """Seen from above, the square fills the middle half."""
-    result = run("render", square, *PICTURE, "--heatmap", "cells", "--structure", "kdtree")
+def expected(square, what, **options):
+    """The library's heat map of the same view."""
+    camera = rs.Camera((0.5, 0.5, 2), (0.5, 0.5, 0), (0, 1, 0), 53.13)
+    return rs.heatmap(rs.load(square), what, (40, 40), camera=camera, **options)
+
+
+@pytest.mark.parametrize("what", ["cells", "tests", "steps"])
+@pytest.mark.parametrize("structure", ["bvh", "kdtree", "grid", "brute"])
+def test_picture_is_the_librarys(run, square, structure, what):
+    result = run("render", square, *PICTURE, "--heatmap", what, "--structure", structure)
     assert (result.code, result.err) == (0, "")
-    expected = np.zeros((40, 40, 3), int)
-    expected[10:30, 10:30] = rs.Image(color_ramp(2)[None]).to_bytes()[0, 1]
-    picture = pixels("heat.png")
-    np.testing.assert_array_equal(picture[:40], expected)
-    assert picture.shape[0] > 50  # the scale
+    heat = expected(square, what, structure=structure)
+    np.testing.assert_array_equal(pixels("heat.png"), heat.image.to_bytes())
 
 
 def test_closing_line_says_mean_and_most(run, square):
-    out = run("render", square, *PICTURE, "--heatmap", "steps").out
-    assert re.fullmatch(
-        r"heat\.png: 40x40, 2 triangles; traversal steps per ray, mean 2\.5, most 7; load .*\n", out
-    )
+    """Seen from above, the square fills the middle half, and is one block of two triangles."""
+    out = run("render", square, *PICTURE, "--heatmap", "tests").out
+    line = r"heat\.png: 40x40, 2 triangles; triangles tested per ray, mean 0\.5, most 2; load .*\n"
+    assert re.fullmatch(line, out)
 
 
 def test_figures_as_json(run, square):
     figures = run("render", square, *PICTURE, "--heatmap", "tests", "--json").figures
     assert figures["heatmap"] == "tests"
     assert "mode" not in figures
+    assert "passes" not in figures
     assert (figures["width"], figures["height"], figures["rays"]) == (40, 40, 1600)
-    assert set(figures["counts"]) == {"cells", "tests", "steps"}
-    assert figures["counts"]["cells"] == {"mean": 0.75, "most": 3, "total": 1200}
-    assert figures["counts"]["steps"] == {"mean": 2.5, "most": 7, "total": 4000}
+    costs = expected(square, "tests").costs
+    assert figures["counts"] == {name: dataclasses.asdict(cost) for name, cost in costs.items()}
+    assert figures["counts"]["tests"] == {"mean": 0.5, "most": 2, "total": 800}
 
 
 def test_maximum_is_the_top_of_the_scale(run, square):
@@ -63,18 +60,16 @@ def test_maximum_is_the_top_of_the_scale(run, square):
     assert pixels("6.png")[20, 20].sum() > pixels("12.png")[20, 20].sum() > 0
 
 
-def test_a_heat_map_and_a_machine(run, square, monkeypatch):
-    asked = []
-    init = CountingTracer.__init__
-
-    def note(self, *arguments, **options):
-        init(self, *arguments, **options)
-        asked.append((self.asked, self.does_count))
-
-    monkeypatch.setattr(CountingTracer, "__init__", note)
-    machine = ("--machine", "multipass", "--scheduler", "naive")
-    assert run("render", square, *PICTURE, "--heatmap", "cells", *machine).code == 0
-    assert asked == [({"machine": "multipass", "scheduler": "naive"}, True)]
+def test_machines_draw_the_same_and_count_passes(run, square):
+    pictures = []
+    for machine in ("branching", "multipass"):
+        asked = ("--structure", "grid", "--machine", machine, "--json")
+        figures = run("render", square, *PICTURE, "--heatmap", "cells", *asked).figures
+        pictures.append(pixels("heat.png"))
+    np.testing.assert_array_equal(*pictures)
+    passes = expected(square, "cells", structure="grid", machine="multipass").passes
+    assert figures["passes"] == {"count": passes.count, "optimal_count": passes.optimal_count}
+    assert figures["scheduler"] == "threshold"
 
 
 @pytest.mark.parametrize(
@@ -94,7 +89,10 @@ def test_contradictions_are_refused_in_one_line(run, square, arguments, complain
     assert complaint in run("render", square, *arguments).complaint
 
 
-def test_saved_structure_counts_nothing(run, square):
-    rs.Tracer(rs.load(square)).save("saved.npz")
-    complaint = run("render", "saved.npz", "--heatmap", "cells").complaint
-    assert complaint.startswith("saved.npz: --heatmap needs a scene")
+@pytest.mark.parametrize("machine", ["branching", "multipass"])
+def test_saved_structure_counts_as_a_new_one_does(run, square, machine):
+    rs.Tracer(rs.load(square), "kdtree").save("saved.npz")
+    asked = ("--heatmap", "steps", "--machine", machine)
+    assert run("render", "saved.npz", *PICTURE, *asked).code == 0
+    heat = expected(square, "steps", structure="kdtree")
+    np.testing.assert_array_equal(pixels("heat.png"), heat.image.to_bytes())

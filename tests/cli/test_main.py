@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import subprocess
 import sys
@@ -227,17 +228,34 @@ def test_full_disk_behind_stdout_is_one_line(start, square):
 
 
 def test_names_are_those_of_the_library():
+    from raystream.machines import MACHINES
+    from raystream.machines.schedulers import SCHEDULERS
     from raystream.render import MODES
     from raystream.render.heatmap import HEATMAPS
     from raystream.scene.procedural import BUILTIN
     from raystream.structures import STRUCTURES
     from raystream.structures.devices import DEVICES
+    from raystream.structures.kdtree.structure import TRAVERSALS
 
     assert set(options.MODES) == set(MODES)
     assert tuple(HEATMAPS) == options.HEATMAPS
     assert tuple(BUILTIN) == options.SCENES
     assert set(options.STRUCTURES) == set(STRUCTURES)
+    assert options.TRAVERSALS == TRAVERSALS
+    assert options.MACHINES == MACHINES
+    assert options.SCHEDULERS == SCHEDULERS
     assert set(options.DEVICES) <= set(DEVICES)
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [("structure", "STRUCTURES"), ("machine", "MACHINES"), ("scheduler", "SCHEDULERS")],
+)
+def test_first_name_is_the_librarys_default(name, known):
+    from raystream.machines import Multipass
+
+    taker = Multipass if name == "scheduler" else raystream.Tracer
+    assert inspect.signature(taker).parameters[name].default == getattr(options, known)[0]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ FIGURES = {
     "scene",
     "query",
     "structure",
+    "machine",
     "device",
     "triangles",
     "rays",

@@ -20,6 +20,7 @@ FIGURES = {
     "height",
     "samples",
     "structure",
+    "machine",
     "device",
     "triangles",
     "rays",

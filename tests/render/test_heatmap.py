@@ -10,10 +10,10 @@ from PIL import Image as PillowImage
 from PIL import ImageFont
 
 import raystream as rs
-from counting import CountingTracer
 from raystream.render import heatmap as module
 from raystream.render import scale_bar
 from raystream.render.color import decode_srgb
+from raystream.render.eye_rays import eye_rays
 from raystream.render.false_colors import _ANCHORS, color_ramp, draw_counts
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -205,94 +205,158 @@ def test_scale_says_what_it_cuts_off(monkeypatch):
 
 # Tracing.
 
+STRUCTURES = ("bvh", "kdtree", "grid", "brute")
+STEPPING = ("kdtree", "grid", "brute")
+SIZE = (20, 15)
+
 
 @pytest.fixture
 def triangle():
-    """Seen from above, the lower left half of the picture; prim_id 4, after four of no size."""
-    faces = [[0, 0, 1]] * 4 + [[0, 1, 2]]
+    """Seen from above, the lower left half of the picture."""
     camera = rs.Camera((0, 0, 1), (0, 0, 0), (0, 1, 0), 90)
-    vertices = [[-1, -1, 0], [1, -1, 0], [-1, 1, 0]]
-    return rs.Scene([rs.Mesh(vertices, faces)], camera=camera)
+    mesh = rs.Mesh([[-1, -1, 0], [1, -1, 0], [-1, 1, 0]], [[0, 1, 2]])
+    return rs.Scene([mesh], camera=camera)
 
 
-@pytest.fixture
-def half():
-    """Pixels whose centres the triangle covers, in a picture of 20 x 20."""
-    row, column = np.mgrid[:20, :20]
-    return column <= row
+@pytest.fixture(scope="module")
+def robots():
+    return rs.load("robots", triangles=3000)
+
+
+def counted(counters):
+    """What a heat map may show."""
+    return {"cells": counters.cells, "tests": counters.tests, "steps": counters.all_steps}
+
+
+@pytest.mark.parametrize("what", ["cells", "tests", "steps"])
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_counts_are_those_of_each_pixels_ray(robots, structure, what):
+    tracer = rs.Tracer(robots, structure, counters=True)
+    heat = rs.heatmap(tracer, what, SIZE)
+    tracer.first_hit(*robots.camera_for(SIZE[0] / SIZE[1]).rays(*SIZE))
+    counts = counted(tracer.counters)
+    assert heat.counts.dtype == np.float32
+    np.testing.assert_array_equal(heat.counts, counts[what])
+    assert heat.costs == {
+        name: rs.RayCost(many.mean(), many.max(), many.sum()) for name, many in counts.items()
+    }
+    assert heat.image.size[0] == SIZE[0]
+    assert heat.image.size[1] > SIZE[1]
+    np.testing.assert_array_equal(heat.image.pixels[: SIZE[1]], draw_counts(heat.counts)[:15])
+
+
+def test_brute_tests_every_triangle(triangle):
+    heat = rs.heatmap(triangle, "tests", SIZE, structure="brute")
+    assert (heat.counts == 1).all()
+    assert heat.title == "triangles tested per ray, mean 1, most 1"
+    assert repr(heat) == f"Heatmap(20x15, {heat.title})"
+
+
+def test_steps_are_those_down_and_those_back_up(robots):
+    heat = rs.heatmap(robots, "steps", SIZE, structure="kdtree", traversal="backtrack")
+    tracer = rs.Tracer(robots, "kdtree", traversal="backtrack", counters=True)
+    tracer.first_hit(*robots.camera_for(SIZE[0] / SIZE[1]).rays(*SIZE))
+    assert tracer.counters.backtrack_steps.any()
+    steps = tracer.counters.steps + tracer.counters.backtrack_steps
+    np.testing.assert_array_equal(heat.counts, steps)
 
 
 @pytest.mark.parametrize(
-    ("what", "hit", "miss"), [("steps", 7, 1), ("cells", 3, 0), ("tests", 4, 0)]
+    ("structure", "title"),
+    [
+        ("grid", "cells visited"),
+        ("kdtree", "leaves visited"),
+        ("bvh", "leaves visited"),
+        ("brute", "leaves visited"),
+    ],
 )
-def test_counts_are_those_of_each_pixels_ray(triangle, half, what, hit, miss):
-    tracer = CountingTracer(triangle, counters=True)
-    heat = rs.heatmap(tracer, what, (20, 20))
-    assert heat.counts.dtype == np.float32
-    np.testing.assert_array_equal(heat.counts, np.where(half, hit, miss))
-    assert heat.image.size[0] == 20
-    assert heat.image.size[1] > 20
-    np.testing.assert_array_equal(heat.image.pixels[:20], draw_counts(heat.counts)[:20])
+def test_title_names_the_cells_of_a_tree_leaves(triangle, structure, title):
+    heat = rs.heatmap(triangle, "cells", SIZE, structure=structure)
+    assert heat.structure == structure
+    assert heat.title.startswith(f"{title} per ray, mean ")
 
 
-def test_figures_of_every_count(triangle, half):
-    heat = rs.heatmap(CountingTracer(triangle, counters=True), "cells", (20, 20))
-    hits = int(half.sum())
-    assert heat.costs == {
-        "cells": rs.RayCost(3 * hits / 400, 3, 3 * hits),
-        "tests": rs.RayCost(4 * hits / 400, 4, 4 * hits),
-        "steps": rs.RayCost((400 + 6 * hits) / 400, 7, 400 + 6 * hits),
-    }
-    assert heat.title == "cells visited per ray, mean 1.57, most 3"
-    assert repr(heat) == f"Heatmap(20x20, {heat.title})"
+@pytest.mark.parametrize("structure", STEPPING)
+def test_machines_draw_the_same(robots, structure):
+    options = {"what": "tests", "size": SIZE, "samples": 2, "structure": structure}
+    branching = rs.heatmap(robots, **options)
+    stepping = rs.heatmap(robots, **options, machine="multipass", scheduler="most-work")
+    np.testing.assert_array_equal(stepping.counts, branching.counts)
+    assert stepping.costs == branching.costs
+    np.testing.assert_array_equal(stepping.image.pixels, branching.image.pixels)
+    assert branching.passes is None
+    assert stepping.passes.count >= stepping.passes.optimal_count > 0
 
 
-def test_samples_are_averaged(triangle, half):
-    tracer = CountingTracer(triangle, counters=True)
-    heat = rs.heatmap(tracer, "cells", (20, 20), 8)
-    inside = np.tril(half, -1)
-    assert (heat.counts[inside] == 3).all()
-    assert not heat.counts[~half].any()
-    edge = heat.counts[half & ~inside]
-    assert ((edge > 0) & (edge < 3)).all()
-    assert heat.costs["cells"].total == heat.counts.sum() * 8
-    vis = rs.render(tracer, "vis", (20, 20), 8).pixels[..., 0]
-    np.testing.assert_array_equal(heat.counts > 0, vis > 0)  # the same rays
+def test_passes_of_all_bands_are_added_up(robots, monkeypatch):
+    tracer = rs.Tracer(robots, "grid", machine="multipass", counters=True)
+    origins, directions = robots.camera_for(SIZE[0] / SIZE[1]).rays(*SIZE)
+    count = optimal = 0
+    for band in (slice(0, 7), slice(7, 14), slice(14, 15)):
+        tracer.first_hit(origins[band], directions[band])
+        count += len(tracer.counters.passes)
+        optimal += tracer.counters.passes.optimal_count
+    monkeypatch.setattr(module, "_RAYS_PER_BAND", 7 * SIZE[0])
+    assert rs.heatmap(tracer, "steps", SIZE).passes == module.PassCost(count, optimal)
 
 
-def test_bands_do_not_show(triangle, monkeypatch):
-    tracer = CountingTracer(triangle, counters=True)
-    whole = rs.heatmap(tracer, "steps", (20, 20), 3)
+def test_samples_are_averaged(triangle):
+    """A grid of one cell: rays that meet the scene's box test the triangle, others nothing."""
+    tracer = rs.Tracer(triangle, "grid", resolution=1, counters=True)
+    camera = rs.Camera((0, 0, 2), (0, 0, 0), (0, 1, 0), 90)
+    heat = rs.heatmap(tracer, "tests", (19, 19), 8, camera=camera)
+    assert (heat.counts[5:14, 5:14] == 1).all()  # the box is 9.5 pixels wide
+    assert not heat.counts[:4].any()
+    assert not heat.counts[:, 15:].any()
+    edge = heat.counts[4, 5:14]
+    assert ((edge > 0) & (edge < 1)).any()
+    assert heat.costs["tests"].total == heat.counts.sum(dtype=np.float64) * 8
+    vis = rs.render(tracer, "vis", (19, 19), 8, camera=camera).pixels[..., 0]
+    assert (heat.counts[vis > 0] > 0).all()  # the same rays
+
+
+def test_samples_count_as_their_rays_do(robots):
+    tracer = rs.Tracer(robots, "kdtree", counters=True)
+    camera, (width, height) = robots.camera_for(SIZE[0] / SIZE[1]), SIZE
+    heat = rs.heatmap(tracer, "steps", SIZE, 3, seed=5)
+    counts = []
+    for sample in range(3):
+        stream = eye_rays(camera, width, height, range(height), sample, 3, 5)
+        np.testing.assert_array_equal(stream.pixels, np.arange(width * height))
+        tracer.first_hit(stream.origins, stream.directions)
+        counts.append(tracer.counters.all_steps.reshape(height, width))
+    np.testing.assert_array_equal(heat.counts, np.mean(counts, axis=0).astype(np.float32))
+    assert heat.costs["steps"].most == np.max(counts)
+
+
+def test_bands_do_not_show(robots, monkeypatch):
+    tracer = rs.Tracer(robots, "kdtree", counters=True)
+    whole = rs.heatmap(tracer, "steps", SIZE, 3)
     monkeypatch.setattr(module, "_RAYS_PER_BAND", 45)
     seen = []
-    bands = rs.heatmap(tracer, "steps", (20, 20), 3, progress=lambda *a: seen.append(a))
+    bands = rs.heatmap(tracer, "steps", SIZE, 3, progress=lambda *a: seen.append(a))
     np.testing.assert_array_equal(bands.counts, whole.counts)
     assert bands.costs == whole.costs
     assert seen == sorted(seen)
-    assert seen[-1] == (1200, 1200)
+    assert seen[-1] == (900, 900)
 
 
-def test_scene_is_traced_by_a_tracer_that_counts(triangle, monkeypatch):
-    made = []
-
-    class Noted(CountingTracer):
-        def __init__(self, *arguments, **options):
-            made.append((arguments[1:], options))
-            super().__init__(*arguments, **options)
-
-    monkeypatch.setattr("raystream.render.arguments.Tracer", Noted)
-    rs.heatmap(triangle, "steps", (4, 3), structure="kdtree", machine="multipass")
-    assert made == [(("kdtree", "cpu"), {"counters": True, "machine": "multipass"})]
+def test_tracing_a_scene_is_tracing_by_a_tracer_that_counts(robots):
+    tracer = rs.Tracer(robots, "kdtree", max_leaf_size=2, counters=True)
+    by_tracer = rs.heatmap(tracer, "cells", SIZE)
+    by_scene = rs.heatmap(robots, "cells", SIZE, structure="kdtree", max_leaf_size=2)
+    np.testing.assert_array_equal(by_tracer.counts, by_scene.counts)
 
 
-def test_files_and_other_scales(triangle, tmp_path):
-    heat = rs.heatmap(CountingTracer(triangle, counters=True), "steps", (20, 20), maximum=14)
+def test_files_and_other_scales(robots, tmp_path):
+    tracer = rs.Tracer(robots, "grid", counters=True)
+    heat = rs.heatmap(tracer, "steps", SIZE, maximum=1000)
     heat.save(tmp_path / "x.png")
     with PillowImage.open(tmp_path / "x.png") as read:
         np.testing.assert_array_equal(np.asarray(read), heat.image.to_bytes())
     again = dataclasses.replace(heat, maximum=None)
     assert again.counts is heat.counts
-    assert again.image.pixels[19, 0].min() > heat.image.pixels[19, 0].min()
+    assert again.image.pixels[:15].sum() > heat.image.pixels[:15].sum()
     assert heat._repr_png_().startswith(b"\x89PNG")
 
 
@@ -311,13 +375,18 @@ def test_files_and_other_scales(triangle, tmp_path):
 )
 def test_bad_arguments_are_refused(triangle, options, words):
     with pytest.raises(ValueError, match=words):
-        rs.heatmap(CountingTracer(triangle, counters=True), **options)
+        rs.heatmap(rs.Tracer(triangle, counters=True), **options)
 
 
 def test_what_cannot_be_traced_is_refused(triangle):
-    with pytest.raises(ValueError, match="counters=True"):
-        rs.heatmap(CountingTracer(triangle), size=(4, 3))
     with pytest.raises(TypeError, match="scene: expected a Scene"):
         rs.heatmap("cornell")
     with pytest.raises(TypeError, match="camera"):
-        rs.heatmap(CountingTracer(triangle, counters=True), camera=5)
+        rs.heatmap(rs.Tracer(triangle, counters=True), camera=5)
+
+
+def test_tracer_that_does_not_count_is_refused_before_it_traces(triangle, monkeypatch):
+    monkeypatch.setattr(rs.Tracer, "first_hit", lambda *_, **__: pytest.fail("traced"))
+    for scene, options in ((rs.Tracer(triangle), {}), (triangle, {"counters": False})):
+        with pytest.raises(ValueError, match="counters=True"):
+            rs.heatmap(scene, size=(4, 3), **options)

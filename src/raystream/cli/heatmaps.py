@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -42,7 +43,6 @@ def check_heatmap(
     maximum: float | None,
     mode: str | None,
     exposure: float | None,
-    source: str,
     chosen: dict[str, Any],
 ) -> None:
     """Refuse what does not go with a heat map, and let the tracer count for one.
@@ -51,8 +51,6 @@ def check_heatmap(
     ----------
     what, maximum, mode, exposure
         Options as given; None for those that were not.
-    source : str
-        The scene's name.
     chosen : dict
         Options of `Tracer`; gets ``counters``.
 
@@ -68,8 +66,6 @@ def check_heatmap(
     for name, value in (("mode", mode), ("exposure", exposure)):
         if value is not None:
             raise BadInputError(f"--{name}: not with --heatmap, which shows counts")
-    if source.lower().endswith(".npz"):
-        raise BadInputError(f"{source}: --heatmap needs a scene; a saved structure counts nothing")
     if chosen.setdefault("counters", True) is not True:
         raise BadInputError("--option: --heatmap needs counters")
 
@@ -80,10 +76,14 @@ def heatmap_figures(heat: Heatmap) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``heatmap``: what it shows; ``counts``: ``mean``, ``most`` and ``total`` of each.
+        ``heatmap``: what it shows; ``counts``: ``mean``, ``most`` and ``total`` of each; of a
+        multipass machine ``passes``: their ``count`` and ``optimal_count``.
     """
     counts = {
         name: {"mean": round(cost.mean, 6), "most": cost.most, "total": cost.total}
         for name, cost in heat.costs.items()
     }
-    return {"heatmap": heat.what, "counts": counts}
+    figures: dict[str, Any] = {"heatmap": heat.what, "counts": counts}
+    if heat.passes is not None:
+        figures["passes"] = dataclasses.asdict(heat.passes)
+    return figures

@@ -7,7 +7,7 @@ from typing import Any
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.keywords import tracer_options
+from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer
 from raystream.cli.tables import set_table
@@ -41,7 +41,7 @@ def info(
         tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         figures = describe(scene, tracer, watch)
     if json:
-        write_json(figures)
+        write_json({**figures, **machine_figures(chosen)})
     else:
         _show(figures)
 

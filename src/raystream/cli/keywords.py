@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from raystream.cli import options
 from raystream.cli.messages import BadInputError
+from raystream.core.errors import RaystreamError
 
-__all__ = ["parse_keywords", "tracer_options"]
+__all__ = ["blame_options", "machine_figures", "parse_keywords", "tracer_options"]
+
+#: Options of `Tracer` that the command line has by their names.
+FLAGS = ("structure", "device", "traversal", "machine", "scheduler")
 
 
 def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
@@ -59,3 +65,37 @@ def tracer_options(words: Sequence[str], **named: str | None) -> dict[str, Any]:
     if named.get("scheduler") is not None and parsed.get("machine") != "multipass":
         raise BadInputError("--scheduler: only with --machine multipass")
     return parsed
+
+
+@contextlib.contextmanager
+def blame_options(chosen: Mapping[str, Any]) -> Iterator[None]:
+    """Turn a tracer's complaints about its options into `BadInputError`.
+
+    Parameters
+    ----------
+    chosen : mapping
+        Options of `Tracer`; without any, complaints are bugs and stay as they are.
+    """
+    try:
+        yield
+    except RaystreamError:
+        raise
+    except (ValueError, TypeError) as error:
+        if not chosen:
+            raise
+        name = str(error).partition(":")[0]
+        raise BadInputError(f"--{error}" if name in FLAGS else f"--option: {error}") from error
+
+
+def machine_figures(chosen: Mapping[str, Any]) -> dict[str, Any]:
+    """What traces, as ``--json`` prints it: ``machine``, and ``scheduler`` of multipass.
+
+    Parameters
+    ----------
+    chosen : mapping
+        Options of `Tracer`.
+    """
+    machine = chosen.get("machine", options.MACHINES[0])
+    if machine != "multipass":
+        return {"machine": machine}
+    return {"machine": machine, "scheduler": chosen.get("scheduler", options.SCHEDULERS[0])}

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from raystream.cli.bars import Bars
+from raystream.cli.keywords import blame_options
 from raystream.cli.messages import BadInputError, refuse
 
 if TYPE_CHECKING:
@@ -105,11 +106,10 @@ def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
         with refuse(*kinds):
             scene = load(source.name, time=source.time, triangles=source.triangles)
         _ = scene.triangles  # made when first asked for; the build is timed without
-    wrong = (ValueError, TypeError) if source.options else ()
     with (
         watch.measure("build"),
         bars.step("building") as progress,
-        refuse(*wrong, where="--option"),
+        blame_options(source.options),
     ):
         return Tracer(
             scene, source.structure or "bvh", source.device, progress=progress, **source.options
@@ -117,17 +117,19 @@ def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
 
 
 def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
+    from raystream.machines import MULTIPASS_OPTIONS
     from raystream.tracer import Tracer
 
     if source.time != 0.0 or source.triangles is not None:
         raise BadInputError(f"{source.name}: a saved structure has neither --time nor --triangles")
-    if source.options:
-        raise BadInputError(
-            f"{source.name}: a saved structure has no --option, --traversal, --machine "
-            "or --scheduler"
-        )
-    with watch.measure("load"), bars.step("loading"):
-        tracer = Tracer.load(source.name)
+    for name in source.options:
+        if name not in ("machine", "counters", *MULTIPASS_OPTIONS):
+            raise BadInputError(
+                f"{source.name}: a saved structure is built already, and has no option {name!r}; "
+                "it takes those of the machine"
+            )
+    with watch.measure("load"), bars.step("loading"), blame_options(source.options):
+        tracer = Tracer.load(source.name, **source.options)
     watch.seconds["build"] = 0.0
     if source.structure not in (None, tracer.structure.name):
         raise BadInputError(

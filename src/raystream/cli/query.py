@@ -10,7 +10,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.keywords import tracer_options
+from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 
@@ -119,6 +119,7 @@ def query(
                 "scene": scene,
                 "query": question.kind,
                 "structure": tracer.structure.name,
+                **machine_figures(tracing),
                 "device": device,
                 "triangles": triangle_count,
                 "rays": answer.ray_count,

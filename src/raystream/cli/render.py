@@ -11,7 +11,7 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.heatmaps import Maximum, What, check_heatmap, heatmap_figures
-from raystream.cli.keywords import tracer_options
+from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 
@@ -74,7 +74,7 @@ def render(
     parts = {} if camera is None else options.parse_camera(camera)
     options.check_output(output, (".png", ".exr"), inputs=[scene])
     chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
-    check_heatmap(heatmap, maximum, mode, exposure, scene, chosen)
+    check_heatmap(heatmap, maximum, mode, exposure, chosen)
     mode = mode or options.MODES[0]
     choose_threads(threads)
     import raystream.render as renderers
@@ -119,6 +119,7 @@ def render(
                 "height": height,
                 "samples": samples,
                 "structure": tracer.structure.name,
+                **machine_figures(chosen),
                 "device": device,
                 "triangles": triangle_count,
                 "rays": ray_count,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,12 @@ from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["HEATMAPS", "Heatmap", "RayCost", "heatmap"]
+if TYPE_CHECKING:
+    from raystream.machines import Passes, RayCounters
 
-#: What a heat map can show, and what its title says.
+__all__ = ["HEATMAPS", "Heatmap", "PassCost", "RayCost", "heatmap"]
+
+#: What a heat map can show, and what its title says; see `_title_of`.
 HEATMAPS: dict[str, str] = {
     "cells": "cells visited",
     "tests": "triangles tested",
@@ -51,6 +54,26 @@ class RayCost:
     total: int
 
 
+@dataclass(frozen=True)
+class PassCost:
+    """What a multipass machine ran for a heat map.
+
+    Attributes
+    ----------
+    count : int
+        Passes.
+    optimal_count : int
+        No scheduler needs fewer; see `raystream.machines.Passes`.
+
+    Notes
+    -----
+    Rays are traced 2**18 at a time, and the passes of each time are added up.
+    """
+
+    count: int
+    optimal_count: int
+
+
 @dataclass(frozen=True, eq=False)
 class Heatmap:
     """What the rays of each pixel cost.
@@ -63,6 +86,10 @@ class Heatmap:
         For each pixel, the mean over its rays.
     costs : dict of str to RayCost
         By the name of the count; all of them, not only the one shown.
+    structure : str
+        In which rays were traced.
+    passes : PassCost or None
+        Of a multipass machine.
     maximum : float, optional
         Top of the scale; None takes the largest of the counts. ``dataclasses.replace(heat,
         maximum=50)`` draws the same counts by another scale.
@@ -71,6 +98,8 @@ class Heatmap:
     what: str
     counts: NDArray[np.float32]
     costs: Mapping[str, RayCost]
+    structure: str
+    passes: PassCost | None = None
     maximum: float | None = None
 
     @cached_property
@@ -83,7 +112,7 @@ class Heatmap:
         """What is shown, with the mean and the most of a ray."""
         cost = self.costs[self.what]
         mean = f"{cost.mean:,.1f}" if cost.mean >= 10.0 else f"{cost.mean:.3g}"
-        return f"{HEATMAPS[self.what]} per ray, mean {mean}, most {cost.most:,}"
+        return f"{_title_of(self.what, self.structure)} per ray, mean {mean}, most {cost.most:,}"
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the picture to a file, see `Image.save`."""
@@ -119,8 +148,8 @@ def heatmap(
     scene : Scene or Tracer
         A tracer must have been made with ``counters=True``.
     what : {"steps", "cells", "tests"}
-        Steps of the traversal; cells of a grid that were visited, or leaves of a tree; or
-        triangles that were tested.
+        Steps of the traversal, down and back up; cells of a grid that were visited, or leaves
+        of a tree; or triangles that were tested. See `raystream.machines.RayCounters`.
     size : (int, int)
         Width and height of the rendered part, in pixels. The scale below it adds to the
         height of the picture.
@@ -162,17 +191,23 @@ def heatmap(
     if not isinstance(scene, Tracer):
         options = {"counters": True, **options}
     tracer = make_tracer(scene, structure, device, options)
+    if not tracer.is_counting:
+        raise ValueError("scene: a heat map needs a tracer made with counters=True")
     camera = camera or tracer.scene.camera_for(width / height)
 
     sums = np.zeros(height * width, np.int64)
     tallies = {name: _Tally() for name in HEATMAPS}
-    for pixels, counts in _trace(tracer, camera, (width, height), samples, seed, progress):
+    passes: list[Passes] = []
+    for pixels, counters in _trace(tracer, camera, (width, height), samples, seed, progress):
+        counts = {"cells": counters.cells, "tests": counters.tests, "steps": counters.all_steps}
         for name, tally in tallies.items():
             tally.add(counts[name])
         sums[pixels] += counts[what]
+        if counters.passes is not None:
+            passes.append(counters.passes)
     means = (sums / samples).astype(np.float32).reshape(height, width)
     costs = {name: tally.cost(len(sums) * samples) for name, tally in tallies.items()}
-    return Heatmap(what, means, costs, maximum)
+    return Heatmap(what, means, costs, tracer.structure.name, _add_up(passes), maximum)
 
 
 def _trace(
@@ -182,8 +217,8 @@ def _trace(
     samples: int,
     seed: int,
     progress: Progress | None,
-) -> Iterator[tuple[NDArray[np.int64], dict[str, NDArray[Any]]]]:
-    """Trace a ray for each pixel and sample; give the pixels and the counts of some at a time.
+) -> Iterator[tuple[NDArray[np.int64], RayCounters]]:
+    """Trace a ray for each pixel and sample; give the pixels and the counters of some at a time.
 
     One query runs at a time, on all threads: the counters are those of the last one.
     """
@@ -197,7 +232,7 @@ def _trace(
             stream = eye_rays(camera, width, height, rows, sample, samples, seed)
             report = _part_of(progress, done, len(stream), ray_count)
             tracer.first_hit(stream.origins, stream.directions, progress=report)
-            yield stream.pixels, _counts_of(tracer)
+            yield stream.pixels, tracer.counters
             done += len(stream)
 
 
@@ -224,9 +259,14 @@ def _part_of(progress: Progress | None, first: int, count: int, total: int) -> P
     return lambda done, steps: whole(first + count * done // steps, total)
 
 
-def _counts_of(tracer: Tracer) -> dict[str, NDArray[Any]]:
-    """What the last query counted for each ray."""
-    counters = getattr(tracer, "counters", None)
-    if counters is None:
-        raise ValueError("scene: a heat map needs a tracer made with counters=True")
-    return {name: getattr(counters, name) for name in HEATMAPS}
+def _add_up(passes: list[Passes]) -> PassCost | None:
+    """The passes of several queries together."""
+    if not passes:
+        return None
+    return PassCost(sum(map(len, passes)), sum(one.optimal_count for one in passes))
+
+
+def _title_of(what: str, structure: str) -> str:
+    """What is counted: the cells of everything but a grid are leaves."""
+    is_leaves = what == "cells" and structure != "grid"
+    return "leaves visited" if is_leaves else HEATMAPS[what]
