@@ -139,7 +139,7 @@ def test_json_names_the_machine(run, command, arguments, figures):
     assert {key: printed[key] for key in ("machine", "scheduler") if key in printed} == figures
 
 
-@pytest.mark.parametrize("structure", ["kdtree", "grid", "brute"])
+@pytest.mark.parametrize("structure", ["bvh", "kdtree", "grid", "brute"])
 def test_machines_find_the_same(run, square, rays, structure):
     found = []
     for machine in ("branching", "multipass"):

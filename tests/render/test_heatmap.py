@@ -206,7 +206,7 @@ def test_scale_says_what_it_cuts_off(monkeypatch):
 # Tracing.
 
 STRUCTURES = ("bvh", "kdtree", "grid", "brute")
-STEPPING = ("kdtree", "grid", "brute")
+STEPPING = ("bvh", "kdtree", "grid", "brute")
 SIZE = (20, 15)
 
 
