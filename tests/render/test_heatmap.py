@@ -206,7 +206,6 @@ def test_scale_says_what_it_cuts_off(monkeypatch):
 # Tracing.
 
 STRUCTURES = ("bvh", "kdtree", "grid", "brute")
-STEPPING = ("bvh", "kdtree", "grid", "brute")
 SIZE = (20, 15)
 
 
@@ -276,7 +275,7 @@ def test_title_names_the_cells_of_a_tree_leaves(triangle, structure, title):
     assert heat.title.startswith(f"{title} per ray, mean ")
 
 
-@pytest.mark.parametrize("structure", STEPPING)
+@pytest.mark.parametrize("structure", STRUCTURES)
 def test_machines_draw_the_same(robots, structure):
     options = {"what": "tests", "size": SIZE, "samples": 2, "structure": structure}
     branching = rs.heatmap(robots, **options)
