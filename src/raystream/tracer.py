@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from os import PathLike
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 from raystream.jit.threads import Progress
@@ -110,7 +109,7 @@ class Tracer(Queries):
         own = own_options(machine, options)
         self.machine = machine
         self._counts = bool(counters)
-        self._machine_options = MappingProxyType(own)
+        self._machine_options = own
         return own
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:

@@ -145,7 +145,8 @@ def test_machines_find_the_same(run, square, rays, structure):
     for machine in ("branching", "multipass"):
         asked = ("--structure", structure, "--machine", machine)
         assert run("query", square, rays, "-o", f"{machine}.npz", *asked).code == 0
-        found.append(np.load(f"{machine}.npz"))
+        with np.load(f"{machine}.npz") as arrays:
+            found.append(dict(arrays))
     for name in found[0]:
         np.testing.assert_array_equal(found[0][name], found[1][name])
 

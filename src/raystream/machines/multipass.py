@@ -225,6 +225,8 @@ class Multipass(BatchQueries):
             waiting = streams.waiting()
             if progress:
                 progress(count - sum(waiting), count)
+        if progress:
+            progress(count, count)
 
 
 def _parts(count: int, steps: Steps) -> Iterator[slice]:
