@@ -62,11 +62,14 @@ class Costs(NamedTuple):
         Time of a step at a split, and of a triangle test; only their ratio matters.
     empty_bonus : float
         Share of the cost that is taken off where one side is empty.
+    crossing : float
+        Time of a step through the plane of a split: 0 for a tree, whose rays pay at the split.
     """
 
     traversal: float
     intersection: float
     empty_bonus: float
+    crossing: float = 0.0
 
 
 class _Axis(NamedTuple):
@@ -99,7 +102,8 @@ def _price(costs, along, position, below, above):
     tests += (along.base + length_above * along.side) * np.float64(above)
     if below == _NONE or above == _NONE:
         tests *= 1.0 - costs.empty_bonus
-    return costs.traversal + costs.intersection * tests / area
+    crossings = costs.crossing * along.base
+    return costs.traversal + (costs.intersection * tests + crossings) / area
 
 
 @device

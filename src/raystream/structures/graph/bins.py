@@ -1,0 +1,106 @@
+"""The bins of a graph: for each part of the scene's box a sector near by."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import kernel
+from raystream.jit.simd import address
+from raystream.jit.threads import parallel_for
+from raystream.structures.graph.cells import split_of
+from raystream.structures.graph.layout import SECTOR_ROWS
+from raystream.structures.graph.order import Order
+from raystream.structures.kdtree.layout import LEAF_AXIS
+
+__all__ = ["bin_corners", "choose_bin_counts", "fill_bins"]
+
+#: Fewest and most bins along an axis.
+_FEWEST, _MOST = 16, 256
+
+_CHUNK = 1 << 12
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LEAF = np.uint64(LEAF_AXIS)
+_ROWS = np.uint64(SECTOR_ROWS)
+
+
+def choose_bin_counts(sector_count: int, box: NDArray[np.float32]) -> tuple[int, int, int]:
+    """Bins along each axis: two for each sector, in a box that is not flat.
+
+    Parameters
+    ----------
+    sector_count : int
+    box : ndarray of shape (2, 3), float32
+
+    Returns
+    -------
+    tuple of three int
+        An axis along which the box is thinner than a bin of its longest axis has one.
+    """
+    count = min(max(round((2 * sector_count) ** (1 / 3)), _FEWEST), _MOST)
+    low, high = box.astype(np.float64)
+    is_flat = (high - low) * count < (high - low).max()
+    x, y, z = np.where(is_flat, 1, count).tolist()
+    return x, y, z
+
+
+def bin_corners(
+    box: NDArray[np.float32], counts: tuple[int, int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Low sides of the bins along each axis: ``low + i * ((high - low) / count)``, all float32."""
+    low, high = box
+    x, y, z = (
+        low[k]
+        + np.arange(counts[k], dtype=np.float32) * ((high[k] - low[k]) / np.float32(counts[k]))
+        for k in range(3)
+    )
+    return x, y, z
+
+
+@kernel
+def _fill_bins(begin, end, nodes, sectors, x, y, z, bins):
+    """Look up the corners of bins begin to end, z first."""
+    node_at = address(nodes)
+    for row in range(np.uint64(begin), np.uint64(end)):
+        yz = row // np.uint64(len(z))
+        px, py = x[yz // np.uint64(len(y))], y[yz % np.uint64(len(y))]
+        pz = z[row % np.uint64(len(z))]
+        node = _NONE
+        axis, first, plane = split_of(node_at, node)
+        while axis != _LEAF:
+            place = px if axis == _NONE else (py if axis == _ONE else pz)
+            node = first if place < plane else first + _ONE
+            axis, first, plane = split_of(node_at, node)
+        bins[row] = np.uint64(sectors[node]) * _ROWS
+
+
+def fill_bins(
+    nodes: NDArray[np.int32], order: Order, box: NDArray[np.float32]
+) -> NDArray[np.uint32]:
+    """Find the sectors that hold the bins' low corners.
+
+    Parameters
+    ----------
+    nodes : ndarray of shape (M, 2), int32
+        The kd-tree.
+    order : Order
+    box : ndarray of shape (2, 3), float32
+        That of all sectors.
+
+    Returns
+    -------
+    ndarray of shape (X, Y, Z), uint32
+        `layout.GraphArrays.bins`. A corner on a plane belongs to the sector above it.
+    """
+    counts = choose_bin_counts(len(order.leaves), box)
+    x, y, z = bin_corners(box, counts)
+    bins = np.empty(counts, np.uint32)
+    flat = bins.reshape(-1)
+
+    def body(begin: int, end: int) -> None:
+        _fill_bins(begin, end, nodes, order.sectors, x, y, z, flat)
+
+    parallel_for(body, len(flat), _CHUNK)
+    return bins

@@ -1,0 +1,142 @@
+"""The cells of a kd-tree: their boxes, and what lies across each of their faces."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address, load, store
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD
+from raystream.structures.kdtree.layout import LEAF_AXIS
+
+__all__ = ["NODE_BYTES", "ROPE_BYTES", "Cells", "find_cells", "is_leaf", "settle", "split_of"]
+
+#: Bytes of a node of the tree, and of a cell's six ropes.
+NODE_BYTES = np.uint64(8)
+ROPE_BYTES = np.uint64(24)
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_THREE = np.uint64(3)
+_SIX = np.uint64(6)
+_LEAF = np.uint64(LEAF_AXIS)
+_NOWHERE = np.int32(-1)
+
+
+class Cells(NamedTuple):
+    """The cells of a kd-tree, row by row as its nodes.
+
+    Attributes
+    ----------
+    boxes : ndarray of shape (M, 6), float32
+        Low x, y, z, high x, y, z.
+    ropes : ndarray of shape (M, 6), int32
+        For each face, in the order of `layout.FACES`: the node of the smallest subtree that
+        covers all of its other side, or -1 at the side of the root's box.
+    """
+
+    boxes: NDArray[np.float32]
+    ropes: NDArray[np.int32]
+
+
+@device
+def split_of(nodes, node):
+    """A node's axis, or 3; its first child; its plane."""
+    at = nodes + node * NODE_BYTES
+    word = np.uint64(load(np.uint32, at + WORD))
+    return word & _THREE, word >> _TWO, load(np.float32, at)
+
+
+@device
+def is_leaf(nodes, node):
+    """Whether a node is a leaf."""
+    axis, _, _ = split_of(nodes, node)
+    return axis == _LEAF
+
+
+@device
+def settle(nodes, node, face, box):
+    """Descend to the smallest subtree that covers the other side of a box's face.
+
+    Parameters
+    ----------
+    nodes : uint64
+        Address of the tree.
+    node : uint64
+        A subtree that covers it.
+    face : uint64
+        See `layout.FACES`.
+    box : uint64
+        Address.
+
+    Returns
+    -------
+    uint64
+    """
+    face_axis = face >> _ONE
+    # Behind a high face lies the low side of things.
+    touching = _ONE - (face & _ONE)
+    while True:
+        axis, child, plane = split_of(nodes, node)
+        if axis == _LEAF:
+            return node
+        side = box + axis * WORD
+        if axis == face_axis:
+            node = child + touching
+        elif plane <= load(np.float32, side):
+            node = child + _ONE
+        elif plane >= load(np.float32, side + HIGH):
+            node = child
+        else:
+            return node
+
+
+@kernel
+def _find_cells(nodes, boxes, ropes):
+    """Walk a tree from its root, whose box and ropes are given."""
+    node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
+    for node in range(np.uint64(len(nodes))):
+        axis, first, plane = split_of(node_at, node)
+        if axis == _LEAF:
+            continue
+        for side in range(_TWO):
+            child = first + side
+            box, rope = box_at + child * BOX_BYTES, rope_at + child * ROPE_BYTES
+            for k in range(_SIX):
+                at = k * WORD
+                store(box + at, load(np.float32, box_at + node * BOX_BYTES + at))
+                store(rope + at, load(np.int32, rope_at + node * ROPE_BYTES + at))
+            # The cell below the plane has it as its high side, the other one as its low side.
+            inner = _ONE - side
+            store(box + (axis + _THREE * inner) * WORD, plane)
+            store(rope + (_TWO * axis + inner) * WORD, np.int32(first + inner))
+            for face in range(_SIX):
+                other = load(np.int32, rope + face * WORD)
+                if other != _NOWHERE:
+                    settled = settle(node_at, np.uint64(other), face, box)
+                    store(rope + face * WORD, np.int32(settled))
+
+
+def find_cells(nodes: NDArray[np.int32], box: NDArray[np.float32]) -> Cells:
+    """Find the cells of a tree.
+
+    Parameters
+    ----------
+    nodes : ndarray of shape (M, 2), int32
+        `kdtree.layout.KdArrays.nodes`, at least one.
+    box : ndarray of shape (2, 3), float32
+        The root's.
+
+    Returns
+    -------
+    Cells
+    """
+    boxes = np.empty((len(nodes), 6), np.float32)
+    ropes = np.empty((len(nodes), 6), np.int32)
+    boxes[0], ropes[0] = box.ravel(), _NOWHERE
+    _find_cells(nodes, boxes, ropes)
+    return Cells(boxes, ropes)

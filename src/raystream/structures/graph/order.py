@@ -1,0 +1,163 @@
+"""The order of sectors in memory: along a curve that stays near.
+
+References
+----------
+Morton, "A computer oriented geodetic data base and a new technique in file sequencing", IBM 1966.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address, load, store
+from raystream.jit.threads import parallel_for
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD
+from raystream.structures.graph.cells import NODE_BYTES, Cells, split_of
+from raystream.structures.graph.layout import SECTOR_ROWS
+from raystream.structures.kdtree.layout import LEAF_AXIS, KdArrays
+
+__all__ = ["SECTOR_BYTES", "Order", "fill_sectors", "order_sectors"]
+
+#: Bytes of a sector, and of a block's triangles.
+SECTOR_BYTES = np.uint64(16 * SECTOR_ROWS)
+_BLOCK_IDS = np.uint64(16)
+
+#: Steps of the curve along each axis: 21 bits of three axes fit into 64.
+_STEPS = 1 << 21
+
+_CHUNK = 1 << 13
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_LAST_STEP = np.float64(_STEPS - 1)
+_STEP_COUNT = np.float64(_STEPS)
+
+
+class Order(NamedTuple):
+    """Which leaf of the kd-tree is which sector.
+
+    Attributes
+    ----------
+    leaves : ndarray of shape (S,), uint32
+        The node of each sector.
+    sectors : ndarray of shape (M,), uint32
+        The sector of each node that is a leaf.
+    """
+
+    leaves: NDArray[np.uint32]
+    sectors: NDArray[np.uint32]
+
+
+@device
+def _spread(number):
+    """Put two zero bits behind each of the lowest 21 bits."""
+    number = (number | number << np.uint64(32)) & np.uint64(0x001F00000000FFFF)
+    number = (number | number << np.uint64(16)) & np.uint64(0x001F0000FF0000FF)
+    number = (number | number << np.uint64(8)) & np.uint64(0x100F00F00F00F00F)
+    number = (number | number << np.uint64(4)) & np.uint64(0x10C30C30C30C30C3)
+    return (number | number << _TWO) & np.uint64(0x1249249249249249)
+
+
+@kernel
+def _find_codes(begin, end, leaves, boxes, codes):
+    """Write the places along the curve of the centres of some leaves."""
+    box_at = address(boxes)
+    for i in range(np.uint64(begin), np.uint64(end)):
+        box = box_at + np.uint64(leaves[i]) * BOX_BYTES
+        code = _NONE
+        for axis in range(np.uint64(3)):
+            at = axis * WORD
+            low = np.float64(load(np.float32, box_at + at))
+            size = np.float64(load(np.float32, box_at + HIGH + at)) - low
+            middle = np.float64(load(np.float32, box + at)) + load(np.float32, box + HIGH + at)
+            place = (middle * 0.5 - low) / size * _STEP_COUNT
+            code |= _spread(np.uint64(min(max(place, 0.0), _LAST_STEP))) << axis
+        codes[i] = code
+
+
+def order_sectors(nodes: NDArray[np.int32], cells: Cells) -> Order:
+    """Number the leaves of a tree along a Morton curve through their centres.
+
+    Parameters
+    ----------
+    nodes : ndarray of shape (M, 2), int32
+    cells : Cells
+
+    Returns
+    -------
+    Order
+        Leaves with the same place on the curve are in the order of the tree's nodes.
+    """
+    leaves = np.flatnonzero(nodes[:, 1] & 3 == LEAF_AXIS).astype(np.uint32)
+    codes = np.empty(len(leaves), np.uint64)
+
+    def body(begin: int, end: int) -> None:
+        _find_codes(begin, end, leaves, cells.boxes, codes)
+
+    parallel_for(body, len(leaves), _CHUNK)
+    leaves = leaves[np.argsort(codes, kind="stable")]
+    sectors = np.zeros(len(nodes), np.uint32)
+    sectors[leaves] = np.arange(len(leaves), dtype=np.uint32)
+    return Order(leaves, sectors)
+
+
+@kernel
+def _fill_sectors(begin, end, leaves, nodes, boxes, tree_ids, firsts, rows, prim_ids):
+    """Write the boxes and triangles of sectors begin to end."""
+    node_at, box_at, tree_at = address(nodes), address(boxes), address(tree_ids)
+    row_at, id_at = address(rows), address(prim_ids)
+    for sector in range(np.uint64(begin), np.uint64(end)):
+        leaf = np.uint64(leaves[sector])
+        _, count, _ = split_of(node_at, leaf)
+        to = row_at + sector * SECTOR_BYTES
+        for axis in range(np.uint64(3)):
+            at = axis * WORD
+            store(to + at, load(np.float32, box_at + leaf * BOX_BYTES + at))
+            high = load(np.float32, box_at + leaf * BOX_BYTES + HIGH + at)
+            store(to + np.uint64(16) + at, high)
+        first, last = np.uint64(firsts[sector]), np.uint64(firsts[sector + _ONE])
+        store(to + np.uint64(12), np.uint32(first))
+        store(to + np.uint64(28), np.uint32(count))
+        store(to + np.uint64(56), _NONE)  # the unused words
+        source = tree_at + np.uint64(load(np.uint32, node_at + leaf * NODE_BYTES)) * _BLOCK_IDS
+        for k in range((last - first) * np.uint64(4)):
+            prim_id = load(np.int32, source + k * WORD)
+            store(id_at + first * _BLOCK_IDS + k * WORD, prim_id)
+
+
+def fill_sectors(
+    tree: KdArrays, cells: Cells, order: Order, rows: NDArray[np.uint32]
+) -> NDArray[np.int32]:
+    """Write all of the sectors but their links.
+
+    Parameters
+    ----------
+    tree : KdArrays
+    cells : Cells
+    order : Order
+    rows : ndarray of shape (R, 4), uint32
+        Written: the sectors' rows.
+
+    Returns
+    -------
+    ndarray of shape (B, 4), int32
+        `layout.GraphArrays.prim_ids`, in the order of the sectors.
+    """
+    leaves = order.leaves
+    counts = tree.nodes[leaves, 1] >> 2
+    firsts = np.zeros(len(leaves) + 1, np.int64)
+    np.cumsum((counts + 3) // 4, out=firsts[1:])
+    prim_ids = np.empty((int(firsts[-1]), 4), np.int32)
+
+    def body(begin: int, end: int) -> None:
+        _fill_sectors(
+            begin, end, leaves, tree.nodes, cells.boxes, tree.prim_ids, firsts, rows, prim_ids
+        )
+
+    parallel_for(body, len(leaves), _CHUNK)
+    return prim_ids
