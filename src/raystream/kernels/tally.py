@@ -18,6 +18,7 @@ __all__ = [
     "BACKTRACK_STEPS",
     "COLUMNS",
     "LEAVES",
+    "LINK_NODES",
     "RESTARTS",
     "ROW",
     "SHADINGS",
@@ -31,10 +32,19 @@ __all__ = [
 ]
 
 #: What is counted, in the order of a row: see `machines.counters.RayCounters`.
-COLUMNS = ("steps", "leaves", "tests", "restarts", "backtracks", "backtrack_steps", "shadings")
+COLUMNS = (
+    "steps",
+    "leaves",
+    "tests",
+    "restarts",
+    "backtracks",
+    "backtrack_steps",
+    "shadings",
+    "link_nodes",
+)
 
 #: Where in a row the counts are, in bytes.
-STEPS, LEAVES, TESTS, RESTARTS, BACKTRACKS, BACKTRACK_STEPS, SHADINGS = (
+STEPS, LEAVES, TESTS, RESTARTS, BACKTRACKS, BACKTRACK_STEPS, SHADINGS, LINK_NODES = (
     np.uint64(4 * k) for k in range(len(COLUMNS))
 )
 
@@ -43,7 +53,7 @@ ROW = np.uint64(32)
 
 
 def new_tallies(count: int) -> NDArray[np.uint32]:
-    """Tallies of zero for rays, of shape (count, 8); the last column is not used."""
+    """Tallies of zero for rays, of shape (count, 8)."""
     return np.zeros((count, int(ROW) // 4), np.uint32)
 
 

@@ -22,7 +22,7 @@ class RayCounters:
     ----------
     steps : ndarray
         Traversal steps: cells looked at in a grid; splits gone down at in a kd-tree (Foley's
-        Down); inner nodes whose boxes were tested in a BVH. Purcell's v.
+        Down); inner nodes whose boxes were tested in a BVH; sectors of a graph. Purcell's v.
     leaves : ndarray
         Lists of triangles looked at: cells that are not empty, or leaves.
     tests : ndarray
@@ -35,6 +35,8 @@ class RayCounters:
         Nodes climbed to (Foley's Up).
     shadings : ndarray
         Hits handed over. Purcell's s.
+    link_nodes : ndarray
+        Planes between sectors of a graph that were looked at.
     structure : str
         The structure's name.
     passes : Passes or None
@@ -52,6 +54,7 @@ class RayCounters:
     backtracks: NDArray[np.uint32]
     backtrack_steps: NDArray[np.uint32]
     shadings: NDArray[np.uint32]
+    link_nodes: NDArray[np.uint32]
     structure: str
     passes: Passes | None = None
 
@@ -69,8 +72,8 @@ class RayCounters:
 
     @property
     def cells(self) -> NDArray[np.uint32]:
-        """Cells of space that a ray looked at: a grid's cells, or a tree's leaves."""
-        return self.steps if self.structure == "grid" else self.leaves
+        """Cells of space that a ray looked at: cells of a grid, sectors, or leaves of a tree."""
+        return self.steps if self.structure in ("grid", "graph") else self.leaves
 
     @property
     def all_steps(self) -> NDArray[np.uint32]:

@@ -10,13 +10,16 @@ from raystream.jit.threads import Progress
 from raystream.structures.base import Structure
 from raystream.structures.brute import Brute
 from raystream.structures.bvh import Bvh
+from raystream.structures.graph import Graph
 from raystream.structures.grid import Grid
 from raystream.structures.kdtree import KdTree
 
 __all__ = ["STRUCTURES", "Structure", "build_structure"]
 
 #: Structures by the name that `Tracer` takes.
-STRUCTURES: dict[str, type[Structure]] = {cls.name: cls for cls in (Brute, Bvh, Grid, KdTree)}
+STRUCTURES: dict[str, type[Structure]] = {
+    cls.name: cls for cls in (Brute, Bvh, Graph, Grid, KdTree)
+}
 
 
 def build_structure(

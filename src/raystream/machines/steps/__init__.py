@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from raystream.machines.steps import brute, bvh, grid, kdtree
+from raystream.machines.steps import brute, bvh, graph, grid, kdtree
 from raystream.machines.steps.base import Steps
 from raystream.structures import Structure
 
@@ -14,6 +14,7 @@ __all__ = ["STEPS", "Steps", "steps_of"]
 STEPS: dict[str, Callable[..., Steps]] = {
     "brute": brute.steps,
     "bvh": bvh.steps,
+    "graph": graph.steps,
     "grid": grid.steps,
     "kdtree": kdtree.steps,
 }
