@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "FACES",
+    "MAX_ROWS",
     "NODE_BIT",
     "NODE_WORDS",
     "SECTOR_ROWS",
@@ -35,6 +36,9 @@ SECTOR_ROWS = 4
 #: A link is the row of a sector, or that of a link node with this bit; `VOID` leads nowhere.
 NODE_BIT = 1 << 31
 VOID = 0xFFFFFFFF
+
+#: Rows of a graph: links have 31 bits for them, and one of the numbers is part of `VOID`.
+MAX_ROWS = (1 << 31) - 1
 
 
 class GraphArrays(NamedTuple):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
-from raystream.structures.graph.layout import NODE_BIT, NODE_WORDS
+from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT, NODE_WORDS
 
 __all__ = ["RAW", "NodeStore", "put_node"]
 
@@ -21,8 +21,6 @@ __all__ = ["RAW", "NodeStore", "put_node"]
 #: is a link.
 RAW = 1 << 32
 
-#: Links have 31 bits for rows.
-_MAX_ROWS = 1 << 31
 
 _LEAST_ROOM = 1 << 10
 
@@ -150,7 +148,7 @@ class NodeStore:
             If there is not enough memory.
         """
         wanted = self.count + count
-        if self.first_row + wanted > _MAX_ROWS:
+        if self.first_row + wanted > MAX_ROWS:
             raise ValueError(f"a graph of {wanted:,} link nodes is too large")
         if wanted <= len(self.rows):
             return

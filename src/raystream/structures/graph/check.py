@@ -1,0 +1,364 @@
+"""The check that a graph from a file is safe to walk: in bounds, and every walk ends.
+
+A walk ends if no ray comes to a sector twice. Rays go through faces on the sides that they go
+to, so it is enough that for each of the eight octants of directions, the links through its three
+faces lead nowhere in a circle, link nodes included. That planes are where they should be does not
+follow from it, nor does it from that; both are checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.threads import parallel_for
+from raystream.structures.graph.layout import (
+    MAX_ROWS,
+    NODE_BIT,
+    NODE_WORDS,
+    SECTOR_ROWS,
+    VOID,
+    GraphArrays,
+)
+
+__all__ = ["check_graph"]
+
+_CHUNK = 1 << 12
+
+#: The sectors' volumes add up to that of their box but for rounding.
+_VOLUME_ERROR = 1e-9
+
+_BIT, _NOWHERE, _ROWS = np.int64(NODE_BIT), np.int64(VOID), np.int64(SECTOR_ROWS)
+_NAN = np.float32(np.nan)
+
+# Codes that kernels return.
+_FINE = 0
+_BAD_BOX, _BAD_LIST, _BAD_ID, _BAD_LINK, _BAD_NODE, _BAD_PLANE, _BAD_SIDE = range(1, 8)
+
+_FAULTS = {
+    _BAD_BOX: "a sector's box is none",
+    _BAD_LIST: "a sector's list is out of range",
+    _BAD_ID: "a sector has a triangle that is none, or lacks one",
+    _BAD_LINK: "a link is out of range",
+    _BAD_NODE: "a link node links to one that comes later, or to nowhere",
+    _BAD_PLANE: "a link node's plane is not between what it links to",
+    _BAD_SIDE: "a face links to sectors that do not touch it",
+}
+
+
+@kernel
+def _check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted):
+    """Check boxes and lists of sectors begin to end; `wanted` becomes false for those listed."""
+    block_count = np.int64(len(prim_ids))
+    for sector in range(begin, end):
+        row = sector * SECTOR_ROWS
+        for axis in range(3):
+            low, high = numbers[row, axis], numbers[row + 1, axis]
+            if not (np.isfinite(low) and np.isfinite(high) and low < high):
+                return _BAD_BOX
+        first, count = np.int64(rows[row, 3]), np.int64(rows[row + 1, 3])
+        blocks = (count + 3) // 4
+        if first + blocks > block_count:
+            return _BAD_LIST
+        for i in range(blocks * 4):
+            prim_id = np.int64(prim_ids[first + i // 4, i % 4])
+            if i >= count:
+                if prim_id != -1:
+                    return _BAD_ID
+                continue
+            if prim_id < 0 or prim_id >= len(solid) or not solid[prim_id]:
+                return _BAD_ID
+            wanted[prim_id] = False
+    return _FINE
+
+
+@device
+def _is_sector(link, sector_count):
+    return link < sector_count * _ROWS and link % _ROWS == 0
+
+
+@kernel
+def _check_nodes(rows, numbers, sector_count, sides, hulls):
+    """Check the link nodes, and find what each leads to.
+
+    Parameters
+    ----------
+    rows, numbers : ndarray of shape (R, 4), uint32 and float32
+        The same memory.
+    sector_count : int
+    sides : ndarray of shape (N, 6), float32
+        Written: low x, y, z, high x, y, z where all sectors behind a node agree in it, else NaN.
+    hulls : ndarray of shape (N, 6), float32
+        Written: the box around them.
+    """
+    first_node = sector_count * _ROWS
+    for row in range(first_node, len(rows)):
+        node, axis, plane = row - first_node, np.int64(rows[row, 1]), numbers[row, 0]
+        if axis > 2:
+            return _BAD_NODE
+        below, above = np.int64(rows[row, 2]), np.int64(rows[row, 3])
+        for link in (below, above):
+            inner = (link & ~_BIT) - first_node
+            if link & _BIT != 0 and (inner < 0 or inner >= node):
+                return _BAD_NODE
+            if link & _BIT == 0 and not _is_sector(link, sector_count):
+                return _BAD_LINK
+        for k in range(6):
+            row_of, column = k // 3, k % 3
+            if below & _BIT != 0:
+                inner = (below & ~_BIT) - first_node
+                side, reach = sides[inner, k], hulls[inner, k]
+            else:
+                side = reach = numbers[below + row_of, column]
+            if above & _BIT != 0:
+                inner = (above & ~_BIT) - first_node
+                other_side, other_reach = sides[inner, k], hulls[inner, k]
+            else:
+                other_side = other_reach = numbers[above + row_of, column]
+            # What is below the plane ends there, and what is above begins there.
+            if k == axis and not other_reach >= plane:
+                return _BAD_PLANE
+            if k == axis + 3 and not reach <= plane:
+                return _BAD_PLANE
+            sides[node, k] = side if side == other_side else _NAN
+            hulls[node, k] = min(reach, other_reach) if k < 3 else max(reach, other_reach)
+    return _FINE
+
+
+@kernel
+def _check_links(begin, end, rows, numbers, sector_count, sides, box):
+    """Check that faces of sectors begin to end link to what touches them."""
+    first_node = sector_count * _ROWS
+    node_count = len(rows) - first_node
+    for sector in range(begin, end):
+        row = sector * SECTOR_ROWS
+        for face in range(6):
+            axis, is_high = face >> 1, face & 1
+            link = np.int64(rows[row + 2 + face // 4, face % 4])
+            plane = numbers[row + is_high, axis]
+            if link == _NOWHERE:
+                if plane != box[is_high, axis]:
+                    return _BAD_SIDE
+                continue
+            other = axis + 3 * (1 - is_high)
+            if link & _BIT != 0:
+                node = (link & ~_BIT) - first_node
+                if node < 0 or node >= node_count:
+                    return _BAD_LINK
+                side = sides[node, other]
+            else:
+                if not _is_sector(link, sector_count):
+                    return _BAD_LINK
+                side = numbers[link + other // 3, axis]
+            if side != plane:
+                return _BAD_SIDE
+    return _FINE
+
+
+@device
+def _vertex(link, sector_count):
+    """Sectors first, then link nodes."""
+    if link & _BIT != 0:
+        return (link & ~_BIT) - sector_count * (_ROWS - 1)
+    return link // _ROWS
+
+
+@kernel
+def _count_node_links(rows, sector_count, degrees):
+    """Add to each vertex the links of link nodes that lead to it."""
+    for row in range(sector_count * _ROWS, len(rows)):
+        for end in range(2):
+            degrees[_vertex(np.int64(rows[row, 2 + end]), sector_count)] += np.uint32(1)
+
+
+@kernel
+def _is_ordered(octant, rows, sector_count, degrees, ready):
+    """Whether the links of an octant lead nowhere in a circle: Kahn's topological order.
+
+    Parameters
+    ----------
+    octant : int
+        Bit k: whether rays go up axis k.
+    rows : ndarray of shape (R, 4), uint32
+        Checked.
+    sector_count : int
+    degrees : ndarray of shape (V,), uint32
+        Links of link nodes to each sector and node. Changed.
+    ready : ndarray of shape (V,), uint32
+        Written: a stack.
+
+    References
+    ----------
+    Kahn, "Topological sorting of large networks", Communications of the ACM 5(11), 1962.
+    """
+    for sector in range(sector_count):
+        for axis in range(3):
+            face = 2 * axis + ((octant >> axis) & 1)
+            link = np.int64(rows[sector * _ROWS + 2 + face // 4, face % 4])
+            if link != _NOWHERE:
+                degrees[_vertex(link, sector_count)] += np.uint32(1)
+    top, done = 0, 0
+    for vertex in range(len(degrees)):
+        if degrees[vertex] == 0:
+            ready[top] = vertex
+            top += 1
+    while top > 0:
+        top -= 1
+        done += 1
+        vertex = np.int64(ready[top])
+        is_sector = vertex < sector_count
+        for k in range(3 if is_sector else 2):
+            if is_sector:
+                face = 2 * k + ((octant >> k) & 1)
+                link = np.int64(rows[vertex * _ROWS + 2 + face // 4, face % 4])
+                if link == _NOWHERE:
+                    continue
+            else:
+                link = np.int64(rows[vertex + sector_count * (_ROWS - 1), 2 + k])
+            target = _vertex(link, sector_count)
+            degrees[target] -= np.uint32(1)
+            if degrees[target] == 0:
+                ready[top] = target
+                top += 1
+    return done == len(degrees)
+
+
+def check_graph(
+    arrays: Mapping[str, Any],
+    bounds: NDArray[np.float32],
+    solid_ids: NDArray[np.int32],
+    triangle_count: int,
+) -> GraphArrays:
+    """Check a graph from a file: no walk through it may read out of bounds or not end.
+
+    Parameters
+    ----------
+    arrays : mapping of str to ndarray
+        See `GraphArrays`; ``sector_count`` is an array of shape ().
+    bounds : ndarray of shape (2, 3), float32
+        The scene's box, which the sectors must hold.
+    solid_ids : ndarray of shape (A,), int32
+        The triangles that sectors must list, and no others.
+    triangle_count : int
+        Of the scene.
+
+    Returns
+    -------
+    GraphArrays
+
+    Raises
+    ------
+    ValueError
+        What is wrong.
+
+    Notes
+    -----
+    The graph may still be a wrong one: whose sectors lack triangles or lie askew.
+    """
+    graph = _take(arrays)
+    rows, sector_count, prim_ids, _ = graph
+    solid = np.zeros(triangle_count, np.bool_)
+    solid[solid_ids] = True
+    if sector_count == 0:
+        if len(rows) or len(prim_ids) or graph.bins.size or len(solid_ids):
+            raise ValueError("a graph without sectors cannot hold anything")
+        return graph
+    wanted = solid.copy()
+    numbers = rows.view(np.float32)
+
+    def check_some(begin: int, end: int) -> None:
+        _complain(_check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted))
+
+    parallel_for(check_some, sector_count, _CHUNK)
+    # No list has the blocks in between; but all are filled with corners.
+    if len(prim_ids) and not (prim_ids.min() >= -1 and prim_ids.max() < triangle_count):
+        raise ValueError(_FAULTS[_BAD_ID])
+    if wanted.any():
+        raise ValueError("its sectors do not list every triangle")
+    _check_box(numbers[: SECTOR_ROWS * sector_count], bounds)
+    if graph.bins.size == 0 or not _are_sectors(graph.bins, sector_count):
+        raise ValueError("a bin has no sector")
+    _check_all_links(rows, numbers, sector_count)
+    return graph
+
+
+def _take(arrays: Mapping[str, Any]) -> GraphArrays:
+    """The arrays, if they have the right kinds and sizes."""
+    kinds = {"rows": (np.uint32, 2), "prim_ids": (np.int32, 2), "bins": (np.uint32, 3)}
+    taken = {}
+    for name, (dtype, axis_count) in kinds.items():
+        array = arrays.get(name)
+        if array is None:
+            raise ValueError(f"array {name!r} is missing")
+        is_wide = axis_count == 2 and array.shape[1:] != (NODE_WORDS,)
+        if array.dtype != dtype or array.ndim != axis_count or is_wide:
+            raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
+        taken[name] = np.ascontiguousarray(array)
+    count = np.asarray(arrays.get("sector_count"))
+    if count.shape != () or not np.issubdtype(count.dtype, np.integer):
+        raise ValueError("array 'sector_count' is missing or of another kind")
+    if not 0 <= SECTOR_ROWS * int(count) <= len(taken["rows"]) <= MAX_ROWS:
+        raise ValueError(f"{len(taken['rows']):,} rows cannot hold {int(count):,} sectors")
+    return GraphArrays(taken["rows"], int(count), taken["prim_ids"], taken["bins"])
+
+
+def _complain(code: int) -> None:
+    if code != _FINE:
+        raise ValueError(_FAULTS[code])
+
+
+def _are_sectors(links: NDArray[np.uint32], sector_count: int) -> bool:
+    is_in = links.max() < SECTOR_ROWS * sector_count
+    return bool(is_in and not (links % SECTOR_ROWS).any())
+
+
+def _check_box(numbers: NDArray[np.float32], bounds: NDArray[np.float32]) -> None:
+    """Check that the sectors, which have boxes, fill one that holds the scene's."""
+    low, high = _box_of(numbers)
+    if not (low <= bounds[0]).all() or not (high >= bounds[1]).all():
+        raise ValueError("its sectors do not hold the scene")
+    size = numbers[1::SECTOR_ROWS, :3].astype(np.float64) - numbers[::SECTOR_ROWS, :3]
+    volume = (high.astype(np.float64) - low).prod()
+    if not abs(size.prod(axis=1).sum() - volume) <= _VOLUME_ERROR * volume:
+        raise ValueError("its sectors do not tile their box")
+
+
+def _box_of(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The box around sectors, shape (2, 3)."""
+    return np.stack(
+        [
+            numbers[::SECTOR_ROWS, :3].min(axis=0),
+            numbers[1::SECTOR_ROWS, :3].max(axis=0),
+        ]
+    )
+
+
+def _check_all_links(
+    rows: NDArray[np.uint32], numbers: NDArray[np.float32], sector_count: int
+) -> None:
+    node_count = len(rows) - SECTOR_ROWS * sector_count
+    sides = np.empty((node_count, 6), np.float32)
+    hulls = np.empty((node_count, 6), np.float32)
+    _complain(_check_nodes(rows, numbers, sector_count, sides, hulls))
+    box = _box_of(numbers[: SECTOR_ROWS * sector_count])
+
+    def check_some(begin: int, end: int) -> None:
+        _complain(_check_links(begin, end, rows, numbers, sector_count, sides, box))
+
+    parallel_for(check_some, sector_count, _CHUNK)
+    degrees = np.zeros(sector_count + node_count, np.uint32)
+    _count_node_links(rows, sector_count, degrees)
+
+    def check_octants(begin: int, end: int) -> None:
+        for octant in range(begin, end):
+            ready = np.empty(len(degrees), np.uint32)
+            if not _is_ordered(octant, rows, sector_count, degrees.copy(), ready):
+                raise ValueError("its links lead in a circle")
+
+    nothing = np.zeros(0, np.uint32)
+    _is_ordered(0, rows[:0], 0, nothing, nothing)  # compiled before threads start
+    parallel_for(check_octants, 8, 1)
