@@ -52,6 +52,22 @@ TRACERS = {
         "intersection_cost": 12.0,
         "max_depth": 3,
     },
+    "graph": {"structure": "graph"},
+    "graph, small sectors": {
+        "structure": "graph",
+        "crossing_cost": 0.5,
+        "link_cost": 0.1,
+        "max_leaf_size": 1,
+    },
+    "graph, multipass": {
+        "structure": "graph",
+        "crossing_cost": 2.0,
+        "link_cost": 0.5,
+        **MULTIPASS,
+        "scheduler": "double",
+        "traversal_steps": 2,
+        "intersections": 2,
+    },
     "brute, multipass": {"structure": "brute", **MULTIPASS, "intersections": 50},
     "bvh, multipass": {"structure": "bvh", **MULTIPASS},
     "bvh, high, multipass": {

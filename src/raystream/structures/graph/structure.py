@@ -17,8 +17,10 @@ from raystream.kernels.queries import LocalRays, ray_queries
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.bvh.layout import BLOCK_FLOATS, aligned_array
 from raystream.structures.graph.build import Method, build_graph, graph_box
+from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
 from raystream.structures.graph.start import StartSectors, find_sectors
+from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
 from raystream.structures.kdtree.layout import MAX_DEPTH, fill_blocks
@@ -139,7 +141,7 @@ class Graph(Structure):
 
     def quality(self) -> dict[str, float]:
         """Counts, depth, bytes and cost; see `statistics`."""
-        return statistics(self.graph, self.triangles.bounds)
+        return statistics(self.graph, _method(self.options, len(self.triangles.prim_ids)))
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The graph, and how it was built."""
@@ -150,23 +152,16 @@ class Graph(Structure):
             options["link_cost"],
             -1 if options["max_depth"] is None else options["max_depth"],
             options["max_leaf_size"],
-            self.graph.sector_count,
         ]
-        return {
-            "rows": self.graph.rows,
-            "prim_ids": self.graph.prim_ids,
-            "bins": self.graph.bins,
-            "options": np.array(numbers, np.float64),
-        }
+        arrays = {name: np.asarray(array) for name, array in self.graph._asdict().items()}
+        return {**arrays, "options": np.array(numbers, np.float64)}
 
     @classmethod
     def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Graph:
         """Make a graph of saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        options, sector_count = _saved_options(arrays)
-        graph = check_graph(
-            arrays, sector_count, triangles.bounds, triangles.prim_ids, len(triangles)
-        )
+        options = _saved_options(arrays)
+        graph = check_graph(arrays, triangles.bounds, triangles.prim_ids, len(triangles))
         structure = cls.__new__(cls)
         structure._set(triangles, graph, options, started)
         return structure
@@ -190,8 +185,13 @@ def _method(options: Mapping[str, Any], triangle_count: int) -> Method:
     max_depth = options["max_depth"]
     if max_depth is None:
         max_depth = min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
-    prices = (options[name] for name in ("crossing_cost", "intersection_cost", "link_cost"))
-    return Method(*prices, max_depth=max_depth, max_leaf_size=options["max_leaf_size"])
+    return Method(
+        crossing_cost=options["crossing_cost"],
+        intersection_cost=options["intersection_cost"],
+        link_cost=options["link_cost"],
+        max_depth=max_depth,
+        max_leaf_size=options["max_leaf_size"],
+    )
 
 
 def _check(options: Mapping[str, Any]) -> None:
@@ -208,13 +208,13 @@ def _check(options: Mapping[str, Any]) -> None:
         raise ValueError(f"max_leaf_size: expected 1 to 1024, got {size}")
 
 
-def _saved_options(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], int]:
-    """Build options from a file, for when the graph is built anew; and the sectors' number."""
+def _saved_options(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Build options from a file, for when the graph is built anew."""
     numbers = arrays.get("options")
-    if numbers is None or numbers.shape != (6,) or numbers.dtype != np.float64:
+    if numbers is None or numbers.shape != (5,) or numbers.dtype != np.float64:
         raise ValueError("array 'options' is missing or of another kind")
-    depth, size, sector_count = numbers[3:].tolist()
-    if not all(number.is_integer() for number in (depth, size, sector_count)):
+    depth, size = numbers[3:].tolist()
+    if not (depth.is_integer() and size.is_integer()):
         raise ValueError("its build options are out of range")
     options = {
         "crossing_cost": float(numbers[0]),
@@ -224,4 +224,4 @@ def _saved_options(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], 
         "max_leaf_size": int(size),
     }
     _check(options)
-    return options, int(sector_count)
+    return options
