@@ -20,9 +20,11 @@ from raystream.structures.graph.graphlog import dump_graph, load_graph
 from raystream.structures.graph.layout import NODE_BIT, VOID, GraphArrays
 from raystream.structures.graph.links import link_sectors
 from raystream.structures.graph.order import fill_sectors, order_sectors
+from raystream.structures.graph.prune import prune
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.kdtree.build import MAX_REFERENCES
 from raystream.structures.kdtree.layout import KdArrays
+from raystream.structures.kdtree.split import Costs
 from strategies import meshes
 
 FINE = Method(crossing_cost=1.0, link_cost=0.3)
@@ -184,6 +186,39 @@ def test_splits_pay_in_the_model():
     assert costs[0] > costs[1] > costs[2]
 
 
+def prune_by(tree, costs):
+    box = np.array([[0, 0, 0], [1, 1, 1]], np.float32)
+    return prune(tree, find_cells(tree.nodes, box).boxes, costs)
+
+
+def test_splits_that_did_not_pay_are_taken_back():
+    """Three leaves, of which two list the same: together they are one, with a plane less."""
+    bits = [np.float32(position).view(np.int32) for position in (0.5, 0.75)]
+    nodes = [(bits[0], 1 << 2), (0, 3 << 2 | 3), (bits[1], 3 << 2 | 1), (1, 5 << 2 | 3)]
+    nodes = np.array([*nodes, (3, 2 << 2 | 3)], np.int32)
+    prim_ids = np.array([[5, 6, 7, -1], [0, 1, 2, 3], [4, -1, -1, -1], [4, 1, -1, -1]], np.int32)
+    tree = KdArrays(nodes, prim_ids)
+    assert_same(prune_by(tree, Costs(0.0, 1.0, 0.0, 1e-3)), tree)
+    pruned = prune_by(tree, Costs(0.0, 1.0, 0.0, 2.0))
+    assert pruned.nodes.tolist() == [[bits[0], 1 << 2], [0, 3 << 2 | 3], [1, 5 << 2 | 3]]
+    assert pruned.prim_ids.tolist() == prim_ids[:3].tolist()
+    whole = prune_by(tree, Costs(0.0, 1.0, 0.0, 20.0))
+    assert whole.nodes.tolist() == [[0, 8 << 2 | 3]]
+    assert whole.prim_ids.tolist() == [[5, 6, 7, 0], [1, 2, 3, 4]]
+
+
+@pytest.mark.parametrize("mesh", ["soup", "closed"])
+def test_taking_splits_back_costs_less(mesh, monkeypatch):
+    triangles = triangles_of(*MESHES[mesh])
+    method = Method(2.0, 1.0, 0.0)
+    pruned = statistics(build_graph(triangles, method), method)
+    monkeypatch.setattr("raystream.structures.graph.build.prune", lambda tree, *_: tree)
+    whole = statistics(build_graph(triangles, method), method)
+    assert pruned["sectors"] < whole["sectors"]
+    assert pruned["references"] <= whole["references"]
+    assert pruned["cost"] < whole["cost"]
+
+
 def test_figures_are_those_of_the_sectors():
     triangles = triangles_of(*soup(100, 4))
     method = Method(3.0, 1.0, 0.9)
@@ -250,7 +285,7 @@ class TestGraphlog:
     def test_damaged_ones_are_refused(self):
         _, _, text = self.dumped(cube())
         lines = text.splitlines(keepends=True)
-        for i in [*range(0, len(lines), 7), len(lines) - 1]:
+        for i in [*range(0, len(lines), 31), len(lines) - 1]:
             with pytest.raises(ValueError, match=r"expected|fit"):
                 load_graph(io.StringIO("".join(lines[:i] + lines[i + 1 :])))
             words = lines[i].split()

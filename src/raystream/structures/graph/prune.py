@@ -1,0 +1,196 @@
+"""Taking back splits that did not pay.
+
+The kd-tree's builder goes on for a few splits that cost more than they save, in the hope that those
+after them pay. Where they did not, their parts become one sector again: from the leaves up, each
+subtree is compared with the leaf that it would be.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address, load, scratch, store
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD
+from raystream.structures.graph.cells import NODE_BYTES, split_of
+from raystream.structures.kdtree.layout import LEAF_AXIS, KdArrays
+from raystream.structures.kdtree.split import Costs
+
+__all__ = ["prune"]
+
+#: Subtrees of more leaves than this stay, and those of more triangles.
+_MOST_LEAVES, _MOST_TRIANGLES = 16, 64
+_PENDING_BYTES, _UNION_BYTES = 8 * (_MOST_LEAVES + 2), 4 * _MOST_TRIANGLES
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_THREE = np.uint64(3)
+_LANES = np.uint64(4)
+_ENTRY = np.uint64(8)
+_BLOCK_IDS = np.uint64(16)
+_LEAF = np.uint64(LEAF_AXIS)
+_LEAF_BITS = np.int32(LEAF_AXIS)
+_LEAF_LIMIT = np.uint64(_MOST_LEAVES)
+_ABSENT = np.int32(-1)
+
+
+@device
+def _side(box, axis):
+    at = box + axis * WORD
+    return np.float64(load(np.float32, at + HIGH)) - load(np.float32, at)
+
+
+@device
+def _areas(box, axis):
+    """Half of a box's surface, and the cross-section along an axis, which may be 3."""
+    x, y, z = _side(box, _NONE), _side(box, _ONE), _side(box, _TWO)
+    across = y * z if axis == _NONE else (z * x if axis == _ONE else x * y)
+    return x * y + y * z + z * x, across
+
+
+@device
+def _unite(node, nodes, leaf_counts, lists, sizes, pending, union, most):
+    """Unite the lists of a subtree's leaves; returns their size, or more than `most`."""
+    count = _NONE
+    store(pending, node)
+    top = pending + _ENTRY
+    while top != pending:
+        top -= _ENTRY
+        inner = load(np.uint64, top)
+        if load(np.uint32, leaf_counts + inner * WORD) > np.uint32(1):
+            _, first, _ = split_of(nodes, inner)
+            store(top, first + _ONE)
+            store(top + _ENTRY, first)
+            top += _ENTRY + _ENTRY
+            continue
+        at = load(np.uint64, lists + inner * _ENTRY)
+        for k in range(np.uint64(load(np.uint32, sizes + inner * WORD))):
+            prim_id, place = load(np.int32, at + k * WORD), _NONE
+            while place < count and load(np.int32, union + place * WORD) != prim_id:
+                place += _ONE
+            if place < count:
+                continue
+            if count == most:
+                return most + _ONE
+            store(union + count * WORD, prim_id)
+            count += _ONE
+    return count
+
+
+@kernel
+def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, pool):
+    """Decide what is a leaf.
+
+    Parameters
+    ----------
+    nodes, prim_ids : ndarray
+        See `KdArrays`.
+    boxes : ndarray of shape (M, 6), float32
+    costs : Costs
+    leaf_counts : ndarray of shape (M,), uint32
+        Written: leaves of each subtree.
+    lists : ndarray of shape (M,), uint64
+        Written: addresses of leaves' triangles.
+    sizes : ndarray of shape (M,), uint32
+        Written: how many these are.
+    pool : ndarray of shape (P,), int32
+        Room for new lists; once it is full, all stays as it is.
+    """
+    node_at, id_at, box_at = address(nodes), address(prim_ids), address(boxes)
+    count_at, list_at, size_at = address(leaf_counts), address(lists), address(sizes)
+    pool_at, free = address(pool), np.uint64(len(pool))
+    pending, union = scratch(_PENDING_BYTES), scratch(_UNION_BYTES)
+    price = np.empty(len(nodes))
+    node = np.uint64(len(nodes))
+    while node != _NONE:
+        node -= _ONE
+        axis, first, _ = split_of(node_at, node)
+        half, across = _areas(box_at + node * BOX_BYTES, axis)
+        if axis == _LEAF:
+            block = np.uint64(load(np.uint32, node_at + node * NODE_BYTES))
+            store(list_at + node * _ENTRY, id_at + block * _BLOCK_IDS)
+            store(size_at + node * WORD, np.uint32(first))
+            store(count_at + node * WORD, np.uint32(1))
+            price[node] = costs.intersection * np.float64(first) * half
+            continue
+        cost = price[first] + price[first + _ONE] + costs.traversal * half
+        cost += costs.crossing * across
+        count = np.uint64(leaf_counts[first]) + np.uint64(leaf_counts[first + _ONE])
+        store(count_at + node * WORD, np.uint32(count))
+        price[node] = cost
+        affordable = cost / (costs.intersection * half)
+        most = np.uint64(min(affordable, np.float64(_MOST_TRIANGLES)))
+        if count > _LEAF_LIMIT:
+            continue
+        size = _unite(node, node_at, count_at, list_at, size_at, pending, union, most)
+        if size > most or size > free:
+            continue
+        for k in range(size):
+            store(pool_at + k * WORD, load(np.int32, union + k * WORD))
+        store(list_at + node * _ENTRY, pool_at)
+        store(size_at + node * WORD, np.uint32(size))
+        store(count_at + node * WORD, np.uint32(1))
+        pool_at += size * WORD
+        free -= size
+        price[node] = costs.intersection * np.float64(size) * half
+
+
+@kernel
+def _rebuild(nodes, leaf_counts, lists, sizes, rows, new_nodes, new_ids):
+    """Write the tree that is left; `rows` is memory for a number per node."""
+    node_at = address(nodes)
+    new_at, id_at = address(new_nodes), address(new_ids)
+    end, block = _ONE, _NONE
+    rows[0] = 1  # a row plus 1; 0 for what is gone
+    for node in range(np.uint64(len(nodes))):
+        if rows[node] == 0:
+            continue
+        to = new_at + (np.uint64(rows[node]) - _ONE) * NODE_BYTES
+        axis, first, plane = split_of(node_at, node)
+        if leaf_counts[node] > 1:
+            rows[first], rows[first + _ONE] = end + _ONE, end + _TWO
+            store(to, plane)
+            store(to + WORD, np.int32(end << _TWO | axis))
+            end += _TWO
+            continue
+        size = np.uint64(sizes[node])
+        store(to, np.int32(block))
+        store(to + WORD, np.int32(np.int32(size) << np.int32(2) | _LEAF_BITS))
+        last = block + (size + _LANES - _ONE) // _LANES
+        for k in range((last - block) * _LANES):
+            prim_id = _ABSENT
+            if k < size:
+                prim_id = load(np.int32, np.uint64(lists[node]) + k * WORD)
+            store(id_at + block * _BLOCK_IDS + k * WORD, prim_id)
+        block = last
+    return end, block
+
+
+def prune(tree: KdArrays, boxes: NDArray[np.float32], costs: Costs) -> KdArrays:
+    """Make leaves of subtrees that cost as much as a leaf in their place, or more.
+
+    Parameters
+    ----------
+    tree : KdArrays
+        At least one node.
+    boxes : ndarray of shape (M, 6), float32
+        Of its cells.
+    costs : Costs
+        Those that it was built by.
+
+    Returns
+    -------
+    KdArrays
+    """
+    count = len(tree.nodes)
+    leaf_counts, sizes = np.empty(count, np.uint32), np.empty(count, np.uint32)
+    lists = np.empty(count, np.uint64)
+    pool = np.empty(4 * len(tree.prim_ids), np.int32)
+    _choose_leaves(tree.nodes, tree.prim_ids, boxes, costs, leaf_counts, lists, sizes, pool)
+    nodes = np.empty((2 * int(leaf_counts[0]) - 1, 2), np.int32)
+    rows = np.zeros(count, np.uint32)
+    prim_ids = np.empty((len(tree.prim_ids), 4), np.int32)
+    _, block_count = _rebuild(tree.nodes, leaf_counts, lists, sizes, rows, nodes, prim_ids)
+    return KdArrays(nodes, prim_ids[: int(block_count)].copy())
