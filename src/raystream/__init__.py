@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from raystream.core.hits import Hits, MultiHits
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
+    from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
+    from raystream.programs.hits import Hit
     from raystream.render import Image, render
     from raystream.render.heatmap import Heatmap, RayCost, heatmap
     from raystream.scene.camera import Camera
@@ -42,12 +44,17 @@ if TYPE_CHECKING:
 # Names are imported when they are first used: `import raystream` costs neither numba nor
 # Pillow, and a command that only prints help stays quick.
 _HOMES = {
+    "CONTINUE": "programs.decisions",
+    "IGNORE": "programs.decisions",
+    "STOP": "programs.decisions",
     "AreaLight": "scene.lights",
     "Camera": "scene.camera",
+    "Decision": "programs.decisions",
     "DirectionalLight": "scene.lights",
     "EnvironmentLight": "scene.lights",
     "FileFormatError": "core.errors",
     "Heatmap": "render.heatmap",
+    "Hit": "programs.hits",
     "Hits": "core.hits",
     "Image": "render",
     "LoopLimitError": "core.errors",
@@ -71,12 +78,17 @@ _HOMES = {
 }
 
 __all__ = [
+    "CONTINUE",
+    "IGNORE",
+    "STOP",
     "AreaLight",
     "Camera",
+    "Decision",
     "DirectionalLight",
     "EnvironmentLight",
     "FileFormatError",
     "Heatmap",
+    "Hit",
     "Hits",
     "Image",
     "LoopLimitError",

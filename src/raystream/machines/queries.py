@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import operator
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,28 +13,16 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import UNLIMITED
-from raystream.structures import Structure
-from raystream.structures.batches import BatchQueries
-
-if TYPE_CHECKING:
-    from raystream.machines.counting import Counting
+from raystream.machines.programs import Traces, is_surfaces
+from raystream.programs.filters import count_filtered, filter_first, multi_filtered
 
 __all__ = ["Crossings", "Queries"]
 
 Crossings = Literal["triangles", "surfaces"]
 
 
-class Queries:
-    """The four queries of a tracer.
-
-    Attributes
-    ----------
-    structure : Structure
-        What rays are traced in.
-    """
-
-    structure: Structure
-    _machine: BatchQueries | Counting
+class Queries(Traces):
+    """The queries of a tracer; see `Traces` for the one that runs a program."""
 
     def first_hit(
         self,
@@ -42,6 +31,8 @@ class Queries:
         *,
         t_min: Any = 0.0,
         t_max: Any = np.inf,
+        on_hit: Callable[..., Any] | None = None,
+        skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> Hits:
         """Find the nearest triangle along each ray.
@@ -51,6 +42,13 @@ class Queries:
         origins, directions : array_like of shape S + (3,), real
         t_min, t_max : float or array_like that broadcasts to S
             Closed search interval, in direction lengths.
+        on_hit : callable, optional
+            A filter: ``on_hit(hit)`` gets a `Hit` and returns whether it exists, as a boolean
+            or as `CONTINUE` or `IGNORE`; `STOP` means that it does, and no later one. See
+            `trace` for what it may do.
+        skip_prim_ids : array_like of shape S or S + (k,), int, optional
+            Triangles that do not exist for each ray, such as those that it starts on; -1 for
+            none. The filter is not asked about them.
         progress : callable, optional
             Called with (rays done, rays).
 
@@ -63,7 +61,9 @@ class Queries:
         Raises
         ------
         ValueError, TypeError
-            If shapes disagree or an array does not hold real numbers.
+            If shapes disagree or an array does not hold real numbers; and see `trace`.
+        RuntimeError
+            If the filter raises something, which is then the cause.
 
         Notes
         -----
@@ -71,8 +71,12 @@ class Queries:
         """
         batch = RayBatch(origins, directions, t_min, t_max)
         status = np.zeros(len(batch), np.uint8)
-        t, u, v, prim_id = self._machine.first_hit_batch(batch, status, progress)
         shape = batch.shape
+        chosen = self._filter(on_hit, skip_prim_ids, shape)
+        ask = None if chosen is None else self._ask_hits(False)
+        t, u, v, prim_id = hits = self._machine.first_hit_batch(batch, status, progress)
+        if chosen is not None and ask is not None:
+            filter_first(chosen, ask, batch, hits)
         return Hits(
             t.reshape(shape),
             u.reshape(shape),
@@ -89,13 +93,15 @@ class Queries:
         *,
         t_min: Any = 0.0,
         t_max: Any = np.inf,
+        on_hit: Callable[..., Any] | None = None,
+        skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.bool_]:
         """Find whether anything is in each ray's way; cheaper than the nearest hit.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, progress
             See `first_hit`.
 
         Returns
@@ -105,12 +111,18 @@ class Queries:
 
         Raises
         ------
-        ValueError, TypeError
+        ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
         status = np.zeros(len(batch), np.uint8)
-        return self._machine.any_hit_batch(batch, status, progress).reshape(batch.shape)
+        chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
+        if chosen is None:
+            return self._machine.any_hit_batch(batch, status, progress).reshape(batch.shape)
+        ask = self._ask_hits(False)
+        hits = self._machine.first_hit_batch(batch, status, progress)
+        filter_first(chosen, ask, batch, hits)
+        return (hits.prim_id >= 0).reshape(batch.shape)
 
     def count_hits(
         self,
@@ -120,13 +132,15 @@ class Queries:
         t_min: Any = 0.0,
         t_max: Any = np.inf,
         crossings: Crossings = "triangles",
+        on_hit: Callable[..., Any] | None = None,
+        skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.int64]:
         """Count what lies along each ray.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max, progress
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, progress
             See `first_hit`.
         crossings : {"triangles", "surfaces"}
             What a ray exactly through an edge or a vertex meets: every triangle there, or
@@ -140,11 +154,15 @@ class Queries:
 
         Raises
         ------
-        ValueError, TypeError
+        ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
-        surfaces = _is_surfaces(crossings)
+        surfaces = is_surfaces(crossings)
+        chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
+        if chosen is not None:
+            ask = self._ask_hits(surfaces)
+            return count_filtered(chosen, ask, batch, progress).reshape(batch.shape)
         status = np.zeros(len(batch), np.uint8)
         counts = self._machine.count_hits_batch(batch, surfaces, UNLIMITED, status, progress)
         return counts.reshape(batch.shape)
@@ -158,13 +176,15 @@ class Queries:
         t_max: Any = np.inf,
         max_hits: int | None = None,
         crossings: Crossings = "triangles",
+        on_hit: Callable[..., Any] | None = None,
+        skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> MultiHits:
         """Find all hits of each ray, or the nearest few, by increasing distance.
 
         Parameters
         ----------
-        origins, directions, t_min, t_max
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids
             See `first_hit`.
         max_hits : int, optional
             Keep the nearest `max_hits` of each ray; without it all of them, however many.
@@ -182,7 +202,7 @@ class Queries:
 
         Raises
         ------
-        ValueError, TypeError
+        ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown or `max_hits` negative.
         MemoryError
             If all hits together need more memory than there is: nothing is cut off
@@ -195,16 +215,15 @@ class Queries:
         twice and none is lost between two others, however close.
         """
         batch = RayBatch(origins, directions, t_min, t_max)
-        surfaces = _is_surfaces(crossings)
+        surfaces = is_surfaces(crossings)
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
         status = np.zeros(len(batch), np.uint8)
-        splits, hits = self._machine.multi_hit_batch(batch, surfaces, limit, status, progress)
+        chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
+        if chosen is None:
+            splits, hits = self._machine.multi_hit_batch(batch, surfaces, limit, status, progress)
+        else:
+            ask = self._ask_hits(surfaces)
+            splits, hits = multi_filtered(chosen, ask, batch, limit, status, progress)
         return MultiHits(splits, *hits, status.reshape(batch.shape), self.structure.triangles)
-
-
-def _is_surfaces(crossings: str) -> bool:
-    if crossings not in ("triangles", "surfaces"):
-        raise ValueError(f"crossings: expected 'triangles' or 'surfaces', got {crossings!r}")
-    return crossings == "surfaces"

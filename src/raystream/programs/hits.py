@@ -1,0 +1,222 @@
+"""What a program sees of a hit, and where it is read."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.jit.cpu import device
+from raystream.jit.simd import load
+from raystream.kernels.collect import HitArrays
+from raystream.kernels.ray_source import RaySource
+
+__all__ = ["Hit", "RaysAt", "RowsAt", "SceneAt", "hit_at", "ray_at", "row_range"]
+
+_NOWHERE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(4)
+_LONG = np.uint64(8)
+_VECTOR = np.uint64(12)
+_TRIANGLE = np.uint64(36)
+_ZERO = np.float64(0.0)
+
+
+class Hit(NamedTuple):
+    """A hit, as a program sees it. What a program does not use is not computed.
+
+    Attributes
+    ----------
+    ray : int64
+        Index of the ray in the flattened batch.
+    t, u, v : float32
+        Distance in direction lengths, and the weights of vertices 1 and 2.
+    prim_id, mesh_id : int32
+        Triangle, counted over the whole scene, and its mesh.
+    is_entering : bool
+        Whether the ray comes from the side to which the triangle's normal points, where its
+        vertices run counter-clockwise: whether it enters a closed mesh here.
+    """
+
+    ray: int
+    t: float
+    u: float
+    v: float
+    prim_id: int
+    mesh_id: int
+    is_entering: bool
+
+
+class RowsAt(NamedTuple):
+    """Where the rows of a query's answer lie; the caller keeps them.
+
+    Attributes
+    ----------
+    t, u, v, prim_id : uint64
+        Addresses of the first row's numbers.
+    splits : uint64
+        Address of the rays' first rows, int64; 0 if row i is of ray i, or a miss.
+    delivered : uint64
+        Rows of each ray that a program has seen before.
+    """
+
+    t: np.uint64
+    u: np.uint64
+    v: np.uint64
+    prim_id: np.uint64
+    splits: np.uint64
+    delivered: np.uint64
+
+    @classmethod
+    def of(cls, hits: HitArrays, splits: NDArray[np.int64] | None, delivered: int) -> RowsAt:
+        """Where these rows lie; without `splits` there is one for each ray."""
+        starts = 0 if splits is None else splits.ctypes.data
+        places = (*(array.ctypes.data for array in hits), starts, delivered)
+        return cls(*np.array(places, np.uint64))
+
+
+class SceneAt(NamedTuple):
+    """Where triangles lie; the caller keeps them.
+
+    Attributes
+    ----------
+    corners, mesh_splits : uint64
+        Addresses of `Triangles.corners` and `Triangles.mesh_splits`.
+    mesh_count : uint64
+    halvings : uint64
+        Steps of a search among the meshes.
+    """
+
+    corners: np.uint64
+    mesh_splits: np.uint64
+    mesh_count: np.uint64
+    halvings: np.uint64
+
+    @classmethod
+    def of(cls, triangles: Triangles) -> SceneAt:
+        """Where these triangles lie."""
+        count = len(triangles.mesh_splits) - 1
+        places = triangles.corners.ctypes.data, triangles.mesh_splits.ctypes.data
+        return cls(*np.array((*places, count, max(count - 1, 0).bit_length()), np.uint64))
+
+
+class RaysAt(NamedTuple):
+    """Which rays of the batch were asked about, and where their directions lie.
+
+    Attributes
+    ----------
+    ids : uint64
+        Address of their indices, int64; 0 if they follow each other.
+    first : uint64
+        Index of the first one if they follow each other.
+    directions, direction_step : uint64
+    directions_are_double : bool
+        See `RaySource`; of the rays asked about.
+    """
+
+    ids: np.uint64
+    first: np.uint64
+    directions: np.uint64
+    direction_step: np.uint64
+    directions_are_double: bool
+
+    @classmethod
+    def of(cls, source: RaySource, ids: NDArray[np.int64] | None, first: int) -> RaysAt:
+        """Where the rays of a source lie."""
+        place = 0 if ids is None else ids.ctypes.data
+        return cls(
+            np.uint64(place),
+            np.uint64(first),
+            source.directions,
+            source.direction_step,
+            source.directions_are_double,
+        )
+
+
+@device
+def ray_at(rays, i):
+    """Index in the batch of ray i of those asked about."""
+    if rays.ids == _NOWHERE:
+        return rays.first + i
+    return np.uint64(load(np.int64, rays.ids + i * _LONG))
+
+
+@device
+def row_range(rows, i):
+    """The rows of ray i that are new, as first and end."""
+    if rows.splits == _NOWHERE:
+        if load(np.int32, rows.prim_id + i * _WORD) < 0:
+            return i, i
+        return i, i + _ONE
+    at = rows.splits + i * _LONG
+    first, end = np.uint64(load(np.int64, at)), np.uint64(load(np.int64, at + _LONG))
+    return min(first + rows.delivered, end), end
+
+
+@device
+def hit_at(rows, row, rays, i, ray, scene):
+    """The hit of a row of ray i, whose index in the batch is `ray`."""
+    at = row * _WORD
+    prim_id = load(np.int32, rows.prim_id + at)
+    return Hit(
+        np.int64(ray),
+        load(np.float32, rows.t + at),
+        load(np.float32, rows.u + at),
+        load(np.float32, rows.v + at),
+        prim_id,
+        _mesh_of(scene, prim_id),
+        _is_entering(scene, prim_id, rays, i),
+    )
+
+
+@device
+def _mesh_of(scene, prim_id):
+    """Binary search of a fixed number of steps, which goes away where it is not used."""
+    low, high = _NOWHERE, scene.mesh_count
+    for _ in range(scene.halvings):
+        middle = (low + high) >> _ONE
+        is_above = load(np.int64, scene.mesh_splits + middle * _LONG) <= np.int64(prim_id)
+        low = middle if is_above else low
+        high = high if is_above else middle
+    return np.int32(low)
+
+
+@device
+def _number(at, k, is_double):
+    if is_double:
+        return load(np.float64, at + k * _LONG)
+    return np.float64(load(np.float32, at + k * _WORD))
+
+
+@device
+def _direction(rays, i):
+    """Direction of ray i, the largest component 1: products of any length stay finite."""
+    at, is_double = rays.directions + i * rays.direction_step, rays.directions_are_double
+    x = _number(at, _NOWHERE, is_double)
+    y = _number(at, _ONE, is_double)
+    z = _number(at, np.uint64(2), is_double)
+    most = max(abs(x), abs(y), abs(z))
+    return x / most, y / most, z / most
+
+
+@device
+def _corner(at):
+    return (
+        np.float64(load(np.float32, at)),
+        np.float64(load(np.float32, at + _WORD)),
+        np.float64(load(np.float32, at + _LONG)),
+    )
+
+
+@device
+def _is_entering(scene, prim_id, rays, i):
+    at = scene.corners + np.uint64(prim_id) * _TRIANGLE
+    ax, ay, az = _corner(at)
+    bx, by, bz = _corner(at + _VECTOR)
+    cx, cy, cz = _corner(at + _VECTOR + _VECTOR)
+    bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    dx, dy, dz = _direction(rays, i)
+    along = dx * (by * cz - bz * cy) + dy * (bz * cx - bx * cz) + dz * (bx * cy - by * cx)
+    return along < _ZERO

@@ -1,0 +1,70 @@
+"""Payloads: what a program keeps for each ray."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["as_payload", "as_records"]
+
+#: Bytes of the numbers that compiled code computes with, by kind.
+_SIZES = {"b": (1,), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8), "c": (8, 16)}
+
+
+def as_payload(payload: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """The array that a program changes: the caller's, or zeros of a dtype.
+
+    Parameters
+    ----------
+    payload : ndarray or dtype
+    shape : tuple of int
+        The rays' shape S.
+
+    Raises
+    ------
+    ValueError
+        If an array is read-only, or its shape is neither S nor, for plain numbers, S + (k,).
+    TypeError
+        If it is neither an array nor a dtype, or holds something else than numbers and records.
+    """
+    if not isinstance(payload, np.ndarray):
+        try:
+            dtype = np.dtype(payload)
+        except TypeError as error:
+            raise TypeError(
+                f"payload: expected a writable NumPy array or a dtype, got {payload!r:.60}"
+            ) from error
+        _check_dtype(dtype)
+        payload = np.zeros(shape, dtype)
+    _check_dtype(payload.dtype)
+    if not payload.flags.writeable:
+        raise ValueError("payload: the array is read-only, and programs write to it")
+    is_plain = payload.dtype.fields is None
+    if payload.shape != shape and not (is_plain and payload.shape[:-1] == shape):
+        wanted = f"{shape}, or {shape} + (k,)" if is_plain else f"{shape}"
+        raise ValueError(f"payload: expected the rays' shape {wanted}, got {payload.shape}")
+    return payload
+
+
+def as_records(payload: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """The payload as loops take it, a record or a row of numbers for each ray.
+
+    Its memory is the payload's, unless that is scattered.
+    """
+    array = np.ascontiguousarray(payload).view(np.ndarray)
+    count = int(np.prod(shape, dtype=np.int64))
+    if payload.dtype.fields is not None:
+        return array.reshape(count)
+    return array.reshape(count, 1 if payload.shape == shape else payload.shape[-1])
+
+
+def _check_dtype(dtype: np.dtype[Any]) -> None:
+    if dtype.subdtype is not None:
+        _check_dtype(dtype.subdtype[0])
+    elif dtype.fields is not None:
+        for field, *_ in dtype.fields.values():
+            _check_dtype(field)
+    elif dtype.itemsize not in _SIZES.get(dtype.kind, ()) or not dtype.isnative:
+        raise TypeError(f"payload: programs cannot compute with dtype {dtype}")

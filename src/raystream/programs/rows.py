@@ -1,0 +1,119 @@
+"""What filters do with rows: skip them, keep them in order, copy them to where they belong."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.arrays import as_host_array
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import load, store
+
+__all__ = ["SkipsAt", "as_skips", "is_skipped", "move_row", "place_rows", "put_row"]
+
+_ONE = np.uint64(1)
+_WORD = np.uint64(4)
+
+
+class SkipsAt(NamedTuple):
+    """Where the triangles that do not exist for each ray are; the caller keeps them.
+
+    Attributes
+    ----------
+    prim_ids : uint64
+        Address of the first ray's, int32; -1 for none.
+    width : uint64
+        How many each ray has.
+    """
+
+    prim_ids: np.uint64
+    width: np.uint64
+
+    @classmethod
+    def of(cls, prim_ids: NDArray[np.int32]) -> SkipsAt:
+        """Where the rows of an array of shape (N, k) are."""
+        return cls(np.uint64(prim_ids.ctypes.data), np.uint64(prim_ids.shape[1]))
+
+
+def as_skips(values: Any, shape: tuple[int, ...], triangle_count: int) -> NDArray[np.int32]:
+    """Check `skip_prim_ids` and turn it into an array of shape (N, k).
+
+    Raises
+    ------
+    ValueError, TypeError
+        If its shape is neither the rays' nor has one dimension more, or it does not hold
+        integers, or no triangles of the scene and not -1.
+    """
+    given = as_host_array("skip_prim_ids", values)
+    if given.dtype.kind not in "iu":
+        raise TypeError(f"skip_prim_ids: expected integers, got dtype {given.dtype}")
+    if given.shape != shape and given.shape[:-1] != shape:
+        raise ValueError(
+            f"skip_prim_ids: expected the rays' shape {shape}, or {shape} + (k,), got {given.shape}"
+        )
+    if given.size and not (given.min() >= -1 and given.max() < triangle_count):
+        raise ValueError(
+            f"skip_prim_ids: expected -1 or a prim_id below {triangle_count}, "
+            f"got {given.min()} to {given.max()}"
+        )
+    width = 1 if given.shape == shape else given.shape[-1]
+    count = int(np.prod(shape, dtype=np.int64))
+    return np.ascontiguousarray(given, np.int32).reshape(count, width)
+
+
+@device
+def is_skipped(skips, ray, rows, row):
+    """Whether the triangle of a row does not exist for a ray."""
+    prim_id = load(np.int32, rows.prim_id + row * _WORD)
+    at = skips.prim_ids + ray * skips.width * _WORD
+    end = at + skips.width * _WORD
+    while at != end:
+        if load(np.int32, at) == prim_id:
+            return True
+        at += _WORD
+    return False
+
+
+@device
+def put_row(out, ray, rows, row):
+    """Write a row to the place of its ray in `HitArrays`."""
+    at = row * _WORD
+    out.t[ray] = load(np.float32, rows.t + at)
+    out.u[ray] = load(np.float32, rows.u + at)
+    out.v[ray] = load(np.float32, rows.v + at)
+    out.prim_id[ray] = load(np.int32, rows.prim_id + at)
+
+
+@device
+def move_row(rows, row, to):
+    """Copy a row to an earlier one."""
+    if row != to:
+        at, target = row * _WORD, to * _WORD
+        store(rows.t + target, load(np.float32, rows.t + at))
+        store(rows.u + target, load(np.float32, rows.u + at))
+        store(rows.v + target, load(np.float32, rows.v + at))
+        store(rows.prim_id + target, load(np.int32, rows.prim_id + at))
+
+
+@kernel
+def place_rows(begin, end, rows, firsts, counts, starts, out):
+    """Copy ``counts[i]`` rows from ``firsts[i]`` on to those of `out` from ``starts[i]`` on.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rays.
+    rows, out : HitArrays
+    firsts, counts, starts : ndarray of shape (N,), int64
+    """
+    for i in range(np.uint64(begin), np.uint64(end)):
+        row, to = np.uint64(firsts[i]), np.uint64(starts[i])
+        for _ in range(np.uint64(counts[i])):
+            out.t[to] = rows.t[row]
+            out.u[to] = rows.u[row]
+            out.v[to] = rows.v[row]
+            out.prim_id[to] = rows.prim_id[row]
+            row += _ONE
+            to += _ONE

@@ -1,0 +1,71 @@
+"""Trace: a program and its payload at the hits of every ray."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.core.triangles import Triangles
+from raystream.jit.threads import Progress
+from raystream.programs.payloads import as_payload, as_records
+from raystream.programs.program import Program
+from raystream.programs.rounds import Asked, AskHits, visit
+
+__all__ = ["ORDERS", "Order", "trace_program"]
+
+#: How a ray's hits are given to a program.
+Order = Literal["front-to-back", "any"]
+ORDERS: tuple[str, ...] = ("front-to-back", "any")
+
+
+def trace_program(
+    ask: AskHits,
+    batch: RayBatch,
+    triangles: Triangles,
+    function: Callable[..., Any],
+    payload: Any,
+    order: str,
+    progress: Progress | None,
+) -> NDArray[Any] | None:
+    """Run a program at the hits of each ray.
+
+    Parameters
+    ----------
+    ask : callable
+        The query for hits.
+    batch : RayBatch
+    triangles : Triangles
+    function : callable
+    payload : ndarray, dtype or None
+    order : {"front-to-back", "any"}
+        Both are the same order: no structure gives unordered hits at a lower price.
+    progress : callable, optional
+
+    Returns
+    -------
+    ndarray or None
+        The payload.
+    """
+    if order not in ORDERS:
+        known = " or ".join(map(repr, ORDERS))
+        raise ValueError(f"order: expected {known}, got {order!r}")
+    result = records = None
+    if payload is not None:
+        result = as_payload(payload, batch.shape)
+        records = as_records(result, batch.shape)
+    program = Program(function, "trace", None, (records,))
+    status = np.zeros(len(batch), np.uint8)
+    visit(
+        ask,
+        Asked(batch, None, 0),
+        lambda answer: answer.run(program, triangles),
+        status,
+        progress,
+    )
+    if result is not None and records is not None and not np.shares_memory(result, records):
+        result[...] = records.reshape(result.shape)
+    return result

@@ -1,0 +1,54 @@
+"""Programs are kept on disk: a second process does not compile."""
+
+import subprocess
+import sys
+
+from conftest import child_environment
+
+SCRIPT = """
+import numpy as np
+import raystream as rs
+from raystream.jit import loops
+
+RECORD = np.dtype([("hits", "i8"), ("depth", "f8")])
+
+def add_up(hit, payload):
+    payload.hits += 1
+    payload.depth += STEP * hit.t
+    if payload.hits == 2:
+        return rs.STOP
+
+def not_the_first(hit):
+    return hit.prim_id > 0 or rs.IGNORE == 0
+
+STEP = 1.0
+vertices = np.array([[x, y, z] for z in (1, 2, 3) for x, y in ((0, 0), (4, 0), (0, 4))], float)
+tracer = rs.Tracer(rs.Scene.from_arrays(vertices, np.arange(9).reshape(3, 3)))
+ray = [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]
+record = tracer.trace(*ray, on_hit=add_up, payload=RECORD)
+first = tracer.first_hit(*ray, on_hit=not_the_first)
+compiled = sum(loop.compiled_count for loop in loops._COMPILED.values())
+print(record["depth"], first.prim_id, compiled)
+"""
+
+
+def run(folder):
+    done = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=folder,
+        env=child_environment(RAYSTREAM_CACHE_DIR=str(folder / "cache")),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_a_second_process_does_not_compile(tmp_path):
+    (tmp_path / "script.py").write_text(SCRIPT)
+    assert run(tmp_path) == ["3.0", "1", "2"]
+    assert run(tmp_path) == ["3.0", "1", "0"]
+    (tmp_path / "script.py").write_text(SCRIPT.replace("STEP = 1.0", "STEP = 2.0"))
+    assert run(tmp_path) == ["6.0", "1", "1"]

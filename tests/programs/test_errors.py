@@ -1,0 +1,170 @@
+import re
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from meshes import cube
+from raystream.programs.program import Program
+
+RAY = ([0.3, 0.4, -2.0], [0.0, 0.0, 1.0])
+GLOBAL = {"a": 1}
+
+
+@pytest.fixture(scope="module")
+def tracer():
+    return rs.Tracer(rs.Scene.from_arrays(*cube()))
+
+
+def count(hit, payload):
+    payload[0] += 1
+
+
+def misspelt(hit, payload):
+    payload[0] = hit.prim
+
+
+def seven(hit, payload):
+    return 7
+
+
+def truth(hit, payload):
+    return True
+
+
+def number(hit):
+    return 0.5
+
+
+def mixed(hit):
+    if hit.t > 1:
+        return True
+    return rs.IGNORE
+
+
+def one_argument(hit):
+    return True
+
+
+def of_dict(hit, payload):
+    payload[0] = GLOBAL["a"]
+
+
+def wrong_field(hit, payload):
+    payload.weight += 1
+
+
+def raises(hit, payload):
+    if hit.t > 0:
+        raise KeyError("no such thing")
+
+
+def raises_nothing(hit):
+    if hit.t > 0:
+        raise ValueError
+    return True
+
+
+def raises_type_error(hit, payload):
+    if hit.t > 0:
+        raise TypeError("mine")
+
+
+@pytest.mark.parametrize(
+    ("function", "payload", "message"),
+    [
+        (misspelt, int, "misspelt: Numba cannot compile it: .*prim.*test_errors.py"),
+        (seven, int, "seven: it returns int64; expected one of CONTINUE, STOP, IGNORE, or None"),
+        (truth, int, "truth: it returns .*; expected one of CONTINUE"),
+        (one_argument, int, re.escape("one_argument: takes (hit); expected (hit, payload)")),
+        (of_dict, int, "of_dict: Numba cannot compile it"),
+        (wrong_field, [("mass", float)], "wrong_field: Numba cannot compile it: .*weight"),
+        (count, None, "count: Numba cannot compile it"),
+        (len, int, "on_hit: expected a Python function, got builtin_function_or_method"),
+        (None, int, "on_hit: expected a Python function, got NoneType"),
+        (count, 3, "payload: expected a writable NumPy array or a dtype, got 3"),
+        (count, "f2", "payload: programs cannot compute with dtype float16"),
+        (count, object, "payload: programs cannot compute with dtype object"),
+        (count, [("a", "U4")], "payload: programs cannot compute with dtype <U4"),
+        (count, ">f8", "payload: programs cannot compute with dtype >f8"),
+    ],
+)
+def test_what_cannot_be_a_program(tracer, function, payload, message):
+    with pytest.raises(TypeError, match=f"^{message}"):
+        tracer.trace(*RAY, on_hit=function, payload=payload)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (count, re.escape("count: takes (hit, payload); expected (hit)")),
+        (number, "number: it returns float64; expected one of True, False, CONTINUE"),
+        (mixed, "mixed: Numba cannot compile it: .*unify"),
+    ],
+)
+def test_what_cannot_be_a_filter(tracer, function, message):
+    for query in (tracer.first_hit, tracer.any_hit, tracer.count_hits, tracer.multi_hit):
+        with pytest.raises(TypeError, match=f"^{message}"):
+            query(*RAY, on_hit=function)
+
+
+@pytest.mark.parametrize(
+    ("function", "message", "cause"),
+    [
+        (raises, "raises: raised KeyError: 'no such thing'", KeyError),
+        (raises_type_error, "raises_type_error: raised TypeError: mine", TypeError),
+    ],
+)
+def test_what_a_program_raises_names_it(tracer, function, message, cause):
+    with pytest.raises(RuntimeError, match=f"^{message}$") as caught:
+        tracer.trace(*RAY, on_hit=function, payload=int)
+    assert isinstance(caught.value.__cause__, cause)
+
+
+def test_what_a_filter_raises_names_it(tracer):
+    with pytest.raises(RuntimeError, match=r"^raises_nothing: raised ValueError$"):
+        tracer.first_hit(*RAY, on_hit=raises_nothing)
+
+
+def test_shapes_and_names(tracer):
+    rays = np.zeros((4, 3)) + [0.3, 0.4, -2.0], [0.0, 0.0, 1.0]
+    with pytest.raises(ValueError, match=r"^payload: expected the rays' shape \(4,\), or .*\(5,"):
+        tracer.trace(*rays, on_hit=count, payload=np.zeros(5))
+    with pytest.raises(ValueError, match=r"shape \(4,\), got \(4, 2\)"):
+        tracer.trace(*rays, on_hit=count, payload=np.zeros((4, 2), [("a", "f8")]))
+    with pytest.raises(ValueError, match=r"got \(4, 2, 2\)"):
+        tracer.trace(*rays, on_hit=count, payload=np.dtype(("f8", (2, 2))))
+    with pytest.raises(ValueError, match=r"^payload: the array is read-only"):
+        tracer.trace(*rays, on_hit=count, payload=np.broadcast_to(0.0, 4))
+    with pytest.raises(ValueError, match=r"^order: expected 'front-to-back' or 'any', got 'back'"):
+        tracer.trace(*rays, on_hit=count, payload=int, order="back")
+    with pytest.raises(ValueError, match=r"^crossings: expected"):
+        tracer.trace(*rays, on_hit=count, payload=int, crossings="lines")
+    with pytest.raises(ValueError, match=r"^skip_prim_ids: expected the rays' shape \(4,\)"):
+        tracer.first_hit(*rays, skip_prim_ids=[1, 2])
+    with pytest.raises(ValueError, match=r"^skip_prim_ids: expected -1 or a prim_id below 12"):
+        tracer.first_hit(*rays, skip_prim_ids=[1, 2, 12, -1])
+    with pytest.raises(TypeError, match=r"^skip_prim_ids: expected integers"):
+        tracer.first_hit(*rays, skip_prim_ids=[1.0, 2.0, 3.0, -1.0])
+
+
+def test_tracers_that_cannot():
+    scene = rs.Scene.from_arrays(*cube())
+    counting = rs.Tracer(scene, counters=True)
+    with pytest.raises(ValueError, match=r"^on_hit, skip_prim_ids: a tracer with counters"):
+        counting.trace(*RAY, on_hit=count, payload=int)
+    with pytest.raises(ValueError, match=r"^on_hit, skip_prim_ids: a tracer with counters"):
+        counting.first_hit(*RAY, skip_prim_ids=-1)
+    elsewhere = rs.Tracer(scene)
+    elsewhere.structure.runs_programs = False  # as one of a device that registers itself may
+    with pytest.raises(ValueError, match="programs do not run on this tracer's device"):
+        elsewhere.count_hits(*RAY, on_hit=one_argument)
+
+
+def test_an_interrupt_ends_a_trace(tracer, monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Program, "run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        tracer.trace(*RAY, on_hit=count, payload=int)
