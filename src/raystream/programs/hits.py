@@ -192,13 +192,15 @@ def _number(at, k, is_double):
 
 @device
 def _direction(rays, i):
-    """Direction of ray i, the largest component 1: products of any length stay finite."""
+    """Direction of ray i, of a length at which products with normals are finite."""
     at, is_double = rays.directions + i * rays.direction_step, rays.directions_are_double
     x = _number(at, _NOWHERE, is_double)
     y = _number(at, _ONE, is_double)
     z = _number(at, np.uint64(2), is_double)
-    most = max(abs(x), abs(y), abs(z))
-    return x / most, y / most, z / most
+    if is_double:
+        most = max(abs(x), abs(y), abs(z))
+        return x / most, y / most, z / most
+    return x, y, z
 
 
 @device
