@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitArrays
-from raystream.machines.counting import Counting
 from raystream.programs.filters import Filter
 from raystream.programs.rounds import AskHits
 from raystream.programs.trace import Order, trace_program
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
+
+if TYPE_CHECKING:
+    from raystream.machines.counting import Counting
 
 __all__ = ["Traces", "is_surfaces"]
 
