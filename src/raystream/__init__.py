@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from raystream.jit.threads import set_thread_count, thread_count
     from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
     from raystream.programs.hits import Hit
+    from raystream.physics.attenuation import attenuation
+    from raystream.physics.lidar import LidarReturns, lidar_returns
+    from raystream.physics.segments import thickness
+    from raystream.physics.thickness import Thickness, UnpairedKind
     from raystream.render import Image, render
     from raystream.render.heatmap import Heatmap, RayCost, heatmap
     from raystream.scene.camera import Camera
@@ -57,6 +61,7 @@ _HOMES = {
     "Hit": "programs.hits",
     "Hits": "core.hits",
     "Image": "render",
+    "LidarReturns": "physics.lidar",
     "LoopLimitError": "core.errors",
     "Material": "scene.material",
     "Mesh": "scene.mesh",
@@ -68,12 +73,17 @@ _HOMES = {
     "RaystreamWarning": "core.errors",
     "Scene": "scene.scene",
     "Texture": "scene.texture",
+    "Thickness": "physics.thickness",
     "Tracer": "tracer",
+    "UnpairedKind": "physics.thickness",
     "UpdateReport": "structures.base",
+    "attenuation": "physics.attenuation",
     "heatmap": "render.heatmap",
+    "lidar_returns": "physics.lidar",
     "load": "scene.load",
     "register_device": "structures.devices",
     "set_thread_count": "jit.threads",
+    "thickness": "physics.segments",
     "thread_count": "jit.threads",
 }
 
@@ -91,6 +101,7 @@ __all__ = [
     "Hit",
     "Hits",
     "Image",
+    "LidarReturns",
     "LoopLimitError",
     "Material",
     "Mesh",
@@ -102,15 +113,20 @@ __all__ = [
     "RaystreamWarning",
     "Scene",
     "Texture",
+    "Thickness",
     "Tracer",
+    "UnpairedKind",
     "UpdateReport",
     "__version__",
+    "attenuation",
     "heatmap",
+    "lidar_returns",
     "load",
     "register_device",
     "render",
     "set_thread_count",
     "streams",
+    "thickness",
     "thread_count",
 ]
 

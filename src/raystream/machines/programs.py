@@ -33,6 +33,7 @@ class Traces:
     """
 
     structure: Structure
+    is_counting: bool
     _machine: BatchQueries | Counting
 
     def trace(
@@ -129,7 +130,7 @@ class Traces:
             If there is none.
         """
         machine = self._machine
-        if isinstance(machine, Counting):
+        if self.is_counting:
             raise ValueError(
                 "on_hit, skip_prim_ids: a tracer with counters=True counts whole queries, "
                 "and programs take several; use another tracer"

@@ -1,0 +1,1 @@
+"""Ordered hits put to use: thickness, attenuation, LiDAR returns."""

@@ -1,0 +1,210 @@
+"""LiDAR: pulses of light, and what comes back of them."""
+
+from __future__ import annotations
+
+import math
+import operator
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress
+from raystream.physics.pulses import Surfaces
+from raystream.physics.scan import Receiver, Returns, Scan
+from raystream.physics.tables import number_table
+from raystream.tracer import Tracer
+
+__all__ = ["LidarReturns", "lidar_returns"]
+
+#: Cones wider than so many degrees are no pulses.
+MAX_DIVERGENCE = 90.0
+
+#: Sub-rays that are traced at a time: bounds the memory of all but the returns.
+_SUB_RAYS_PER_BLOCK = 1 << 18
+
+
+class LidarReturns:
+    """What comes back of pulses, as rows delimited by `ray_splits`: a cloud of points.
+
+    Attributes
+    ----------
+    ray_splits : ndarray of shape (N + 1,), int64
+        Pulse i owns the rows ray_splits[i] to ray_splits[i + 1]; pulses are numbered in the
+        C order of their leading shape.
+    ranges : ndarray of shape (K,), float64
+        Distances from the origins, scene units, increasing within a pulse.
+    positions : ndarray of shape (K, 3), float64
+        World space: points at these ranges on the pulses' axes.
+    intensity : ndarray of shape (K,), float64
+        Part of the pulse's energy; 1 for all of it from a white surface at a right angle.
+    incidence_angle : ndarray of shape (K,), float64
+        Degrees between the ray and the normal of the triangle, 0 to 90.
+    return_number, return_count : ndarray of shape (K,), int32
+        Which of its pulse's returns a row is, from 1 on, and how many there are.
+    prim_id, mesh_id, material_id : ndarray of shape (K,), int32
+        The triangle, the one that sent back most energy, its mesh and its material.
+    status : ndarray of the pulses' leading shape, uint8
+        A `RayStatus` for each pulse.
+    """
+
+    def __init__(
+        self,
+        ray_splits: NDArray[np.int64],
+        returns: Returns,
+        mesh_id: NDArray[np.int32],
+        material_id: NDArray[np.int32],
+        status: NDArray[np.uint8],
+    ) -> None:
+        self.ray_splits = ray_splits
+        self.ranges, self.positions, self.intensity = returns[:3]
+        self.incidence_angle, self.prim_id = returns[3:]
+        self.mesh_id, self.material_id, self.status = mesh_id, material_id, status
+        counts = np.diff(ray_splits)
+        rows = np.arange(len(self.ranges)) - np.repeat(ray_splits[:-1], counts)
+        self.return_number = (rows + 1).astype(np.int32)
+        self.return_count = np.repeat(counts, counts).astype(np.int32)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Number of returns of each pulse, in the pulses' leading shape, int64."""
+        return np.diff(self.ray_splits).reshape(self.status.shape)
+
+    @cached_property
+    def ray_id(self) -> NDArray[np.int64]:
+        """Pulse of each row, shape (K,), int64."""
+        return np.repeat(np.arange(len(self.ray_splits) - 1), np.diff(self.ray_splits))
+
+    def __repr__(self) -> str:
+        return f"LidarReturns({len(self.ranges):,} returns of {len(self.ray_splits) - 1:,} pulses)"
+
+
+def lidar_returns(
+    tracer: Tracer,
+    origins: Any,
+    directions: Any,
+    *,
+    t_min: Any = 0.0,
+    t_max: Any = np.inf,
+    max_returns: int = 5,
+    reflectance: Any = 1.0,
+    transmission: Any = 0.0,
+    threshold: float = 0.01,
+    divergence: float = 0.0,
+    sub_rays: int = 1,
+    separation: float = 0.0,
+    progress: Progress | None = None,
+) -> LidarReturns:
+    """Send pulses out, and find what comes back.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    origins, directions, t_min, t_max
+        As in `Tracer.first_hit`: a ray for each pulse, its axis.
+    max_returns : int
+        Keep the nearest so many of each pulse.
+    reflectance : mapping, or array_like of shape () or (M,), real
+        Diffuse reflectance of the scene's materials, 0 to 1; one number serves all. A mapping
+        goes from materials, by name or number, and leaves the others at 1.
+    transmission : mapping, or array_like of shape () or (M,), real
+        Part of a pulse that passes a surface, 0 to 1, given in the same ways: of foliage, the
+        share of gaps. A mapping leaves the others at 0.
+    threshold : float
+        What is noticed: returns of less intensity are left out, and a ray is followed while
+        so much of its energy is left.
+    divergence : float
+        Full angle of the pulse's cone, degrees, at most 90.
+    sub_rays : int
+        Rays to trace in each pulse, spread evenly over its cone, with equal energy. One is
+        the axis itself.
+    separation : float
+        Echoes less than this beyond the first echo of a return belong to it: half the length
+        of a pulse, scene units.
+    progress : callable, optional
+        Called with (pulses done, pulses).
+
+    Returns
+    -------
+    LidarReturns
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `Tracer.first_hit`, or if one of the other arguments is out of range.
+
+    Notes
+    -----
+    The model is simple. Each surface takes its share of what is left of the pulse, and sends
+    back reflectance * cosine of the angle of incidence of that (Lambert's law); the rest goes
+    straight on. Both sides of a triangle count, and each crossing of a surface. Intensities
+    are those of a receiver that corrects for the distance: divide by its square for the
+    power. There is no scattering from surface to surface, no noise and no atmosphere.
+
+    A return's range is the mean of its echoes' ranges, weighted with their energy.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> tracer = rs.Tracer(rs.load("cornell"))
+    >>> axis = [278.0, 273.0, -800.0], [0.0, 0.0, 1.0]
+    >>> glass = rs.lidar_returns(tracer, *axis, transmission=0.5)
+    >>> glass.ranges.round().astype(int).tolist(), glass.return_number.tolist()
+    ([1092, 1138, 1359], [1, 2, 3])
+    """
+    batch = RayBatch(origins, directions, t_min, t_max)
+    scene = tracer.scene
+    names = tuple(material.name for material in scene.materials)
+    reflectances = number_table(
+        "reflectance", reflectance, names, "material", high=1.0, default=1.0
+    )
+    transmissions = number_table(
+        "transmission", transmission, names, "material", high=1.0, default=0.0
+    )
+    ids = [mesh.material_ids for mesh in scene.meshes]
+    surfaces = Surfaces(
+        tracer.structure.triangles.corners,
+        np.concatenate([np.zeros(0, np.int32), *ids]),
+        reflectances,
+        transmissions,
+        _check("threshold", threshold, 0.0, 1.0),
+    )
+    receiver = Receiver(
+        _count("max_returns", max_returns),
+        _count("sub_rays", sub_rays),
+        math.tan(math.radians(_check("divergence", divergence, 0.0, MAX_DIVERGENCE) / 2)),
+        _check("separation", separation, 0.0, math.inf),
+    )
+    scan = Scan(tracer, batch, surfaces, receiver)
+    counts, status = np.zeros(len(batch), np.int64), np.zeros(len(batch), np.uint8)
+    parts = [scan.returns(slice(0, 0), counts, status)]  # of no pulses: the columns' dtypes
+    size = max(1, _SUB_RAYS_PER_BLOCK // receiver.sub_rays)
+    for first in range(0, len(batch), size):
+        rows = slice(first, min(first + size, len(batch)))
+        parts.append(scan.returns(rows, counts, status))
+        if progress:
+            progress(rows.stop, len(batch))
+    returns = Returns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    mesh_splits = tracer.structure.triangles.mesh_splits
+    return LidarReturns(
+        np.concatenate([[0], np.cumsum(counts)]),
+        returns,
+        (np.searchsorted(mesh_splits, returns.prim_id, side="right") - 1).astype(np.int32),
+        surfaces.material_ids[returns.prim_id],
+        status.reshape(batch.shape),
+    )
+
+
+def _check(name: str, value: float, low: float, high: float) -> float:
+    if not low <= value <= high:
+        raise ValueError(f"{name}: expected a number from {low:g} to {high:g}, got {value}")
+    return float(value)
+
+
+def _count(name: str, value: int) -> int:
+    count = operator.index(value)
+    if count < 1:
+        raise ValueError(f"{name}: expected at least 1, got {count}")
+    return count

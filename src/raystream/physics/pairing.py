@@ -1,0 +1,348 @@
+"""Crossings of closed meshes, matched like brackets."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.kernels.ray import set_up
+from raystream.kernels.ray_source import load_ray
+
+__all__ = ["NO_ROW", "Crossings", "Pairs", "find_sides", "pair_up"]
+
+#: In place of a row: the crossing was not seen.
+NO_ROW = -1
+
+#: How far apart an exit and the entry after it may be for their order to be in doubt, as part
+#: of scene and distance together. The triangle test sees a ray at most 12 units of 2**-24 of
+#: that beside its place; where it grazes a silhouette at more than some 5 degrees to both
+#: triangles, the two distances then differ by less. More does no harm: it matters only where
+#: a ray from outside would leave a mesh before it enters.
+_GRAZE = 2.0**-16
+
+#: What rounding to float32 adds to that, as part of t.
+_ROUNDING = 2.0**-22
+
+# What a crossing is.
+_ENTRY = np.uint8(0)
+_EXIT = np.uint8(1)
+_LONE_ENTRY = np.uint8(2)
+_LONE_EXIT = np.uint8(3)
+
+
+class Crossings(NamedTuple):
+    """Crossings of surfaces by rays: rows of `MultiHits`, and what else is known of them.
+
+    Attributes
+    ----------
+    splits : ndarray of shape (N + 1,), int64
+    t : ndarray of shape (K,), float32
+    prim_id : ndarray of shape (K,), int32
+    mesh_id : ndarray of shape (K,), int32
+    kind : ndarray of shape (K,), uint8
+        0 for an entry, 1 for an exit.
+    order : ndarray of shape (K,), int64
+        Written by `pair_up`: the rows of each ray, at equal t entries first.
+    slack : ndarray of shape (N,), float64
+        Distance within which the order of an exit and an entry is in doubt.
+    """
+
+    splits: NDArray[np.int64]
+    t: NDArray[np.float32]
+    prim_id: NDArray[np.int32]
+    mesh_id: NDArray[np.int32]
+    kind: NDArray[np.uint8]
+    order: NDArray[np.int64]
+    slack: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls, splits: NDArray[np.int64], t: NDArray[np.float32], prim_id: NDArray[np.int32]
+    ) -> Crossings:
+        """Make room for what is to be found out about the rows."""
+        count = len(t)
+        mesh_id, kind = np.empty(count, np.int32), np.empty(count, np.uint8)
+        order, slack = np.empty(count, np.int64), np.empty(len(splits) - 1)
+        return cls(splits, t, prim_id, mesh_id, kind, order, slack)
+
+
+class Pairs(NamedTuple):
+    """What `pair_up` finds; ray i has room from splits[i] on.
+
+    Attributes
+    ----------
+    counts, lone_counts : ndarray of shape (N,), int64
+        Segments and unpaired crossings of each ray.
+    entries, exits : ndarray of shape (K,), int64
+        Rows of the crossings at both ends of a segment, in order of entry; `NO_ROW` for an
+        entry before the ray's interval.
+    lone : ndarray of shape (K,), int64
+        Rows of the unpaired crossings.
+    """
+
+    counts: NDArray[np.int64]
+    lone_counts: NDArray[np.int64]
+    entries: NDArray[np.int64]
+    exits: NDArray[np.int64]
+    lone: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, ray_count: int, row_count: int) -> Pairs:
+        """Make room, not initialised."""
+        rays, rows = (ray_count,), (row_count,)
+        counts, lone_counts = np.empty(rays, np.int64), np.empty(rays, np.int64)
+        entries, exits, lone = (np.empty(rows, np.int64) for _ in range(3))
+        return cls(counts, lone_counts, entries, exits, lone)
+
+
+@kernel
+def find_sides(begin, end, source, frame, corners, mesh_splits, is_flipped, crossings):
+    """Tell entries from exits, and find the meshes.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rays.
+    source : RaySource
+    frame : SceneFrame
+    corners : ndarray of shape (F, 3, 3), float32
+    mesh_splits : ndarray of shape (M + 1,), int64
+    is_flipped : ndarray of shape (M,), bool
+    crossings : Crossings
+        `mesh_id`, `kind` and `slack` are written.
+    """
+    for i in range(np.uint64(begin), np.uint64(end)):
+        first, last = crossings.splits[i], crossings.splits[i + np.uint64(1)]
+        if first == last:
+            continue
+        local = load_ray(source, i, frame)
+        ray = set_up(local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.extreme)
+        reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
+        crossings.slack[i] = _GRAZE * np.float64(frame.extreme + reach) * local.factor
+        for row in range(first, last):
+            prim_id = crossings.prim_id[row]
+            mesh_id = _mesh_of(prim_id, mesh_splits)
+            enters = _faces_ray(ray, corners, prim_id) != is_flipped[mesh_id]
+            crossings.mesh_id[row] = mesh_id
+            crossings.kind[row] = _ENTRY if enters else _EXIT
+
+
+@device
+def _mesh_of(prim_id, mesh_splits):
+    """The last mesh that begins at or before a triangle."""
+    low, high = 0, len(mesh_splits) - 1
+    while high - low > 1:
+        middle = (low + high) >> 1
+        if mesh_splits[middle] <= prim_id:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@device
+def _faces_ray(ray, corners, i):
+    """Whether the ray meets the front of a triangle that it crosses.
+
+    The sign comes from the images of the corners, computed as `kernels.triangle` does, bit
+    for bit. So it agrees with the test that found the crossing also where rounding decides,
+    and a ray through a closed mesh leaves it as often as it enters it.
+    """
+    a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+    az = a[ray.kz] - ray.oz
+    bz = b[ray.kz] - ray.oz
+    cz = c[ray.kz] - ray.oz
+    ax = np.float64((a[ray.kx] - ray.ox) - ray.sx * az)
+    ay = np.float64((a[ray.ky] - ray.oy) - ray.sy * az)
+    bx = np.float64((b[ray.kx] - ray.ox) - ray.sx * bz)
+    by = np.float64((b[ray.ky] - ray.oy) - ray.sy * bz)
+    cx = np.float64((c[ray.kx] - ray.ox) - ray.sx * cz)
+    cy = np.float64((c[ray.ky] - ray.oy) - ray.sy * cz)
+    # Of a triangle that is hit, the three have one sign, or are zero.
+    clockwise = (cx * by - cy * bx) + (ax * cy - ay * cx) + (bx * ay - by * ax)
+    return (clockwise > 0.0) == (ray.dz > np.float32(0.0))
+
+
+@kernel
+def pair_up(begin, end, crossings, t_min, t_max, is_whole, clips, is_closed, depth, slot, pairs):
+    """Match the entries and exits of each mesh like brackets, for rays begin to end.
+
+    Parameters
+    ----------
+    begin, end : int
+    crossings : Crossings
+        `order` is written; `kind` is overwritten.
+    t_min, t_max : ndarray of shape (N,), float32
+        What is kept if `clips`.
+    is_whole : ndarray of shape (N,), bool
+        Whether the ray was traced to its last crossing.
+    clips : bool
+        Whether an entry before t_min is assumed where a closed mesh must have one, and
+        what lies beyond t_max is cut off.
+    is_closed : ndarray of shape (M,), bool
+    depth, slot : ndarray of shape (M,), int64
+        To work with; `depth` is zero before and after.
+    pairs : Pairs
+        Written.
+    """
+    for i in range(np.uint64(begin), np.uint64(end)):
+        first, last = crossings.splits[i], crossings.splits[i + np.uint64(1)]
+        count = 0
+        if last > first:
+            _put_in_order(crossings, first, last)
+            if is_whole[i]:
+                _swap_grazes(i, crossings, first, last, is_closed, depth, slot)
+            _find_lone(crossings, first, last, depth)
+            if clips and t_min[i] > -math.inf:
+                count = _begin_inside(crossings, first, last, is_closed, depth, slot, pairs)
+        _emit(i, crossings, first, last, count, depth, slot, pairs)
+        if clips:
+            _cut_off(i, crossings, first, t_max[i], pairs)
+
+
+@device
+def _put_in_order(crossings, first, last):
+    """Order the rows by t and, where it is equal, entries before exits."""
+    group = first
+    while group < last:
+        stop = group + 1
+        while stop < last and crossings.t[stop] == crossings.t[group]:
+            stop += 1
+        at = group
+        for kind in (_ENTRY, _EXIT):
+            for row in range(group, stop):
+                if crossings.kind[row] == kind:
+                    crossings.order[at] = row
+                    at += 1
+        group = stop
+
+
+@device
+def _swap_grazes(i, crossings, first, last, is_closed, depth, balance):
+    """Put entries first where a ray from outside would leave a closed mesh before it enters.
+
+    It is from outside if it leaves the mesh as often as it enters it.
+    """
+    t, kind, mesh_id, order = crossings.t, crossings.kind, crossings.mesh_id, crossings.order
+    for row in range(first, last):
+        balance[mesh_id[row]] = 0
+    for row in range(first, last):
+        balance[mesh_id[row]] += 1 if kind[row] == _ENTRY else -1
+    for at in range(first, last):
+        mesh = mesh_id[order[at]]
+        is_exit = kind[order[at]] == _EXIT
+        if is_exit and depth[mesh] == 0 and balance[mesh] == 0 and is_closed[mesh]:
+            limit = t[order[at]] + crossings.slack[i] + _ROUNDING * abs(t[order[at]])
+            other = at + 1
+            while other < last and mesh_id[order[other]] != mesh and t[order[other]] <= limit:
+                other += 1
+            if other < last and mesh_id[order[other]] == mesh and t[order[other]] <= limit:
+                order[at], order[other] = order[other], order[at]
+        depth[mesh] += 1 if kind[order[at]] == _ENTRY else -1
+    _reset(crossings, first, last, depth)
+
+
+@device
+def _find_lone(crossings, first, last, depth):
+    """Mark exits that no open entry precedes, then entries that no such exit follows."""
+    kind, mesh_id, order = crossings.kind, crossings.mesh_id, crossings.order
+    for at in range(first, last):
+        row = order[at]
+        mesh = mesh_id[row]
+        if kind[row] == _ENTRY:
+            depth[mesh] += 1
+        elif depth[mesh] > 0:
+            depth[mesh] -= 1
+        else:
+            kind[row] = _LONE_EXIT
+    _reset(crossings, first, last, depth)
+    for at in range(last - 1, first - 1, -1):
+        row = order[at]
+        mesh = mesh_id[row]
+        if kind[row] == _EXIT:
+            depth[mesh] += 1
+        elif kind[row] == _ENTRY:
+            if depth[mesh] > 0:
+                depth[mesh] -= 1
+            else:
+                kind[row] = _LONE_ENTRY
+    _reset(crossings, first, last, depth)
+
+
+@device
+def _reset(crossings, first, last, depth):
+    for row in range(first, last):
+        depth[crossings.mesh_id[row]] = 0
+
+
+@device
+def _begin_inside(crossings, first, last, is_closed, depth, slot, pairs):
+    """Begin a segment before the first crossing, in each mesh that the ray starts in.
+
+    Those are the closed ones with exits to spare and no entries: with both, parts of the
+    mesh disagree about its inside. The depth there is left in `depth`.
+    """
+    kind, mesh_id = crossings.kind, crossings.mesh_id
+    count = 0
+    for row in range(first, last):
+        if kind[row] == _LONE_ENTRY or not is_closed[mesh_id[row]]:
+            depth[mesh_id[row]] = -1
+    for row in range(first, last):
+        mesh = mesh_id[row]
+        if kind[row] == _LONE_EXIT and depth[mesh] >= 0:
+            kind[row] = _EXIT
+            depth[mesh] += 1
+            if depth[mesh] == 1:
+                pairs.entries[first + count] = NO_ROW
+                slot[mesh] = count
+                count += 1
+    for row in range(first, last):
+        depth[mesh_id[row]] = max(depth[mesh_id[row]], 0)
+    return count
+
+
+@device
+def _emit(i, crossings, first, last, count, depth, slot, pairs):
+    """Write the outermost pairs, after `count` that have begun already, and what is left."""
+    lone_count = 0
+    for at in range(first, last):
+        row = crossings.order[at]
+        kind, mesh = crossings.kind[row], crossings.mesh_id[row]
+        if kind == _ENTRY:
+            if depth[mesh] == 0:
+                pairs.entries[first + count] = row
+                slot[mesh] = count
+                count += 1
+            depth[mesh] += 1
+        elif kind == _EXIT:
+            depth[mesh] -= 1
+            if depth[mesh] == 0:
+                pairs.exits[first + slot[mesh]] = row
+        else:
+            pairs.lone[first + lone_count] = row
+            lone_count += 1
+    pairs.counts[i] = count
+    pairs.lone_counts[i] = lone_count
+
+
+@device
+def _cut_off(i, crossings, first, t_max, pairs):
+    """Drop what begins beyond t_max."""
+    kept = 0
+    for k in range(first, first + pairs.counts[i]):
+        entry = pairs.entries[k]
+        if entry == NO_ROW or crossings.t[entry] <= t_max:
+            pairs.entries[first + kept] = entry
+            pairs.exits[first + kept] = pairs.exits[k]
+            kept += 1
+    pairs.counts[i] = kept
+    kept = 0
+    for k in range(first, first + pairs.lone_counts[i]):
+        if crossings.t[pairs.lone[k]] <= t_max:
+            pairs.lone[first + kept] = pairs.lone[k]
+            kept += 1
+    pairs.lone_counts[i] = kept

@@ -1,0 +1,216 @@
+"""Blocks of pulses: their sub-rays, the echoes of those, and the returns that they make."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import parallel_for
+from raystream.physics.pulses import Echoes, Surfaces, follow_pulses, merge_echoes
+from raystream.physics.thickness import direction_lengths
+from raystream.tracer import Tracer
+
+__all__ = ["Receiver", "Returns", "Scan"]
+
+#: Surfaces that are asked for first where pulses pass some.
+_FIRST_HITS = 8
+
+#: Rays that one call of a kernel gets: about a millisecond.
+_CHUNK = 1 << 13
+
+_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+
+
+class Returns(NamedTuple):
+    """Columns of returns, see `LidarReturns`."""
+
+    ranges: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    incidence_angle: NDArray[np.float64]
+    prim_id: NDArray[np.int32]
+
+
+class Receiver(NamedTuple):
+    """How pulses are sent and received.
+
+    Attributes
+    ----------
+    max_returns, sub_rays : int
+    spread : float
+        Tangent of half the angle of a pulse's cone.
+    separation : float
+        Scene units.
+    """
+
+    max_returns: int
+    sub_rays: int
+    spread: float
+    separation: float
+
+
+class _Echoes(NamedTuple):
+    """Echoes with energy; a ray's are in order of distance."""
+
+    ray: NDArray[np.int64]
+    t: NDArray[np.float32]
+    energy: NDArray[np.float64]
+    cosine: NDArray[np.float64]
+    prim_id: NDArray[np.int32]
+
+
+class Scan:
+    """A tracer and pulses, and all that blocks of them share."""
+
+    def __init__(
+        self, tracer: Tracer, batch: RayBatch, surfaces: Surfaces, receiver: Receiver
+    ) -> None:
+        self._tracer, self._batch, self._surfaces = tracer, batch, surfaces
+        self._receiver = receiver
+
+    def returns(self, rows: slice, counts: NDArray[np.int64], status: NDArray[np.uint8]) -> Returns:
+        """Trace some pulses.
+
+        Parameters
+        ----------
+        rows : slice
+        counts, status : ndarray of shape (N,)
+            Of all pulses; these ones' returns and `RayStatus` are written.
+        """
+        lengths = direction_lengths(self._batch, rows)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            axes = self._batch.directions[rows].astype(np.float64) / lengths[:, None]
+        echoes = self._echoes(rows, axes, lengths, status)
+
+        # Step 1: echoes of a pulse by range, and which of them make one return.
+        pulse = echoes.ray // self._receiver.sub_rays
+        ranges = echoes.t * lengths[pulse]
+        order = np.lexsort((ranges, pulse))
+        pulse, ranges, energy = pulse[order], ranges[order], echoes.energy[order]
+        first = self._first_echoes(pulse, ranges, len(axes))
+        number = np.cumsum(first) - 1
+
+        # Step 2: what they add up to.
+        pulse = pulse[first]
+        total = np.bincount(number, energy, len(pulse))
+        mean = np.bincount(number, energy * ranges, len(pulse)) / total
+        intensity = total / self._receiver.sub_rays
+        strongest = order[np.lexsort((-energy, number))[first]]
+
+        # Step 3: what is noticed, and the nearest of that.
+        kept = np.flatnonzero(intensity >= self._surfaces.threshold)
+        kept = kept[_rank(pulse[kept]) < self._receiver.max_returns]
+        pulse, mean, strongest = pulse[kept], mean[kept], strongest[kept]
+        counts[rows] = np.bincount(pulse, minlength=len(axes))
+        return Returns(
+            mean,
+            self._batch.origins[rows][pulse] + mean[:, None] * axes[pulse],
+            intensity[kept],
+            np.degrees(np.arccos(echoes.cosine[strongest])),
+            echoes.prim_id[strongest],
+        )
+
+    def _first_echoes(
+        self, pulse: NDArray[np.int64], ranges: NDArray[np.float64], pulse_count: int
+    ) -> NDArray[np.bool_]:
+        """Whether each echo, by pulse and range, is the first of a return."""
+        first = np.empty(len(ranges), np.bool_)
+        splits = np.searchsorted(pulse, np.arange(pulse_count + 1))
+
+        def body(begin: int, end: int) -> None:
+            merge_echoes(begin, end, splits, ranges, self._receiver.separation, first)
+
+        parallel_for(body, pulse_count, _CHUNK)
+        return first
+
+    def _echoes(
+        self,
+        rows: slice,
+        axes: NDArray[np.float64],
+        lengths: NDArray[np.float64],
+        status: NDArray[np.uint8],
+    ) -> _Echoes:
+        """Echoes of all sub-rays of some pulses.
+
+        Few surfaces are asked for at first, and more for those rays that pass them all.
+        """
+        batch, sub_rays = self._batch, self._receiver.sub_rays
+        directions: NDArray[Any] = batch.directions[rows]
+        if sub_rays > 1:
+            axes = _cones(axes, sub_rays, self._receiver.spread)
+            directions = axes * np.repeat(lengths, sub_rays)[:, None]
+        rays = np.arange(len(axes))
+        pulses = rays // sub_rays
+        limit = _FIRST_HITS if self._surfaces.transmission.any() else 1
+        parts: list[_Echoes] = []
+        while len(rays) or not parts:
+            hits = self._tracer.multi_hit(
+                batch.origins[rows][pulses],
+                directions[rays],
+                t_min=batch.t_min[rows][pulses],
+                t_max=batch.t_max[rows][pulses],
+                max_hits=limit,
+                crossings="surfaces",
+            )
+            if not parts:
+                status[rows] = hits.status[::sub_rays]
+            echoes = self._follow(axes[rays], hits.ray_splits, hits.prim_id)
+            is_done = echoes.is_spent | (hits.counts < limit)
+            if sub_rays == 1 and self._receiver.separation == 0.0:
+                is_done |= echoes.noticed_count >= self._receiver.max_returns
+            kept = np.flatnonzero(is_done[hits.ray_id] & (echoes.energy > 0.0))
+            parts.append(
+                _Echoes(
+                    rays[hits.ray_id[kept]],
+                    hits.t[kept],
+                    echoes.energy[kept],
+                    echoes.cosine[kept],
+                    hits.prim_id[kept],
+                )
+            )
+            rays, pulses = rays[~is_done], pulses[~is_done]
+            limit *= 4
+        return _Echoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def _follow(
+        self, axes: NDArray[np.float64], splits: NDArray[np.int64], prim_id: NDArray[np.int32]
+    ) -> Echoes:
+        echoes = Echoes.empty(len(axes), len(prim_id))
+
+        def body(begin: int, end: int) -> None:
+            follow_pulses(begin, end, axes, splits, prim_id, self._surfaces, echoes)
+
+        parallel_for(body, len(axes), _CHUNK)
+        return echoes
+
+
+def _rank(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many of the same value come before, in an array that does not decrease."""
+    begins = np.searchsorted(values, values)
+    return np.arange(len(values)) - begins
+
+
+def _cones(axes: NDArray[np.float64], count: int, spread: float) -> NDArray[np.float64]:
+    """Unit directions around each axis, evenly over a disk: (N, 3) gives (N * count, 3).
+
+    They lie on a spiral whose turns are golden angles (Vogel, "A Better Way to Construct the
+    Sunflower Head", Mathematical Biosciences 44, 1979).
+    """
+    # Step 1: two directions at right angles to each axis.
+    other = np.eye(3)[np.abs(axes).argmin(axis=1)]
+    with np.errstate(invalid="ignore"):
+        across = np.cross(axes, other)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = np.cross(axes, across)
+
+    # Step 2: the spiral.
+    place = np.arange(count)
+    radius = spread * np.sqrt((place + 0.5) / count)
+    x, y = radius * np.cos(_GOLDEN_ANGLE * place), radius * np.sin(_GOLDEN_ANGLE * place)
+    rays = axes[:, None] + x[:, None] * across[:, None] + y[:, None] * along[:, None]
+    rays /= np.sqrt(1.0 + radius * radius)[:, None]
+    return rays.reshape(-1, 3)

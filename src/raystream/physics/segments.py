@@ -1,0 +1,255 @@
+"""The query for thickness: blocks of rays, their crossings, and what becomes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.hits import MultiHits
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress, parallel_for
+from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray_source import RaySource
+from raystream.physics.pairing import NO_ROW, Crossings, Pairs, find_sides, pair_up
+from raystream.physics.solids import Solids, solids_of
+from raystream.physics.thickness import Segments, Thickness, Unpaired, direction_lengths
+from raystream.tracer import Tracer
+
+__all__ = ["thickness"]
+
+#: Rays of the first block, and most rays of any.
+_RAYS_PER_BLOCK = 1 << 18
+
+#: Crossings that a block is to have: about 60 bytes each while it is worked on.
+_CROSSINGS_PER_BLOCK = 1 << 22
+
+#: Rays that one call of a kernel gets: about a millisecond.
+_CHUNK = 1 << 13
+
+
+def thickness(
+    tracer: Tracer,
+    origins: Any,
+    directions: Any,
+    *,
+    t_min: Any = 0.0,
+    t_max: Any = np.inf,
+    ends: Literal["report", "clip"] = "report",
+    progress: Progress | None = None,
+) -> Thickness:
+    """Find where rays enter and leave closed meshes.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    origins, directions, t_min, t_max
+        As in `Tracer.first_hit`.
+    ends : {"report", "clip"}
+        What becomes of a segment that t_min or t_max cuts in two: its other end is unpaired;
+        or the segment is clipped to the interval, if the mesh is closed. To clip, rays are
+        traced to their last crossing, so that a ray from inside is known to be one even if
+        its interval ends before any surface.
+    progress : callable, optional
+        Called with (rays done, rays).
+
+    Returns
+    -------
+    Thickness
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `Tracer.first_hit`, or if `ends` is unknown.
+    MemoryError
+        If the crossings of some rays need more memory than there is.
+
+    Notes
+    -----
+    Crossings are those of ``multi_hit(crossings="surfaces")``. A ray *enters* where it meets
+    the front of a triangle (its vertices counter-clockwise) and *exits* at a back. Each
+    mesh's crossings are matched like brackets: an exit closes the latest entry that is still
+    open. A segment is an outermost pair, so of parts of one mesh that are nested or overlap
+    it is the union, and a part that faces inward is a cavity. What has no partner is
+    reported. At equal t entries come first: parts that touch make one segment.
+
+    A mesh that is closed and has a negative volume faces inward: its sides are swapped, and
+    `Thickness.mesh_is_flipped` says so.
+
+    A ray from outside leaves a closed mesh as often as it enters it, through edges and
+    vertices too. Where it passes a silhouette within rounding errors, the exit may come
+    before the entry. Without a t_max that is known to be such a case, and makes a segment
+    without length; else both are reported.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> scene = rs.load("cornell")
+    >>> found = rs.thickness(rs.Tracer(scene), [200.0, 100.0, -800.0], [0.0, 0.0, 1.0])
+    >>> [scene.meshes[mesh_id].name for mesh_id in found.mesh_id]
+    ['short block']
+    >>> round(found.total_length().item(), 1)
+    173.7
+    """
+    if ends not in ("report", "clip"):
+        raise ValueError(f"ends: expected 'report' or 'clip', got {ends!r}")
+    batch = RayBatch(origins, directions, t_min, t_max)
+    worker = _Worker(tracer, batch, ends == "clip")
+    splits = np.zeros(len(batch) + 1, np.int64)
+    status = np.zeros(len(batch), np.uint8)
+    parts = []
+    for rows, hits in worker.blocks(progress):
+        status[rows] = hits.status
+        counts, segments, unpaired = worker.pair(rows, hits)
+        splits[rows.start + 1 : rows.stop + 1] = counts
+        parts.append((segments, unpaired))
+    return Thickness(
+        np.cumsum(splits),
+        Segments(*(np.concatenate(column) for column in zip(*(p[0] for p in parts), strict=True))),
+        Unpaired(*(np.concatenate(column) for column in zip(*(p[1] for p in parts), strict=True))),
+        status.reshape(batch.shape),
+        worker.solids,
+        (
+            [mesh.name for mesh in tracer.scene.meshes],
+            [material.name for material in tracer.scene.materials],
+        ),
+    )
+
+
+class _Worker:
+    """A tracer and a batch, and all that blocks of its rays share."""
+
+    def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool) -> None:
+        self._tracer, self._batch, self._clips = tracer, batch, clips
+        self._triangles = tracer.structure.triangles
+        self._frame = SceneFrame.of(self._triangles)
+        self.solids: Solids = solids_of(self._triangles)
+        ids = [mesh.material_ids for mesh in tracer.scene.meshes]
+        self._material_ids = np.concatenate([np.zeros(0, np.int32), *ids])
+
+    def blocks(self, progress: Progress | None) -> Iterator[tuple[slice, MultiHits]]:
+        """The crossings of some rays at a time; at least one block, if without rays."""
+        total = len(self._batch)
+        first, size = 0, _RAYS_PER_BLOCK
+        while first < total or first == 0:
+            rows = slice(first, min(first + size, total))
+            count = rows.stop - rows.start
+            hits = self._tracer.multi_hit(
+                self._batch.origins[rows],
+                self._batch.directions[rows],
+                t_min=self._batch.t_min[rows],
+                t_max=np.inf if self._clips else self._batch.t_max[rows],
+                crossings="surfaces",
+                progress=_within(progress, rows, total),
+            )
+            yield rows, hits
+            first = max(rows.stop, 1)
+            mean = len(hits.t) / max(count, 1)
+            size = max(1024, min(_RAYS_PER_BLOCK, int(_CROSSINGS_PER_BLOCK / max(mean, 1.0))))
+        if progress:
+            progress(total, total)
+
+    def pair(self, rows: slice, hits: MultiHits) -> tuple[NDArray[np.int64], Segments, Unpaired]:
+        """Segments and unpaired crossings of a block of rays, and the segments of each ray."""
+        count = rows.stop - rows.start
+        crossings = Crossings.of(hits.ray_splits, hits.t, hits.prim_id)
+        pairs = Pairs.empty(count, len(hits.t))
+        t_min, t_max = self._batch.t_min[rows], self._batch.t_max[rows]
+        limits = t_min, np.broadcast_to(np.float32(np.inf), count) if self._clips else t_max
+        source, kept = RaySource.of(self._batch.origins[rows], self._batch.directions[rows], limits)
+        triangles, solids = self._triangles, self.solids
+        t_min, t_max = np.ascontiguousarray(t_min), np.ascontiguousarray(t_max)
+        is_whole = np.isinf(limits[1])
+        mesh_count = len(solids.is_closed)
+
+        def body(begin: int, end: int) -> None:
+            find_sides(
+                begin,
+                end,
+                source,
+                self._frame,
+                triangles.corners,
+                triangles.mesh_splits,
+                solids.is_flipped,
+                crossings,
+            )
+            pair_up(
+                begin,
+                end,
+                crossings,
+                t_min,
+                t_max,
+                is_whole,
+                self._clips,
+                solids.is_closed,
+                np.zeros(mesh_count, np.int64),
+                np.empty(mesh_count, np.int64),
+                pairs,
+            )
+
+        parallel_for(body, count, _CHUNK)
+        del kept
+        segments = self._segments(rows, crossings, pairs, t_min, t_max)
+        return pairs.counts, segments, _unpaired(rows, crossings, pairs)
+
+    def _segments(
+        self,
+        rows: slice,
+        crossings: Crossings,
+        pairs: Pairs,
+        t_min: NDArray[np.float32],
+        t_max: NDArray[np.float32],
+    ) -> Segments:
+        used, ray = _used(crossings.splits, pairs.counts)
+        entry, exit_ = pairs.entries[used], pairs.exits[used]
+        t_exit = crossings.t[exit_]
+        t_entry = np.minimum(crossings.t[entry], t_exit)  # where a graze was put in order
+        entry_prim_id, exit_prim_id = crossings.prim_id[entry], crossings.prim_id[exit_]
+        is_inside = entry == NO_ROW
+        known = np.where(is_inside, exit_prim_id, entry_prim_id)
+        if self._clips:
+            t_entry = np.where(is_inside, t_min[ray], t_entry)
+            entry_prim_id = np.where(is_inside, np.int32(-1), entry_prim_id)
+            exit_prim_id = np.where(t_exit > t_max[ray], np.int32(-1), exit_prim_id)
+            t_exit = np.minimum(t_exit, t_max[ray])
+        length = t_exit.astype(np.float64) - t_entry
+        return Segments(
+            t_entry,
+            t_exit,
+            length * direction_lengths(self._batch, rows)[ray],
+            crossings.mesh_id[exit_],
+            self._material_ids[known],
+            entry_prim_id,
+            exit_prim_id,
+        )
+
+
+def _unpaired(rows: slice, crossings: Crossings, pairs: Pairs) -> Unpaired:
+    used, ray = _used(crossings.splits, pairs.lone_counts)
+    lone = pairs.lone[used]
+    return Unpaired(
+        ray + rows.start,
+        crossings.t[lone],
+        crossings.prim_id[lone],
+        crossings.mesh_id[lone],
+        crossings.kind[lone] & np.uint8(1),
+    )
+
+
+def _used(
+    splits: NDArray[np.int64], counts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Places of which each ray i uses the first counts[i] of its own, and their rays."""
+    ray = np.repeat(np.arange(len(counts)), counts)
+    begin = np.cumsum(counts) - counts
+    return splits[ray] + np.arange(len(ray)) - begin[ray], ray
+
+
+def _within(progress: Progress | None, rows: slice, total: int) -> Progress | None:
+    """The callback for a block, whose query counts its own steps."""
+    if progress is None:
+        return None
+    whole, count = progress, rows.stop - rows.start
+    return lambda done, steps: whole(rows.start + count * done // max(steps, 1), total)
