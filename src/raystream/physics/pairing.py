@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.kernels.ray import set_up
+from raystream.kernels.ray import PAD, set_up
 from raystream.kernels.ray_source import load_ray
 
 __all__ = ["NO_ROW", "Crossings", "Pairs", "find_sides", "pair_up"]
@@ -17,15 +17,8 @@ __all__ = ["NO_ROW", "Crossings", "Pairs", "find_sides", "pair_up"]
 #: In place of a row: the crossing was not seen.
 NO_ROW = -1
 
-#: How far apart an exit and the entry after it may be for their order to be in doubt, as part
-#: of scene and distance together. The triangle test sees a ray at most 12 units of 2**-24 of
-#: that beside its place; where it grazes a silhouette at more than some 5 degrees to both
-#: triangles, the two distances then differ by less. More does no harm: it matters only where
-#: a ray from outside would leave a mesh before it enters.
-_GRAZE = 2.0**-16
-
-#: What rounding to float32 adds to that, as part of t.
-_ROUNDING = 2.0**-22
+#: What rounding to float32 leaves in doubt of t, as part of it; doubled.
+_ROUNDING = 2.0**-23
 
 # What a crossing is.
 _ENTRY = np.uint8(0)
@@ -47,8 +40,8 @@ class Crossings(NamedTuple):
         0 for an entry, 1 for an exit.
     order : ndarray of shape (K,), int64
         Written by `pair_up`: the rows of each ray, at equal t entries first.
-    slack : ndarray of shape (N,), float64
-        Distance within which the order of an exit and an entry is in doubt.
+    slack : ndarray of shape (K,), float64
+        What rounding leaves in doubt of t: much, where a triangle is seen almost edge-on.
     """
 
     splits: NDArray[np.int64]
@@ -66,7 +59,7 @@ class Crossings(NamedTuple):
         """Make room for what is to be found out about the rows."""
         count = len(t)
         mesh_id, kind = np.empty(count, np.int32), np.empty(count, np.uint8)
-        order, slack = np.empty(count, np.int64), np.empty(len(splits) - 1)
+        order, slack = np.empty(count, np.int64), np.empty(count)
         return cls(splits, t, prim_id, mesh_id, kind, order, slack)
 
 
@@ -121,14 +114,17 @@ def find_sides(begin, end, source, frame, corners, mesh_splits, is_flipped, cros
             continue
         local = load_ray(source, i, frame)
         ray = set_up(local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.extreme)
+        # The triangle test may see a ray so far beside its place, see `PAD`.
         reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
-        crossings.slack[i] = _GRAZE * np.float64(frame.extreme + reach) * local.factor
+        aside = np.float64(PAD) * np.float64(frame.extreme + reach) * local.factor
         for row in range(first, last):
             prim_id = crossings.prim_id[row]
             mesh_id = _mesh_of(prim_id, mesh_splits)
             enters = _faces_ray(ray, corners, prim_id) != is_flipped[mesh_id]
             crossings.mesh_id[row] = mesh_id
             crossings.kind[row] = _ENTRY if enters else _EXIT
+            cosine = _cosine(ray, corners, prim_id)
+            crossings.slack[row] = aside / cosine + _ROUNDING * abs(crossings.t[row])
 
 
 @device
@@ -167,6 +163,23 @@ def _faces_ray(ray, corners, i):
     return (clockwise > 0.0) == (ray.dz > np.float32(0.0))
 
 
+@device
+def _cosine(ray, corners, i):
+    """Of the angle between a ray and a triangle's normal, either side; 0 to 1."""
+    a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+    ax, ay, az = np.float64(a[ray.kx]), np.float64(a[ray.ky]), np.float64(a[ray.kz])
+    px, py, pz = b[ray.kx] - ax, b[ray.ky] - ay, b[ray.kz] - az
+    qx, qy, qz = c[ray.kx] - ax, c[ray.ky] - ay, c[ray.kz] - az
+    nx = py * qz - pz * qy
+    ny = pz * qx - px * qz
+    nz = px * qy - py * qx
+    largest = max(abs(nx), abs(ny), abs(nz))  # squares of small numbers would vanish
+    nx, ny, nz = nx / largest, ny / largest, nz / largest
+    dx, dy, dz = np.float64(ray.dx), np.float64(ray.dy), np.float64(ray.dz)
+    along = abs(nx * dx + ny * dy + nz * dz)
+    return along / math.sqrt((nx * nx + ny * ny + nz * nz) * (dx * dx + dy * dy + dz * dz))
+
+
 @kernel
 def pair_up(begin, end, crossings, t_min, t_max, is_whole, clips, is_closed, depth, slot, pairs):
     """Match the entries and exits of each mesh like brackets, for rays begin to end.
@@ -195,7 +208,7 @@ def pair_up(begin, end, crossings, t_min, t_max, is_whole, clips, is_closed, dep
         if last > first:
             _put_in_order(crossings, first, last)
             if is_whole[i]:
-                _swap_grazes(i, crossings, first, last, is_closed, depth, slot)
+                _swap_grazes(crossings, first, last, is_closed, depth, slot)
             _find_lone(crossings, first, last, depth)
             if clips and t_min[i] > -math.inf:
                 count = _begin_inside(crossings, first, last, is_closed, depth, slot, pairs)
@@ -222,10 +235,11 @@ def _put_in_order(crossings, first, last):
 
 
 @device
-def _swap_grazes(i, crossings, first, last, is_closed, depth, balance):
+def _swap_grazes(crossings, first, last, is_closed, depth, balance):
     """Put entries first where a ray from outside would leave a closed mesh before it enters.
 
-    It is from outside if it leaves the mesh as often as it enters it.
+    It is from outside if it leaves the mesh as often as it enters it. Further apart than
+    rounding explains, they are not swapped: parts of the mesh are turned inside out.
     """
     t, kind, mesh_id, order = crossings.t, crossings.kind, crossings.mesh_id, crossings.order
     for row in range(first, last):
@@ -236,12 +250,12 @@ def _swap_grazes(i, crossings, first, last, is_closed, depth, balance):
         mesh = mesh_id[order[at]]
         is_exit = kind[order[at]] == _EXIT
         if is_exit and depth[mesh] == 0 and balance[mesh] == 0 and is_closed[mesh]:
-            limit = t[order[at]] + crossings.slack[i] + _ROUNDING * abs(t[order[at]])
-            other = at + 1
-            while other < last and mesh_id[order[other]] != mesh and t[order[other]] <= limit:
-                other += 1
-            if other < last and mesh_id[order[other]] == mesh and t[order[other]] <= limit:
-                order[at], order[other] = order[other], order[at]
+            row, other = order[at], at + 1
+            while mesh_id[order[other]] != mesh or kind[order[other]] != _ENTRY:
+                other += 1  # there is one: as many entries as exits
+            entry = order[other]
+            if t[entry] - t[row] <= crossings.slack[entry] + crossings.slack[row]:
+                order[at], order[other] = entry, row
         depth[mesh] += 1 if kind[order[at]] == _ENTRY else -1
     _reset(crossings, first, last, depth)
 

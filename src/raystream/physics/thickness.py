@@ -70,7 +70,7 @@ class Thickness:
         Ray i owns the segments ray_splits[i] to ray_splits[i + 1]; rays are numbered in the
         C order of their leading shape S.
     t_entry, t_exit : ndarray of shape (K,), float32
-        Distances in direction lengths; `t_entry` increases within a ray.
+        Distances in direction lengths; in order of entry.
     path_length : ndarray of shape (K,), float64
         Scene units: (t_exit - t_entry) * length of the direction.
     mesh_id : ndarray of shape (K,), int32

@@ -1,0 +1,16 @@
+"""A kernel for Warp that counts all triangles on a ray, which it has no call for."""
+
+# No postponed annotations: Warp reads those of its kernels.
+
+import warp as wp
+
+
+@wp.kernel(enable_backward=False)
+def count_kernel(
+    mesh: wp.uint64,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    counts: wp.array(dtype=int),
+):
+    i = wp.tid()
+    counts[i] = wp.mesh_query_ray_count_intersections(mesh, origins[i], directions[i])
