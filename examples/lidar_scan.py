@@ -46,18 +46,13 @@ else:
     figure, axes = plt.subplots(2, 1, figsize=(7.2, 7.6), layout="constrained")
     colors = plt.get_cmap("viridis_r", 5)
     slab = np.abs(found.positions[:, 2]) < 3.0
-    x, y, z = found.positions.T
-    order = np.argsort(-found.return_number, kind="stable")
-    shown = axes[0].scatter(
-        x[slab], y[slab], c=found.return_number[slab], s=2, cmap=colors, vmin=0.5, vmax=5.5
-    )
-    axes[0].set(title="A slice, 6 m deep, from the side", xlabel="x, m", ylabel="height, m")
-    axes[1].scatter(
-        x[order], z[order], c=found.return_number[order], s=0.3, cmap=colors, vmin=0.5, vmax=5.5
-    )
-    axes[1].set(title="From above, first returns on top", xlabel="x, m", ylabel="z, m")
-    for axis in axes:
-        axis.set_aspect("equal")
-    figure.colorbar(shown, ax=axes, label="return number", ticks=range(1, 6), shrink=0.6)
+    x, y = found.positions[slab, :2].T
+    style = {"cmap": colors, "vmin": 0.5, "vmax": 5.5}
+    shown = axes[0].scatter(x, y, c=found.return_number[slab], s=2, **style)
+    axes[0].set(title="Return number: a slice, 6 m deep", xlabel="x, m", ylabel="height, m")
+    axes[0].set_aspect("equal")
+    axes[1].pcolormesh(line, np.degrees(swing), found.counts, **style)
+    axes[1].set(title="Returns of each pulse", xlabel="z, m", ylabel="swing, degrees")
+    figure.colorbar(shown, ax=axes, label="returns", ticks=range(1, 6), shrink=0.6)
     figure.savefig("lidar.png", dpi=80)
     print("wrote lidar.png")

@@ -21,13 +21,13 @@ def placed(part, size, offset, material=0):
 
 
 # A housing is a box with a bore: the bore faces inward, so the mesh is hollow there. The
-# ball and the ring's two halves are solids of their own within the bore or beside it.
+# ball within it, the parts beside it and the bolts in front are solids of their own.
 bore = placed(cylinder(96), (1.2, 2.0, 1.2), (0.0, -1.0, 0.0)).flipped()
 housing = merge([placed(box(), (2.0, 1.5, 1.6), (0.0, 0.0, 0.0)), bore])
 ball = placed(sphere(48), (0.9, 0.9, 0.9), (0.0, 0.0, 0.0), STEEL)
 plate = placed(box(), (0.9, 0.1, 1.6), (3.4, 0.6, 0.0), STEEL)
 block = placed(box(), (0.9, 0.7, 1.0), (3.4, -0.5, 0.0), POLYMER)
-bolts = [placed(cylinder(32), (0.2, 3.2, 0.2), (x, -1.6, 1.2), STEEL) for x in (-1.6, 1.6)]
+bolts = [placed(cylinder(32), (0.2, 3.2, 0.2), (x, -1.6, 1.9), STEEL) for x in (-1.6, 1.6)]
 parts = {"housing": housing, "ball": ball, "plate": plate, "block": block, "bolts": merge(bolts)}
 scene = rs.Scene(
     [to_mesh(part, name) for name, part in parts.items()],
