@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from raystream.core.hits import Hits, MultiHits
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
-    from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
-    from raystream.programs.hits import Hit
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import LidarReturns, lidar_returns
     from raystream.physics.segments import thickness
     from raystream.physics.thickness import Thickness, UnpairedKind
+    from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
+    from raystream.programs.hits import Hit
     from raystream.render import Image, render
     from raystream.render.heatmap import Heatmap, RayCost, heatmap
     from raystream.scene.camera import Camera

@@ -33,7 +33,7 @@ class Traces:
     """
 
     structure: Structure
-    is_counting: bool
+    _counts: bool
     _machine: BatchQueries | Counting
 
     def trace(
@@ -130,7 +130,7 @@ class Traces:
             If there is none.
         """
         machine = self._machine
-        if self.is_counting:
+        if self._counts:
             raise ValueError(
                 "on_hit, skip_prim_ids: a tracer with counters=True counts whole queries, "
                 "and programs take several; use another tracer"
