@@ -3,8 +3,8 @@
 Behind a face is a part of the kd-tree: the subtree across the plane, of which only the splits
 count that cut the face's rectangle. At a split on the face's own axis the child that touches the
 face is taken, at one that passes the rectangle by the child on its side; what is left are link
-nodes. Where a face covers a subtree, its link nodes are the same for all such faces, and are made
-once.
+nodes. Where a face covers a subtree, along the axes of the subtree's splits, its link nodes are
+the same for all such faces, and are made once.
 
 References
 ----------
@@ -55,21 +55,34 @@ _NOWHERE = np.int32(-1)
 _YES = np.uint8(1)
 
 
+@kernel
+def _find_axes(nodes, axes):
+    """Find the axes of the splits in each subtree: bits."""
+    node_at = address(nodes)
+    node = np.uint64(len(nodes))
+    while node != _NONE:
+        node -= _ONE
+        axis, first, _ = split_of(node_at, node)
+        axes[node] = 0
+        if axis != _LEAF:
+            axes[node] = np.uint64(axes[first]) | np.uint64(axes[first + _ONE]) | _ONE << axis
+
+
 @device
-def _covers(box, cell, face):
-    """Whether a face of a box covers that side of a cell."""
+def _covers(box, cell, face, axes):
+    """Whether a face of a box covers that side of a cell along some axes."""
     axis = face >> _ONE
     for other in range(_THREE):
         at = other * WORD
         is_out = load(np.float32, cell + at) < load(np.float32, box + at)
         is_out |= load(np.float32, cell + HIGH + at) > load(np.float32, box + HIGH + at)
-        if other != axis and is_out:
+        if other != axis and axes >> other & _ONE != _NONE and is_out:
             return False
     return True
 
 
 @kernel
-def _count_nodes(begin, end, leaves, nodes, boxes, ropes, counts, is_covered):
+def _count_nodes(begin, end, leaves, nodes, axes, boxes, ropes, counts, is_covered):
     """Count the raw nodes of sectors begin to end, and mark subtrees that a face covers."""
     node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
     mark_at = address(is_covered)
@@ -88,7 +101,7 @@ def _count_nodes(begin, end, leaves, nodes, boxes, ropes, counts, is_covered):
                 node = settle(node_at, load(np.uint64, top), face, box)
                 if is_leaf(node_at, node):
                     continue
-                if _covers(box, box_at + node * BOX_BYTES, face):
+                if _covers(box, box_at + node * BOX_BYTES, face, np.uint64(axes[node])):
                     store(mark_at + node * _SIX + face, _YES)
                     continue
                 count += _ONE
@@ -152,7 +165,7 @@ def _link_covered(nodes, sectors, is_covered, covered, rows, table, count, first
 
 @kernel
 def _fill_nodes(
-    begin, end, base, leaves, nodes, boxes, ropes, sectors, covered, firsts, raw, links
+    begin, end, base, leaves, nodes, axes, boxes, ropes, sectors, covered, firsts, raw, links
 ):
     """Write the raw nodes and raw links of sectors base + begin to base + end."""
     node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
@@ -179,7 +192,7 @@ def _fill_nodes(
                 if is_leaf(node_at, node):
                     store(to, np.uint64(sectors[node]) * _ROWS)
                     continue
-                if _covers(box, box_at + node * BOX_BYTES, face):
+                if _covers(box, box_at + node * BOX_BYTES, face, np.uint64(axes[node])):
                     store(to, np.uint64(covered[node, face]))
                     continue
                 store(to, _RAW_BIT | number)
@@ -213,6 +226,7 @@ class _Linker:
     ) -> None:
         self.nodes, self.cells, self.order, self.rows = nodes, cells, order, rows
         self.store = NodeStore(SECTOR_ROWS * len(order.leaves))
+        self.axes = np.empty(len(nodes), np.uint8)
 
     def link(self, progress: Progress | None) -> None:
         sector_count = len(self.order.leaves)
@@ -229,11 +243,13 @@ class _Linker:
     def _count(self) -> NDArray[np.int64]:
         """Count raw nodes, and make the link nodes of covered subtrees."""
         leaves, (boxes, ropes), nodes = self.order.leaves, self.cells, self.nodes
+        axes = self.axes
+        _find_axes(nodes, axes)
         counts = np.empty(len(leaves), np.int64)
         is_covered = np.zeros((len(nodes), 6), np.uint8)
 
         def body(begin: int, end: int) -> None:
-            _count_nodes(begin, end, leaves, nodes, boxes, ropes, counts, is_covered)
+            _count_nodes(begin, end, leaves, nodes, axes, boxes, ropes, counts, is_covered)
 
         parallel_for(body, len(leaves), _CHUNK)
         self.covered = np.empty((len(nodes), 6), np.uint32)
@@ -257,7 +273,7 @@ class _Linker:
         (leaves, sectors), (boxes, ropes), nodes = self.order, self.cells, self.nodes
         raw = np.empty((int(firsts[last] - firsts[first]), 3), np.uint64)
         links = np.empty((last - first, 6), np.uint64)
-        covered = self.covered
+        axes, covered = self.axes, self.covered
 
         def fill(begin: int, end: int) -> None:
             _fill_nodes(
@@ -266,6 +282,7 @@ class _Linker:
                 first,
                 leaves,
                 nodes,
+                axes,
                 boxes,
                 ropes,
                 sectors,
