@@ -45,10 +45,13 @@ def test_fifty_layers_a_millionth_apart(make_tracer):
     assert (tracer.count_hits(origins, [0, 0, 1.0], crossings="surfaces") == [50, 0]).all()
 
 
-def test_coplanar_duplicates_all_come_back_in_order(make_tracer):
-    count = 100_000
+@pytest.mark.parametrize("name", TRACERS)
+def test_coplanar_duplicates_all_come_back_in_order(name):
+    # A second level of cells cannot part equal triangles, and takes minutes to try with more.
+    count = 2_000 if "two levels" in name else 100_000
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    tracer = make_tracer(rs.Scene.from_arrays(vertices, np.broadcast_to([0, 1, 2], (count, 3))))
+    scene = rs.Scene.from_arrays(vertices, np.broadcast_to([0, 1, 2], (count, 3)))
+    tracer = rs.Tracer(scene, **TRACERS[name])
     many = tracer.multi_hit([[0.25, 0.25, 2], [0.7, 0.7, 1]], [0, 0, -1.0])
     assert many.ray_splits.tolist() == [0, count, count]
     np.testing.assert_array_equal(many.prim_id, np.arange(count))
