@@ -296,3 +296,13 @@ def test_an_update_builds_it_anew(rng):
     assert tracer.update(vertices * [1, 2, 3]).rebuilt
     assert tracer.structure.options["layout"] == "foley"
     assert not np.isnan(tracer.structure.report.seconds)
+
+
+@pytest.mark.parametrize("prim_id", [2**31 - 1, -2])
+def test_blocks_that_no_leaf_lists_are_checked_too(prim_id):
+    """Corners are looked up for every block of a file."""
+    tree = rs.Tracer(rs.load("cornell"), "kdtree").structure
+    arrays = tree.saved_arrays()
+    arrays["prim_ids"] = np.vstack([arrays["prim_ids"], np.full((1, 4), prim_id, np.int32)])
+    with pytest.raises(ValueError, match="a triangle that is none"):
+        KdTree.from_arrays(tree.triangles, arrays)

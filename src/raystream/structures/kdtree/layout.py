@@ -235,6 +235,9 @@ def check_arrays(
     """
     nodes = _array(arrays, "nodes", 2)
     prim_ids = _array(arrays, "prim_ids", BLOCK_SIZE)
+    # Of all blocks, also those that no leaf lists: corners are looked up for each.
+    if len(prim_ids) and (prim_ids.min() < -1 or prim_ids.max() >= triangle_count):
+        raise ValueError(_FAULTS[_BAD_ID])
     if len(nodes) == 0:
         if len(solid_ids) or len(prim_ids):
             raise ValueError(_FAULTS[_MISSING])
