@@ -14,7 +14,7 @@ from raystream.kernels.queries import LocalRays
 from raystream.kernels.ray import set_up
 from raystream.structures.kdtree.state import STACK_BYTES, split_ray
 from raystream.structures.kdtree.steps import down, initialize, is_at_leaf, leaf, leave, up
-from raystream.structures.kdtree.structure import LAYOUTS, TRAVERSALS
+from raystream.structures.kdtree.structure import LAYOUTS, TRAVERSALS, KdTree
 from test_agreement import assert_same_answers, rays_of
 
 FORMS = [(traversal, layout) for layout in LAYOUTS for traversal in TRAVERSALS]
