@@ -30,7 +30,7 @@ class Tracer(Queries):
     ----------
     scene : Scene
         Its triangles are copied: later changes of the scene's arrays have no effect.
-    structure : {"bvh", "kdtree", "grid", "brute"}
+    structure : {"bvh", "kdtree", "graph", "grid", "brute"}
         Acceleration structure. All return the same bits; ``"brute"`` tests every triangle.
     device : {"cpu"}
         Where rays are traced.

@@ -13,6 +13,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.kernels.queries import LocalRays
 from raystream.kernels.ray import set_up
+from raystream.structures.graph.graphlog import load_graph
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.start import MAX_WALK
 from raystream.structures.graph.steps import (
@@ -221,3 +222,14 @@ def test_rays_of_no_length_are_in_no_sector():
     none = np.zeros((0, 3), np.float32)
     empty = LocalRays(none, none, np.zeros(0, np.float32), np.zeros(0, np.float32))
     assert structure.start_sectors(empty).rows.shape == (0,)
+
+
+def test_a_graph_is_dumped_as_text(tmp_path):
+    structure = graph_of("closed_mesh")
+    structure.dump(tmp_path / "graph.txt")
+    with (tmp_path / "graph.txt").open() as file:
+        graph, corners = load_graph(file)
+    for name in ("rows", "prim_ids", "bins"):
+        np.testing.assert_array_equal(getattr(graph, name), getattr(structure.graph, name))
+    np.testing.assert_array_equal(corners, structure.triangles.corners)
+    assert [path.name for path in tmp_path.iterdir()] == ["graph.txt"]

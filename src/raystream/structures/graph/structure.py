@@ -6,18 +6,21 @@ import math
 import operator
 import time
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.core.whole_file import replacing
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.queries import LocalRays, ray_queries
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.bvh.layout import BLOCK_FLOATS, aligned_array
 from raystream.structures.graph.build import Method, build_graph, graph_box
 from raystream.structures.graph.check import check_graph
+from raystream.structures.graph.graphlog import dump_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
 from raystream.structures.graph.start import StartSectors, find_sectors
 from raystream.structures.graph.statistics import statistics
@@ -138,6 +141,17 @@ class Graph(Structure):
     ) -> StartSectors:
         """Find the sectors in which local rays are; see `start.find_sectors`."""
         return find_sectors(self.arrays, np.float32(self.triangles.extreme), rays, t, near)
+
+    def dump(self, path: str | PathLike[str]) -> None:
+        """Write the graph as text, a line for each triangle, sector and link node.
+
+        Parameters
+        ----------
+        path : str or path
+            Replaced as a whole when writing succeeded. `graphlog.load_graph` reads it.
+        """
+        with replacing(path) as file, file.open("w", encoding="ascii", newline="\n") as text:
+            dump_graph(text, self.graph, self.triangles.corners)
 
     def quality(self) -> dict[str, float]:
         """Counts, depth, bytes and cost; see `statistics`."""
