@@ -27,7 +27,10 @@ _ROWS = np.uint64(SECTOR_ROWS)
 
 
 def choose_bin_counts(sector_count: int, box: NDArray[np.float32]) -> tuple[int, int, int]:
-    """Bins along each axis: two for each sector, in a box that is not flat.
+    """Bins along each axis: one for three sectors, in a box that is not flat.
+
+    More would make walks shorter, and be further away in memory: in a graph of 216,000 sectors,
+    bins six times as many made random rays a sixth slower.
 
     Parameters
     ----------
@@ -39,7 +42,7 @@ def choose_bin_counts(sector_count: int, box: NDArray[np.float32]) -> tuple[int,
     tuple of three int
         An axis along which the box is thinner than a bin of its longest axis has one.
     """
-    count = min(max(round((2 * sector_count) ** (1 / 3)), _FEWEST), _MOST)
+    count = min(max(round((sector_count / 3) ** (1 / 3)), _FEWEST), _MOST)
     low, high = box.astype(np.float64)
     is_flat = (high - low) * count < (high - low).max()
     x, y, z = np.where(is_flat, 1, count).tolist()
