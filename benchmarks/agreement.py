@@ -62,6 +62,11 @@ OPTIONS = {
         {"resolution": 3, "levels": 2},
         {"min_resolution": 16},
     ],
+    "graph": [
+        {"crossing_cost": 0.1, "link_cost": 0.02, "max_leaf_size": 1},
+        {},
+        {"crossing_cost": 4.0, "link_cost": 1.0},
+    ],
     "kdtree": [
         {"traversal": traversal, "layout": layout, "intersection_cost": cost}
         for traversal in ("stack", "restart", "backtrack")
