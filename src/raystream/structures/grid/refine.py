@@ -178,6 +178,7 @@ def _spread_cells(
             first_z, last_z = range_along(fine, corners, prim_id, 2)
             first, last = (first_x, first_y, first_z), (last_x, last_y, last_z)
             total += spread(fine, corners, prim_id, first, last, at, reference_at, is_fill)
-        if total > most:
-            break
+            # Asked here, since a list of equal triangles grows with the square of its length.
+            if total > most:
+                return total
     return total
