@@ -83,3 +83,12 @@ def cube():
     vertices = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def sticks(count, width):
+    """Long thin triangles: high quality cuts some."""
+    rng = np.random.default_rng(3)
+    start = rng.random((count, 3))
+    stop = start + rng.normal(size=(count, 3)) * 0.3
+    corners = np.stack([start, stop, stop + rng.normal(size=(count, 3)) * width], axis=1)
+    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)

@@ -7,7 +7,7 @@ import pytest
 
 import raystream as rs
 from conftest import assert_same_bits
-from meshes import dented_sphere, lattice_soup, soup
+from meshes import dented_sphere, lattice_soup, soup, sticks
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
@@ -265,15 +265,6 @@ def coincident(count=500):
     """A triangle many times over, and a few others."""
     vertices, faces = soup(20, 5)
     return vertices, np.vstack([faces, np.repeat(faces[:1], count, axis=0)])
-
-
-def sticks(count, width):
-    """Long thin triangles: high quality cuts some."""
-    rng = np.random.default_rng(3)
-    start = rng.random((count, 3))
-    stop = start + rng.normal(size=(count, 3)) * 0.3
-    corners = np.stack([start, stop, stop + rng.normal(size=(count, 3)) * width], axis=1)
-    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
 
 
 MESHES = {

@@ -94,12 +94,12 @@ class Counting:
         self, batch: RayBatch, query: Callable[[BatchQueries, NDArray[Any]], Answer]
     ) -> Answer:
         tallies = new_tallies(len(batch))
-        machine: BatchQueries = self._machine
         passes: Passes | None = None
-        structure = self._machine
-        if isinstance(self._machine, Multipass):
+        machine = self._machine
+        if isinstance(machine, Multipass):
             passes = Passes()
-            machine, structure = self._machine.recording(passes), self._machine.structure
+            machine = machine.recording(passes)
+        structure = machine.structure if isinstance(machine, Multipass) else machine
         answer = query(machine, tallies)
         self.latest = RayCounters.of(tallies, batch.shape, structure.name, passes)
         return answer

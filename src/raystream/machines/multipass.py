@@ -64,8 +64,6 @@ class Multipass(BatchQueries):
         If an option is out of range, or the structure has no kernels.
     """
 
-    name = "multipass"
-
     def __init__(
         self,
         structure: Structure,
@@ -110,7 +108,8 @@ class Multipass(BatchQueries):
         count = len(rays.t_min)
         rows = np.arange(count, dtype=np.uint64)
         task = Task(rays, rows, np.ones(count, np.uint64), tallies)
-        self._trace(task, Wish(surfaces=False, out=out, hands_over=True), progress)
+        wish = Wish(surfaces=False, out=out, hands_over=True)
+        self._trace(steps_of(self.structure), task, wish, progress)
 
     def any_hit(
         self,
@@ -121,7 +120,8 @@ class Multipass(BatchQueries):
         """Find whether anything is in each ray's way."""
         one = np.ones(len(rays.t_min), np.uint64)
         task = Task(rays, one, one, tallies)
-        return self._trace(task, Wish(surfaces=False, out=None, hands_over=True), progress) != 0
+        wish = Wish(surfaces=False, out=None, hands_over=True)
+        return self._trace(steps_of(self.structure), task, wish, progress) != 0
 
     def count_hits(
         self,
@@ -134,8 +134,8 @@ class Multipass(BatchQueries):
         """Count the hits of each ray, up to `limit`."""
         limits = np.full(len(rays.t_min), limit, np.uint64)
         task = Task(rays, limits, limits, tallies)
-        counts = self._trace(task, Wish(surfaces, out=None, hands_over=False), progress)
-        return counts.astype(np.int64)
+        wish = Wish(surfaces, out=None, hands_over=False)
+        return self._trace(steps_of(self.structure), task, wish, progress).astype(np.int64)
 
     def multi_hit(
         self,
@@ -150,14 +150,16 @@ class Multipass(BatchQueries):
         first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
         wants_some = np.flatnonzero(capacity)
         task = Task(rays, first, capacity, tallies).part(wants_some)
-        self._trace(task, Wish(surfaces, out, hands_over=True), progress)
+        wish = Wish(surfaces, out, hands_over=True)
+        self._trace(steps_of(self.structure), task, wish, progress)
         if tallies is not None and task.tallies is not None:
             tallies[wants_some] = task.tallies
 
-    def _trace(self, task: Task, wish: Wish, progress: Progress | None) -> NDArray[np.uint32]:
+    def _trace(
+        self, steps: Steps, task: Task, wish: Wish, progress: Progress | None
+    ) -> NDArray[np.uint32]:
         """Trace rays, in parts if they are many; returns how many hits each has."""
         counts = np.zeros(len(task), np.uint32)
-        steps = steps_of(self.structure)
         for rows in _parts(len(task), steps):
             report = part_of(progress, rows.start, len(task))
             counts[rows] = self._trace_part(steps, task.part(rows), wish, report)
@@ -194,7 +196,7 @@ class Multipass(BatchQueries):
             if task.tallies is not None and before is not None:
                 task.tallies[overflown] = before[overflown]
             again = task.part(overflown)
-            streams.counts[overflown] = self._trace_part(steps.grow(), again, wish, None)
+            streams.counts[overflown] = self._trace(steps.grow(), again, wish, None)
             if task.tallies is not None and again.tallies is not None:
                 task.tallies[overflown] = again.tallies
         return streams.counts
@@ -216,10 +218,10 @@ class Multipass(BatchQueries):
                 if not searching:
                     break
             latest = self.scheduler.choose(Queues(kernels, waiting, latest))
-            if not waiting[latest]:
+            if latest not in range(len(kernels)) or not waiting[latest]:
+                chosen = dict(enumerate(one.name for one in kernels)).get(latest, latest)
                 raise ValueError(
-                    f"scheduler: {self.scheduler!r} chose {kernels[latest].name!r}, for which no "
-                    "ray waits"
+                    f"scheduler: {self.scheduler!r} chose {chosen!r}, for which no ray waits"
                 )
             streams.run(latest, counters)
             waiting = streams.waiting()

@@ -7,11 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma, load
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, note, ray_of, tick, wants_any
 from raystream.machines.steps.base import StepKernel, Steps, with_shade
 from raystream.structures.grid import Grid
+from raystream.structures.grid.cells import (
+    NO_CHILD,
+    cell_list,
+    cell_numbers,
+    child_of,
+    coarse_cells,
+    fine_cells,
+)
 from raystream.structures.grid.dda import (
     WalkState,
     cell_end,
@@ -20,7 +27,7 @@ from raystream.structures.grid.dda import (
     walk_from,
     walk_through,
 )
-from raystream.structures.grid.traversal import cell_list, enter_grid, intersect_list
+from raystream.structures.grid.traversal import enter_grid, intersect_list
 
 __all__ = ["steps"]
 
@@ -46,23 +53,8 @@ _INTERSECTING = np.uint8(RayState.INTERSECTING)
 _DONE = np.uint8(RayState.DONE)
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
 _COARSE = np.int32(-1)
-_NO_CHILD = np.int32(-1)
-
-#: Bytes of a row of `FineArrays.records`.
-_RECORD = np.uint64(32)
-
-
-class _Lattice(NamedTuple):
-    """What walks need of a lattice, and its lists."""
-
-    low: object
-    size: object
-    counts: object
-    splits: object
-    references: object
 
 
 class _Place(NamedTuple):
@@ -77,51 +69,11 @@ class _Place(NamedTuple):
 
 
 @device
-def _coarse(tree):
-    return _Lattice(tree.low, tree.size, tree.counts, tree.splits, tree.references)
-
-
-@device
-def _child_of(tree, cell):
-    """Number of the lattice within a coarse cell."""
-    if tree.children == _NONE:
-        return _NO_CHILD
-    return load(np.int32, tree.children + (np.uint64(cell) << _WORD))
-
-
-@device
-def _where(tree, cell):
-    """The numbers of a coarse cell along the axes."""
-    nx, ny = np.int64(tree.counts[0]), np.int64(tree.counts[1])
-    rest = np.int64(cell)
-    return np.float32(rest % nx), np.float32(rest // nx % ny), np.float32(rest // (nx * ny))
-
-
-@device
-def _fine(tree, cell, child):
-    """The lattice within a coarse cell."""
-    record = tree.records + np.uint64(child) * _RECORD
-    first = load(np.int64, record)
-    counts = (
-        np.float32(load(np.int64, record + np.uint64(8))),
-        np.float32(load(np.int64, record + np.uint64(16))),
-        np.float32(load(np.int64, record + np.uint64(24))),
-    )
-    i, j, k = _where(tree, cell)
-    low = (
-        fma(i, tree.size[0], tree.low[0]),
-        fma(j, tree.size[1], tree.low[1]),
-        fma(k, tree.size[2], tree.low[2]),
-    )
-    size = (tree.size[0] / counts[0], tree.size[1] / counts[1], tree.size[2] / counts[2])
-    splits = tree.fine_splits + (np.uint64(first) << _WORD)
-    return _Lattice(low, size, counts, splits, tree.fine_references)
-
-
-@device
 def _lattice(tree, outer):
     """The lattice that a ray walks through."""
-    return _coarse(tree) if outer == _COARSE else _fine(tree, outer, _child_of(tree, outer))
+    if outer == _COARSE:
+        return coarse_cells(tree)
+    return fine_cells(tree, outer, child_of(tree, outer))
 
 
 @device
@@ -170,9 +122,9 @@ def _next_cell(tree, ray, place):
         walk = walk_through(_lattice(tree, place.outer), ray)
         return _Place(step_walk(walk, place.walk), place.outer, t_out, place.t_end, _NONE, _NONE)
     # Out of the lattice within a coarse cell, into the coarse cell after it.
-    coarse = _coarse(tree)
+    coarse = coarse_cells(tree)
     walk = walk_through(coarse, ray)
-    i, j, k = _where(tree, place.outer)
+    i, j, k = cell_numbers(tree, place.outer)
     state = step_walk(walk, walk_from(coarse, walk, i, j, k))
     return _Place(state, _COARSE, t_out, _INF, _NONE, _NONE)
 
@@ -185,7 +137,7 @@ def set_up(ray, wanted, tree, query, kernel):
     is_active = tree.splits != _NONE and t_in <= t_far
     if not is_active:
         t_in = t_far = np.float32(0.0)
-    coarse = _coarse(tree)
+    coarse = coarse_cells(tree)
     _, state = set_up_walk(coarse, line, t_in)
     place = _Place(state, _COARSE, t_in, _INF, _NONE, _NONE)
     return (np.uint32(0), t_far), _record(place), _TRAVERSING if is_active else _DONE
@@ -202,13 +154,13 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
         lattice = _lattice(tree, at.outer)
         row, end = cell_list(lattice.splits, at.walk.cell)
         if row != end:
-            child = _child_of(tree, at.walk.cell) if at.outer == _COARSE else _NO_CHILD
-            if child == _NO_CHILD:
+            child = child_of(tree, at.walk.cell) if at.outer == _COARSE else NO_CHILD
+            if child == NO_CHILD:
                 note(query, wanted, LEAVES, _ONE)
                 at = _Place(at.walk, at.outer, at.t_in, at.t_end, row, end)
                 state = _INTERSECTING
                 break
-            fine = _fine(tree, at.walk.cell, child)
+            fine = fine_cells(tree, at.walk.cell, child)
             _, walk = set_up_walk(fine, line, at.t_in)
             outer = np.int32(at.walk.cell)
             at = _Place(walk, outer, at.t_in, cell_end(at.walk), _NONE, _NONE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 import time
 from collections.abc import Mapping
@@ -14,10 +13,10 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.core.whole_file import replacing
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress
 from raystream.kernels.queries import LocalRays, ray_queries
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.bvh.layout import BLOCK_FLOATS, aligned_array
+from raystream.structures.bvh.layout import aligned_array
 from raystream.structures.graph.build import Method, build_graph, graph_box
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.graphlog import dump_graph
@@ -26,12 +25,9 @@ from raystream.structures.graph.start import StartSectors, find_sectors
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
-from raystream.structures.kdtree.layout import MAX_DEPTH, fill_blocks
+from raystream.structures.kdtree.layout import MAX_DEPTH, filled_blocks, usual_depth
 
 __all__ = ["Graph"]
-
-#: Blocks that one call of the kernel that fills them gets.
-_CHUNK = 1 << 14
 
 
 class Graph(Structure):
@@ -96,12 +92,7 @@ class Graph(Structure):
         self.triangles = triangles
         self.graph = graph
         self.options = options
-        self.blocks = aligned_array(len(graph.prim_ids), BLOCK_FLOATS)
-
-        def fill(begin: int, end: int) -> None:
-            fill_blocks(begin, end, graph.prim_ids, triangles.corners, self.blocks)
-
-        parallel_for(fill, len(graph.prim_ids), _CHUNK)
+        self.blocks = filled_blocks(graph.prim_ids, triangles.corners)
         # A sector is a cache line.
         self._rows = aligned_array(len(graph.rows), 4).view(np.uint32)
         self._rows[:] = graph.rows
@@ -198,7 +189,7 @@ def _triple(numbers: Any) -> tuple[np.float32, np.float32, np.float32]:
 def _method(options: Mapping[str, Any], triangle_count: int) -> Method:
     max_depth = options["max_depth"]
     if max_depth is None:
-        max_depth = min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
+        max_depth = usual_depth(triangle_count)
     return Method(
         crossing_cost=options["crossing_cost"],
         intersection_cost=options["intersection_cost"],

@@ -24,7 +24,6 @@ __all__ = [
     "Walk",
     "WalkState",
     "cell_end",
-    "cell_low",
     "set_up_walk",
     "start_walk",
     "step_walk",
@@ -228,14 +227,6 @@ def _distances(walk, plane):
 def cell_end(state):
     """Distance at which the ray leaves its cell; inf where it never does."""
     return min(state.t_next[0], state.t_next[1], state.t_next[2])
-
-
-@device
-def cell_low(low, size, plane, step):
-    """Low plane of the cell of an axis that a ray is in, given `WalkState.plane`."""
-    # The plane after the next one is two further than the cell's first.
-    number = plane - step - step
-    return fma(number if step > _ZERO else number - _ONE, size, low)
 
 
 @device

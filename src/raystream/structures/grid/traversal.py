@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
@@ -13,9 +11,10 @@ from raystream.kernels.collect import keep_hit
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.kernels.triangle import intersect
-from raystream.structures.grid.dda import cell_end, cell_low, set_up_walk, step_walk
+from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
+from raystream.structures.grid.dda import cell_end, set_up_walk, step_walk
 
-__all__ = ["STACK_BYTES", "cell_list", "enter_grid", "intersect_list", "traverse"]
+__all__ = ["STACK_BYTES", "enter_grid", "intersect_list", "traverse"]
 
 #: A grid needs no stack.
 STACK_BYTES = 1
@@ -24,10 +23,6 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
-_NO_CHILD = np.int32(-1)
-
-#: Bytes of a row of `FineArrays.records`.
-_RECORD = np.uint64(32)
 
 
 @device
@@ -39,13 +34,6 @@ def enter_grid(grid, ray, t_min, t_max):
     low, high = grid.low, grid.high
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
     return max(t_min, t_in), min(t_max, t_out)
-
-
-@device
-def cell_list(splits, cell):
-    """Where the list of a cell begins and ends, given the address of all cells' splits."""
-    at = splits + (np.uint64(cell) << _WORD)
-    return np.uint64(load(np.uint32, at)), np.uint64(load(np.uint32, at + np.uint64(4)))
 
 
 @device
@@ -74,7 +62,7 @@ def intersect_list(
         See `GridAddresses`.
     ray : Ray
     begin, end : uint64
-        See `cell_list`.
+        See `cells.cell_list`.
     t_in, t_out : float32
         A hit counts where t_in <= t < t_out. Outside, it is another cell's.
     t_far : float32
@@ -108,39 +96,9 @@ def intersect_list(
     return count, t_far
 
 
-class _Cells(NamedTuple):
-    """What `set_up_walk` reads of a lattice."""
-
-    low: object
-    size: object
-    counts: object
-
-
-@device
-def _fine_cells(grid, walk, state, record):
-    """The lattice within the cell that a ray is in, and the address of its cells' splits."""
-    first = load(np.int64, record)
-    counts = (
-        np.float32(load(np.int64, record + np.uint64(8))),
-        np.float32(load(np.int64, record + np.uint64(16))),
-        np.float32(load(np.int64, record + np.uint64(24))),
-    )
-    low = (
-        cell_low(walk.low[0], walk.size[0], state.plane[0], walk.step[0]),
-        cell_low(walk.low[1], walk.size[1], state.plane[1], walk.step[1]),
-        cell_low(walk.low[2], walk.size[2], state.plane[2], walk.step[2]),
-    )
-    size = (
-        walk.size[0] / counts[0],
-        walk.size[1] / counts[1],
-        walk.size[2] / counts[2],
-    )
-    return _Cells(low, size, counts), grid.fine_splits + (np.uint64(first) << _WORD)
-
-
 @device_call
 def _visit_fine(
-    grid, cells, splits, ray, t_in, t_end, t_far, surfaces, keep, count, capacity, first, out, tally
+    grid, cells, ray, t_in, t_end, t_far, surfaces, keep, count, capacity, first, out, tally
 ):
     """Visit the cells within a cell, from t_in to t_end; see `intersect_list`."""
     stay_out_of_line()
@@ -148,15 +106,15 @@ def _visit_fine(
     walk, state = set_up_walk(cells, ray, t_in)
     while True:
         t_out = min(cell_end(state), t_end)
-        begin, end = cell_list(splits, state.cell)
+        begin, end = cell_list(cells.splits, state.cell)
         add_to(tally, STEPS, _ONE)
         while begin == end and t_out <= t_far and t_out < t_end:
             state = step_walk(walk, state)
             t_in, t_out = t_out, min(cell_end(state), t_end)
-            begin, end = cell_list(splits, state.cell)
+            begin, end = cell_list(cells.splits, state.cell)
             add_to(tally, STEPS, _ONE)
         count, t_far = intersect_list(
-            grid.fine_references,
+            cells.references,
             grid.corners,
             ray,
             begin,
@@ -188,27 +146,23 @@ def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
         return count
     # Whoever wants one hit, no matter which, takes it from wherever it is.
     is_any = capacity == _ONE and not keep
-    cells = _Cells(grid.low, grid.size, grid.counts)
+    cells = coarse_cells(grid)
     walk, state = set_up_walk(cells, ray, t_in)
     while True:
         t_out = cell_end(state)
-        begin, end = cell_list(grid.splits, state.cell)
+        begin, end = cell_list(cells.splits, state.cell)
         add_to(tally, STEPS, _ONE)
         # A hit at the cell's end is in the next cell, and may tie with one at t_far.
         while begin == end and t_out <= t_far:
             state = step_walk(walk, state)
             t_in, t_out = t_out, cell_end(state)
-            begin, end = cell_list(grid.splits, state.cell)
+            begin, end = cell_list(cells.splits, state.cell)
             add_to(tally, STEPS, _ONE)
-        child = _NO_CHILD
-        if grid.children != _NONE:
-            child = load(np.int32, grid.children + (np.uint64(state.cell) << _WORD))
-        if child != _NO_CHILD:
-            fine, splits = _fine_cells(grid, walk, state, grid.records + np.uint64(child) * _RECORD)
+        child = child_of(grid, state.cell)
+        if child != NO_CHILD:
             count, t_far = _visit_fine(
                 grid,
-                fine,
-                splits,
+                fine_cells(grid, state.cell, child),
                 ray,
                 t_in,
                 t_out,
@@ -223,7 +177,7 @@ def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
             )
         else:
             count, t_far = intersect_list(
-                grid.references,
+                cells.references,
                 grid.corners,
                 ray,
                 begin,

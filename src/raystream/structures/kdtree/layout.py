@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
-from raystream.structures.bvh.layout import BLOCK_FLOATS, BLOCK_SIZE
+from raystream.jit.threads import parallel_for
+from raystream.structures.bvh.layout import BLOCK_FLOATS, BLOCK_SIZE, aligned_array
 
 __all__ = [
     "LEAF_AXIS",
@@ -18,7 +20,8 @@ __all__ = [
     "MAX_NODES",
     "KdArrays",
     "check_arrays",
-    "fill_blocks",
+    "filled_blocks",
+    "usual_depth",
     "walk",
 ]
 
@@ -30,6 +33,9 @@ MAX_NODES = 1 << 29
 
 #: What a leaf has for an axis.
 LEAF_AXIS = 3
+
+#: Blocks that one call of the kernel that fills them gets.
+_CHUNK = 1 << 14
 
 _NAN = np.float32(np.nan)
 _WORD = np.uint64(4)
@@ -55,8 +61,13 @@ class KdArrays(NamedTuple):
     prim_ids: NDArray[np.int32]
 
 
+def usual_depth(triangle_count: int) -> int:
+    """Most splits on a path if nobody says how many (Pharr and Humphreys 2004)."""
+    return min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
+
+
 @kernel
-def fill_blocks(begin, end, prim_ids, corners, blocks):
+def _fill_blocks(begin, end, prim_ids, corners, blocks):
     """Write the corners of triangles to blocks begin to end, NaN where there is none.
 
     Parameters
@@ -80,6 +91,17 @@ def fill_blocks(begin, end, prim_ids, corners, blocks):
                     number = load(np.float32, source)
                 store(to + k * np.uint64(16) + at, number)
             store(to + np.uint64(144) + at, prim_id)
+
+
+def filled_blocks(prim_ids: NDArray[np.int32], corners: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The leaf blocks of triangles, on all threads; see `_fill_blocks`."""
+    blocks = aligned_array(len(prim_ids), BLOCK_FLOATS)
+
+    def fill(begin: int, end: int) -> None:
+        _fill_blocks(begin, end, prim_ids, corners, blocks)
+
+    parallel_for(fill, len(prim_ids), _CHUNK)
+    return blocks
 
 
 class Walk(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 import time
 from collections.abc import Mapping
@@ -12,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress
 from raystream.kernels.queries import ray_queries
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.bvh.layout import BLOCK_FLOATS, aligned_array
 from raystream.structures.kdtree.build import Method, build_arrays
 from raystream.structures.kdtree.layout import (
     MAX_DEPTH,
     KdArrays,
     check_arrays,
-    fill_blocks,
+    filled_blocks,
+    usual_depth,
     walk,
 )
 from raystream.structures.kdtree.packed import LEAF_BIT, extend, pack
@@ -39,9 +38,6 @@ LAYOUTS = ("compact", "foley")
 
 #: A leaf's triangles and an option's place in a file are numbers of so many at most.
 _MAX_LEAF_SIZE = 1024
-
-#: Blocks that one call of the kernel that fills them gets.
-_CHUNK = 1 << 14
 
 
 class KdTree(Structure):
@@ -120,12 +116,7 @@ class KdTree(Structure):
         self.triangles = triangles
         self.tree = tree
         self.options = options
-        self.blocks = aligned_array(len(tree.prim_ids), BLOCK_FLOATS)
-
-        def fill(begin: int, end: int) -> None:
-            fill_blocks(begin, end, tree.prim_ids, triangles.corners, self.blocks)
-
-        parallel_for(fill, len(tree.prim_ids), _CHUNK)
+        self.blocks = filled_blocks(tree.prim_ids, triangles.corners)
         is_packed = options["layout"] == "foley"
         self._held: list[NDArray[Any]] = [self.blocks]  # what addresses point to
         nodes, leaves, extended, root = 0, 0, 0, 0
@@ -221,7 +212,7 @@ class KdTree(Structure):
 def _method(options: Mapping[str, Any], triangle_count: int) -> Method:
     max_depth = options["max_depth"]
     if max_depth is None:
-        max_depth = min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
+        max_depth = usual_depth(triangle_count)
     costs = Costs(options["traversal_cost"], options["intersection_cost"], options["empty_bonus"])
     return Method(costs, max_depth, options["max_leaf_size"])
 

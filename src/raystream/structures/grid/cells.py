@@ -1,0 +1,97 @@
+"""The lattices of a grid as kernels take them: the coarse one, and those within its cells."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import fma, load
+
+__all__ = [
+    "NO_CHILD",
+    "Cells",
+    "cell_list",
+    "cell_numbers",
+    "child_of",
+    "coarse_cells",
+    "fine_cells",
+]
+
+#: What `child_of` gives for a cell that is not divided.
+NO_CHILD = np.int32(-1)
+
+_NONE = np.uint64(0)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+
+#: Bytes of a row of `FineArrays.records`.
+_RECORD = np.uint64(32)
+
+
+class Cells(NamedTuple):
+    """A lattice: what walks need of it, and where its lists are.
+
+    Attributes
+    ----------
+    low, size, counts : triple of float32
+        See `dda.set_up_walk`.
+    splits, references : uint64
+        Addresses of `GridArrays`.
+    """
+
+    low: object
+    size: object
+    counts: object
+    splits: object
+    references: object
+
+
+@device
+def coarse_cells(grid):
+    """The first level of a grid, given as `GridAddresses`."""
+    return Cells(grid.low, grid.size, grid.counts, grid.splits, grid.references)
+
+
+@device
+def cell_numbers(grid, cell):
+    """Numbers of a coarse cell along the axes, as float32."""
+    nx, ny = np.int64(grid.counts[0]), np.int64(grid.counts[1])
+    rest = np.int64(cell)
+    return np.float32(rest % nx), np.float32(rest // nx % ny), np.float32(rest // (nx * ny))
+
+
+@device
+def child_of(grid, cell):
+    """Number of the lattice within a coarse cell; `NO_CHILD` if it is not divided."""
+    if grid.children == _NONE:
+        return NO_CHILD
+    return load(np.int32, grid.children + (np.uint64(cell) << _WORD))
+
+
+@device
+def fine_cells(grid, cell, child):
+    """The lattice within a coarse cell."""
+    record = grid.records + np.uint64(child) * _RECORD
+    first = load(np.int64, record)
+    counts = (
+        np.float32(load(np.int64, record + np.uint64(8))),
+        np.float32(load(np.int64, record + np.uint64(16))),
+        np.float32(load(np.int64, record + np.uint64(24))),
+    )
+    i, j, k = cell_numbers(grid, cell)
+    low = (
+        fma(i, grid.size[0], grid.low[0]),
+        fma(j, grid.size[1], grid.low[1]),
+        fma(k, grid.size[2], grid.low[2]),
+    )
+    size = (grid.size[0] / counts[0], grid.size[1] / counts[1], grid.size[2] / counts[2])
+    splits = grid.fine_splits + (np.uint64(first) << _WORD)
+    return Cells(low, size, counts, splits, grid.fine_references)
+
+
+@device
+def cell_list(splits, cell):
+    """Where the list of a cell begins and ends, given the address of all cells' splits."""
+    at = splits + (np.uint64(cell) << _WORD)
+    return np.uint64(load(np.uint32, at)), np.uint64(load(np.uint32, at + np.uint64(4)))
