@@ -1,7 +1,7 @@
 """Thickness: how much of each ray lies inside a closed mesh, by a program at every hit.
 
 The program adds a hit's distance where the ray leaves the mesh and subtracts it where the ray
-enters: what is left is the length inside, in one pass and without a list of hits.
+enters: what is left is the length inside, and no list of all hits is made.
 """
 
 import numpy as np
