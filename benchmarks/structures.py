@@ -1,9 +1,12 @@
 """The five structures beside each other: speed of three queries, build time, memory.
 
-    python benchmarks/structures.py --scenes conference kitchen sibenik robots building
+    python benchmarks/structures.py --scenes conference kitchen sibenik robots building spheres
+    python benchmarks/structures.py --ratio kdtree graph --rounds 12
 
 All structures answer the same rays, one after another in each round, and medians of the rounds
-count. Prints the table of docs/structures.rst; every answer is compared with the BVH's.
+count. Prints the tables of docs/structures.rst; every answer is compared with the BVH's. With
+``--ratio`` two structures only, and the median of their times' ratio in a round: above 1 the
+second one is faster.
 """
 
 import argparse
@@ -15,7 +18,7 @@ import numpy as np
 import raystream as rs
 from raystream.bench.ray_sets import make_ray_sets
 
-SCENES = ("conference", "kitchen", "sibenik", "sponza", "bunny", "robots", "building", "forest")
+SCENES = ("conference", "kitchen", "sibenik", "robots", "building", "spheres")
 
 STRUCTURES = {
     "bvh": {"structure": "bvh"},
@@ -49,6 +52,38 @@ def same(a, b):
     return a.t.tobytes() == b.t.tobytes() and np.array_equal(a.prim_id, b.prim_id)
 
 
+#: The same for ``--ratio``.
+RATIO_QUERIES = {
+    "multi, primary": ("primary", "multi_hit"),
+    "multi, bounce": ("bounce", "multi_hit"),
+    "multi, random": ("random", "multi_hit"),
+    "first, primary": ("primary", "first_hit"),
+    "first, bounce": ("bounce", "first_hit"),
+    "any, random": ("random", "any_hit"),
+}
+
+
+def time_queries(scene, tracers, queries, size, rounds):
+    """Seconds of every round, by structure and query; and the number of rays of each query."""
+    reference = rs.Tracer(scene)
+    names = sorted({ray_set for ray_set, _ in queries.values()})
+    camera = scene.camera_for(1.0)
+    sets = {one.name: one.rays for one in make_ray_sets(reference, camera, (size, size), names)}
+    seconds = {(label, title): [] for label in tracers for title in queries}
+    counts = {}
+    for title, (ray_set, query) in queries.items():
+        rays = sets[ray_set]
+        counts[title] = max(rays.origins.size, rays.directions.size) // 3
+        expected, _ = answer(reference, rays, query)
+        for k in range(rounds + 1):  # the first one warms up
+            for label, tracer in tracers.items():
+                found, taken = answer(tracer, rays, query)
+                assert same(found, expected), (label, title)
+                if k:
+                    seconds[label, title].append(taken)
+    return seconds, counts
+
+
 def measure(name, size, rounds, chosen):
     """Rows of the table for a scene."""
     scene = rs.load(name)
@@ -60,32 +95,26 @@ def measure(name, size, rounds, chosen):
         for label in chosen:
             again = rs.Tracer(scene, **STRUCTURES[label])
             builds[label].append(again.structure.report.seconds)
-    reference = rs.Tracer(scene)
-    sets = {
-        one.name: one.rays
-        for one in make_ray_sets(
-            reference, scene.camera_for(1.0), (size, size), sorted({s for s, _ in QUERIES.values()})
-        )
-    }
-    seconds = {(label, title): [] for label in chosen for title in QUERIES}
-    for title, (ray_set, query) in QUERIES.items():
-        rays = sets[ray_set]
-        expected, _ = answer(reference, rays, query)
-        for k in range(rounds + 1):  # the first one warms up
-            for label, tracer in tracers.items():
-                found, taken = answer(tracer, rays, query)
-                assert same(found, expected), (name, label, title)
-                if k:
-                    seconds[label, title].append(taken)
+    seconds, counts = time_queries(scene, tracers, QUERIES, size, rounds)
     for label, tracer in tracers.items():
         row = [name, label]
-        for title, (ray_set, _) in QUERIES.items():
-            count = sets[ray_set].origins.size // 3
-            count = max(count, sets[ray_set].directions.size // 3)
+        for title, count in counts.items():
             row.append(f"{count / statistics.median(seconds[label, title]) / 1e6:.3g}")
         row.append(f"{statistics.median(builds[label]):.2g}")
         row.append(f"{tracer.structure.report.byte_count / len(scene.triangles):.0f}")
         yield row
+
+
+def compare(name, size, rounds, first, second):
+    """A row of ratios for a scene."""
+    scene = rs.load(name)
+    tracers = {label: rs.Tracer(scene, **STRUCTURES[label]) for label in (first, second)}
+    seconds, counts = time_queries(scene, tracers, RATIO_QUERIES, size, rounds)
+    row = [name]
+    for title in counts:
+        pairs = zip(seconds[first, title], seconds[second, title], strict=True)
+        row.append(f"{statistics.median(a / b for a, b in pairs):.2f}")
+    return row
 
 
 def main():
@@ -94,11 +123,18 @@ def main():
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--structures", nargs="+", default=list(STRUCTURES))
+    parser.add_argument("--ratio", nargs=2, choices=STRUCTURES)
     arguments = parser.parse_args()
     columns = ["scene", "structure", *QUERIES, "build, s", "bytes a triangle"]
+    if arguments.ratio:
+        columns = ["scene", *RATIO_QUERIES]
     rows = [columns]
     for name in arguments.scenes:
-        for row in measure(name, arguments.size, arguments.rounds, arguments.structures):
+        if arguments.ratio:
+            new = [compare(name, arguments.size, arguments.rounds, *arguments.ratio)]
+        else:
+            new = measure(name, arguments.size, arguments.rounds, arguments.structures)
+        for row in new:
             rows.append(row)
             print(*row, sep="  ", flush=True)
     widths = [max(len(row[k]) for row in rows) for k in range(len(columns))]

@@ -42,7 +42,7 @@ def until_even(hit):
 def pieces(request, monkeypatch):
     if request.param == "small pieces":
         monkeypatch.setattr(rounds, "FIRST_RAYS", 32)
-        monkeypatch.setattr(rounds, "ROWS_PER_BLOCK", 600)
+        monkeypatch.setattr(rounds, "RAYS_PER_BLOCK", 50)
         monkeypatch.setattr(rounds, "FEW_HITS", 0)
         monkeypatch.setattr(rounds, "SEEN_SHARE", 1.0)
 

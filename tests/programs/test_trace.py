@@ -58,7 +58,7 @@ def nothing(hit, payload):
 def small_pieces(monkeypatch):
     """A few rays at a time, and a few hits of each."""
     monkeypatch.setattr(rounds, "FIRST_RAYS", 32)
-    monkeypatch.setattr(rounds, "ROWS_PER_BLOCK", 600)
+    monkeypatch.setattr(rounds, "RAYS_PER_BLOCK", 50)
     monkeypatch.setattr(rounds, "FEW_HITS", 0)
     monkeypatch.setattr(rounds, "SEEN_SHARE", 1.0)
 
@@ -157,7 +157,7 @@ def test_entering_does_not_depend_on_lengths(scale, length):
 
 
 def test_blocks_of_a_large_batch(rng, monkeypatch):
-    monkeypatch.setattr(rounds, "ROWS_PER_BLOCK", 20_000)
+    monkeypatch.setattr(rounds, "RAYS_PER_BLOCK", 9_000)
     tracer = rs.Tracer(rs.Scene.from_arrays(*dented_sphere(3)))
     x, y = np.meshgrid(np.linspace(-2, 2, 211), np.linspace(-2, 2, 153))
     origins = np.stack([x, y, np.full_like(x, -5)], axis=-1).astype(np.float32)

@@ -10,10 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import device, device_call
+from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, store
 
-__all__ = ["HitAddresses", "HitArrays", "aligned_rows", "hit_addresses", "keep_hit", "sort_hits"]
+__all__ = [
+    "HitAddresses",
+    "HitArrays",
+    "aligned_rows",
+    "copy_rows",
+    "count_rows",
+    "hit_addresses",
+    "keep_hit",
+    "place_rows",
+    "sort_hits",
+]
 
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
@@ -36,6 +46,11 @@ class HitArrays(NamedTuple):
     def part(self, rows: slice) -> HitArrays:
         """A view of some rows."""
         return HitArrays(self.t[rows], self.u[rows], self.v[rows], self.prim_id[rows])
+
+    def copy_of(self, rows: slice) -> HitArrays:
+        """Some rows, in memory of their own."""
+        t, u, v, prim_id = self.part(rows)
+        return HitArrays(t.copy(), u.copy(), v.copy(), prim_id.copy())
 
     @classmethod
     def empty(cls, count: int) -> HitArrays:
@@ -202,3 +217,68 @@ def sort_hits(out, first, count):
         t_, u_, v_, prim_id_ = _get(out, first)
         _put(out, first + last, t_, u_, v_, prim_id_)
         _sift_down(out, first, last, np.uint64(0), t, u, v, prim_id)
+
+
+@kernel
+def copy_rows(begin, end, rows, firsts, counts, starts, out):
+    """Copy ``counts[i]`` rows from ``firsts[i]`` on to those of `out` from ``starts[i]`` on.
+
+    Parameters
+    ----------
+    begin, end : int
+    rows, out : HitArrays
+    firsts, counts, starts : ndarray of shape (N,), int64
+    """
+    for i in range(np.uint64(begin), np.uint64(end)):
+        row, to = np.uint64(firsts[i]), np.uint64(starts[i])
+        for _ in range(np.uint64(counts[i])):
+            out.t[to] = rows.t[row]
+            out.u[to] = rows.u[row]
+            out.v[to] = rows.v[row]
+            out.prim_id[to] = rows.prim_id[row]
+            row += _ONE
+            to += _ONE
+
+
+@kernel
+def count_rows(splits, ids, first, counts):
+    """Add the numbers of rows of some rays to their counts.
+
+    Parameters
+    ----------
+    splits : ndarray of shape (n + 1,), int64
+        The i-th ray's rows are splits[i] to splits[i + 1].
+    ids : ndarray of shape (n,), int64
+        The rays' indices; empty if they follow each other.
+    first : int
+        The first one's index, if they follow each other.
+    counts : ndarray of shape (N,), int64
+        Changed.
+    """
+    for i in range(np.uint64(len(splits) - 1)):
+        ray = np.uint64(ids[i]) if len(ids) else np.uint64(first) + i
+        counts[ray] += splits[i + _ONE] - splits[i]
+
+
+@kernel
+def place_rows(rows, splits, ids, first, nexts, out):
+    """Copy rows of some rays to those of their rays.
+
+    Parameters
+    ----------
+    rows, out : HitArrays
+    splits, ids, first
+        See `count_rows`.
+    nexts : ndarray of shape (N,), int64
+        Where each ray's rows go in `out`; moved on behind them.
+    """
+    for i in range(np.uint64(len(splits) - 1)):
+        ray = np.uint64(ids[i]) if len(ids) else np.uint64(first) + i
+        to = np.uint64(nexts[ray])
+        for row in range(np.uint64(splits[i]), np.uint64(splits[i + _ONE])):
+            out.t[to] = rows.t[row]
+            out.u[to] = rows.u[row]
+            out.v[to] = rows.v[row]
+            out.prim_id[to] = rows.prim_id[row]
+            to += _ONE
+        nexts[ray] = np.int64(to)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import scratch
+from raystream.jit.simd import scratch, store
 from raystream.kernels.collect import HitAddresses, hit_addresses, sort_hits
+from raystream.kernels.local_ray import world_t
 from raystream.kernels.ray import set_up
 from raystream.kernels.seen import LEAST_ROOM, clear_seen
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
@@ -20,6 +21,7 @@ __all__ = ["AGAIN", "UNLIMITED", "LocalRays", "RayQueries", "ray_queries"]
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
 _MISS = np.int32(-1)
+_ONE = np.uint64(1)
 
 #: A limit for `count_hits` that no scene reaches.
 UNLIMITED = 2**62
@@ -63,6 +65,12 @@ class RayQueries(NamedTuple):
         Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row
         splits[i] of `out`.
 
+    gather : (begin, end, arrays, extreme, rays, t_scale, repeats, surfaces, limit, sorts, splits,
+              out)
+        Writes the nearest `limit` hits of each ray into rows 0 to splits[end - begin] of
+        `out`, with t in world direction lengths, sorted if `sorts`. Returns the first ray
+        that is not done: `end`, or one that finds no room in `out`.
+
     `repeats` says whether the structure lists a triangle more than once. What ray i meets is
     added to row i of `tallies`, of `kernels.tally`; None counts nothing, at no cost.
     """
@@ -71,6 +79,7 @@ class RayQueries(NamedTuple):
     any_hit: Callable[..., None]
     count_hits: Callable[..., None]
     multi_hit: Callable[..., None]
+    gather: Callable[..., int]
 
 
 #: What `traverse` returns if the set of triangles seen is too small.
@@ -114,7 +123,9 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
         (`kernels.seen`) if it has places, and returns `AGAIN` when it is full. What it meets
         it adds to `tally` (`kernels.tally`).
     stack_bytes : int
-        Size of the memory at the address `stack`, which is aligned to 64 bytes.
+        Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
+        What a traversal leaves there, the next ray's finds; before the first ray, the first
+        8 bytes are 0.
 
     Returns
     -------
@@ -124,6 +135,7 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     @kernel
     def first_hit(begin, end, arrays, extreme, rays, out, tallies):
         stack = scratch(stack_bytes)
+        store(stack, _NOWHERE)
         seen = _new_seen(False)
         to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
@@ -142,6 +154,7 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     @kernel
     def any_hit(begin, end, arrays, extreme, rays, out, tallies):
         stack = scratch(stack_bytes)
+        store(stack, _NOWHERE)
         seen = _new_seen(False)
         to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
         one = np.uint64(1)
@@ -157,6 +170,7 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     @kernel
     def count_hits(begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts, tallies):
         stack, saved = scratch(stack_bytes), scratch(32)
+        store(stack, _NOWHERE)
         seen = _new_seen(repeats)
         to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
         most = np.uint64(limit)
@@ -190,6 +204,7 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     @kernel
     def multi_hit(begin, end, arrays, extreme, rays, repeats, surfaces, splits, out, tallies):
         stack, saved = scratch(stack_bytes), scratch(32)
+        store(stack, _NOWHERE)
         seen = _new_seen(repeats)
         to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
@@ -224,4 +239,51 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
             if repeats:
                 seen = _new_seen(True)
 
-    return RayQueries(first_hit, any_hit, count_hits, multi_hit)
+    @kernel
+    def gather(
+        begin,
+        end,
+        arrays,
+        extreme,
+        rays,
+        t_scale,
+        repeats,
+        surfaces,
+        limit,
+        sorts,
+        splits,
+        out,
+    ):
+        stack = scratch(stack_bytes)
+        store(stack, _NOWHERE)
+        seen = _new_seen(repeats)
+        to = hit_addresses(out)
+        most, room, row = np.uint64(limit), np.uint64(len(out.t)), _NOWHERE
+        splits[0] = 0
+        for i in range(np.uint64(begin), np.uint64(end)):
+            capacity = min(most, room - row)
+            if capacity == 0:
+                return np.int64(i)
+            ray = _ray(rays, i, extreme)
+            t_min, t_max = rays.t_min[i], rays.t_max[i]
+            while True:
+                count = traverse(
+                    arrays, ray, t_min, t_max, surfaces, True, capacity, row, to, stack, seen, None
+                )
+                if count != AGAIN:
+                    break
+                seen = _larger_seen(seen)
+            if count == capacity and capacity != most:
+                return np.int64(i)
+            if repeats:
+                seen = _new_seen(True)
+            if sorts:
+                sort_hits(to, row, count)
+            factor, offset = t_scale.factor[i], t_scale.offset[i]
+            for _ in range(count):
+                out.t[row] = world_t(out.t[row], factor, offset)
+                row += _ONE
+            splits[i + _ONE - np.uint64(begin)] = row
+        return np.int64(end)
+
+    return RayQueries(first_hit, any_hit, count_hits, multi_hit, gather)

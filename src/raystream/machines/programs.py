@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.collect import HitArrays
 from raystream.programs.filters import Filter
 from raystream.programs.rounds import AskHits
 from raystream.programs.trace import Order, trace_program
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
+from raystream.structures.found import FoundVisitor
 
 if TYPE_CHECKING:
     from raystream.machines.counting import Counting
@@ -67,8 +67,8 @@ class Traces:
             array of one or k numbers, as in ``payload[0] += 1``. Without a payload it gets
             None.
         order : {"front-to-back", "any"}
-            Hits of a ray come by increasing t, then prim_id; or in any order, for functions
-            to which it does not matter. ``"any"`` is not faster as yet.
+            Hits of a ray come by increasing t, then prim_id; or as they are found, for
+            functions to which the order does not matter: packets of rays save sorting them.
         crossings : {"triangles", "surfaces"}
             See `count_hits`.
         progress : callable, optional
@@ -130,7 +130,7 @@ class Traces:
             If there is none.
         """
         machine = self._machine
-        if self._counts:
+        if not isinstance(machine, BatchQueries):
             raise ValueError(
                 "on_hit, skip_prim_ids: a tracer with counters=True counts whole queries, "
                 "and programs take several; use another tracer"
@@ -139,9 +139,14 @@ class Traces:
             raise ValueError("on_hit, skip_prim_ids: programs do not run on this tracer's device")
 
         def ask(
-            batch: RayBatch, limit: int, status: NDArray[np.uint8], progress: Progress | None
-        ) -> tuple[NDArray[np.int64], HitArrays]:
-            return machine.multi_hit_batch(batch, surfaces, limit, status, progress)
+            batch: RayBatch,
+            limit: int,
+            is_ordered: bool,
+            visitor: FoundVisitor,
+            status: NDArray[np.uint8],
+            progress: Progress | None,
+        ) -> None:
+            machine.visit_hits_batch(batch, surfaces, limit, is_ordered, visitor, status, progress)
 
         return ask
 

@@ -210,7 +210,7 @@ class Queries(Traces):
 
         Notes
         -----
-        Exact: hits are counted before they are written, or kept in memory that grows. Equal
+        Exact: hits are kept in memory that grows, or counted before they are written. Equal
         t, before it is rounded to float32: the lower prim_id comes first. No hit is found
         twice and none is lost between two others, however close.
         """
@@ -221,7 +221,7 @@ class Queries(Traces):
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
         status = np.zeros(len(batch), np.uint8)
         chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
-        if chosen is None:
+        if chosen is None or limit == 0:
             splits, hits = self._machine.multi_hit_batch(batch, surfaces, limit, status, progress)
         else:
             ask = self._ask_hits(surfaces)

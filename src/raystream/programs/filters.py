@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress, parallel_for
-from raystream.kernels.collect import HitArrays
-from raystream.programs.program import CHUNK, Program
-from raystream.programs.rounds import Answer, Asked, AskHits, visit
-from raystream.programs.rows import SkipsAt, as_skips, place_rows
-from raystream.structures.batches import allocate_hits
+from raystream.jit.threads import Progress
+from raystream.kernels.collect import HitArrays, copy_rows
+from raystream.programs.asked import Asked, Piece
+from raystream.programs.program import Goal, Program
+from raystream.programs.rounds import AskHits, visit
+from raystream.programs.rows import SkipsAt, as_skips
+from raystream.structures.found import Collected, Found, cut
 
 __all__ = ["Filter", "count_filtered", "filter_first", "multi_filtered"]
 
@@ -54,10 +55,10 @@ class Filter(NamedTuple):
             skipped = as_skips(skip_prim_ids, shape, len(triangles))
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
 
-    def program(self, goal: Any, *arguments: Any) -> Program:
+    def program(self, goal: Goal, *arguments: Any) -> Program:
         """The filter's loop."""
         skips = None if self.skipped is None else SkipsAt.of(self.skipped)
-        return Program(self.function, goal, skips, arguments)
+        return Program(self.function, goal, skips, arguments, self.triangles)
 
 
 def filter_first(
@@ -77,22 +78,16 @@ def filter_first(
         The nearest hits of all triangles; changed.
     """
     program = filter_.program("first", hits)
+    program.compile()
     whole = Asked(batch, None, 0)
-    open_rays, _ = Answer(whole, None, hits, 0).run(program, filter_.triangles)
-    ignored = np.flatnonzero(open_rays & (hits.prim_id >= 0))
+    piece = Piece.of(whole, 0)
+    cut(Found(hits, None, None, 0), lambda found: program.run(found, piece))
+    ignored = np.flatnonzero(piece.open_rays)  # rays without hits are closed
     if len(ignored) == 0:
         return
     for array, value in zip(hits, (np.inf, 0.0, 0.0, -1), strict=True):
         array[ignored] = value
-    status = np.zeros(len(ignored), np.uint8)
-    visit(
-        ask,
-        whole.part(ignored),
-        lambda answer: answer.run(program, filter_.triangles),
-        status,
-        None,
-        delivered=1,
-    )
+    visit(ask, whole.part(ignored), program.run, np.zeros(len(ignored), np.uint8), delivered=1)
 
 
 def count_filtered(
@@ -101,23 +96,13 @@ def count_filtered(
     """Count the hits of each ray that exist."""
     counts = np.zeros(len(batch), np.int64)
     program = filter_.program("count", counts)
-    status = np.zeros(len(batch), np.uint8)
-    visit(
-        ask,
-        Asked(batch, None, 0),
-        lambda answer: answer.run(program, filter_.triangles),
-        status,
-        progress,
-    )
+    program.compile()
+    whole, status = Asked(batch, None, 0), np.zeros(len(batch), np.uint8)
+    if visit(ask, whole, program.run, status, progress, is_ordered=False):
+        # What is counted before a ray ends depends on the order.
+        counts.fill(0)
+        visit(ask, whole, program.run, status, progress)
     return counts
-
-
-class _Part(NamedTuple):
-    """Rows of some rays that exist, ray after ray, ``counts[i]`` of ray i."""
-
-    asked: Asked
-    counts: NDArray[np.int64]
-    hits: HitArrays
 
 
 def multi_filtered(
@@ -129,55 +114,34 @@ def multi_filtered(
     progress: Progress | None,
 ) -> tuple[NDArray[np.int64], HitArrays]:
     """Find the nearest `limit` hits of each ray that exist; see `BatchQueries.multi_hit_batch`."""
-    if limit == 0:
-        return ask(batch, 0, status, progress)
-    found = np.zeros(len(batch), np.int64)
-    splits = np.zeros(len(batch) + 1, np.int64)
-    program = filter_.program("multi", found, np.int64(limit))
-    parts: list[_Part] = []
+    found_counts = np.zeros(len(batch), np.int64)
+    program = filter_.program("multi", found_counts, np.int64(limit))
+    program.compile(np.empty(0, np.int64))
+    collected = Collected(len(batch))
 
-    def visitor(answer: Answer) -> tuple[NDArray[np.bool_], int]:
-        counts = np.zeros(len(answer.asked.batch), np.int64)
-        result = answer.run(program, filter_.triangles, counts)
-        parts.append(_compact(answer, counts))
-        return result
+    def look(found: Found, piece: Piece) -> int:
+        counts = np.zeros(len(found), np.int64)
+        seen = program.run(found, piece, counts)
+        collected.take(_compact(found, piece, counts), piece.delivered > 0)
+        return seen
 
-    visit(ask, Asked(batch, None, 0), visitor, status, progress)
-    np.cumsum(found, out=splits[1:])
-    if len(parts) == 1:
-        return splits, parts[0].hits
-    hits = allocate_hits(int(splits[-1]))
-    starts = splits[:-1].copy()
-    for asked, counts, rows in parts:
-        ids: Any = asked.ids
-        if ids is None:
-            ids = slice(asked.first, asked.first + len(counts))
-        _place(rows, np.cumsum(counts) - counts, counts, starts[ids], hits)
-        starts[ids] += counts
-    return splits, hits
+    visit(ask, Asked(batch, None, 0), look, status, progress)
+    return collected.whole()
 
 
-def _compact(answer: Answer, counts: NDArray[np.int64]) -> _Part:
-    """The rows that exist; the loop left them where each ray's new rows begin."""
-    asked, splits, hits, delivered = answer
-    assert splits is not None
-    total = int(counts.sum())
-    if total == len(hits.t):
-        return _Part(asked, counts, hits)
-    firsts = np.minimum(splits[:-1] + delivered, splits[1:])
-    kept = HitArrays.empty(total)
-    _place(hits, firsts, counts, np.cumsum(counts) - counts, kept)
-    return _Part(asked, counts, kept)
+def _compact(found: Found, piece: Piece, counts: NDArray[np.int64]) -> Found:
+    """The rows that exist, of rays of the whole batch.
 
-
-def _place(
-    rows: HitArrays,
-    firsts: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    out: HitArrays,
-) -> None:
-    def body(begin: int, end: int) -> None:
-        place_rows(begin, end, rows, firsts, counts, starts, out)
-
-    parallel_for(body, len(counts), CHUNK)
+    The loop left them where each ray's new rows begin.
+    """
+    assert found.splits is not None
+    firsts = np.minimum(found.splits[:-1] + piece.delivered, found.splits[1:])
+    splits = np.zeros(len(counts) + 1, np.int64)
+    np.cumsum(counts, out=splits[1:])
+    kept = HitArrays.empty(int(splits[-1]))
+    copy_rows(0, len(counts), found.hits, firsts, counts, splits[:-1], kept)
+    if piece.asked.ids is not None:
+        return Found(kept, splits, piece.asked.ids[found.rays], 0)
+    first = piece.asked.first
+    ids = None if found.ids is None else found.ids + first
+    return Found(kept, splits, ids, found.first + first)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,16 @@ from raystream.jit.simd import load
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.ray_source import RaySource
 
-__all__ = ["Hit", "RaysAt", "RowsAt", "SceneAt", "hit_at", "ray_at", "row_range"]
+__all__ = [
+    "Hit",
+    "RaysAt",
+    "RowsAt",
+    "SceneAt",
+    "hit_at",
+    "position_at",
+    "ray_at",
+    "row_range",
+]
 
 _NOWHERE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -57,7 +66,7 @@ class RowsAt(NamedTuple):
     t, u, v, prim_id : uint64
         Addresses of the first row's numbers.
     splits : uint64
-        Address of the rays' first rows, int64; 0 if row i is of ray i, or a miss.
+        Address of the entries' first rows, int64; 0 if row i is entry i's, or a miss.
     delivered : uint64
         Rows of each ray that a program has seen before.
     """
@@ -72,9 +81,13 @@ class RowsAt(NamedTuple):
     @classmethod
     def of(cls, hits: HitArrays, splits: NDArray[np.int64] | None, delivered: int) -> RowsAt:
         """Where these rows lie; without `splits` there is one for each ray."""
-        starts = 0 if splits is None else splits.ctypes.data
-        places = (*(array.ctypes.data for array in hits), starts, delivered)
+        places = (*map(_place, hits), _place(splits), delivered)
         return cls(*np.array(places, np.uint64))
+
+    @classmethod
+    def nowhere(cls) -> RowsAt:
+        """No rows."""
+        return cls(*np.zeros(6, np.uint64))
 
 
 class SceneAt(NamedTuple):
@@ -103,12 +116,20 @@ class SceneAt(NamedTuple):
 
 
 class RaysAt(NamedTuple):
-    """Which rays of the batch were asked about, and where their directions lie.
+    """Whose rows the entries of a part are, and where the rays' directions lie.
 
     Attributes
     ----------
+    positions : uint64
+        Address of the entries' positions among the rays asked about; 0 if they follow each
+        other.
+    positions_are_short : bool
+        Whether they are int32, else int64.
+    start : uint64
+        Position of the first one if they follow each other.
     ids : uint64
-        Address of their indices, int64; 0 if they follow each other.
+        Address of the indices in the batch of the rays asked about, int64; 0 if they follow
+        each other.
     first : uint64
         Index of the first one if they follow each other.
     directions, direction_step : uint64
@@ -116,6 +137,9 @@ class RaysAt(NamedTuple):
         See `RaySource`; of the rays asked about.
     """
 
+    positions: np.uint64
+    positions_are_short: bool
+    start: np.uint64
     ids: np.uint64
     first: np.uint64
     directions: np.uint64
@@ -123,29 +147,60 @@ class RaysAt(NamedTuple):
     directions_are_double: bool
 
     @classmethod
-    def of(cls, source: RaySource, ids: NDArray[np.int64] | None, first: int) -> RaysAt:
+    def of(
+        cls,
+        source: RaySource,
+        ids: NDArray[np.int64] | None,
+        first: int,
+        positions: NDArray[np.int64] | NDArray[np.int32] | None,
+        start: int,
+    ) -> RaysAt:
         """Where the rays of a source lie."""
-        place = 0 if ids is None else ids.ctypes.data
+        places = _place(positions), start, _place(ids), first
+        position_place, start_place, id_place, first_place = np.array(places, np.uint64)
         return cls(
-            np.uint64(place),
-            np.uint64(first),
+            position_place,
+            positions is not None and positions.itemsize == 4,
+            start_place,
+            id_place,
+            first_place,
             source.directions,
             source.direction_step,
             source.directions_are_double,
         )
 
+    @classmethod
+    def nowhere(cls) -> RaysAt:
+        """No rays."""
+        zero = np.uint64(0)
+        return cls(zero, False, zero, zero, zero, zero, zero, False)
+
+
+def _place(array: NDArray[Any] | None) -> int:
+    return 0 if array is None else array.ctypes.data
+
 
 @device
-def ray_at(rays, i):
-    """Index in the batch of ray i of those asked about."""
+def position_at(rays, i):
+    """Position of entry i's ray among those asked about."""
+    if rays.positions == _NOWHERE:
+        return rays.start + i
+    if rays.positions_are_short:
+        return np.uint64(load(np.int32, rays.positions + i * _WORD))
+    return np.uint64(load(np.int64, rays.positions + i * _LONG))
+
+
+@device
+def ray_at(rays, position):
+    """Index in the batch of a ray that was asked about."""
     if rays.ids == _NOWHERE:
-        return rays.first + i
-    return np.uint64(load(np.int64, rays.ids + i * _LONG))
+        return rays.first + position
+    return np.uint64(load(np.int64, rays.ids + position * _LONG))
 
 
 @device
 def row_range(rows, i):
-    """The rows of ray i that are new, as first and end."""
+    """The rows of entry i that are new, as first and end."""
     if rows.splits == _NOWHERE:
         if load(np.int32, rows.prim_id + i * _WORD) < 0:
             return i, i
@@ -156,8 +211,8 @@ def row_range(rows, i):
 
 
 @device
-def hit_at(rows, row, rays, i, ray, scene):
-    """The hit of a row of ray i, whose index in the batch is `ray`."""
+def hit_at(rows, row, rays, position, ray, scene):
+    """The hit of a row of the ray at a position, whose index in the batch is `ray`."""
     at = row * _WORD
     prim_id = load(np.int32, rows.prim_id + at)
     return Hit(
@@ -167,7 +222,7 @@ def hit_at(rows, row, rays, i, ray, scene):
         load(np.float32, rows.v + at),
         prim_id,
         _mesh_of(scene, prim_id),
-        _is_entering(scene, prim_id, rays, i),
+        _is_entering(scene, prim_id, rays, position),
     )
 
 
@@ -191,9 +246,10 @@ def _number(at, k, is_double):
 
 
 @device
-def _direction(rays, i):
-    """Direction of ray i, of a length at which products with normals are finite."""
-    at, is_double = rays.directions + i * rays.direction_step, rays.directions_are_double
+def _direction(rays, position):
+    """Direction of a ray, of a length at which products with normals are finite."""
+    at = rays.directions + position * rays.direction_step
+    is_double = rays.directions_are_double
     x = _number(at, _NOWHERE, is_double)
     y = _number(at, _ONE, is_double)
     z = _number(at, np.uint64(2), is_double)
@@ -213,12 +269,12 @@ def _corner(at):
 
 
 @device
-def _is_entering(scene, prim_id, rays, i):
+def _is_entering(scene, prim_id, rays, position):
     at = scene.corners + np.uint64(prim_id) * _TRIANGLE
     ax, ay, az = _corner(at)
     bx, by, bz = _corner(at + _VECTOR)
     cx, cy, cz = _corner(at + _VECTOR + _VECTOR)
     bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-    dx, dy, dz = _direction(rays, i)
+    dx, dy, dz = _direction(rays, position)
     along = dx * (by * cz - bz * cy) + dy * (bz * cx - bx * cz) + dz * (bx * cy - by * cx)
     return along < _ZERO

@@ -6,28 +6,38 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raystream.core.triangles import Triangles
 from raystream.jit.loops import Loop, compile_loop
 from raystream.jit.programs import accept_decision, row_of
-from raystream.jit.threads import parallel_for
+from raystream.programs.asked import Piece
 from raystream.programs.decisions import IGNORE, STOP, Decision
-from raystream.programs.hits import RaysAt, RowsAt, SceneAt, hit_at, ray_at, row_range
+from raystream.programs.hits import (
+    RaysAt,
+    RowsAt,
+    SceneAt,
+    hit_at,
+    position_at,
+    ray_at,
+    row_range,
+)
 from raystream.programs.rows import SkipsAt, is_skipped, move_row, put_row
+from raystream.structures.found import Found
 
-__all__ = ["CHUNK", "Goal", "Program"]
+__all__ = ["Goal", "Program"]
 
 #: What becomes of hits: given to a program with a record, or kept by a filter as the nearest,
 #: counted, or kept in order.
 Goal = Literal["trace", "first", "count", "multi"]
 
-#: Rays that a thread takes at a time.
-CHUNK = 1 << 14
-
 #: Statements at the beginning of a ray, at a hit that exists, and at the end of a ray.
 _STATEMENTS: dict[str, tuple[list[str], list[str], list[str]]] = {
     "trace": ([], [], []),
-    "first": ([], ["put_row(out, ray, rows, row)", "is_open = zero", "break"], []),
+    "first": (
+        [],
+        ["put_row(out, ray, rows, row)", "open_rays[position] = False", "break"],
+        ["if start == row_end:", "    open_rays[position] = False"],
+    ),
     "count": ([], ["out[ray] += 1"], []),
     "multi": (
         ["to = row"],
@@ -36,7 +46,7 @@ _STATEMENTS: dict[str, tuple[list[str], list[str], list[str]]] = {
             "to += one",
             "found[ray] += 1",
             "if found[ray] == most:",
-            "    is_open = zero",
+            "    open_rays[position] = False",
             "    break",
         ],
         ["kept[i] = to - start"],
@@ -55,7 +65,7 @@ _RECORDS = {0: "None", 1: "payload[ray]", 2: "row_of(payload, ray)"}
 
 
 def _text(goal: Goal, skips: bool, dimensions: int) -> str:
-    """The loop over rays and their rows; it returns the number of rows that it looked at."""
+    """The loop over entries and their rows; it returns the number of rows that it looked at."""
     before, at_hit, after = _STATEMENTS[goal]
     payload = f", {_RECORDS[dimensions]}" if goal == "trace" else ""
     names = ["begin", "end", "rows", "rays", "scene", "open_rays"]
@@ -65,23 +75,24 @@ def _text(goal: Goal, skips: bool, dimensions: int) -> str:
         f"def loop({', '.join(names)}):",
         "    seen = zero",
         "    for i in range(unsigned(begin), unsigned(end)):",
-        "        ray = ray_at(rays, i)",
+        "        position = position_at(rays, i)",
+        "        if not open_rays[position]:",
+        "            continue",
+        "        ray = ray_at(rays, position)",
         "        row, row_end = row_range(rows, i)",
         "        start = row",
-        "        is_open = one",
         *(f"        {line}" for line in before),
         "        while row != row_end:",
         *([f"    {line}" for line in [*skipped, "            continue"]] if skips else []),
-        "            hit = hit_at(rows, row, rays, i, ray, scene)",
+        "            hit = hit_at(rows, row, rays, position, ray, scene)",
         f"            decision = accept(function(hit{payload}))",
         *([] if goal == "trace" else ["            if decision != ignore:"]),
         *(f"                {line}" for line in at_hit),
         "            row += one",
         "            if decision == stop:",
-        "                is_open = zero",
+        "                open_rays[position] = False",
         "                break",
         "        seen += row - start",
-        "        open_rays[i] = is_open != zero",
         *(f"        {line}" for line in after),
         "    return seen",
     ]
@@ -96,6 +107,7 @@ def _names(goal: Goal) -> dict[str, Any]:
         "is_skipped": is_skipped,
         "move_row": move_row,
         "one": np.uint64(1),
+        "position_at": position_at,
         "put_row": put_row,
         "ray_at": ray_at,
         "row_of": row_of,
@@ -119,6 +131,8 @@ class Program:
     arguments : tuple
         What the goal's loop takes: the payload's array or None; where hits or counts go, by
         rays of the batch; for ``"multi"`` the hits found so far and the most.
+    triangles : Triangles
+        What is hit; the program keeps it.
 
     Raises
     ------
@@ -132,6 +146,7 @@ class Program:
         goal: Goal,
         skips: SkipsAt | None,
         arguments: tuple[Any, ...],
+        triangles: Triangles,
     ) -> None:
         self.name = getattr(function, "__name__", type(function).__name__)
         expected = ("hit", "payload") if goal == "trace" else ("hit",)
@@ -141,69 +156,66 @@ class Program:
         text = _text(goal, skips is not None, dimensions)
         self._loop: Loop = compile_loop(text, function, _names(goal), __name__)
         self._arguments = (*(() if skips is None else (skips,)), *arguments)
+        self._triangles = triangles
+        self._scene = SceneAt.of(triangles)
 
     @property
     def compiled_count(self) -> int:
         """How often this process compiled its loop, rather than find it on disk."""
         return self._loop.compiled_count
 
-    def run(
-        self,
-        count: int,
-        rows: RowsAt,
-        rays: RaysAt,
-        scene: SceneAt,
-        *more: Any,
-    ) -> tuple[NDArray[np.bool_], int]:
-        """Run it over the rows of `count` rays, on all threads.
+    def compile(self, *more: Any) -> None:
+        """Run the loop over nothing: what is raised later is the function's own.
 
         Parameters
         ----------
-        count : int
-        rows, rays, scene
-            Where the rows, the rays asked about and the triangles lie.
         *more
-            The goal's last argument, if it is made for each answer.
-
-        Returns
-        -------
-        open_rays : ndarray of shape (count,), bool
-            Which rays did not end.
-        seen : int
-            Rows that it looked at.
+            See `run`.
 
         Raises
         ------
         TypeError
             If the function cannot be compiled.
-        RuntimeError
-            If it raised something.
         """
-        open_rays = np.empty(count, np.bool_)
-        arguments = (rows, rays, scene, open_rays, *self._arguments, *more)
-        seen: list[int] = []
-        self._compile(arguments)
-
-        def body(begin: int, end: int) -> None:
-            try:
-                seen.append(self._loop(begin, end, *arguments))
-            except Exception as error:
-                reason = f": {error}" if str(error) else ""
-                message = f"{self.name}: raised {type(error).__name__}{reason}"
-                raise RuntimeError(message) from error
-
-        parallel_for(body, count, CHUNK)
-        return open_rays, int(sum(seen))
-
-    def _compile(self, arguments: tuple[Any, ...]) -> None:
-        """Run the loop over nothing: what is raised later is the function's own."""
+        nothing = np.empty(0, np.bool_)
+        nowhere = RowsAt.nowhere(), RaysAt.nowhere()
         try:
-            self._loop(0, 0, *arguments)
+            self._loop(0, 0, *nowhere, self._scene, nothing, *self._arguments, *more)
         except TypeError:
             raise
         except Exception as error:  # from inside Numba, such as a field that a record lacks
             reason = f"{type(error).__name__}: {error}"
             raise TypeError(f"{self.name}: Numba cannot compile it: {reason}") from error
+
+    def run(self, found: Found, piece: Piece, *more: Any) -> int:
+        """Run it over the rows of some rays, on the calling thread.
+
+        Parameters
+        ----------
+        found : Found
+        piece : Piece
+            The rays that were asked about; those that end are closed.
+        *more
+            The goal's last argument, if it is made for each part.
+
+        Returns
+        -------
+        int
+            Rows that it looked at.
+
+        Raises
+        ------
+        RuntimeError
+            If the function raised something.
+        """
+        rows = RowsAt.of(found.hits, found.splits, piece.delivered)
+        rays = RaysAt.of(piece.source, *piece.asked.places, found.ids, found.first)
+        arguments = rows, rays, self._scene, piece.open_rays, *self._arguments, *more
+        try:
+            return int(self._loop(0, len(found), *arguments))
+        except Exception as error:
+            reason = f": {error}" if str(error) else ""
+            raise RuntimeError(f"{self.name}: raised {type(error).__name__}{reason}") from error
 
 
 def _check_arguments(name: str, function: Callable[..., Any], expected: tuple[str, ...]) -> None:

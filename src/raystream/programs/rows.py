@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.arrays import as_host_array
-from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import load, store
+from raystream.jit.cpu import device
+from raystream.jit.simd import address, load, store
 
-__all__ = ["SkipsAt", "as_skips", "is_skipped", "move_row", "place_rows", "put_row"]
+__all__ = ["SkipsAt", "as_skips", "is_skipped", "move_row", "put_row"]
 
 _ONE = np.uint64(1)
 _WORD = np.uint64(4)
@@ -78,12 +78,13 @@ def is_skipped(skips, ray, rows, row):
 
 @device
 def put_row(out, ray, rows, row):
-    """Write a row to the place of its ray in `HitArrays`."""
+    """Write a row to the place of its ray in `HitArrays`, if it is not there already."""
     at = row * _WORD
-    out.t[ray] = load(np.float32, rows.t + at)
-    out.u[ray] = load(np.float32, rows.u + at)
-    out.v[ray] = load(np.float32, rows.v + at)
-    out.prim_id[ray] = load(np.int32, rows.prim_id + at)
+    if rows.prim_id + at != address(out.prim_id) + ray * _WORD:
+        out.t[ray] = load(np.float32, rows.t + at)
+        out.u[ray] = load(np.float32, rows.u + at)
+        out.v[ray] = load(np.float32, rows.v + at)
+        out.prim_id[ray] = load(np.int32, rows.prim_id + at)
 
 
 @device
@@ -95,25 +96,3 @@ def move_row(rows, row, to):
         store(rows.u + target, load(np.float32, rows.u + at))
         store(rows.v + target, load(np.float32, rows.v + at))
         store(rows.prim_id + target, load(np.int32, rows.prim_id + at))
-
-
-@kernel
-def place_rows(begin, end, rows, firsts, counts, starts, out):
-    """Copy ``counts[i]`` rows from ``firsts[i]`` on to those of `out` from ``starts[i]`` on.
-
-    Parameters
-    ----------
-    begin, end : int
-        Rays.
-    rows, out : HitArrays
-    firsts, counts, starts : ndarray of shape (N,), int64
-    """
-    for i in range(np.uint64(begin), np.uint64(end)):
-        row, to = np.uint64(firsts[i]), np.uint64(starts[i])
-        for _ in range(np.uint64(counts[i])):
-            out.t[to] = rows.t[row]
-            out.u[to] = rows.u[row]
-            out.v[to] = rows.v[row]
-            out.prim_id[to] = rows.prim_id[row]
-            row += _ONE
-            to += _ONE

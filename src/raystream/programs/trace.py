@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
+from raystream.programs.asked import Asked
 from raystream.programs.payloads import as_payload, as_records
 from raystream.programs.program import Program
-from raystream.programs.rounds import Asked, AskHits, visit
+from raystream.programs.rounds import AskHits, visit
 
 __all__ = ["ORDERS", "Order", "trace_program"]
 
@@ -42,7 +43,7 @@ def trace_program(
     function : callable
     payload : ndarray, dtype or None
     order : {"front-to-back", "any"}
-        Both are the same order: no structure gives unordered hits at a lower price.
+        "any": packets of rays need not sort what they find.
     progress : callable, optional
 
     Returns
@@ -57,14 +58,15 @@ def trace_program(
     if payload is not None:
         result = as_payload(payload, batch.shape)
         records = as_records(result, batch.shape)
-    program = Program(function, "trace", None, (records,))
-    status = np.zeros(len(batch), np.uint8)
+    program = Program(function, "trace", None, (records,), triangles)
+    program.compile()
     visit(
         ask,
         Asked(batch, None, 0),
-        lambda answer: answer.run(program, triangles),
-        status,
+        program.run,
+        np.zeros(len(batch), np.uint8),
         progress,
+        is_ordered=order != "any",
     )
     if result is not None and records is not None and not np.shares_memory(result, records):
         result[...] = records.reshape(result.shape)

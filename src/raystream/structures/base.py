@@ -14,18 +14,25 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import UNLIMITED, LocalRays, RayQueries
 from raystream.structures.batches import BatchQueries
+from raystream.structures.found import Collected, Found, FoundVisitor, allocate_hits
+from raystream.structures.gathering import Gatherer
+from raystream.structures.ray_block import RayBlock, blocks
 
 __all__ = ["BuildReport", "Structure", "UpdateReport"]
 
 #: Rays that one call of a compiled loop gets at most: long enough to hide the call's cost
 #: (about 20 microseconds), short enough to balance the threads and to notice Ctrl-C.
 RAYS_PER_CALL = 4096
+
+#: Hits for which there is room at first: it stays in the cache.
+FIRST_CAPACITY = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -66,6 +73,18 @@ class UpdateReport:
     seconds: float
     cost: float
     cost_when_built: float
+
+
+class HitRows(NamedTuple):
+    """Buffers for `RayQueries.gather`."""
+
+    hits: HitArrays
+    capacity: int
+
+    @classmethod
+    def of(cls, capacity: int) -> HitRows:
+        """Room for so many hits."""
+        return cls(allocate_hits(capacity), capacity)
 
 
 class Structure(BatchQueries):
@@ -209,6 +228,60 @@ class Structure(BatchQueries):
         arguments = rays, self.lists_twice, surfaces, splits, out, tallies
         self._run(self.queries.multi_hit, rays, arguments, progress)
 
+    def multi_hit_batch(
+        self,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> tuple[NDArray[np.int64], HitArrays]:
+        """Find the nearest hits of each ray; see `BatchQueries.multi_hit_batch`.
+
+        Notes
+        -----
+        Without tallies there is one search, in buffers that grow, and for a while the hits
+        take twice their memory.
+        """
+        if tallies is not None or limit == 0:
+            return super().multi_hit_batch(batch, surfaces, limit, status, progress, tallies)
+        collected = Collected(len(batch))
+        self.visit_hits_batch(batch, surfaces, limit, True, collected.take, status, progress)
+        return collected.whole()
+
+    def visit_hits_batch(
+        self,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        is_ordered: bool,
+        visitor: FoundVisitor,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+    ) -> None:
+        """Give the nearest hits of each ray to a function; see `BatchQueries`."""
+        for block in blocks(batch, self.frame, status, progress):
+            self._visit_block(block, surfaces, limit, is_ordered, visitor)
+
+    def _visit_block(
+        self, block: RayBlock, surfaces: bool, limit: int, is_ordered: bool, visitor: FoundVisitor
+    ) -> None:
+        gather, rays, first = self.queries.gather, block.rays, block.rows.start
+        arguments = self.arrays, self.triangles.extreme, rays, block.t_scale
+        goal = self.lists_twice, surfaces, limit, is_ordered
+
+        def fill(begin: int, end: int, rows: HitRows) -> int:
+            splits = np.empty(end - begin + 1, np.int64)
+            reached = int(gather(begin, end, *arguments, *goal, splits, rows.hits))
+            if reached > begin:
+                visitor(Found(rows.hits, splits[: reached - begin + 1], None, first + begin))
+            return reached
+
+        count = len(rays.t_min)
+        body = Gatherer(HitRows.of, fill, FIRST_CAPACITY)
+        parallel_for(body, count, self._chunk(count), block.progress)
+
     def _run(
         self,
         query: Callable[..., None],
@@ -222,7 +295,11 @@ class Structure(BatchQueries):
             query(begin, end, arrays, extreme, *arguments)
 
         count = len(rays.t_min)
+        parallel_for(body, count, self._chunk(count), progress)
+
+    def _chunk(self, count: int) -> int:
+        """Rays that a call gets."""
         # A batch is split among the threads even when it is smaller than a call could take,
         # but not so far that the hand-over costs more than the rays.
         share = max(256, -(-count // (4 * thread_count())))
-        parallel_for(body, count, min(self.rays_per_call(), share), progress)
+        return min(self.rays_per_call(), share)

@@ -7,27 +7,15 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.memory import check_memory
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import UNLIMITED, LocalRays
+from raystream.structures.found import Found, FoundVisitor, allocate_hits, cut
 from raystream.structures.ray_block import blocks
 
-__all__ = ["BatchQueries", "allocate_hits"]
-
-#: Hits for which it is worth asking the system whether it has the memory, which takes longer
-#: than a small query.
-CHECKED_HITS = 1 << 20
-
-
-def allocate_hits(count: int) -> HitArrays:
-    """Make room for the hits of `multi_hit`; raises MemoryError if there is not so much."""
-    if count >= CHECKED_HITS:
-        remedy = "give max_hits, or fewer rays at a time"
-        check_memory(count * 16, f"multi_hit: {count:,} hits would", remedy)
-    return HitArrays.empty(count)
+__all__ = ["BatchQueries"]
 
 
 class BatchQueries(ABC):
@@ -205,3 +193,33 @@ class BatchQueries(ABC):
             self.multi_hit(block.rays, surfaces, rows, hits, block.progress, part)
             block.to_world(hits.t, rows)
         return splits, hits
+
+    def visit_hits_batch(
+        self,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        is_ordered: bool,
+        visitor: FoundVisitor,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+    ) -> None:
+        """Give the nearest `limit` hits of each ray to a function, in parts.
+
+        Parameters
+        ----------
+        batch : RayBatch
+        surfaces : bool
+        limit : int
+        is_ordered : bool
+            Whether a ray's hits must come by t, then prim_id, in one part that has splits.
+            Without it, hits come as they are found, each ray's on one thread.
+        visitor : callable
+            Called on several threads.
+        status : ndarray of shape (N,), uint8
+        progress : callable, optional
+            Called with (steps done, steps).
+        """
+        del is_ordered  # they always are
+        splits, hits = self.multi_hit_batch(batch, surfaces, limit, status, progress)
+        cut(Found(hits, splits, None, 0), visitor)

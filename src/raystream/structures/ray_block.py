@@ -41,6 +41,7 @@ class RayBlock:
     ----------
     rows : slice
     rays : LocalRays
+    t_scale : TScale
     progress : callable or None
         To be called with (rays of the block done, rays of the block).
     """
@@ -56,12 +57,12 @@ class RayBlock:
         self.rows = rows
         count = rows.stop - rows.start
         self.rays = LocalRays.empty(count)
-        self._t_scale = TScale(np.empty(count), np.empty(count))
+        self.t_scale = TScale(np.empty(count), np.empty(count))
         dtype = np.result_type(batch.origins, batch.directions)
         origins = _given(batch.origins[rows], dtype)
         directions = _given(batch.directions[rows], dtype)
         limits = _given(batch.t_min[rows], np.float32), _given(batch.t_max[rows], np.float32)
-        results = self.rays, self._t_scale, status[rows]
+        results = self.rays, self.t_scale, status[rows]
 
         def localise(begin: int, end: int) -> None:
             to_local_rays(begin, end, origins, directions, *limits, frame, *results)
@@ -79,7 +80,7 @@ class RayBlock:
         """Turn rows splits[i] to splits[i + 1] of t, which belong to ray i, to world distances."""
 
         def convert(begin: int, end: int) -> None:
-            to_world_t(begin, end, splits, self._t_scale, t)
+            to_world_t(begin, end, splits, self.t_scale, t)
 
         parallel_for(convert, len(splits) - 1, LIGHT_CHUNK)
 

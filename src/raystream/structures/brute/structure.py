@@ -33,7 +33,7 @@ class Brute(Structure):
     """
 
     name = "brute"
-    queries = ray_queries(traverse, 1)
+    queries = ray_queries(traverse, 8)
 
     def __init__(self, triangles: Triangles, *, progress: Progress | None = None) -> None:
         started = time.perf_counter()

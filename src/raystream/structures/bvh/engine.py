@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.collect import HitArrays
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.layout import BvhArrays
 from raystream.structures.bvh.packet import trace_packets
-from raystream.structures.bvh.packet_all import Rows, collect_all, count_all, place_all
+from raystream.structures.bvh.packet_all import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, packet_order
 from raystream.structures.bvh.probe import choose, probe
 from raystream.structures.bvh.sorted_batch import trace_sorted
 from raystream.structures.bvh.steps import TreeAddresses
 from raystream.structures.bvh.wavefront import trace_wavefront
+from raystream.structures.found import FoundVisitor
 
 __all__ = [
     "KERNELS",
@@ -27,10 +27,9 @@ __all__ = [
     "KernelName",
     "Tree",
     "check_kernel",
-    "collect_batch",
     "count_batch",
-    "place_rows",
     "trace_batch",
+    "visit_batch",
 ]
 
 #: How a BVH may be traced: chosen for each batch; many single rays in flight; packets of
@@ -139,42 +138,38 @@ def trace_batch(
     del kept  # the kernels read it by address
 
 
-def collect_batch(
+def visit_batch(
     tree: Tree,
     batch: RayBatch,
     surfaces: bool,
     lists_twice: bool,
+    is_ordered: bool,
+    visitor: FoundVisitor,
     status: NDArray[np.uint8],
     progress: Progress | None,
     only_if_narrow: bool,
-) -> tuple[NDArray[np.int64], Rows] | None:
-    """Find all hits of each ray, by packets.
+) -> bool:
+    """Give all hits of each ray to a function, by packets.
 
     Parameters
     ----------
     tree, batch
         See `trace_batch`.
-    surfaces, lists_twice : bool
-        See `packet_all.collect_all`.
+    surfaces, lists_twice, is_ordered, visitor
+        See `packet_all.visit_all`.
     status : ndarray of shape (N,), uint8
         Written for invalid rays.
     progress : callable, optional
         Called with (rays done, rays).
     only_if_narrow : bool
-        Do nothing, and return None, unless packets suit the rays.
-
-    Returns
-    -------
-    counts : ndarray of shape (N,), int64
-    rows : Rows
-        For `place_rows`.
+        Do nothing, and return False, unless packets suit the rays.
     """
     source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
     order, packet_count = packet_order(batch.shape)
     if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
-        return None
+        return False
     report = _of_rays(progress, packet_count, len(batch))
-    found = collect_all(
+    visit_all(
         tree.addresses,
         tree.frame,
         source,
@@ -182,11 +177,13 @@ def collect_batch(
         packet_count,
         surfaces,
         lists_twice,
+        is_ordered,
+        visitor,
         status,
         report,
     )
     del kept
-    return found
+    return True
 
 
 def count_batch(
@@ -197,7 +194,10 @@ def count_batch(
     progress: Progress | None,
     only_if_narrow: bool,
 ) -> NDArray[np.int64] | None:
-    """Count all hits of each ray, by packets; see `collect_batch`."""
+    """Count all hits of each ray, by packets; see `visit_batch`.
+
+    None if they do not suit the rays.
+    """
     source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
     order, packet_count = packet_order(batch.shape)
     if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
@@ -208,11 +208,6 @@ def count_batch(
     )
     del kept
     return counts
-
-
-def place_rows(batch: RayBatch, rows: Rows, splits: NDArray[np.int64], out: HitArrays) -> None:
-    """Copy the rows that `collect_batch` found to those of their rays."""
-    place_all(rows, packet_order(batch.shape)[0], splits, out)
 
 
 def _suits_packets(tree: Tree, source: RaySource, order: PacketOrder, packet_count: int) -> bool:

@@ -1,7 +1,8 @@
 """All hits of a packet's rays: collected as they are found, then sorted by ray, t and prim_id.
 
-Hits are appended 16 lanes at a time, with the number of their ray in the packet. When the
-packet is done, they are counted by ray, moved to their ray's rows, and sorted there.
+Hits are appended 16 lanes at a time, with the number of their ray. Where their order matters,
+that is the number in the packet: when it is done, they are counted by ray, moved to their
+ray's rows, and sorted there.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import stay_out_of_line
-from raystream.jit.simd import compress, count_bits, i32x16, lane_bits, load, store
+from raystream.jit.simd import compress, count_bits, f32x16, i32x16, lane_bits, load, store
+from raystream.structures.bvh.packet_rays import FACTOR, world_lanes
 
 __all__ = [
     "ADDRESSES",
@@ -18,6 +20,8 @@ __all__ = [
     "COLLECTOR_BYTES",
     "COUNT_AT",
     "ENDS_BYTES",
+    "FIRSTS_AT",
+    "IN_WORLD_AT",
     "LANES_AT",
     "collect",
     "has_room",
@@ -26,14 +30,17 @@ __all__ = [
 
 # A collector: how many hits there are, how many there is room for, and the addresses of t, u,
 # v, prim_id and ray of those in the order in which they were found, and of t, u, v and prim_id
-# in the order of rays.
+# in the order of rays. Then 0, 1, 2 ... for 16 lanes, the number of each group's first ray,
+# and whether t is to be in world direction lengths.
 COUNT_AT = np.uint64(0)
 CAPACITY = np.uint64(8)
 ADDRESSES = np.uint64(16)
 _FOUND_T, _FOUND_U, _FOUND_V, _FOUND_PRIM, _FOUND_RAY = (np.uint64(16 + 8 * k) for k in range(5))
 _T, _U, _V, _PRIM = (np.uint64(56 + 8 * k) for k in range(4))
 LANES_AT = np.uint64(128)
-COLLECTOR_BYTES = 192
+FIRSTS_AT = np.uint64(192)
+IN_WORLD_AT = np.uint64(256)
+COLLECTOR_BYTES = 264
 
 #: Bytes that sorting a packet's hits needs for its rays.
 ENDS_BYTES = 2 * 256 * 8
@@ -44,7 +51,6 @@ _RAYS = np.uint64(256)
 _LENGTHS = np.uint64(256 * 8)
 _U0 = np.uint64(0)
 _U1 = np.uint64(1)
-_GROUP_SHIFT = np.uint64(4)
 
 #: Rows of more hits are sorted by a heap.
 _LONG = np.uint64(24)
@@ -57,7 +63,7 @@ def has_room(hits):
 
 
 @device
-def collect(hits, taken, t, u, v, prim_id, group):
+def collect(hits, taken, t, u, v, prim_id, rays, group):
     """Append the hits of these lanes; without room they are only counted.
 
     Parameters
@@ -67,18 +73,20 @@ def collect(hits, taken, t, u, v, prim_id, group):
     taken : mask16
     t, u, v : f32x16
     prim_id : i32x16
-    group : uint64
-        Which 16 rays of the packet.
+    rays, group : uint64
+        Address and number of the group.
     """
     count = load(np.uint64, hits + COUNT_AT)
     if count + _LANES <= load(np.uint64, hits + CAPACITY):
         at = count * _LANE
+        if load(np.uint64, hits + IN_WORLD_AT) != _U0:
+            t = world_lanes(t, load(f32x16, rays + FACTOR))
         store(load(np.uint64, hits + _FOUND_T) + at, compress(taken, t))
         store(load(np.uint64, hits + _FOUND_U) + at, compress(taken, u))
         store(load(np.uint64, hits + _FOUND_V) + at, compress(taken, v))
         store(load(np.uint64, hits + _FOUND_PRIM) + at, prim_id)
-        rays = load(i32x16, hits + LANES_AT) + np.int32(group << _GROUP_SHIFT)
-        store(load(np.uint64, hits + _FOUND_RAY) + at, compress(taken, rays))
+        numbers = load(i32x16, hits + LANES_AT) + load(np.int32, hits + FIRSTS_AT + group * _LANE)
+        store(load(np.uint64, hits + _FOUND_RAY) + at, compress(taken, numbers))
     store(hits + COUNT_AT, count + count_bits(lane_bits(taken)))
 
 

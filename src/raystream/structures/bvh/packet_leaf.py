@@ -213,7 +213,7 @@ def _test_triangle(rays, group, triangle, planes, at_x, at_y, at_z, goal, hits):
     taken = candidates & hit
     if goal > ANY:
         if goal & _U1 == _U1:
-            collect(hits, taken, t, u, v, prim_id, group)
+            collect(hits, taken, t, u, v, prim_id, rays, group)
         else:
             store(rays + PRIM, select(taken, best + np.int32(1), best))
         return False

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import f32x16, maximum, minimum
 
 __all__ = [
     "ARRAY",
@@ -42,6 +43,7 @@ __all__ = [
     "V",
     "group_rows",
     "packet_order",
+    "world_lanes",
 ]
 
 #: Rays of a packet: wider ones share more nodes and fill the first-level cache.
@@ -75,6 +77,8 @@ DIRECTION = np.uint64(27) * ARRAY
 LONG_FACTOR = np.uint64(23) * ARRAY
 LONG_OFFSET = np.uint64(2) * ARRAY  # from there
 PACKET_BYTES = GROUP_BYTES * PACKET_RAYS // 16
+
+_LARGEST = np.float32(np.finfo(np.float32).max)
 
 NO_PRIM = np.int32(2**31 - 1)
 NO_CLASS = np.int32(-1)
@@ -126,3 +130,10 @@ def group_rows(order, packet, group):
     if y >= order.height:
         return np.uint64(0), np.uint64(0)
     return y * order.width + x, min(order.width - x, _LANES)
+
+
+@device
+def world_lanes(t, factor):
+    """Distances of a group without rays that took the long way, in world direction lengths."""
+    # A distance beyond float32 is still a hit: only a miss is infinite.
+    return minimum(maximum(t * factor, f32x16(-_LARGEST)), f32x16(_LARGEST))

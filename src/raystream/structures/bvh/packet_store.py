@@ -11,8 +11,6 @@ from raystream.jit.simd import (
     i32x16,
     lane_bits,
     load,
-    maximum,
-    minimum,
     select,
     store,
     store_past_cache,
@@ -30,13 +28,13 @@ from raystream.structures.bvh.packet_rays import (
     U,
     V,
     group_rows,
+    world_lanes,
 )
 
 __all__ = ["store_packet"]
 
 _MISS = np.int32(-1)
 _INF = np.float32(np.inf)
-_LARGEST = np.float32(np.finfo(np.float32).max)
 _U1 = np.uint64(1)
 _LANES = np.uint64(16)
 _LINE_BITS = np.uint64(63)
@@ -47,8 +45,7 @@ _LANE = np.uint64(4)
 @device
 def _reported(packet):
     """World distances of a group without rays that took the long way; inf for a miss."""
-    t = load(f32x16, packet + T) * load(f32x16, packet + FACTOR)
-    t = minimum(maximum(t, f32x16(-_LARGEST)), f32x16(_LARGEST))
+    t = world_lanes(load(f32x16, packet + T), load(f32x16, packet + FACTOR))
     return select(load(i32x16, packet + PRIM) == NO_PRIM, f32x16(_INF), t)
 
 

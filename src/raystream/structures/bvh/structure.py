@@ -18,22 +18,21 @@ from raystream.kernels.collect import HitArrays, aligned_rows
 from raystream.kernels.queries import UNLIMITED, ray_queries
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures.base import BuildReport, Structure, UpdateReport
-from raystream.structures.batches import allocate_hits
 from raystream.structures.bvh.build import QUALITIES, build_arrays
 from raystream.structures.bvh.engine import (
     SMALL_BATCH,
     Tree,
     check_kernel,
-    collect_batch,
     count_batch,
-    place_rows,
     trace_batch,
+    visit_batch,
 )
 from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import TreeAddresses, stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
+from raystream.structures.found import FoundVisitor
 
 __all__ = ["Bvh"]
 
@@ -254,34 +253,23 @@ class Bvh(Structure):
                 return counts
         return super().count_hits_batch(batch, surfaces, limit, status, progress, tallies)
 
-    def multi_hit_batch(
+    def visit_hits_batch(
         self,
         batch: RayBatch,
         surfaces: bool,
         limit: int,
+        is_ordered: bool,
+        visitor: FoundVisitor,
         status: NDArray[np.uint8],
         progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> tuple[NDArray[np.int64], HitArrays]:
-        """Find the nearest hits of each ray; see `Structure.multi_hit_batch`.
-
-        Notes
-        -----
-        Packets find all hits in one pass, and need about twice their memory for a while.
-        """
-        if tallies is None and self._may_collect(batch, limit):
-            is_free = self.kernel == "auto"
-            found = collect_batch(
-                self._numbers, batch, surfaces, self.lists_twice, status, progress, is_free
-            )
-            if found is not None:
-                counts, rows = found
-                splits = np.zeros(len(batch) + 1, np.int64)
-                np.cumsum(counts, out=splits[1:])
-                hits = allocate_hits(int(splits[-1]))
-                place_rows(batch, rows, splits, hits)
-                return splits, hits
-        return super().multi_hit_batch(batch, surfaces, limit, status, progress, tallies)
+    ) -> None:
+        """Give the nearest hits of each ray to a function; see `BatchQueries`."""
+        arguments = surfaces, self.lists_twice, is_ordered, visitor, status, progress
+        if not (
+            self._may_collect(batch, limit)
+            and visit_batch(self._numbers, batch, *arguments, self.kernel == "auto")
+        ):
+            super().visit_hits_batch(batch, surfaces, limit, is_ordered, visitor, status, progress)
 
     def _may_collect(self, batch: RayBatch, limit: int) -> bool:
         """Whether packets could find the hits of a batch: all of them are wanted."""

@@ -15,15 +15,15 @@ from raystream.structures.graph.steps import (
     enter,
     sector_blocks,
     sector_ray,
-    start_sector,
+    start_sector_after,
     way_out,
 )
 from raystream.structures.kdtree.steps import intersect_block
 
 __all__ = ["STACK_BYTES", "traverse"]
 
-#: A graph needs no stack.
-STACK_BYTES = 1
+#: A graph needs no stack: the memory for one tells where the last ray began.
+STACK_BYTES = 16
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -39,7 +39,7 @@ def traverse(graph, ray, t_min, t_max, surfaces, keep, capacity, first, out, sta
     if not is_active:
         return count
     line, frame, lanes = sector_ray(ray), lane_frame(ray), scratch(64)
-    sector, _ = start_sector(graph, line, ray, t_in)
+    sector = start_sector_after(graph, line, ray, t_in, stack)
     while True:
         add_to(tally, STEPS, _ONE)
         way = way_out(line, sector)

@@ -17,7 +17,7 @@ from raystream.structures.grid.dda import cell_end, set_up_walk, step_walk
 __all__ = ["STACK_BYTES", "enter_grid", "intersect_list", "traverse"]
 
 #: A grid needs no stack.
-STACK_BYTES = 1
+STACK_BYTES = 8
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)

@@ -1,0 +1,91 @@
+"""Rays that are asked about: a whole batch, some in a row, or a few of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.kernels.ray_source import RaySource
+
+__all__ = ["Asked", "Piece"]
+
+
+class Asked(NamedTuple):
+    """Rays that are asked about.
+
+    Attributes
+    ----------
+    batch : RayBatch
+    ids : ndarray of shape (N,), int64, or None
+        Their indices in the whole batch; None if they follow each other there.
+    first : int
+        Index of the first one.
+    """
+
+    batch: RayBatch
+    ids: NDArray[np.int64] | None
+    first: int
+
+    @property
+    def places(self) -> tuple[NDArray[np.int64] | None, int]:
+        """Indices in the whole batch, or the first one's."""
+        return self.ids, self.first
+
+    def part(self, picked: NDArray[np.int64]) -> Asked:
+        """Some of the rays, by their position among these."""
+        ids = picked + self.first if self.ids is None else self.ids[picked]
+        return Asked(_batch(self.batch, picked, (len(picked),)), ids, 0)
+
+    def rows(self, rows: slice, shape: tuple[int, ...]) -> Asked:
+        """Some rays in a row, in the shape in which they are to be traced."""
+        ids = None if self.ids is None else self.ids[rows]
+        return Asked(_batch(self.batch, rows, shape), ids, self.first + rows.start)
+
+
+class Piece(NamedTuple):
+    """Rays in the course of being asked about.
+
+    Attributes
+    ----------
+    asked : Asked
+    source : RaySource
+        Where they lie.
+    delivered : int
+        Hits of each ray that the program has seen before.
+    open_rays : ndarray of shape (N,), bool
+        Which of them a program has not ended.
+    kept : object
+        What lies at the source's addresses.
+    """
+
+    asked: Asked
+    source: RaySource
+    delivered: int
+    open_rays: NDArray[np.bool_]
+    kept: object
+
+    @classmethod
+    def of(cls, asked: Asked, delivered: int) -> Piece:
+        """Begin to ask about rays."""
+        batch = asked.batch
+        source, kept = RaySource.of(batch.origins, batch.directions, batch.limits)
+        return cls(asked, source, delivered, np.ones(len(batch), np.bool_), kept)
+
+
+def _batch(batch: RayBatch, picked: Any, shape: tuple[int, ...]) -> RayBatch:
+    """Some rays of a batch; what serves all rays is not copied."""
+    vectors = [_vectors(array, picked, shape) for array in (batch.origins, batch.directions)]
+    limits = [
+        limit.reshape(()) if len(limit) == 1 else limit[picked].reshape(shape)
+        for limit in batch.limits
+    ]
+    return RayBatch(*vectors, *limits)
+
+
+def _vectors(array: NDArray[Any], picked: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    if array.strides[0] == 0 or len(array) == 1:
+        return np.broadcast_to(array[:1].reshape(3), (*shape, 3))
+    return array[picked].reshape(*shape, 3)

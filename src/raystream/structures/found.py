@@ -1,0 +1,153 @@
+"""Hits in the parts in which a traversal finds them: what multi_hit keeps and programs look at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.memory import check_memory
+from raystream.jit.threads import parallel_for, thread_count
+from raystream.kernels.collect import HitArrays, count_rows, place_rows
+
+__all__ = ["CHECKED_HITS", "Collected", "Found", "FoundVisitor", "allocate_hits", "cut"]
+
+#: Hits for which it is worth asking the system whether it has the memory, which takes longer
+#: than a small query.
+CHECKED_HITS = 1 << 20
+
+#: Rays of a part of an answer that lies in memory as a whole: at least, at most.
+LEAST_PART, MOST_PART = 1 << 13, 1 << 17
+
+
+#: Of rays that follow each other, as kernels take them.
+_NO_IDS = np.empty(0, np.int64)
+
+
+class Found(NamedTuple):
+    """Hits of some rays of a batch.
+
+    Attributes
+    ----------
+    hits : HitArrays
+        With t in world direction lengths.
+    splits : ndarray of shape (n + 1,), int64, or None
+        The i-th ray's rows are splits[i] to splits[i + 1]. None if each ray has one row,
+        whose prim_id may be -1; or each hit has its own entry in `ids`.
+    ids : ndarray of shape (n,), int64, or None
+        The rays' indices in the batch; None if they follow each other. Without splits: int32.
+    first : int
+        The first one's index, if they follow each other.
+    """
+
+    hits: HitArrays
+    splits: NDArray[np.int64] | None
+    ids: NDArray[np.int64] | NDArray[np.int32] | None
+    first: int
+
+    def __len__(self) -> int:
+        return len(self.hits.t) if self.splits is None else len(self.splits) - 1
+
+    @property
+    def hit_count(self) -> int:
+        """Rows of all rays."""
+        if self.splits is None:
+            return len(self.hits.t)
+        return int(self.splits[-1] - self.splits[0])
+
+    @property
+    def rays(self) -> slice | NDArray[np.int64] | NDArray[np.int32]:
+        """The rays' indices in the batch, as NumPy takes them."""
+        return slice(self.first, self.first + len(self)) if self.ids is None else self.ids
+
+
+#: Takes hits, from several threads at a time; their memory is used again afterwards.
+FoundVisitor = Callable[[Found], object]
+
+
+def cut(found: Found, visitor: FoundVisitor) -> None:
+    """Give hits that lie in memory as a whole, of rays in a row, to a visitor on all threads."""
+
+    def body(begin: int, end: int) -> None:
+        rows = slice(begin, end)
+        if found.splits is None:
+            visitor(Found(found.hits.part(rows), None, None, found.first + begin))
+        elif begin != end:
+            splits = found.splits[begin : end + 1]
+            visitor(Found(found.hits, splits, None, found.first + begin))
+
+    share = -(-len(found) // (4 * thread_count()))
+    parallel_for(body, len(found), max(LEAST_PART, min(share, MOST_PART)))
+
+
+def allocate_hits(count: int) -> HitArrays:
+    """Make room for the hits of `multi_hit`; raises MemoryError if there is not so much."""
+    if count >= CHECKED_HITS:
+        _check_hits(count)
+    return HitArrays.empty(count)
+
+
+def _check_hits(count: int) -> None:
+    remedy = "give max_hits, or fewer rays at a time"
+    check_memory(count * 16, f"multi_hit: {count:,} hits would", remedy)
+
+
+class Collected:
+    """Copies of the parts, until all are there.
+
+    Parameters
+    ----------
+    ray_count : int
+        Rays of the batch.
+    """
+
+    def __init__(self, ray_count: int) -> None:
+        self._counts = np.zeros(ray_count, np.int64)
+        self._parts: list[Found] = []
+        self._in_order = False
+        self._found = 0
+        self._unchecked = CHECKED_HITS
+        count_rows(np.zeros(1, np.int64), _NO_IDS, 0, self._counts)  # compile on this thread
+
+    def take(self, found: Found, again: bool = False) -> None:
+        """Copy a part with splits; a `FoundVisitor`.
+
+        Parameters
+        ----------
+        found : Found
+        again : bool
+            Whether its rays were in parts before, whose hits come first.
+        """
+        splits = found.splits
+        assert splits is not None
+        self._in_order |= again
+        begin, end = int(splits[0]), int(splits[-1])
+        if begin == end:
+            return
+        self._found += end - begin
+        if self._found >= self._unchecked:  # room for `whole`, while there still is some
+            self._unchecked = self._found + CHECKED_HITS
+            _check_hits(self._found)
+        ids = _NO_IDS if found.ids is None else found.ids.astype(np.int64)
+        part = Found(found.hits.copy_of(slice(begin, end)), splits - begin, ids, found.first)
+        count_rows(part.splits, ids, part.first, self._counts)
+        self._parts.append(part)
+
+    def whole(self) -> tuple[NDArray[np.int64], HitArrays]:
+        """All hits in the order of the batch: splits of shape (N + 1,), and rows."""
+        splits = np.zeros(len(self._counts) + 1, np.int64)
+        np.cumsum(self._counts, out=splits[1:])
+        hits = allocate_hits(int(splits[-1]))
+        nexts = splits[:-1].copy()
+
+        def body(begin: int, end: int) -> None:
+            if begin == end:  # compile
+                place_rows(hits, np.zeros(1, np.int64), _NO_IDS, 0, nexts, hits)
+            for part in self._parts[begin:end]:
+                place_rows(part.hits, part.splits, part.ids, part.first, nexts, hits)
+
+        count = len(self._parts)
+        parallel_for(body, count, count if self._in_order else 1)
+        return splits, hits

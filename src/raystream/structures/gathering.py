@@ -1,0 +1,67 @@
+"""Gathering hits into buffers that grow where rays have many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+__all__ = ["Buffers", "Gatherer"]
+
+
+class Buffers(Protocol):
+    """Memory for the hits of some rays."""
+
+    @property
+    def capacity(self) -> int:
+        """Hits that it holds."""
+
+
+B = TypeVar("B", bound=Buffers)
+
+
+class Gatherer(Generic[B]):
+    """Runs a kernel that stops where its buffers are full, until all is done.
+
+    Parameters
+    ----------
+    make : callable
+        Makes buffers for so many hits; raises MemoryError if there is not so much.
+    fill : callable
+        ``fill(begin, end, buffers)`` does what there is room for, hands it on, and returns
+        where it stopped. If that is `begin`, it gets larger buffers.
+    capacity : int
+        Of the first buffers.
+
+    Notes
+    -----
+    Buffers are used again by whichever thread comes next.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[int], B],
+        fill: Callable[[int, int, B], int],
+        capacity: int,
+    ) -> None:
+        self._make = make
+        self._fill = fill
+        self._first_capacity = capacity
+        self._spare: list[B] = []  # one for each thread that is between two calls
+
+    def __call__(self, begin: int, end: int) -> None:
+        """Do all from begin to end; the body of a `parallel_for`."""
+        buffers = self._take()
+        if begin == end:  # compile
+            self._fill(begin, end, buffers)
+        while begin < end:
+            reached = self._fill(begin, end, buffers)
+            if reached == begin:
+                buffers = self._make(2 * buffers.capacity)
+            begin = reached
+        self._spare.append(buffers)
+
+    def _take(self) -> B:
+        try:
+            return self._spare.pop()
+        except IndexError:
+            return self._make(self._first_capacity)
