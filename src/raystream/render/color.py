@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["decode_srgb", "encode_srgb"]
+__all__ = ["LUMINANCE", "decode_srgb", "encode_srgb", "luminance"]
+
+#: Luminance of linear RGB, by channel (the primaries of sRGB).
+LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 # Encoded bytes for linear values in steps of 1/4095 would be too coarse near black, where
 # sRGB's slope is 12.92; 2**14 steps are within half a byte's step everywhere.
@@ -41,7 +44,8 @@ def encode_srgb(linear: NDArray[Any], exposure: float = 1.0) -> NDArray[np.uint8
     ----------
     IEC 61966-2-1:1999 (sRGB).
     """
-    scaled = np.asarray(linear, np.float32) * np.float32(exposure * _STEPS)
+    with np.errstate(over="ignore"):  # to infinity, which is full as well
+        scaled = np.asarray(linear, np.float32) * np.float32(exposure * _STEPS)
     np.nan_to_num(scaled, copy=False, nan=0.0, posinf=_STEPS, neginf=0.0)
     np.clip(scaled, 0.0, _STEPS, out=scaled)
     return _ENCODED[np.rint(scaled).astype(np.int32)]
@@ -56,4 +60,11 @@ _DECODED = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055
 def decode_srgb(encoded: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Decode sRGB bytes to linear values in [0, 1], of the same shape, float32."""
     result: NDArray[np.float32] = _DECODED[encoded]
+    return result
+
+
+def luminance(linear: NDArray[Any]) -> NDArray[Any]:
+    """Luminance of linear colours of shape (..., 3): shape (...), of their dtype."""
+    weights = np.array(LUMINANCE, linear.dtype)
+    result: NDArray[Any] = linear @ weights
     return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.whole_file import replacing
 from raystream.render.color import encode_srgb
+from raystream.render.exr import read_exr, write_exr
+from raystream.render.layers import check_layers
+from raystream.render.png import read_png, write_png
+from raystream.render.tone import apply_tone, check_tone
 
 __all__ = ["IMAGE_SUFFIXES", "Image"]
 
@@ -25,41 +29,89 @@ class Image:
     ----------
     pixels : array_like of shape (H, W, 3), float
         Linear RGB, top row first.
+    layers : mapping of str to array_like of shape (H, W) or (H, W, 3), optional
+        What else is known of each pixel: ``"depth"``, ``"normal"``, ``"albedo"``,
+        ``"prim_id"``, ``"variance"`` and any other names.
+    figures : mapping of str to number or str, optional
+        What is known of the whole. Files do not keep it.
 
     Attributes
     ----------
     pixels : ndarray of shape (H, W, 3), float32
+    layers : dict of str to ndarray of shape (H, W) or (H, W, 3), float32 or int32
+    figures : dict
 
     Raises
     ------
     ValueError
-        If the shape is another.
+        If a shape is another, or a layer is not made of numbers.
     """
 
-    def __init__(self, pixels: ArrayLike) -> None:
+    def __init__(
+        self,
+        pixels: ArrayLike,
+        layers: Mapping[str, ArrayLike] | None = None,
+        figures: Mapping[str, Any] | None = None,
+    ) -> None:
         self.pixels: NDArray[np.float32] = np.ascontiguousarray(pixels, np.float32)
         if self.pixels.ndim != 3 or self.pixels.shape[2] != 3 or 0 in self.pixels.shape:
             raise ValueError(f"pixels: expected shape (H, W, 3), got {self.pixels.shape}")
+        self.layers = check_layers(layers, self.pixels.shape[:2])
+        self.figures: dict[str, Any] = dict(figures or {})
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Image:
+        """Read a picture from a file.
+
+        Parameters
+        ----------
+        path : str or path
+            ``.png``: decoded from sRGB; ``.exr``: with its layers (needs ``raystream[exr]``).
+
+        Raises
+        ------
+        ValueError
+            If the name ends in something else.
+        FileFormatError
+            If there is no such file, or it is damaged or too large.
+        ImportError
+            If it is an EXR and OpenEXR is not installed.
+        MemoryError
+            If it does not fit into memory.
+        """
+        source = Path(path)
+        suffix = source.suffix.lower()
+        if suffix not in IMAGE_SUFFIXES:
+            raise ValueError(f"{source}: the name must end in {' or '.join(IMAGE_SUFFIXES)}")
+        if suffix == ".exr":
+            return cls(*read_exr(str(source)))
+        return cls(read_png(str(source)))
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
         return self.pixels.shape[1], self.pixels.shape[0]
 
-    def save(self, path: str | PathLike[str], *, exposure: float = 1.0) -> None:
+    def save(
+        self, path: str | PathLike[str], *, exposure: float = 1.0, tone: str = "linear"
+    ) -> None:
         """Write the picture to a file, which appears, or is replaced, as a whole.
 
         Parameters
         ----------
         path : str or path
-            ``.png``: sRGB, 8 bits. ``.exr``: linear float32 (needs ``raystream[exr]``).
+            ``.png``: sRGB, 8 bits. ``.exr``: linear float32 (needs ``raystream[exr]``), with
+            the layers as further channels.
         exposure : float
             Factor on the colours of a PNG; EXR keeps them as they are.
+        tone : {"linear", "reinhard", "aces"}
+            Curve on the colours of a PNG, after `exposure`; see `raystream.render.tone`.
 
         Raises
         ------
         ValueError
-            If the name ends in something else, or `exposure` is not a number above 0.
+            If the name ends in something else, `exposure` is not a number above 0, `tone` is
+            unknown, or two layers would share a channel of an EXR.
         ImportError
             If EXR is wanted and OpenEXR is not installed.
         OSError
@@ -70,41 +122,36 @@ class Image:
         if writer is None:
             raise ValueError(f"{target}: the name must end in {' or '.join(IMAGE_SUFFIXES)}")
         _check_exposure(exposure)
+        check_tone(tone)
         with replacing(target) as temporary:
-            writer(self, str(temporary), exposure)
+            writer(self, str(temporary), exposure, tone)
 
-    def to_bytes(self, exposure: float = 1.0) -> NDArray[np.uint8]:
+    def to_bytes(self, exposure: float = 1.0, tone: str = "linear") -> NDArray[np.uint8]:
         """Encode as sRGB.
 
         Parameters
         ----------
         exposure : float
+        tone : {"linear", "reinhard", "aces"}
 
         Returns
         -------
         ndarray of shape (H, W, 3), uint8
         """
-        return encode_srgb(self.pixels, exposure)
+        if tone == "linear":
+            return encode_srgb(self.pixels, exposure)
+        return encode_srgb(apply_tone(self.pixels.astype(np.float64) * exposure, tone))
 
-    def _write_png(self, target: Any, exposure: float) -> None:
-        from PIL import Image as PillowImage
+    def _write_png(self, target: str, exposure: float, tone: str) -> None:
+        write_png(target, self.to_bytes(exposure, tone))
 
-        # Level 3 is twice as fast as the default 6, for files a tenth larger.
-        PillowImage.fromarray(self.to_bytes(exposure)).save(target, format="PNG", compress_level=3)
-
-    def _write_exr(self, target: str, _exposure: float) -> None:
-        try:
-            import OpenEXR
-        except ImportError:
-            raise ImportError("writing .exr needs OpenEXR: pip install 'raystream[exr]'") from None
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        with OpenEXR.File(header, {"RGB": self.pixels}) as file:
-            file.write(target)
+    def _write_exr(self, target: str, _exposure: float, _tone: str) -> None:
+        write_exr(target, self.pixels, self.layers)
 
     def _repr_png_(self) -> bytes:
         """Show the picture in a notebook."""
         buffer = io.BytesIO()
-        self._write_png(buffer, 1.0)
+        write_png(buffer, self.to_bytes())
         return buffer.getvalue()
 
     def __repr__(self) -> str:
@@ -112,7 +159,7 @@ class Image:
 
 
 #: Writers by the suffix of the file.
-IMAGE_SUFFIXES: dict[str, Callable[[Image, str, float], None]] = {
+IMAGE_SUFFIXES: dict[str, Callable[[Image, str, float, str], None]] = {
     ".png": Image._write_png,
     ".exr": Image._write_exr,
 }
