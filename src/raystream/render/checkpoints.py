@@ -1,0 +1,113 @@
+"""Checkpoints: the arrays of a file of sums, and the picture that they belong to."""
+
+from __future__ import annotations
+
+import json
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+
+__all__ = ["Checkpoint", "identity_bytes"]
+
+#: Longer ones are refused: they are shown to people.
+_MAX_BYTES = 1 << 16
+
+_SHOWN = 60
+
+
+def identity_bytes(identity: str) -> NDArray[np.uint8]:
+    """An identity as numbers, for a file that holds nothing else.
+
+    Raises
+    ------
+    TypeError
+        If it is no text.
+    ValueError
+        If it is longer than 64 KiB.
+    """
+    if not isinstance(identity, str):
+        raise TypeError(f"identity: expected text, got {type(identity).__name__}")
+    encoded = identity.encode("utf-8", "backslashreplace")
+    if len(encoded) > _MAX_BYTES:
+        raise ValueError(f"identity: expected at most {_MAX_BYTES} bytes, got {len(encoded)}")
+    return np.frombuffer(encoded, np.uint8)
+
+
+class Checkpoint:
+    """The arrays of a file, each checked when it is taken.
+
+    Parameters
+    ----------
+    path : str or path
+        For errors.
+    arrays : dict of str to ndarray
+    """
+
+    def __init__(self, path: str | PathLike[str], arrays: dict[str, NDArray[Any]]) -> None:
+        self.path = path
+        self.arrays = arrays
+
+    def check_identity(self, identity: str) -> None:
+        """Refuse a checkpoint of another picture.
+
+        Parameters
+        ----------
+        identity : str
+            What is wanted. Where both are JSON objects, the error names what differs.
+
+        Raises
+        ------
+        FileFormatError
+            If the file has another.
+        """
+        length = self._array("identity").size
+        found = self.take("identity", (length,), np.uint8)
+        if np.array_equal(found, identity_bytes(identity)):
+            return
+        other = found[:_MAX_BYTES].tobytes().decode("utf-8", "replace")
+        theirs, ours = _fields(other), _fields(identity)
+        reason = f"{_short(other)!r}, not {_short(identity)!r}"
+        if theirs is not None and ours is not None:
+            keys = sorted({*theirs, *ours})
+            differing = [key for key in keys if theirs.get(key) != ours.get(key)]
+            reason = f"{_short(', '.join(differing))} differ" if differing else reason
+        raise FileFormatError(self.path, f"is a checkpoint of another picture ({reason})")
+
+    def take(
+        self, name: str, shape: tuple[int, ...], dtype: type[Any], least: float = -np.inf
+    ) -> NDArray[Any]:
+        """An array of finite numbers of a shape and dtype, not below `least`.
+
+        Raises
+        ------
+        FileFormatError
+            If it is not there, or another.
+        """
+        array = self._array(name)
+        if array.shape != shape or array.dtype != dtype:
+            found = f"{array.dtype} of shape {array.shape}"
+            raise FileFormatError(self.path, f"array {name!r} is {found}, expected {shape}")
+        if not np.isfinite(array).all() or (array.size and array.min() < least):
+            raise FileFormatError(self.path, f"array {name!r} holds numbers that no sums have")
+        return array
+
+    def _array(self, name: str) -> NDArray[Any]:
+        if name not in self.arrays:
+            raise FileFormatError(self.path, f"is no checkpoint: lacks the array {name!r}")
+        return self.arrays[name]
+
+
+def _fields(identity: str) -> dict[str, Any] | None:
+    try:
+        fields = json.loads(identity)
+    except (ValueError, RecursionError):
+        return None
+    return fields if isinstance(fields, dict) else None
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
