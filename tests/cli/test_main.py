@@ -48,7 +48,7 @@ def test_without_arguments_help_is_shown(run):
     assert all(command in result.out for command in ("render", "info", "query"))
 
 
-@pytest.mark.parametrize("command", [[], ["render"], ["info"], ["query"]])
+@pytest.mark.parametrize("command", [[], ["render"], ["info"], ["query"], ["compare"]])
 def test_help_is_quick(start, command):
     code = (
         "import atexit, sys\n"
@@ -74,6 +74,7 @@ def test_help_is_quick(start, command):
         (["render", "cornell", "more"], "more"),
         (["info"], "SCENE"),
         (["query", "cornell"], "RAYS"),
+        (["compare", "a.png"], "REFERENCE"),
         (["query", "cornell", "rays.npz"], "--output"),
     ],
 )
@@ -232,6 +233,7 @@ def test_names_are_those_of_the_library():
     from raystream.machines.schedulers import SCHEDULERS
     from raystream.render import MODES
     from raystream.render.heatmap import HEATMAPS
+    from raystream.render.tone import TONES
     from raystream.scene.procedural import BUILTIN
     from raystream.structures import STRUCTURES
     from raystream.structures.devices import DEVICES
@@ -239,6 +241,7 @@ def test_names_are_those_of_the_library():
 
     assert set(options.MODES) == set(MODES)
     assert tuple(HEATMAPS) == options.HEATMAPS
+    assert tuple(TONES) == options.TONES
     assert tuple(BUILTIN) == options.SCENES
     assert set(options.STRUCTURES) == set(STRUCTURES)
     assert options.TRAVERSALS == TRAVERSALS
@@ -266,6 +269,7 @@ def test_first_name_is_the_librarys_default(name, known):
         ("raystream info ro", {"robots"}, {"cornell"}),
         ("raystream render cornell --mode ", {"raycast", "vis"}, {"bvh"}),
         ("raystream render cornell --heatmap ", {"cells", "tests", "steps"}, {"vis"}),
+        ("raystream render cornell --tone ", {"linear", "aces"}, {"vis"}),
         ("raystream info cornell --machine ", {"branching", "multipass"}, {"naive"}),
         ("raystream query cornell rays.npz --scheduler ", {"naive", "double"}, {"multipass"}),
         ("raystream query cornell rays.npz --structure b", {"bvh", "brute"}, {"vis"}),

@@ -111,6 +111,13 @@ def test_exposure_brightens_a_png(run):
     assert pixels("b.png").mean() > pixels("a.png").mean() + 10
 
 
+def test_tone_curve_is_the_librarys(run):
+    options = ("--size", "16x12", "--exposure", 4, "--tone", "aces")
+    run("render", "cornell", "-o", "a.png", *options)
+    image = rs.render(rs.load("cornell"), size=(16, 12))
+    np.testing.assert_array_equal(pixels("a.png"), image.to_bytes(4.0, "aces"))
+
+
 def test_exr_keeps_linear_colours(run):
     openexr = pytest.importorskip("OpenEXR")
     assert run("render", "cornell", "-o", "a.exr", "--size", "16x12").code == 0
@@ -149,6 +156,8 @@ def test_scene_with_nothing_to_hit_is_legal(run, tmp_path):
         (["--samples", "0"], "--samples"),
         (["--exposure", "nan"], "--exposure"),
         (["--exposure", "0"], "--exposure"),
+        (["--tone", "filmic"], "--tone"),
+        (["--heatmap", "cells", "--tone", "aces"], "--tone"),
         (["--camera", "eye=1,2"], "eye=1,2"),
         (["--camera", "eye=1,2,inf"], "eye=1,2,inf"),
         (["--camera", "eye"], "eye"),

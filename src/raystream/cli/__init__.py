@@ -13,6 +13,7 @@ import typer
 
 from raystream._version import __version__
 from raystream.cli.bench import bench
+from raystream.cli.compare import compare
 from raystream.cli.info import info
 from raystream.cli.messages import one_line, open_streams, show_warnings, silence_stdout
 from raystream.cli.query import query
@@ -36,6 +37,7 @@ app = typer.Typer(
 app.command()(render)
 app.command()(info)
 app.command()(query)
+app.command()(compare)
 app.command()(bench)
 
 

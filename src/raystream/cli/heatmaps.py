@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -41,16 +42,17 @@ Maximum = Annotated[
 def check_heatmap(
     what: str | None,
     maximum: float | None,
-    mode: str | None,
-    exposure: float | None,
+    others: Mapping[str, Any],
     chosen: dict[str, Any],
 ) -> None:
     """Refuse what does not go with a heat map, and let the tracer count for one.
 
     Parameters
     ----------
-    what, maximum, mode, exposure
+    what, maximum
         Options as given; None for those that were not.
+    others : mapping
+        Those that only a picture takes, by name, as given.
     chosen : dict
         Options of `Tracer`; gets ``counters``.
 
@@ -63,7 +65,7 @@ def check_heatmap(
         if maximum is not None:
             raise BadInputError("--maximum: only with --heatmap")
         return
-    for name, value in (("mode", mode), ("exposure", exposure)):
+    for name, value in others.items():
         if value is not None:
             raise BadInputError(f"--{name}: not with --heatmap, which shows counts")
     if chosen.setdefault("counters", True) is not True:

@@ -27,6 +27,7 @@ __all__ = [
     "SCENES",
     "SCHEDULERS",
     "STRUCTURES",
+    "TONES",
     "TRAVERSALS",
     "Device",
     "Json",
@@ -40,6 +41,7 @@ __all__ = [
     "Traversal",
     "Triangles",
     "check_output",
+    "check_suffix",
     "complete",
     "complete_scenes",
     "one_of",
@@ -52,6 +54,7 @@ __all__ = [
 #: The names that the library has, for help and completion; a test compares them.
 SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis")
+TONES = ("linear", "reinhard", "aces")
 HEATMAPS = ("cells", "tests", "steps")
 STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")
 TRAVERSALS = ("stack", "restart", "backtrack")
@@ -280,11 +283,10 @@ def check_output(path: Path, suffixes: Sequence[str], inputs: Sequence[str] = ()
     Raises
     ------
     BadInputError
-        If the name ends in something else, is a folder's or an input's, or the folder is not
+        As `check_suffix`; or if the name is a folder's or an input's, or the folder is not
         there or not writable.
     """
-    if path.suffix.lower() not in suffixes:
-        raise BadInputError(f"{path}: the name must end in {' or '.join(suffixes)}")
+    check_suffix(path, suffixes, "writing")
     folder = path.parent
     if not folder.is_dir():
         raise BadInputError(f"{path}: there is no folder {folder}")
@@ -294,5 +296,24 @@ def check_output(path: Path, suffixes: Sequence[str], inputs: Sequence[str] = ()
         raise BadInputError(f"{path}: the folder {folder} is not writable")
     if path.exists() and any(os.path.exists(name) and path.samefile(name) for name in inputs):
         raise BadInputError(f"{path}: is an input, and would be overwritten")
+
+
+def check_suffix(path: Path, suffixes: Sequence[str], purpose: str) -> None:
+    """Refuse a file by its name.
+
+    Parameters
+    ----------
+    path : Path
+    suffixes : sequence of str
+        What its name may end in.
+    purpose : {"reading", "writing"}
+
+    Raises
+    ------
+    BadInputError
+        If the name ends in something else, or in .exr and OpenEXR is not installed.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise BadInputError(f"{path}: the name must end in {' or '.join(suffixes)}")
     if path.suffix.lower() == ".exr" and importlib.util.find_spec("OpenEXR") is None:
-        raise BadInputError(f"{path}: writing .exr needs OpenEXR: pip install 'raystream[exr]'")
+        raise BadInputError(f"{path}: {purpose} .exr needs OpenEXR: pip install 'raystream[exr]'")

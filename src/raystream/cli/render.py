@@ -58,6 +58,17 @@ def render(
             show_default=False,
         ),
     ] = None,
+    tone: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Curve on the colours of a PNG, after the exposure: "
+            f"{' or '.join(options.TONES)}; {options.TONES[0]} without it.",
+            show_default=False,
+            callback=options.one_of(options.TONES),
+            autocompletion=options.complete(options.TONES),
+        ),
+    ] = None,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
     machine: options.Machine = None,
@@ -74,7 +85,7 @@ def render(
     parts = {} if camera is None else options.parse_camera(camera)
     options.check_output(output, (".png", ".exr"), inputs=[scene])
     chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
-    check_heatmap(heatmap, maximum, mode, exposure, chosen)
+    check_heatmap(heatmap, maximum, {"mode": mode, "exposure": exposure, "tone": tone}, chosen)
     mode = mode or options.MODES[0]
     choose_threads(threads)
     import raystream.render as renderers
@@ -104,7 +115,7 @@ def render(
                 heat = draw_heatmap(tracer, heatmap, maximum=maximum, **picture)
         with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
             image = image if heat is None else heat.image
-            image.save(output, exposure=exposure or 1.0)
+            image.save(output, exposure=exposure or 1.0, tone=tone or options.TONES[0])
     ray_count = width * height * samples
     speed = rays_per_second(ray_count, watch.seconds["trace"])
     triangle_count = len(tracer.structure.triangles)

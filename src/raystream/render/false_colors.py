@@ -8,11 +8,12 @@ tell red from green.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raystream.render.color import decode_srgb
+from raystream.render.color import LUMINANCE, decode_srgb
 from raystream.render.scale_bar import draw_scale
 
 __all__ = ["check_maximum", "color_ramp", "draw_counts"]
@@ -32,19 +33,20 @@ _ANCHORS = (
     (255, 252, 232),
 )
 
-#: Luminance of linear RGB, by channel (sRGB's primaries).
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-
 _LEVELS = 1024
 
 
-def color_ramp(level_count: int = _LEVELS) -> NDArray[np.float32]:
+def color_ramp(
+    level_count: int = _LEVELS, anchors: Sequence[tuple[int, int, int]] = _ANCHORS
+) -> NDArray[np.float32]:
     """The ramp's colours, evenly spaced in lightness.
 
     Parameters
     ----------
     level_count : int
         At least 2.
+    anchors : sequence of (int, int, int)
+        Colours on the way from black, sRGB bytes, each lighter than the one before.
 
     Returns
     -------
@@ -55,12 +57,12 @@ def color_ramp(level_count: int = _LEVELS) -> NDArray[np.float32]:
     ----------
     CIE 15:2004, lightness L*.
     """
-    anchors = decode_srgb(np.array(_ANCHORS, np.uint8)).astype(np.float64)
-    places = _lightness(anchors @ _LUMINANCE)
+    colors = decode_srgb(np.array(anchors, np.uint8)).astype(np.float64)
+    places = _lightness(colors @ LUMINANCE)
     wanted = np.linspace(0.0, places[-1], level_count)
-    mixed = np.stack([np.interp(wanted, places, channel) for channel in anchors.T], axis=1)
+    mixed = np.stack([np.interp(wanted, places, channel) for channel in colors.T], axis=1)
     # Mixtures of linear colours are lighter than halfway: dim them to the lightness wanted.
-    luminance = np.maximum(mixed @ _LUMINANCE, 1e-9)
+    luminance = np.maximum(mixed @ LUMINANCE, 1e-9)
     return (mixed * (_luminance(wanted) / luminance)[:, None]).astype(np.float32)
 
 

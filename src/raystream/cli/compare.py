@@ -1,0 +1,101 @@
+"""``raystream compare``: the errors of a picture against another."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.bars import Bars
+from raystream.cli.messages import BadInputError, refuse, write_json, write_line
+from raystream.cli.tables import set_table
+
+if TYPE_CHECKING:
+    from raystream.render.compare import Comparison
+
+__all__ = ["compare"]
+
+SUFFIXES = (".png", ".exr")
+
+
+def compare(
+    image: Annotated[
+        Path,
+        typer.Argument(metavar="IMAGE", help="A picture: .png or .exr.", show_default=False),
+    ],
+    reference: Annotated[
+        Path,
+        typer.Argument(
+            metavar="REFERENCE", help="What it should be, of the same size.", show_default=False
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Draw the difference in false colours, with scales below: .png or .exr.",
+        ),
+    ] = None,
+    maximum: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DIFFERENCE",
+            help="With --output: the top of the scales; the largest difference without it.",
+            show_default=False,
+            callback=options.positive_if_given,
+        ),
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Compare a picture with another: errors of linear colours, and where they are."""
+    if output is not None:
+        options.check_output(output, SUFFIXES, inputs=[str(image), str(reference)])
+    elif maximum is not None:
+        raise BadInputError("--maximum: only with --output")
+    for path in (image, reference):
+        options.check_suffix(path, SUFFIXES, "reading")
+    from raystream.render.compare import compare as measure
+    from raystream.render.compare import draw_difference
+    from raystream.render.image import Image
+
+    with Bars() as bars, bars.step("comparing"):
+        found, wanted = Image.load(image), Image.load(reference)
+        with refuse(ValueError, where=f"{image}, {reference}"):
+            comparison = measure(found, wanted)
+        if output is not None:
+            drawn = draw_difference(found, wanted, maximum)
+            with refuse(OSError, where=str(output)):
+                drawn.save(output)
+    width, height = found.size
+    if json:
+        figures = dataclasses.asdict(comparison)
+        if math.isinf(comparison.psnr):
+            figures["psnr"] = None
+        files = {"image": str(image), "reference": str(reference)}
+        drawn_to = None if output is None else str(output)
+        write_json({**files, "output": drawn_to, "width": width, "height": height, **figures})
+    else:
+        write_line(set_table(["", ""], _rows(comparison, (width, height)), right=()))
+
+
+def _rows(found: Comparison, size: tuple[int, int]) -> list[tuple[str, str]]:
+    column, row = found.max_error_at
+    rows = [
+        ("size", "{}x{}".format(*size)),
+        ("RMSE", f"{found.rmse:.6g}"),
+        ("mean relative error", f"{found.mean_relative_error:.6g}"),
+        ("relative MSE", f"{found.relative_mse:.6g}"),
+        ("PSNR", "no difference in bytes" if math.isinf(found.psnr) else f"{found.psnr:.2f} dB"),
+        ("largest error", f"{found.max_error:.6g} in column {column}, row {row}"),
+        ("means", f"{found.mean:.6g} and {found.reference_mean:.6g}"),
+        ("bias", f"{found.bias:+.6g}"),
+    ]
+    if found.invalid_count:
+        rows.append(("not finite", f"{found.invalid_count:,} pixels, left out"))
+    return rows

@@ -1,0 +1,82 @@
+"""``raystream compare``."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from raystream.render.compare import compare, draw_difference
+
+
+@pytest.fixture
+def pictures(run):
+    """Two pictures of one size in the current folder, and one of another."""
+    rng = np.random.default_rng(4)
+    a, b = (rs.Image(rng.random((6, 80, 3))) for _ in range(2))
+    a.save("a.png")
+    b.save("b.png")
+    rs.Image(np.zeros((6, 81, 3))).save("wide.png")
+    return rs.Image.load("a.png"), rs.Image.load("b.png")
+
+
+def test_figures_are_the_librarys(run, pictures):
+    figures = run("compare", "a.png", "b.png", "--json").figures
+    expected = dataclasses.asdict(compare(*pictures))
+    expected["max_error_at"] = list(expected["max_error_at"])
+    files = {"image": "a.png", "reference": "b.png", "output": None, "width": 80, "height": 6}
+    assert figures == expected | files
+
+
+def test_figures_for_people(run, pictures):
+    result = run("compare", "a.png", "b.png")
+    assert result.code == 0
+    assert result.err == ""
+    assert f"{compare(*pictures).rmse:.6g}" in result.out
+    column, row = compare(*pictures).max_error_at
+    assert f"in column {column}, row {row}" in result.out
+
+
+def test_same_pictures(run, pictures):
+    figures = run("compare", "a.png", "a.png", "--json").figures
+    assert figures["psnr"] is None
+    assert figures["rmse"] == figures["bias"] == 0.0
+    assert "no difference" in run("compare", "a.png", "a.png").out
+
+
+def test_difference_is_drawn(run, pictures):
+    assert run("compare", "a.png", "b.png", "-o", "d.png", "--maximum", 0.5).code == 0
+    expected = draw_difference(*pictures, 0.5)
+    np.testing.assert_array_equal(rs.Image.load("d.png").to_bytes(), expected.to_bytes())
+
+
+def test_layers_of_an_exr_do_no_harm(run, pictures):
+    pytest.importorskip("OpenEXR")
+    rs.Image(pictures[0].pixels, {"depth": np.zeros((6, 80))}).save("a.exr")
+    assert run("compare", "a.exr", "a.png", "--json").figures["rmse"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["a.png", "wide.png"], "80x6 and 81x6"),
+        (["a.png", "missing.png"], "missing.png: no such file"),
+        (["text.png", "a.png"], "text.png: is not a whole .png file"),
+        (["a.jpg", "a.png"], "a.jpg: the name must end"),
+        (["a.png", "b.png", "-o", "a.png"], "overwritten"),
+        (["a.png", "b.png", "-o", "d.gif"], "d.gif"),
+        (["a.png", "b.png", "--maximum", "2"], "--maximum: only with --output"),
+        (["a.png", "b.png", "-o", "d.png", "--maximum", "0"], "--maximum"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(run, pictures, tmp_path, arguments, named):
+    (tmp_path / "text.png").write_text("none")
+    assert named in run("compare", *arguments).complaint
+    assert not (tmp_path / "d.png").exists()
+
+
+def test_exr_without_openexr_is_refused(run, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert "reading .exr needs OpenEXR" in run("compare", "a.exr", "b.exr").complaint
