@@ -1,0 +1,1 @@
+"""Sample numbers for renderers: samplers, the choice of one, and maps of the unit square."""

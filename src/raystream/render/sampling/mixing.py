@@ -1,0 +1,51 @@
+"""Integer hashes, from which samplers get their keys, and floats from their bits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+
+__all__ = ["as_float", "mix", "stream_key"]
+
+# The multipliers and shifts were found by searching for the least bias: Wellons,
+# "Prospecting for Hash Functions", 2018, and the threads that followed it.
+_FIRST, _SECOND = np.uint32(0x21F0AAAD), np.uint32(0xD35A2D97)
+_15, _16 = np.uint32(15), np.uint32(16)
+
+# Odd fractions of the golden ratio and of square roots: they keep the arguments' zeros from
+# meeting the hash's one fixed point, 0.
+_OF_SEED, _OF_DIMENSION = np.uint32(0x9E3779B9), np.uint32(0x6A09E667)
+
+_8 = np.uint32(8)
+_ULP = np.float32(2.0**-24)
+
+
+@device
+def mix(x):
+    """Hash an uint32 to an uint32, one to one: each bit in flips about half of those out."""
+    x = np.uint32(x)
+    x = np.uint32(np.uint32(x ^ (x >> _16)) * _FIRST)
+    x = np.uint32(np.uint32(x ^ (x >> _15)) * _SECOND)
+    return np.uint32(x ^ (x >> _15))
+
+
+@device
+def stream_key(seed, pixel, dimension):
+    """The key of one pixel's numbers in one dimension (or group of them), uint32.
+
+    Parameters
+    ----------
+    seed, pixel, dimension : int
+        Of each the lower 32 bits count. Two pixels, two dimensions, or two seeds never have
+        one key while the other two arguments agree.
+    """
+    # What depends on seed and pixel alone comes first: compilers take it out of loops.
+    at_pixel = mix(mix(np.uint32(seed) + _OF_SEED) ^ np.uint32(pixel))
+    return mix(at_pixel ^ mix(np.uint32(dimension) + _OF_DIMENSION))
+
+
+@device
+def as_float(bits):
+    """The upper 24 bits of an uint32 as a fraction, float32: 0 to 1 - 2**-24, never 1."""
+    return np.float32(np.uint32(bits) >> _8) * _ULP

@@ -1,0 +1,226 @@
+"""Maps of the unit square to disks, triangles, and directions, each with its density.
+
+All take two numbers u and v in [0, 1), float32, such as `draw_pair` gives, and keep close
+what was close, as far as they can, so that even numbers give even points. Directions are
+about +z and of unit length; `basis` and `to_world` turn them. Densities of directions are
+per steradian, of points per unit of area.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from raystream.jit.cpu import device
+
+__all__ = [
+    "basis",
+    "cone",
+    "cone_pdf",
+    "cosine_hemisphere",
+    "cosine_hemisphere_pdf",
+    "disk",
+    "disk_pdf",
+    "power_cosine",
+    "power_cosine_pdf",
+    "sphere",
+    "sphere_pdf",
+    "to_world",
+    "triangle",
+    "triangle_pdf",
+]
+
+_0, _HALF, _1, _2 = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_QUARTER_PI, _HALF_PI = np.float32(math.pi / 4), np.float32(math.pi / 2)
+_TWO_PI = np.float32(2 * math.pi)
+_INV_PI, _INV_TWO_PI = np.float32(1 / math.pi), np.float32(0.5 / math.pi)
+_INV_FOUR_PI = np.float32(0.25 / math.pi)
+
+
+@device
+def disk(u, v):
+    """A point of the unit disk, evenly: squares around the middle become circles.
+
+    Returns
+    -------
+    x, y : float32
+
+    References
+    ----------
+    .. [1] Shirley and Chiu, "A Low Distortion Map Between Disk and Square", Journal of
+       Graphics Tools 2(3), 1997.
+    """
+    a, b = _2 * u - _1, _2 * v - _1
+    if a == _0 and b == _0:
+        return _0, _0
+    if abs(a) > abs(b):
+        radius, angle = a, _QUARTER_PI * (b / a)
+    else:
+        radius, angle = b, _HALF_PI - _QUARTER_PI * (a / b)
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+@device
+def disk_pdf(x, y):
+    """Density of `disk` at a point: 1 / pi inside."""
+    return _INV_PI if x * x + y * y <= _1 else _0
+
+
+@device
+def cosine_hemisphere(u, v):
+    """A direction with a density in proportion to its cosine to +z.
+
+    Returns
+    -------
+    x, y, z : float32
+        z is at least 0: it is the cosine. The directions lie above an even disk (Malley).
+    """
+    x, y = disk(u, v)
+    return x, y, np.sqrt(max(_0, _1 - x * x - y * y))
+
+
+@device
+def cosine_hemisphere_pdf(z):
+    """Density of `cosine_hemisphere` at a direction with this z; 0 below."""
+    return max(_0, z) * _INV_PI
+
+
+@device
+def _around(z, radius, v):
+    """The direction of this z, at v of a whole turn."""
+    angle = _TWO_PI * v
+    return radius * np.cos(angle), radius * np.sin(angle), z
+
+
+@device
+def sphere(u, v):
+    """A direction, evenly: x, y, z of float32."""
+    # The radius from u, not from 1 - z * z, which loses the digits of small ones.
+    return _around(_1 - _2 * u, _2 * np.sqrt(u * (_1 - u)), v)
+
+
+@device
+def sphere_pdf():
+    """Density of `sphere`: the same everywhere."""
+    return _INV_FOUR_PI
+
+
+@device
+def cone(u, v, height):
+    """A direction of the cone around +z, evenly.
+
+    Parameters
+    ----------
+    u, v : float32
+    height : float32
+        Of the cone's cap: 1 minus the cosine of the angle between axis and side, in (0, 2].
+        (For a narrow cone compute it as 2 * sin(angle / 2)**2: the cosine is rounded too much.)
+
+    Returns
+    -------
+    x, y, z : float32
+    """
+    below = u * height
+    return _around(_1 - below, np.sqrt(below * (_2 - below)), v)
+
+
+@device
+def cone_pdf(z, height):
+    """Density of `cone` at a direction with this z; 0 outside."""
+    return _INV_TWO_PI / height if _1 - z <= height else _0
+
+
+@device
+def power_cosine(u, v, exponent):
+    """A direction with a density in proportion to a power of its cosine to +z: Phong's lobe.
+
+    Parameters
+    ----------
+    u, v : float32
+    exponent : float32
+        At least 0.
+
+    Returns
+    -------
+    x, y, z : float32
+        z is the cosine, at least 0.
+    """
+    # The logarithm of 1 - z * z is not lost where z rounds to 1, in narrow lobes.
+    logarithm = np.log1p(-u) / (exponent + _1)
+    return _around(np.exp(logarithm), np.sqrt(-np.expm1(_2 * logarithm)), v)
+
+
+@device
+def power_cosine_pdf(z, exponent):
+    """Density of `power_cosine` at a direction with this z; 0 below."""
+    return (exponent + _1) * _INV_TWO_PI * z**exponent if z >= _0 else _0
+
+
+@device
+def triangle(u, v):
+    """A point of a triangle, evenly, by folding the square at its diagonal.
+
+    Returns
+    -------
+    b1, b2 : float32
+        Barycentric weights of vertices 1 and 2; vertex 0 has 1 - b1 - b2. None is negative.
+
+    References
+    ----------
+    .. [1] Heitz, "A Low-Distortion Map Between Triangle and Square", 2019.
+    """
+    if v > u:
+        half = _HALF * u
+        return half, v - half
+    half = _HALF * v
+    return u - half, half
+
+
+@device
+def triangle_pdf(area):
+    """Density of `triangle` in a triangle of this area: the same everywhere."""
+    return _1 / area
+
+
+@device
+def basis(x, y, z):
+    """Two directions across a unit direction: with it, a right-handed frame.
+
+    Parameters
+    ----------
+    x, y, z : float32
+        The normal, of unit length.
+
+    Returns
+    -------
+    tx, ty, tz, bx, by, bz : float32
+        Tangent and bitangent: their cross product is the normal. They turn with the normal
+        without a jump, but where its z changes sign.
+
+    References
+    ----------
+    .. [1] Duff et al., "Building an Orthonormal Basis, Revisited", Journal of Computer
+       Graphics Techniques 6(1), 2017.
+    """
+    side = np.copysign(_1, z)
+    a = -_1 / (side + z)
+    b = x * y * a
+    return _1 + side * x * x * a, side * b, -side * x, b, side + y * y * a, -y
+
+
+@device
+def to_world(x, y, z, nx, ny, nz):
+    """Turn a direction about +z into one about a unit normal.
+
+    Parameters
+    ----------
+    x, y, z, nx, ny, nz : float32
+        The direction, and the normal.
+
+    Returns
+    -------
+    x, y, z : float32
+    """
+    tx, ty, tz, bx, by, bz = basis(nx, ny, nz)
+    return x * tx + y * bx + z * nx, x * ty + y * by + z * ny, x * tz + y * bz + z * nz
