@@ -126,6 +126,9 @@ def test_the_ends_of_all_ranges(name):
     assert ((numbers >= 0) & (numbers < 1)).all()
     samples = np.append(np.arange(1 << 16), MAX_SAMPLES - 1 - np.arange(1 << 16))
     assert sampler.numbers(0, samples, 0, 2).max() < 1
+    last = Sampler.of(name, 0, 3).numbers(np.arange(1 << 20), 2, 0, 2)
+    assert last.max() < 1
+    assert last.max() > 1 - 1e-4
     # 131,072 numbers of 24 bits are nearly all different, if the bits are used.
     assert len(np.unique(sampler.numbers(0, samples, 0))) > 130_000
 

@@ -20,13 +20,12 @@ _1, _32 = np.uint32(1), np.uint64(32)
 #: standard deviations over 131,072 keys; after 12 by no more than chance.
 _ROUNDS = 12
 
-
 #: Of the keys that one pair has: for cells, sub-columns, sub-rows, and the two jitters.
 _OF_CELL, _OF_X, _OF_Y = np.uint32(0x3C6EF372), np.uint32(0xA54FF53A), np.uint32(0x510E527F)
 _OF_JITTER_X, _OF_JITTER_Y = np.uint32(0x9B05688C), np.uint32(0x1F83D9AB)
 
-#: The largest float32 below 1.
-_BELOW_1 = np.float32(1.0 - 2.0**-24)
+#: Numbers are multiples of 2**-24, which float32 holds.
+_STEPS, _STEP = np.float64(2.0**24), np.float32(2.0**-24)
 
 
 @device
@@ -53,8 +52,8 @@ def _shuffled(x, length, key):
 def _coordinate(cell, fine, jitter, cell_count, fine_count):
     """A number in one cell of many, in one stratum of those in the cell."""
     position = np.float64(cell) * np.float64(fine_count) + np.float64(fine) + np.float64(jitter)
-    number = np.float32(position / (np.float64(cell_count) * np.float64(fine_count)))
-    return min(number, _BELOW_1)  # rounding to float32 may have reached 1
+    part = position / (np.float64(cell_count) * np.float64(fine_count))
+    return np.float32(np.floor(part * _STEPS)) * _STEP  # rounded down: never up to 1
 
 
 @device
