@@ -11,11 +11,12 @@ import pytest
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.scene.io import aff
 from raystream.scene.io.aff import read_aff
-from raystream.scene.io.aff_animation import Keyframes, position_at
+from raystream.scene.io.aff_animation import Keyframes
 from raystream.scene.io.aff_shapes import cone, sphere
 from raystream.scene.lights import EnvironmentLight, PointLight
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
+from raystream.scene.splines import position_at
 from scene.io import tiny
 
 TRIANGLE = "p 3 0 0 0 1 0 0 0 1 0\n"

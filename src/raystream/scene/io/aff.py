@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.camera import Camera
-from raystream.scene.io.aff_animation import Keyframes, position_at
+from raystream.scene.io.aff_animation import Keyframes
 from raystream.scene.io.aff_shapes import MorphingTriangle, Shape
 from raystream.scene.io.aff_statements import (
     AffFiles,
@@ -30,6 +30,7 @@ from raystream.scene.lights import EnvironmentLight, Light, PointLight
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
+from raystream.scene.splines import position_at
 from raystream.scene.texture import Texture
 
 __all__ = ["read_aff"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +9,14 @@ from numpy.typing import NDArray
 
 from raystream.scene.io.aff_words import Words
 from raystream.scene.io.text import shown
+from raystream.scene.splines import (
+    position_at,
+    quaternion_matrix,
+    rotation_at,
+    rotation_matrix,
+)
 
-__all__ = ["Keyframes", "read_keyframes", "rotation_matrix", "static_matrix"]
+__all__ = ["Keyframes", "read_keyframes", "static_matrix"]
 
 Array = NDArray[np.float64]
 
@@ -40,7 +45,7 @@ class Keyframes:
         matrix = np.eye(4)
         with np.errstate(all="ignore"):
             if self.rotation is not None:
-                matrix[:3, :3] = _quaternion_matrix(rotation_at(self.rotation, time))
+                matrix[:3, :3] = quaternion_matrix(rotation_at(self.rotation, time))
             if self.scale is not None:
                 matrix[:3, :3] *= position_at(self.scale, time)
             if self.translation is not None:
@@ -95,178 +100,3 @@ def static_matrix(numbers: Array) -> Array:
         matrix[:3, :3] = rotation_matrix(numbers[3:6], float(numbers[6])) * numbers[:3]
     matrix[:3, 3] = numbers[7:]
     return matrix
-
-
-def rotation_matrix(axis: Array, degrees: float) -> Array:
-    """Rotate about an axis of any length, right-handed; a zero axis does not rotate."""
-    return _quaternion_matrix(_quaternion(axis, degrees))
-
-
-def position_at(keys: Array, time: float) -> Array:
-    """Interpolate rows of time, value (3), tension, continuity, bias.
-
-    A Kochanek-Bartels spline through the inner keys; the first and the last key only shape
-    its ends, as in BART. Outside, the value at the nearer end holds; with fewer than four
-    keys the interpolation is linear.
-
-    References
-    ----------
-    Kochanek and Bartels, "Interpolating Splines with Local Tension, Continuity, and Bias
-    Control", SIGGRAPH 1984.
-    """
-    times, values = keys[:, 0], keys[:, 1:4]
-    if len(keys) < 4:
-        return np.array([np.interp(time, times, values[:, axis]) for axis in range(3)])
-    i, s = _segment(times, time)
-    before, step, after = (values[j + 1] - values[j] for j in (i - 1, i, i + 1))
-    out_before, out_step, in_step, in_after = _tangent_weights(times, keys[:, 4:7], i)
-    leaving = out_before * before + out_step * step
-    arriving = in_step * step + in_after * after
-    # Hermite form on [0, 1].
-    cubic = leaving + arriving - 2.0 * step
-    square = 3.0 * step - 2.0 * leaving - arriving
-    point: Array = values[i] + s * (leaving + s * (square + s * cubic))
-    return point
-
-
-def rotation_at(keys: Array, time: float) -> Array:
-    """Interpolate rows of time, axis (3), degrees, tension, continuity, bias.
-
-    Returns
-    -------
-    ndarray of shape (4,)
-        A unit quaternion w, x, y, z: the spherical form of `position_at`, with the same
-        tangents taken in the logarithm of the quaternions.
-
-    References
-    ----------
-    Shoemake, "Quaternion Calculus and Fast Animation", SIGGRAPH 1987 course notes.
-    """
-    times = keys[:, 0]
-    turns = [_quaternion(row[1:4], float(row[4])) for row in keys]
-    for i in range(1, len(turns)):
-        if turns[i] @ turns[i - 1] < 0.0:  # the same rotation, by the shorter way
-            turns[i] = -turns[i]
-    if len(keys) < 4:
-        return _few_rotations(times, turns, time)
-    i, s = _segment(times, time)
-    before, step, after = (
-        _log(_product(_inverse(turns[j]), turns[j + 1])) for j in (i - 1, i, i + 1)
-    )
-    out_before, out_step, in_step, in_after = _tangent_weights(times, keys[:, 5:8], i)
-    leaving = out_before * before + out_step * step
-    arriving = in_step * step + in_after * after
-    near_start = _product(turns[i], _exp(0.5 * (leaving - step)))
-    near_end = _product(turns[i + 1], _exp(0.5 * (step - arriving)))
-    chord = _slerp(turns[i], turns[i + 1], s)
-    inner = _slerp(near_start, near_end, s)
-    return _slerp(chord, inner, 2.0 * s * (1.0 - s))
-
-
-def _few_rotations(times: Array, turns: list[Array], time: float) -> Array:
-    last = len(turns) - 1
-    if last == 0 or time <= times[0]:
-        return turns[0]
-    if time >= times[last]:
-        return turns[last]
-    i = min(int(np.searchsorted(times, time, side="right")) - 1, last - 1)
-    return _slerp(turns[i], turns[i + 1], _fraction(times, i, time))
-
-
-def _segment(times: Array, time: float) -> tuple[int, float]:
-    """Find the inner keys i, i + 1 around a time, and how far it is between them."""
-    last = len(times) - 2
-    if not time > times[1]:
-        return 1, 0.0
-    if time >= times[last]:
-        return last - 1, 1.0
-    i = int(np.searchsorted(times[1 : last + 1], time, side="right"))
-    i = min(max(i, 1), last - 1)
-    return i, _fraction(times, i, time)
-
-
-def _fraction(times: Array, i: int, time: float) -> float:
-    length = float(times[i + 1] - times[i])
-    return min(1.0, max(0.0, (time - float(times[i])) / length)) if length > 0.0 else 0.0
-
-
-def _tangent_weights(times: Array, shape: Array, i: int) -> tuple[float, float, float, float]:
-    """Weigh the differences of values around the segment from key i to key i + 1.
-
-    Returns
-    -------
-    out_before, out_step : float
-        Weights of the differences before and along the segment, for the tangent at key i.
-    in_step, in_after : float
-        Weights of those along and after it, for the tangent at key i + 1.
-    """
-    length = float(times[i + 1] - times[i])
-    tension, continuity, bias = (float(x) for x in shape[i])
-    speed = _speed(length, float(times[i + 1] - times[i - 1]))
-    out_before = speed * (1 - tension) * (1 + continuity) * (1 + bias)
-    out_step = speed * (1 - tension) * (1 - continuity) * (1 - bias)
-    tension, continuity, bias = (float(x) for x in shape[i + 1])
-    speed = _speed(length, float(times[i + 2] - times[i]))
-    in_step = speed * (1 - tension) * (1 - continuity) * (1 + bias)
-    in_after = speed * (1 - tension) * (1 + continuity) * (1 - bias)
-    return out_before, out_step, in_step, in_after
-
-
-def _speed(length: float, span: float) -> float:
-    """Correct tangents for keys at uneven times (half of the paper's factor of 2)."""
-    return length / span if span > 0.0 else 0.0
-
-
-def _quaternion(axis: Array, degrees: float) -> Array:
-    length = float(np.linalg.norm(axis))
-    if not (0.0 < length < math.inf and math.isfinite(degrees)):
-        return np.array([1.0, 0.0, 0.0, 0.0])
-    half = math.radians(degrees) / 2.0
-    return np.concatenate([[math.cos(half)], math.sin(half) / length * axis])
-
-
-def _quaternion_matrix(q: Array) -> Array:
-    w, x, y, z = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _product(p: Array, q: Array) -> Array:
-    w = p[0] * q[0] - p[1:] @ q[1:]
-    return np.concatenate([[w], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])])
-
-
-def _inverse(q: Array) -> Array:
-    return np.concatenate([q[:1], -q[1:]])
-
-
-def _log(q: Array) -> Array:
-    """Half the rotation vector of a unit quaternion; shape (3,)."""
-    sine = float(np.linalg.norm(q[1:]))
-    if sine == 0.0:
-        return np.zeros(3)
-    vector: Array = q[1:] * (math.atan2(sine, float(q[0])) / sine)
-    return vector
-
-
-def _exp(vector: Array) -> Array:
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.array([1.0, 0.0, 0.0, 0.0])
-    return np.concatenate([[math.cos(angle)], math.sin(angle) / angle * vector])
-
-
-def _slerp(p: Array, q: Array, s: float) -> Array:
-    """Walk from p to q along the sphere."""
-    cosine = min(1.0, max(-1.0, float(p @ q)))
-    angle = math.acos(cosine)
-    sine = math.sin(angle)
-    if sine < 1e-9:  # the same, or opposite: the straight line does
-        return p + s * (q - p) if cosine > 0.0 else p
-    result: Array = (math.sin((1 - s) * angle) * p + math.sin(s * angle) * q) / sine
-    return result
