@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,10 @@ def test_figures_as_json(run, square):
         "look_at": [0.5, 0.5, 0.0],
         "up": [0.0, 1.0, 0.0],
         "fov": 40.0,
+        "projection": "perspective",
+        "height": None,
+        "aperture": 0.0,
+        "focus": None,
     }
     assert figures["background"] == [0, 0, 0]
     assert [mesh["triangles"] for mesh in figures["meshes"]] == [2]
@@ -35,6 +41,20 @@ def test_figures_as_json(run, square):
     assert figures["structure"]["name"] == "bvh"
     assert figures["structure"]["quality"]["nodes"] >= 1
     assert set(figures["seconds"]) == {"load", "build"}
+
+
+def test_projections_are_shown_as_the_option_takes_them(run, tmp_path):
+    box = {"xmag": 2, "ymag": 1.5, "znear": 0, "zfar": 9}
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"camera": 0}],
+        "cameras": [{"type": "orthographic", "orthographic": box}],
+    }
+    (tmp_path / "flat.gltf").write_text(json.dumps(document))
+    camera = run("info", "flat.gltf", "--json").figures["camera"]
+    assert (camera["projection"], camera["height"]) == ("orthographic", 3.0)
+    assert "projection=orthographic height=3" in " ".join(run("info", "flat.gltf").out.split())
+    assert "projection" not in run("info", "cornell").out
 
 
 def test_lights_as_json(run):

@@ -139,6 +139,24 @@ def test_camera_replaces_only_the_parts_given(run):
     assert np.mean(np.abs(pixels("narrow.png").astype(int) - middle) > 2) < 0.02
 
 
+def test_camera_takes_projections_and_lenses(run):
+    size = ("--size", "24x16", "--mode", "vis")
+    parts = "eye=278,273,-800 projection=orthographic height=550"
+    assert run("render", "cornell", *size, "--camera", parts).code == 0
+    camera = rs.Camera(
+        (278, 273, -800), (278, 273, 0), fov=39.3, projection="orthographic", height=550
+    )
+    seen = rs.render(rs.load("cornell"), "vis", (24, 16), camera=camera).pixels.any(axis=2)
+    np.testing.assert_array_equal(pixels("out.png").any(axis=2), seen)
+    assert seen.any()
+    assert not seen.all()
+    lens = ("--camera", "aperture=90 focus=900")
+    assert run("render", "cornell", *size, "--samples", "3", *lens).code == 0
+    lensed = pixels("out.png")
+    assert run("render", "cornell", *size, "--samples", "3").code == 0
+    assert (pixels("out.png") != lensed).any()
+
+
 def test_scene_with_nothing_to_hit_is_legal(run, tmp_path):
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
     assert run("render", "flat.obj", "--size", "8x8").code == 0
@@ -164,6 +182,13 @@ def test_scene_with_nothing_to_hit_is_legal(run, tmp_path):
         (["--camera", "lens=50"], "lens=50"),
         (["--camera", "fov=40 fov=50"], "fov is given twice"),
         (["--camera", "fov=180"], "fov"),
+        (["--camera", "projection=fisheye"], "--camera: projection: expected 'perspective'"),
+        (["--camera", "projection"], "projection"),
+        (["--camera", "height=1,2"], "height=LENGTH, got 'height=1,2'"),
+        (["--camera", "projection=orthographic height=0"], "--camera: height"),
+        (["--camera", "aperture=-1"], "--camera: aperture"),
+        (["--camera", "aperture=1 focus=0"], "--camera: focus"),
+        (["--camera", "aperture=1 projection=orthographic"], "only a perspective camera"),
         (["--camera", "eye=1,2,3 look-at=1,2,3"], "look_at"),
         (["--camera", "up=0,0,1"], "up"),
         (["--traversal", "diagonal"], "--traversal"),

@@ -28,7 +28,7 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
         ``scene``, ``name``: as asked for; as the file says.
         ``triangles``, ``degenerate_triangles``, ``nonfinite_triangles``, ``vertices``.
         ``bounds``: ``low`` and ``high`` of what can be hit; null where nothing can.
-        ``camera``: ``eye``, ``look_at``, ``up``, ``fov``. ``background``.
+        ``camera``: the fields of `Camera`. ``background``.
         ``meshes``: ``name``, ``triangles``, ``vertices``, ``attributes`` of each.
         ``materials``: ``name``, ``triangles``, colours, ``textures`` of each.
         ``lights``: ``type`` of each, and what it has; area lights come last.
@@ -53,6 +53,10 @@ def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
             "look_at": list(camera.look_at),
             "up": list(camera.up),
             "fov": camera.fov,
+            "projection": camera.projection,
+            "height": camera.height,
+            "aperture": camera.aperture,
+            "focus": camera.focus,
         },
         "background": list(scene.background),
         "meshes": _describe_meshes(scene),

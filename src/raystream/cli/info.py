@@ -70,13 +70,22 @@ def _show(figures: dict[str, Any]) -> None:
     write_line(_largest("materials", columns, materials))
 
 
+def _camera_parts(camera: dict[str, Any]) -> list[str]:
+    """The parts as ``--camera`` takes them; of projection and lens, what is not as usual."""
+    parts = [f"{part}={_vector(camera[part], ',')}" for part in ("eye", "look_at", "up")]
+    parts.append(f"fov={camera['fov']:g}")
+    if camera["projection"] != "perspective":
+        parts.append(f"projection={camera['projection']}")
+    lengths = ("height", "aperture", "focus")
+    return parts + [f"{part}={camera[part]:g}" for part in lengths if camera[part]]
+
+
 def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
     """What there is one of, by name."""
     from rich.filesize import decimal
 
     bounds, camera = figures["bounds"], figures["camera"]
     memory, structure = figures["memory"], figures["structure"]
-    parts = [f"{part}={_vector(camera[part], ',')}" for part in ("eye", "look_at", "up")]
     lights = [light["type"] for light in figures["lights"]]
     kinds = [f"{lights.count(kind):,} {kind}" for kind in dict.fromkeys(lights)]
     return [
@@ -91,7 +100,7 @@ def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
         ("lights", ", ".join(kinds) or "none"),
         ("low corner", _vector(bounds["low"]) if bounds else "nothing can be hit"),
         ("high corner", _vector(bounds["high"]) if bounds else ""),
-        ("camera", " ".join([*parts, f"fov={camera['fov']:g}"])),
+        ("camera", " ".join(_camera_parts(camera))),
         ("memory", " + ".join(f"{decimal(size)} {name}" for name, size in memory.items())),
         ("load", f"{figures['seconds']['load']:.2f} s"),
         ("structure", f"{structure['name']}, built in {structure['seconds']:.2f} s"),

@@ -69,6 +69,10 @@ CAMERA_PARTS = {
     "look_at": "look_at=X,Y,Z",
     "up": "up=X,Y,Z",
     "fov": "fov=DEGREES",
+    "projection": "projection=NAME",
+    "height": "height=LENGTH",
+    "aperture": "aperture=LENGTH",
+    "focus": "focus=LENGTH",
 }
 
 
@@ -236,13 +240,13 @@ def parse_camera(text: str) -> dict[str, Any]:
 
     Returns
     -------
-    dict of str to tuple of float or float
-        The parts that are there.
+    dict of str to tuple of float, float or str
+        The parts that are there; `Camera` checks their range.
 
     Raises
     ------
     BadInputError
-        If a part is unknown, given twice, or not made of finite numbers.
+        If a part is unknown, given twice, or not made of as many finite numbers as it needs.
     """
     parts: dict[str, Any] = {}
     for word in text.split():
@@ -254,10 +258,14 @@ def parse_camera(text: str) -> dict[str, Any]:
             )
         if name in parts:
             raise BadInputError(f"--camera: {name} is given twice")
+        if name == "projection":
+            parts[name] = value
+            continue
         numbers = _numbers(value)
-        if len(numbers) != (1 if name == "fov" else 3):
+        wanted = CAMERA_PARTS[name].count(",") + 1
+        if len(numbers) != wanted:
             raise BadInputError(f"--camera: expected {CAMERA_PARTS[name]}, got {word!r}")
-        parts[name] = numbers[0] if name == "fov" else numbers
+        parts[name] = numbers[0] if wanted == 1 else numbers
     return parts
 
 

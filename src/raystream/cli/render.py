@@ -45,7 +45,8 @@ def render(
         typer.Option(
             metavar="PARTS",
             help="Parts of the view that replace the scene's own, as in 'eye=3,2,1 "
-            "look_at=0,0,0 up=0,1,0 fov=40' (degrees, vertical).",
+            "look_at=0,0,0 up=0,1,0 fov=40' (degrees, vertical); also projection=orthographic "
+            "height=3 (or equirectangular), or a lens of some width: aperture=0.1 focus=5.",
             show_default=False,
         ),
     ] = None,

@@ -14,6 +14,11 @@ __all__ = ["eye_rays"]
 _PLASTIC = 1.32471795724474602596
 _STEP = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
 
+# The same in four dimensions, for a place in the pixel and a place in the lens together: two
+# sequences of their own would tie one to the other.
+_GOLDEN_4 = 1.16730397826141868426
+_LENS_STEP = np.array([_GOLDEN_4**-k for k in (1, 2, 3, 4)])
+
 
 def eye_rays(
     camera: Camera,
@@ -34,8 +39,9 @@ def eye_rays(
     rows : range
         Rows of the picture.
     sample, samples : int
-        Which of how many samples. A single one goes through the pixels' centres; many are
-        spread over each pixel, shifted at random from pixel to pixel.
+        Which of how many samples. A single one goes through the pixels' centres, and through
+        the middle of a lens; many are spread over each pixel and over the lens, shifted at
+        random from pixel to pixel.
     seed : int
         The same seed gives the same rays.
 
@@ -47,14 +53,18 @@ def eye_rays(
     x = np.arange(width, dtype=np.float64)[None, :]
     y = np.array(rows, np.float64)[:, None]
     count = x.size * y.size
+    lens = None
     if samples == 1:
         x, y = x + 0.5, y + 0.5
     else:
+        step = _STEP if camera.aperture == 0.0 else _LENS_STEP
         # Each row has its own generator: a picture does not depend on how it is cut up.
-        shift = np.stack([np.random.default_rng([seed, row]).random((2, width)) for row in rows], 1)
-        x = x + (shift[0] + sample * _STEP[0]) % 1.0
-        y = y + (shift[1] + sample * _STEP[1]) % 1.0
-    origins, directions = camera.rays(width, height, x, y)
+        size = len(step), width
+        shift = np.stack([np.random.default_rng([seed, row]).random(size) for row in rows], 1)
+        places = [(shift[k] + sample * step[k]) % 1.0 for k in range(len(step))]
+        x, y = x + places[0], y + places[1]
+        lens = np.stack(places[2:], axis=-1) if camera.aperture > 0.0 else None
+    origins, directions = camera.rays(width, height, x, y, lens)
     return RayStream(
         rows.start * width + np.arange(count),
         origins.reshape(-1, 3),

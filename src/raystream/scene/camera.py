@@ -1,4 +1,4 @@
-"""Camera: a pinhole that turns pixels into eye rays."""
+"""Camera: turns the points of a picture into eye rays."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from raystream.scene.lens import disk_points, lens_samples
+from raystream.scene.projections import PROJECTIONS, ahead, around, beside
 
 __all__ = ["Camera"]
 
@@ -25,33 +28,57 @@ def unit_vector(name: str, values: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera in a right-handed world.
+    """A camera in a right-handed world: a pinhole, unless more is asked for.
+
+    What a projection has no use for is ignored, so that one part of a camera can be replaced
+    without the others; but only a perspective camera can have a lens.
 
     Parameters
     ----------
     eye : Vector
-        Position of the pinhole, world space.
+        Position of the pinhole, of the lens's middle, of the middle of the plane from which
+        orthographic rays start, or of the sphere's centre; world space.
     look_at : Vector
         The point in the middle of the picture.
     up : Vector
         The direction that is up in the picture; need not be perpendicular to the view.
     fov : float
         Vertical field of view in degrees, in (0, 180).
+    projection : {"perspective", "orthographic", "equirectangular"}
+        What the picture shows: a pyramid ahead of the eye; a box, by parallel rays that see
+        nothing behind the eye; or the whole sphere around the eye, 360 degrees of longitude
+        across and 180 of latitude down, with the view in the middle. That one's pixels are
+        square in the middle if the picture is twice as wide as high.
+    height : float, optional
+        Height of an orthographic picture, world units, above 0. Without it, what a
+        perspective camera of this `fov` shows at `look_at`.
+    aperture : float
+        Diameter of the lens of a perspective camera, world units; 0 is a pinhole.
+    focus : float, optional
+        Distance from the eye to the plane in focus, along the view, world units, above 0.
+        Without it, the distance to `look_at`.
 
     Raises
     ------
     ValueError
-        If a number is not finite, eye and look_at coincide, or up is parallel to the view.
+        If a number is not finite or not in its range, eye and look_at coincide, up is
+        parallel to the view, the projection is unknown, or one that has no lens is given an
+        aperture.
 
     References
     ----------
-    Purcell 2002, section 3.1.1 (the eye ray generator).
+    Purcell 2002, section 3.1.1 (the eye ray generator). Cook, Porter and Carpenter,
+    "Distributed Ray Tracing", SIGGRAPH 1984 (the lens).
     """
 
     eye: Vector
     look_at: Vector
     up: Vector = (0.0, 1.0, 0.0)
     fov: float = 40.0
+    projection: str = "perspective"
+    height: float | None = None
+    aperture: float = 0.0
+    focus: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("eye", "look_at", "up"):
@@ -64,6 +91,15 @@ class Camera:
         if self.eye == self.look_at:
             raise ValueError("look_at: must differ from eye")
         self.basis()
+        if self.projection not in PROJECTIONS:
+            known = " or ".join(map(repr, PROJECTIONS))
+            raise ValueError(f"projection: expected {known}, got {self.projection!r}")
+        for name in ("height", "focus"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _length(name, getattr(self, name)))
+        object.__setattr__(self, "aperture", _length("aperture", self.aperture, zero=True))
+        if self.aperture > 0.0 and self.projection != "perspective":
+            raise ValueError(f"aperture: only a perspective camera has a lens, got {self.aperture}")
 
     @classmethod
     def framing(
@@ -115,6 +151,18 @@ class Camera:
         distance = distance * 1.05 if distance > 0.0 else max(1.0, float(np.abs(center).max()))
         return cls(tuple(center + distance * toward_eye), tuple(center), tuple(up), fov)
 
+    @property
+    def picture_height(self) -> float:
+        """Height of an orthographic picture, world units: `height`, or what stands in for it."""
+        if self.height is not None:
+            return self.height
+        return 2.0 * math.tan(math.radians(self.fov) / 2) * math.dist(self.eye, self.look_at)
+
+    @property
+    def focus_distance(self) -> float:
+        """Distance to the plane in focus, world units: `focus`, or that to `look_at`."""
+        return self.focus if self.focus is not None else math.dist(self.eye, self.look_at)
+
     def basis(self) -> NDArray[np.float64]:
         """Unit vectors of the picture.
 
@@ -135,34 +183,93 @@ class Camera:
         return np.stack([right, np.cross(right, forward), forward])
 
     def rays(
-        self, width: int, height: int, x: ArrayLike | None = None, y: ArrayLike | None = None
+        self,
+        width: int,
+        height: int,
+        x: ArrayLike | None = None,
+        y: ArrayLike | None = None,
+        lens: ArrayLike | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """Make the rays from the eye through points of the picture.
 
         Parameters
         ----------
         width, height : int
-            Size of the picture in pixels. Pixels are square.
+            Size of the picture in pixels. Pixels are square, but for equirectangular ones.
         x, y : array_like that broadcast to a shape S, float, optional
             Points in pixels: (0, 0) is the upper left corner of the picture, and pixel
             (column, row) covers [column, column + 1) x [row, row + 1). Without them:
             every pixel's centre, S = (height, width).
+        lens : array_like of shape S + (2,), float, optional
+            Where each ray passes the lens: samples in [0, 1), which are spread evenly over
+            it, to the right and upward; (0.5, 0.5) is its middle. The leading shape and that of
+            `x` and `y` are broadcast against each other, also where the camera has no lens
+            and the numbers do not matter. Without it: the middle of the lens.
 
         Returns
         -------
         origins : ndarray of shape S + (3,), float64
-            The eye, repeated without copying (read-only).
+            World space. With a pinhole, equirectangular, or without `lens`: the eye, repeated
+            without copying (read-only). Orthographic: points of the plane through the eye.
+            With `lens`: points of the lens.
         directions : ndarray of shape S + (3,), float32
-            Unit length, world space.
+            Unit length, world space; orthographic: all the same. With `lens`: toward the
+            point of the plane in focus that the pinhole's ray meets, from anywhere on the lens.
+
+        Raises
+        ------
+        ValueError
+            If `lens` is not in [0, 1), or shapes do not broadcast.
         """
         if x is None or y is None:
             x = np.arange(width, dtype=np.float64)[None, :] + 0.5
             y = np.arange(height, dtype=np.float64)[:, None] + 0.5
+        across, down = np.asarray(x, np.float64) - width / 2, np.asarray(y, np.float64) - height / 2
+        basis, eye = self.basis(), np.asarray(self.eye, np.float64)
+        samples = None if lens is None else lens_samples(lens)
+        if samples is not None:
+            across, down = _broadcast_to_lens(across, down, samples)
+        if self.projection == "orthographic":
+            scale = self.picture_height / height
+            origins = eye + beside(across * scale, down * scale, basis)
+            directions = np.broadcast_to(basis[2], origins.shape)
+            return origins, directions.astype(np.float32, order="C")
+        if self.projection == "equirectangular":
+            turns = 2.0 * math.pi / width, math.pi / height
+            directions = around(across * turns[0], down * turns[1], basis)
+            return np.broadcast_to(eye, directions.shape), directions.astype(np.float32)
         scale = 2.0 * math.tan(math.radians(self.fov) / 2) / height
-        across = (np.asarray(x, np.float64) - width / 2) * scale
-        down = (np.asarray(y, np.float64) - height / 2) * scale
-        right, up, forward = self.basis()
-        directions = (across[..., None] * right + forward) - down[..., None] * up
+        directions = ahead(across * scale, down * scale, basis)
+        origins = np.broadcast_to(eye, directions.shape)
+        if samples is not None and self.aperture > 0.0:
+            points = 0.5 * self.aperture * disk_points(samples)
+            offsets = beside(points[..., 0], -points[..., 1], basis)
+            origins = eye + np.broadcast_to(offsets, directions.shape)
+            directions = self.focus_distance * directions - offsets
         directions /= np.sqrt(np.einsum("...k,...k->...", directions, directions))[..., None]
-        origins = np.broadcast_to(np.asarray(self.eye, np.float64), directions.shape)
         return origins, directions.astype(np.float32)
+
+
+def _broadcast_to_lens(
+    across: NDArray[np.float64], down: NDArray[np.float64], samples: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    try:
+        across, down, _ = np.broadcast_arrays(across, down, samples[..., 0])
+    except ValueError:
+        raise ValueError(
+            f"lens: shape {samples.shape} does not broadcast to x {across.shape} and "
+            f"y {down.shape}, with 2 at the end"
+        ) from None
+    return across, down
+
+
+def _length(name: str, value: float, *, zero: bool = False) -> float:
+    """Check a length: finite, and above 0, or at least 0."""
+    try:
+        length = float(value)
+    except (TypeError, ValueError, OverflowError):
+        length = math.nan
+    if not (math.isfinite(length) and (length > 0.0 or (zero and length == 0.0))):
+        wanted = "of 0 or more" if zero else "above 0"
+        raise ValueError(f"{name}: expected a finite length {wanted}, got {value!r}")
+    return length

@@ -223,6 +223,38 @@ def test_missing_and_remote_images_warn_once(tmp_path: Path) -> None:
     assert not scene.materials[0].textures
 
 
+def test_orthographic_cameras_have_the_height_of_the_file(tmp_path: Path) -> None:
+    document = tiny.gltf_document()
+    document["scenes"][0]["nodes"] += [2, 3]
+    half = 0.5**0.5
+    document["nodes"] += [
+        {"translation": [1, 2, 3], "rotation": [0, half, 0, half], "scale": [5, 5, 5], "camera": 0},
+        {"camera": 1},
+    ]
+    box = {"xmag": 4, "ymag": 1.5, "znear": 0, "zfar": 10}
+    document["cameras"] = [
+        {"type": "orthographic", "orthographic": box},
+        {"type": "perspective", "perspective": {"yfov": 0.5}},
+    ]
+    camera = read(tmp_path, document).camera
+    assert (camera.projection, camera.height) == ("orthographic", 3.0)
+    assert camera.eye == (1, 2, 3)
+    assert camera.look_at == pytest.approx((0, 2, 3))  # -z turned by 90 degrees about y
+    box["ymag"] = -1.5  # discouraged, and seen upside down by few programs
+    assert read(tmp_path, document).camera.height == 3.0
+    document["cameras"][0]["type"] = "panoramic"
+    assert read(tmp_path, document).camera.projection == "perspective"
+
+
+@pytest.mark.parametrize("box", [{}, {"ymag": 0}, {"ymag": "high"}, {"ymag": 1.5e308}, 5])
+def test_orthographic_cameras_without_a_height(tmp_path: Path, box: Any) -> None:
+    document = tiny.gltf_document()
+    document["nodes"][0]["camera"] = 0
+    document["cameras"] = [{"type": "orthographic", "orthographic": box}]
+    with pytest.raises(FileFormatError, match=r"height|ymag|orthographic"):
+        read(tmp_path, document)
+
+
 def test_camera_and_lights(tmp_path: Path) -> None:
     document = tiny.gltf_document()
     document["scenes"][0]["nodes"] += [2, 3]

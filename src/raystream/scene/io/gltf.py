@@ -44,8 +44,9 @@ def read_gltf(path: Path) -> Scene:
     Returns
     -------
     Scene
-        The camera is the first perspective one. Of ``KHR_lights_punctual`` candela and lux
-        are taken as linear numbers; a spot light shines in all directions.
+        The camera is the first one; the picture's shape, not the file, says how wide it is.
+        Of ``KHR_lights_punctual`` candela and lux are taken as linear numbers; a spot light
+        shines in all directions.
 
     Raises
     ------
@@ -277,17 +278,23 @@ def _triangles(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
 
 
 def _camera(file: GltfFile, index: int, matrix: Matrix) -> Camera | None:
-    """Read a perspective camera, which looks along its own -z with y up."""
+    """Read a camera, which looks along its own -z with y up; None for unknown types."""
     entry = file.entry("cameras", index)
-    if entry.get("type") != "perspective":
+    lens: dict[str, Any]
+    if entry.get("type") == "perspective":
+        lens = {"fov": math.degrees(file.number(file.child(entry, "perspective"), "yfov", 0.7))}
+    elif entry.get("type") == "orthographic":
+        # ymag is half of the height; a node's scale does not count for cameras.
+        half = file.number(file.child(entry, "orthographic"), "ymag", 0.0)
+        lens = {"projection": "orthographic", "height": 2.0 * abs(half)}
+    else:
         return None
-    fov = math.degrees(file.number(file.child(entry, "perspective"), "yfov", 0.7))
     eye = matrix[:3, 3]
     forward = -matrix[:3, 2]
     with np.errstate(all="ignore"):
         look_at = eye + forward / np.linalg.norm(forward)
     try:
         with np.errstate(all="ignore"):
-            return Camera(tuple(eye), tuple(look_at), tuple(matrix[:3, 1]), fov)
+            return Camera(tuple(eye), tuple(look_at), tuple(matrix[:3, 1]), **lens)
     except ValueError as error:
         raise FileFormatError(file.path, f"its camera makes no sense ({error})") from None
