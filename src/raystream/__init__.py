@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from raystream.render import Image, render
     from raystream.render.heatmap import Heatmap, RayCost, heatmap
     from raystream.scene.camera import Camera
+    from raystream.scene.camera_track import CameraTrack
     from raystream.scene.lights import AreaLight, DirectionalLight, EnvironmentLight, PointLight
     from raystream.scene.load import load
     from raystream.scene.material import Material
@@ -53,6 +54,7 @@ _HOMES = {
     "STOP": "programs.decisions",
     "AreaLight": "scene.lights",
     "Camera": "scene.camera",
+    "CameraTrack": "scene.camera_track",
     "Decision": "programs.decisions",
     "DirectionalLight": "scene.lights",
     "EnvironmentLight": "scene.lights",
@@ -93,6 +95,7 @@ __all__ = [
     "STOP",
     "AreaLight",
     "Camera",
+    "CameraTrack",
     "Decision",
     "DirectionalLight",
     "EnvironmentLight",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.scene.camera import Camera, unit_vector
+from raystream.scene.camera_track import CameraTrack
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
@@ -30,7 +32,10 @@ class Scene:
     lights : sequence of PointLight, DirectionalLight or EnvironmentLight, optional
         Area lights are not listed: they follow from emissive materials.
     camera : Camera, optional
-        The view to use when a caller names none; without it, one that frames the scene.
+        The view to use when a caller names none; without it, that of the track while it
+        stands still, else one that frames the scene.
+    camera_track : CameraTrack, optional
+        How the camera moves; see `camera_at`.
     up : array_like of shape (3,), optional
         The world's up direction, used to frame the scene.
     background : Color, optional
@@ -51,6 +56,7 @@ class Scene:
         materials: Sequence[Material] = (),
         lights: Sequence[Light] = (),
         camera: Camera | None = None,
+        camera_track: CameraTrack | None = None,
         up: ArrayLike = (0.0, 1.0, 0.0),
         background: Color = (0.0, 0.0, 0.0),
         name: str = "",
@@ -61,7 +67,8 @@ class Scene:
         self.name = str(name)
         self.up = unit_vector("up", up)
         self.background = background
-        self._camera = camera
+        self._camera = camera_track.still if camera is None and camera_track else camera
+        self._camera_track = camera_track
         self._triangles: Triangles | None = None
         for index, mesh in enumerate(self.meshes):
             if len(mesh.faces) and int(mesh.material_ids.max()) >= len(self.materials):
@@ -164,7 +171,7 @@ class Scene:
 
     @camera.setter
     def camera(self, camera: Camera) -> None:
-        self._camera = camera
+        self._camera, self._camera_track = camera, None
 
     @property
     def has_own_camera(self) -> bool:
@@ -183,6 +190,33 @@ class Scene:
             return self._camera
         low, high = self.bounds
         return Camera.framing(low, high, up=self.up, aspect=aspect)
+
+    @property
+    def camera_track(self) -> CameraTrack | None:
+        """How the camera moves, or None where it does not; setting a `camera` ends it."""
+        return self._camera_track
+
+    def camera_at(self, time: float) -> Camera:
+        """The camera at a time; meshes and lights stay as they were loaded.
+
+        Parameters
+        ----------
+        time : float
+            In the units of the file's keyframes.
+
+        Returns
+        -------
+        Camera
+            What the track says; without one, `camera`.
+
+        Raises
+        ------
+        ValueError
+            If `time` is not finite.
+        """
+        if not math.isfinite(time):
+            raise ValueError(f"time: expected a finite number, got {time}")
+        return self.camera if self._camera_track is None else self._camera_track.at(time)
 
     @property
     def area_lights(self) -> list[AreaLight]:

@@ -144,6 +144,47 @@ def test_keyframed_camera_wins(tmp_path: Path) -> None:
     assert scene.camera.fov == 50
 
 
+MOVING = """
+v from 9 9 9 at 9 9 8 up 0 1 0 angle 50
+k camera { transl 2 0 1 2 3 0 0 0 4 5 2 3 0 0 0 rot 2 0 0 1 0 0 0 0 0 4 0 1 0 90 0 0 0 }
+"""
+
+
+def test_keyframed_cameras_have_a_track(tmp_path: Path) -> None:
+    scene = read(tmp_path, MOVING + TRIANGLE, time=1.0)
+    assert scene.camera.eye == (2, 2, 3)
+    assert scene.camera_track is not None
+    assert scene.camera_track.times == (0, 4)
+    for time in (0.0, 1.0, 3.0, 9.0):
+        alone = read(tmp_path, MOVING + TRIANGLE, time=time).camera
+        moved = scene.camera_at(time)
+        assert moved.eye == alone.eye
+        assert moved.look_at == pytest.approx(alone.look_at)
+        assert moved.up == pytest.approx(alone.up)
+        assert moved.fov == 50
+
+
+def test_cameras_that_turn_only_stay_where_the_view_is(tmp_path: Path) -> None:
+    text = "v from 9 9 9 at 0 9 9 up 0 1 0 angle 50\nk camera { rot 1 0 0 1 0 90 0 0 0 }\n"
+    scene = read(tmp_path, text + TRIANGLE)
+    assert scene.camera_at(5.0).eye == (9, 9, 9)
+    still = read(tmp_path, "v from 9 9 9 at 0 9 9 up 0 1 0 angle 50\n" + TRIANGLE)
+    assert still.camera_track is None
+    assert still.camera_at(5.0) == still.camera
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        "transl 2 4 1 2 3 0 0 0 0 5 2 3 0 0 0 rot 1 0 0 1 0 0 0 0 0",  # back in time
+        "transl 2 0 1 2 3 0 0 0 4 nan 2 3 0 0 0 rot 1 0 0 1 0 0 0 0 0",
+    ],
+)
+def test_camera_keys_that_make_no_sense(tmp_path: Path, keys: str) -> None:
+    with pytest.raises(FileFormatError, match="camera's keys make no sense"):
+        read(tmp_path, f"k camera {{ {keys} }}\n" + TRIANGLE)
+
+
 def transl(*rows: tuple[float, ...]) -> np.ndarray:
     return np.array([[t, x, 0.0, 0.0, *rest, *(0.0,) * (3 - len(rest))] for t, x, *rest in rows])
 

@@ -67,6 +67,31 @@ def test_bart_cameras() -> None:
     assert robots.fov == pytest.approx(36.87, abs=1e-2)
 
 
+def test_bart_camera_tracks() -> None:
+    """Keys as they stand in the files, and a point half way from one to the next.
+
+    By hand: half way p = (p1 + p2) / 2 + (leaving - arriving) / 8. From t = 0 to 5 the
+    kitchen's camera leaves its first place at rest, weight 5 / 6, and arrives with weight
+    5 / 6.7 of the steps before and after, (-0.25, -2.1, -3.5) and (0, 0, 0.6).
+    """
+    kitchen = read("bart/kitchen/aff/kitchen.aff")
+    assert kitchen.camera_track is not None
+    assert kitchen.camera_track.times == (0.0, 19.7)
+    assert kitchen.camera_at(0.0).eye == kitchen.camera.eye
+    at_key = kitchen.camera_at(5.0)
+    assert at_key.eye == pytest.approx((3.5, 0.2, 0.1))
+    assert at_key.look_at == pytest.approx((3.5, 0.2, 1.1))  # -z turned by 180 degrees about y
+    assert kitchen.camera_at(2.5).eye == pytest.approx((3.6222792, 1.2271455, 1.7559391), abs=1e-6)
+    assert kitchen.camera_at(99.0).eye == pytest.approx((3.27488, 0.334545, 2.98028))
+    robots = read("bart/robots/aff/Robot.aff")
+    assert robots.camera_track is not None
+    assert robots.camera_track.times == (0.0, 45.0)
+    assert robots.camera_at(5.6).eye == pytest.approx((-3.5, 2, -202))
+    assert robots.camera_at(40.0).eye == pytest.approx((0, 10, 0))
+    assert robots.camera_at(40.0).basis()[2] == pytest.approx((0, 0, -1))  # not turned
+    assert robots.camera_at(50.0).fov == robots.camera.fov
+
+
 def test_materials_of_the_cornell_box() -> None:
     scene = read("cornell_box/CornellBox-Mirror.obj")
     used = {scene.materials[i].name: scene.materials[i] for i in scene.meshes[0].material_ids}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 from raystream.scene.camera import Camera
+from raystream.scene.camera_track import CameraTrack
 from raystream.scene.io.aff_animation import Keyframes
 from raystream.scene.io.aff_shapes import MorphingTriangle, Shape
 from raystream.scene.io.aff_statements import (
@@ -66,7 +67,8 @@ def read_aff(path: Path, *, time: float = 0.0) -> Scene:
         in BART; T becomes the same transmission in all colours. Lights do not weaken with
         distance. Ambient light ``am`` becomes an `EnvironmentLight` that adds to the
         scene's triangles, on average, what the ambient term would have added where
-        nothing blocks it. The keyframes ``camera`` win over the view block ``v``.
+        nothing blocks it. The keyframes ``camera`` win over the view block ``v``; the
+        camera is the one at `time`, and its track has all times.
 
     Raises
     ------
@@ -91,11 +93,13 @@ def read_aff(path: Path, *, time: float = 0.0) -> Scene:
     if builder.missing:
         listed = ", ".join(sorted(builder.missing)[:5])
         warn_partial(path, f"textures not found: {listed}")
+    camera = _camera(files, time)
     return Scene(
         builder.meshes,
         materials=builder.materials,
         lights=builder.all_lights(),
-        camera=_camera(files, time),
+        camera=camera,
+        camera_track=None if camera is None else _camera_track(files, camera),
         background=_color(files.background or (0.0, 0.0, 0.0)),
         name=path.name,
     )
@@ -287,3 +291,14 @@ def _camera(files: AffFiles, time: float) -> Camera | None:
             return Camera(tuple(eye), tuple(look_at), tuple(up), fov)
     except ValueError as error:
         raise FileFormatError(files.path, f"its view makes no sense ({error})") from None
+
+
+def _camera_track(files: AffFiles, camera: Camera) -> CameraTrack | None:
+    """Take the keyframes ``camera``; what they lack stays as it is in a camera of any time."""
+    keys = files.keyframes.get("camera", Keyframes())
+    if keys.translation is None and keys.rotation is None:
+        return None
+    try:
+        return CameraTrack(camera, keys.translation, keys.rotation)
+    except ValueError as error:
+        raise FileFormatError(files.path, f"its camera's keys make no sense ({error})") from None
