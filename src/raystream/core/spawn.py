@@ -9,22 +9,32 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 
-__all__ = ["spawn_origins"]
+__all__ = [
+    "EXTENT_UNITS",
+    "MOST_UNITS",
+    "REACH_UNITS",
+    "UNIT",
+    "WORLD_UNIT",
+    "spawn_origins",
+]
 
-_UNIT = 2.0**-24  # half a step of float32, relative
+UNIT = 2.0**-24  # half a step of float32, relative
 
 #: Rounding in the triangle test acts as if each vertex moved by at most about 6 units of the
 #: vertices' distance from the origin, which is near the triangle (the weights that follow
 #: are float64); more than doubled as a margin.
-_EXTENT_UNITS = 16.0
+EXTENT_UNITS = 16.0
 
 #: Rounding of the origin's three coordinates to float32: at most 1 unit each.
-_REACH_UNITS = 4.0
+REACH_UNITS = 4.0
 
 #: The boxes' padding is 16 units (`kernels.ray.PAD`). An origin within it is inside the
 #: triangle's own padded box, whose interval then holds t < 0: the clamp cannot raise a
 #: negative distance to a hit.
-_MOST_UNITS = 14.0
+MOST_UNITS = 14.0
+
+#: Rounding of a world position to float64, in its own length.
+WORLD_UNIT = 2.0**-50
 
 
 def spawn_origins(
@@ -60,13 +70,13 @@ def spawn_origins(
     """
     extent = (corners.max(axis=-2) - corners.min(axis=-2)).max(axis=-1)
     reach = np.abs(positions).max(axis=-1)
-    offset = _UNIT * np.minimum(
-        _EXTENT_UNITS * extent + _REACH_UNITS * reach,
-        _MOST_UNITS * (float(triangles.extreme) + reach),
+    offset = UNIT * np.minimum(
+        EXTENT_UNITS * extent + REACH_UNITS * reach,
+        MOST_UNITS * (float(triangles.extreme) + reach),
     )
     # The world position is float64: far from the origin its own step may be larger.
     world_reach = np.abs(triangles.center).max() * triangles.scale
-    offset += 2.0**-50 * world_reach
+    offset += WORLD_UNIT * world_reach
     away = np.sign(np.einsum("...k,...k->...", normals, directions))
     away = np.where(away == 0.0, 1.0, away)
     return positions + (away * offset)[..., None] * normals

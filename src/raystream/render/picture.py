@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from os import PathLike
 from typing import Any
 
 from raystream.jit.threads import Progress, parallel_for
+from raystream.render.ao import AO
 from raystream.render.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.render.eye_rays import eye_rays
 from raystream.render.film import Film
 from raystream.render.image import Image
 from raystream.render.lighting import area_patches, classic_lights
 from raystream.render.looks import Looks
+from raystream.render.path import KAJIYA, PATH
+from raystream.render.progressive import Limits, render_samples
 from raystream.render.raycast import RAYCAST
+from raystream.render.sampled import SampledRenderer, make_setting
+from raystream.render.sampling.sampler import Sampler
 from raystream.render.stages import Frame, Renderer, run_stages
 from raystream.render.surfaces import Surfaces
 from raystream.render.vis import VIS
@@ -21,7 +28,9 @@ from raystream.tracer import Tracer
 
 __all__ = ["MODES", "RENDERERS", "render"]
 
-RENDERERS: dict[str, Renderer] = {renderer.name: renderer for renderer in (RAYCAST, VIS)}
+RENDERERS: dict[str, Renderer | SampledRenderer] = {
+    renderer.name: renderer for renderer in (RAYCAST, VIS, AO, KAJIYA, PATH)
+}
 
 #: What each mode shows, by its name.
 MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDERERS.items()}
@@ -41,6 +50,11 @@ def render(
     *,
     camera: Camera | None = None,
     seed: int = 0,
+    noise: float | None = None,
+    time_limit: float | None = None,
+    sampler: str = "sobol",
+    checkpoint: str | PathLike[str] | None = None,
+    on_pass: Callable[[Image], object] | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> Image:
@@ -50,18 +64,33 @@ def render(
     ----------
     scene : Scene or Tracer
         A tracer saves building the structure again for every picture.
-    mode : {"raycast", "vis"}
-        The renderer, see `MODES`.
+    mode : {"raycast", "vis", "ao", "kajiya", "path"}
+        The renderer, see `MODES`. The last three are sampled.
     size : (int, int)
         Width and height in pixels.
     samples : int
         Rays for each pixel. One goes through the centre; more smooth the edges.
-    structure, device, **options
+    structure, device
         See `Tracer`; not to be given together with one.
+    **options
+        The renderer's own: ``max_bounces``, surfaces that may scatter light on its way
+        (``"path"``: 8, ``"kajiya"``: 3); ``light_samples=False`` finds lights by chance only
+        (``"path"``); ``rays``, from each point, and their length ``distance`` (``"ao"``: 32,
+        inf). Others are for the tracer.
     camera : Camera, optional
         The view; without it, the scene's, or one that frames it.
     seed : int
-        For the places of the samples: the same seed gives the same picture.
+        For the samples: the same seed gives the same picture, on any number of threads.
+    noise, time_limit : float, optional
+        Sampled modes stop before they have taken all samples once the picture's estimated
+        relative error is as small, or so many seconds are over; see `progressive.Limits`.
+    sampler : {"sobol", "stratified", "random"}
+        Where the numbers of sampled modes come from.
+    checkpoint : path, optional
+        Sampled modes: a file that keeps the samples, and from which a picture that was broken
+        off goes on; see `progressive.render_samples`.
+    on_pass : callable, optional
+        Sampled modes: called with the picture so far, every 10 seconds.
     progress : callable, optional
         Called with (rays done, rays). An exception that it raises ends the rendering.
 
@@ -92,10 +121,25 @@ def render(
     width, height = check_size(size)
     samples = check_samples(samples)
     check_camera(camera)
+    renderer = RENDERERS[mode]
+    if isinstance(renderer, SampledRenderer):
+        limits = Limits(samples, noise, time_limit)
+        own = {name: options.pop(name, usual) for name, usual in renderer.options.items()}
+        chosen = renderer.check(own)
+        numbers = Sampler.of(sampler, seed, samples)
+        tracer = make_tracer(scene, structure, device, options)
+        view = camera or tracer.scene.camera_for(width / height)
+        setting = make_setting(tracer, view, (width, height), numbers, chosen)
+        return render_samples(
+            renderer, setting, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
+        )
+    for name, value in (("noise", noise), ("time_limit", time_limit), ("checkpoint", checkpoint)):
+        if value is not None:
+            raise ValueError(f"{name}: mode {mode!r} takes no random samples")
     tracer = make_tracer(scene, structure, device, options)
     frame = _make_frame(tracer, camera, Film(width, height))
 
-    _trace_bands(RENDERERS[mode], frame, samples, seed, progress)
+    _trace_bands(renderer, frame, samples, seed, progress)
     return frame.film.image(samples)
 
 

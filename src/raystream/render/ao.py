@@ -1,0 +1,62 @@
+"""ao: ambient occlusion, what part of a white sky each surface sees (Rayforce 2013).
+
+The first surface, and 32 rays from it into the directions that it faces: white where they meet
+nothing within `distance`.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+from raystream.render.path import reach_lights
+from raystream.render.sampled import Band, PathStream, SampledRenderer, find_surfaces
+from raystream.render.shading.around import look_around
+from raystream.render.shading.paths import LightRays
+
+__all__ = ["AO"]
+
+#: Most rays from a point.
+MAX_RAYS = 4096
+
+
+def ask_around(stream: PathStream, band: Band) -> PathStream:
+    """Stage: send rays from the surfaces; the paths end."""
+    assert stream.hits is not None
+    setting, hits = band.setting, stream.hits
+    count = setting.options["rays"]
+    rays = LightRays.empty(len(stream) * count)
+    sampler = setting.sampler._replace(sample_count=setting.sampler.sample_count * count)
+    ray_count = look_around(
+        stream.paths,
+        (hits.t, hits.u, hits.v, hits.prim_id),
+        setting.tables,
+        sampler,
+        band.sample,
+        count,
+        setting.options["distance"],
+        band.first_pixel,
+        band.radiance,
+        rays,
+    )
+    return PathStream(stream.paths.first(0), rays=rays.first(ray_count))
+
+
+def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    rays, distance = operator.index(options["rays"]), float(options["distance"])
+    if not 1 <= rays <= MAX_RAYS:
+        raise ValueError(f"rays: expected 1 to {MAX_RAYS}, got {rays}")
+    if math.isnan(distance) or distance <= 0.0:
+        raise ValueError(f"distance: expected a number above 0, or inf, got {distance}")
+    return {"rays": rays, "distance": distance}
+
+
+AO = SampledRenderer(
+    "ao",
+    "ambient occlusion: 32 rays from the first surface (Rayforce 2013)",
+    (find_surfaces, ask_around, reach_lights),
+    {"rays": 32, "distance": math.inf},
+    _check,
+)

@@ -1,0 +1,211 @@
+"""Rendering sample by sample: until there are enough, and on from where it was broken off."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream._version import __version__
+from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
+from raystream.render.accumulation import Accumulation
+from raystream.render.image import Image
+from raystream.render.sampled import SampledRenderer, Setting
+from raystream.render.sampling.sampler import Sampler
+from raystream.scene.scene import Scene
+
+__all__ = ["Limits", "render_samples"]
+
+#: Pixels that go through the stages together: enough for streams of rays to be worth sorting,
+#: few enough for the threads to finish together. Memory is about 300 bytes for each.
+LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
+
+#: Seconds between two checkpoints, and between two calls of `on_pass`.
+CHECKPOINT_SECONDS = 10.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a picture is done: whatever comes first.
+
+    Attributes
+    ----------
+    samples : int
+        Of each pixel.
+    noise : float, optional
+        Relative error of the picture, see `Accumulation.error`; it is looked at from 8 samples
+        on.
+    seconds : float, optional
+        A sample that was begun is finished. Seconds before a break do not count.
+    """
+
+    samples: int
+    noise: float | None = None
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("noise", self.noise), ("time_limit", self.seconds)):
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name}: expected a number above 0, got {value}")
+
+
+#: Samples before their spread says anything.
+_FIRST_SAMPLES = 8
+
+
+def render_samples(
+    renderer: SampledRenderer,
+    setting: Setting,
+    limits: Limits,
+    *,
+    checkpoint: str | PathLike[str] | None = None,
+    on_pass: Callable[[Image], object] | None = None,
+    progress: Progress | None = None,
+) -> Image:
+    """Render a picture.
+
+    Parameters
+    ----------
+    renderer : SampledRenderer
+    setting : Setting
+    limits : Limits
+    checkpoint : path, optional
+        A file, ending in ``.npz``, to which all samples go every 10 seconds, at the end, and
+        when the rendering is interrupted. If it is there already, the picture goes on from it:
+        to the same bits as without a break.
+    on_pass : callable, optional
+        Called with the picture so far, every 10 seconds, after whole samples.
+    progress : callable, optional
+        Called with (paths done, paths). An exception that it raises ends the rendering.
+
+    Returns
+    -------
+    Image
+        With the layers ``variance`` and ``samples``.
+
+    Raises
+    ------
+    FileFormatError
+        If the checkpoint is damaged, or of another picture.
+    """
+    width, height = setting.width, setting.height
+    name = identity(renderer, setting)
+    sums = Accumulation(width, height)
+    if checkpoint is not None and Path(checkpoint).exists():
+        sums = Accumulation.load(checkpoint, name)
+    started = shown = time.monotonic()
+    try:
+        for sample in range(int(sums.counts.min()), limits.samples):
+            now = time.monotonic()
+            if _is_done(sums, sample, limits, now - started):
+                break
+            if now - shown >= CHECKPOINT_SECONDS:
+                shown = now
+                if checkpoint is not None:
+                    sums.save(checkpoint, name)
+                if on_pass is not None:
+                    on_pass(sums.image())
+            report = part_of(progress, sample * width * height, limits.samples * width * height)
+            sums = _next_sample(renderer, setting, sums, sample, report)
+    except KeyboardInterrupt:
+        if checkpoint is not None:
+            sums.save(checkpoint, name)
+        raise
+    if checkpoint is not None:
+        sums.save(checkpoint, name)
+    if progress is not None:
+        progress(limits.samples * width * height, limits.samples * width * height)
+    return sums.image({"samples": int(sums.counts.min()), "error": sums.error()})
+
+
+def _is_done(sums: Accumulation, sample: int, limits: Limits, seconds: float) -> bool:
+    if limits.seconds is not None and sample > 0 and seconds >= limits.seconds:
+        return True
+    if limits.noise is None or sample < _FIRST_SAMPLES:
+        return False
+    return sums.error() <= limits.noise
+
+
+def _next_sample(
+    renderer: SampledRenderer,
+    setting: Setting,
+    sums: Accumulation,
+    sample: int,
+    progress: Progress | None,
+) -> Accumulation:
+    """One more sample of every pixel; if it is broken off, none."""
+    width, height = setting.width, setting.height
+    share = -(-width * height // (4 * thread_count()))
+    rows_per_band = max(1, min(max(share, LEAST_BAND), MOST_BAND) // width)
+    band_count = -(-height // rows_per_band)
+    light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
+
+    def trace(begin: int, end: int) -> None:
+        if begin == end:  # compile on this thread, see `parallel_for`
+            renderer.trace(setting, range(1), sample)
+        for band in range(begin, end):
+            rows = range(band * rows_per_band, min((band + 1) * rows_per_band, height))
+            light[rows.start * width : rows.stop * width] = renderer.trace(setting, rows, sample)
+
+    report = None
+    if progress is not None:
+        whole = progress
+        report = lambda done, steps: whole(width * height * done // steps, width * height)  # noqa: E731
+    parallel_for(trace, band_count, 1, report)
+    sums.add_samples(0, light)
+    return sums
+
+
+def identity(renderer: SampledRenderer, setting: Setting) -> str:
+    """All on which samples depend, as JSON: pictures that agree in it can be continued."""
+    sampler = setting.sampler
+    # One sample goes through the pixels' centres. Of samples that do not depend on how many
+    # there will be, a picture may have more later.
+    depends = sampler == Sampler.of("stratified", sampler.seed, sampler.sample_count)
+    counts = sampler.sample_count if depends else min(sampler.sample_count, 2)
+    return json.dumps(
+        {
+            "raystream": __version__,
+            "mode": renderer.name,
+            "options": {name: str(value) for name, value in setting.options.items()},
+            "size": [setting.width, setting.height],
+            "sampler": [sampler.kind, sampler.seed, counts],
+            "camera": str(asdict(setting.camera)),
+            "scene": _digest(setting.tracer.scene),
+        },
+        sort_keys=True,
+    )
+
+
+def _digest(scene: Scene) -> str:
+    """What a picture shows of a scene, in short."""
+    digest = hashlib.sha256()
+
+    def add(value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype}{value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).view(np.uint8).data)
+        else:
+            digest.update(repr(value).encode())
+
+    add(scene.triangles.corners)
+    for mesh in scene.meshes:
+        for array in (mesh.normals, mesh.texcoords, mesh.colors, mesh.material_ids):
+            add(array)
+    for material in scene.materials:
+        plain = {**vars(material), "textures": sorted(material.textures)}
+        add(plain)
+        for _, texture in sorted(material.textures.items()):
+            add((texture.name, texture.wrap, texture.path))
+    add(scene.lights)
+    add(scene.background)
+    return digest.hexdigest()

@@ -1,0 +1,186 @@
+"""Sampled renderers: stages over streams of paths, one sample of every pixel after the other.
+
+They are lists of stages as `stages` has them. What differs is that a stage is a compiled
+kernel over the whole stream, that a path's numbers come from a sampler, and that a sample's
+light is gathered for the pixels of a band before it goes to the film.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.hits import Hits
+from raystream.render.sampling.sampler import Sampler
+from raystream.render.shading.lights import LightTables, lights_of
+from raystream.render.shading.paths import LightRays, Paths
+from raystream.render.shading.tables import SceneTables, tables_of
+from raystream.scene.camera import Camera
+from raystream.tracer import Tracer
+
+__all__ = [
+    "Band",
+    "PathStage",
+    "PathStream",
+    "SampledRenderer",
+    "Setting",
+    "eye_paths",
+    "find_surfaces",
+    "make_setting",
+]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the stages of one picture share.
+
+    Attributes
+    ----------
+    tracer : Tracer
+    camera : Camera
+    width, height : int
+    tables : SceneTables
+    lights : LightTables
+    sampler : Sampler
+    options : mapping
+        The renderer's own, such as ``max_bounces``.
+    kept : object
+        What lies at the tables' addresses.
+    """
+
+    tracer: Tracer
+    camera: Camera
+    width: int
+    height: int
+    tables: SceneTables
+    lights: LightTables
+    sampler: Sampler
+    options: Mapping[str, Any]
+    kept: object
+
+
+def make_setting(
+    tracer: Tracer,
+    camera: Camera,
+    size: tuple[int, int],
+    sampler: Sampler,
+    options: Mapping[str, Any],
+) -> Setting:
+    """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
+    tables, kept_tables = tables_of(tracer.scene)
+    lights, kept_lights = lights_of(tracer.scene)
+    kept = kept_tables, kept_lights
+    return Setting(tracer, camera, *size, tables, lights, sampler, options, kept)
+
+
+@dataclass(frozen=True)
+class Band:
+    """Rows of the picture, in one sample.
+
+    Attributes
+    ----------
+    setting : Setting
+    sample : int
+    first_pixel : int
+    radiance : ndarray of shape (P, 3), float32
+        Linear RGB of its pixels; stages add to it.
+    """
+
+    setting: Setting
+    sample: int
+    first_pixel: int
+    radiance: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PathStream:
+    """Paths on their way.
+
+    Attributes
+    ----------
+    paths : Paths
+    bounce : int
+        Surfaces that have scattered them.
+    hits : Hits, optional
+        Where they meet surfaces, once it is known.
+    rays : LightRays, optional
+        Rays to lights that are to be tested.
+    """
+
+    paths: Paths
+    bounce: int = 0
+    hits: Hits | None = None
+    rays: LightRays | None = None
+
+    def __len__(self) -> int:
+        return len(self.paths.pixels)
+
+
+PathStage = Callable[[PathStream, Band], PathStream]
+
+
+@dataclass(frozen=True)
+class SampledRenderer:
+    """A mode of rendering by samples.
+
+    Attributes
+    ----------
+    name : str
+    description : str
+        One line, with the source.
+    stages : tuple of PathStage
+    options : mapping
+        What a caller may set, and what holds without; checked by `check`.
+    check : callable
+        Returns the options as stages take them; raises ValueError for bad ones.
+    """
+
+    name: str
+    description: str
+    stages: Sequence[PathStage]
+    options: Mapping[str, Any]
+    check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
+
+    def trace(self, setting: Setting, rows: range, sample: int) -> NDArray[np.float32]:
+        """One sample of each pixel of some rows: shape (rows * width, 3), linear RGB."""
+        count = len(rows) * setting.width
+        radiance = np.zeros((count, 3), np.float32)
+        band = Band(setting, sample, rows.start * setting.width, radiance)
+        stream = PathStream(eye_paths(setting, rows, sample))
+        while len(stream):
+            for stage in self.stages:
+                stream = stage(stream, band)
+        return radiance
+
+
+def eye_paths(setting: Setting, rows: range, sample: int) -> Paths:
+    """Begin a path at each pixel of some rows: at its centre, or spread over it if it has many."""
+    width, height = setting.width, setting.height
+    count = len(rows) * width
+    pixels = np.arange(rows.start * width, rows.start * width + count)
+    x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
+    if setting.sampler.sample_count == 1:
+        x, y = x + 0.5, y + 0.5
+    else:
+        numbers = setting.sampler.numbers(pixels, sample, 0, 2)
+        x, y = x + numbers[:, 0], y + numbers[:, 1]
+    shape = len(rows), width
+    origins, directions = setting.camera.rays(width, height, x.reshape(shape), y.reshape(shape))
+    return Paths(
+        pixels,
+        np.ascontiguousarray(origins, np.float64).reshape(-1, 3),
+        np.ascontiguousarray(directions, np.float32).reshape(-1, 3),
+        np.ones((count, 3), np.float32),
+        np.full(count, np.inf),
+    )
+
+
+def find_surfaces(stream: PathStream, band: Band) -> PathStream:
+    """Stage: trace the paths' rays."""
+    paths = stream.paths
+    hits = band.setting.tracer.first_hit(paths.origins, paths.directions)
+    return replace(stream, hits=hits)

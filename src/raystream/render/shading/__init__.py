@@ -1,0 +1,1 @@
+"""Shading in compiled kernels: scenes as tables, points on surfaces, reflection, lights."""

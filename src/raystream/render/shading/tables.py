@@ -1,0 +1,156 @@
+"""Tables: a scene's triangles, vertex attributes and materials, as shading kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.render.shading.textures import TextureTables, pack_textures, place_of
+from raystream.scene.material import Material
+from raystream.scene.scene import Scene
+
+__all__ = ["COLUMNS", "WIDTH", "Column", "SceneTables", "material_ids_of", "tables_of"]
+
+
+class Column(NamedTuple):
+    """Where a material's numbers are in a row of `SceneTables.materials`."""
+
+    diffuse: int
+    specular: int
+    reflection: int
+    transmission: int
+    emission: int
+    shininess: int
+    ior: int
+
+
+COLUMNS = Column(0, 3, 6, 9, 12, 15, 16)
+WIDTH = 17
+
+
+class SceneTables(NamedTuple):
+    """What shading reads of a scene, by address: to hand on an array costs atomic operations.
+
+    `tables_of` makes it, with the arrays that its caller keeps.
+
+    Attributes
+    ----------
+    corners : uint64
+        Address of triangles, shape (F, 3, 3), float32, local frame.
+    center : tuple of three float
+        The local frame's origin, world space.
+    inverse_scale : float
+        World lengths in a local length.
+    extreme, world_reach : float
+        Largest coordinate of a corner, local; of the frame's origin, in local lengths.
+    faces : uint64
+        Address of rows of the vertex attributes, shape (F, 3), int32; 0 if no mesh has any.
+    normals : uint64
+        Address of shape (V, 3), float32, NaN where a mesh has none; 0 if none has any, and
+        likewise the next two.
+    texcoords : uint64
+        Of shape (V, 2), float32.
+    colors : uint64
+        Of shape (V, 3), float32: linear RGB, 1 where a mesh has none.
+    material_ids : uint64
+        Of shape (F,), int32.
+    materials : uint64
+        Of shape (M, 17), float32. See `Column`; colours are three numbers.
+    textures : TextureTables
+    """
+
+    corners: np.uint64
+    center: tuple[float, float, float]
+    inverse_scale: float
+    extreme: float
+    world_reach: float
+    faces: np.uint64
+    normals: np.uint64
+    texcoords: np.uint64
+    colors: np.uint64
+    material_ids: np.uint64
+    materials: np.uint64
+    textures: TextureTables
+
+
+def tables_of(scene: Scene) -> tuple[SceneTables, object]:
+    """The tables of a scene, and what must be kept as long as they are used.
+
+    Warns
+    -----
+    RaystreamWarning
+        See `pack_textures`.
+    """
+    triangles = scene.triangles
+    normals = _joined([mesh.normals for mesh in scene.meshes], scene, 3, np.nan)
+    texcoords = _joined([mesh.texcoords for mesh in scene.meshes], scene, 2, np.nan)
+    colors = _joined([mesh.colors for mesh in scene.meshes], scene, 3, 1.0)
+    faces = np.empty((0, 3), np.int32)
+    if len(normals) or len(texcoords) or len(colors):
+        counts = [len(mesh.vertices) for mesh in scene.meshes]
+        firsts = np.cumsum([0, *counts[:-1]])
+        parts = [m.faces + first for m, first in zip(scene.meshes, firsts, strict=True)]
+        faces = np.ascontiguousarray(np.concatenate(parts), np.int32)
+    material_ids = material_ids_of(scene)
+    materials = _material_rows(scene.materials)
+    textures, kept_textures = pack_textures(scene.materials)
+    corners = np.ascontiguousarray(triangles.corners)
+    x, y, z = (float(c) for c in triangles.center)
+    tables = SceneTables(
+        place_of(corners),
+        (x, y, z),
+        1.0 / float(triangles.scale),
+        float(triangles.extreme),
+        float(np.abs(triangles.center).max()) * float(triangles.scale),
+        place_of(faces),
+        place_of(normals),
+        place_of(texcoords),
+        place_of(colors),
+        place_of(material_ids),
+        place_of(materials),
+        textures,
+    )
+    return tables, (
+        corners,
+        faces,
+        normals,
+        texcoords,
+        colors,
+        material_ids,
+        materials,
+        kept_textures,
+    )
+
+
+def material_ids_of(scene: Scene) -> NDArray[np.int32]:
+    """The material of each triangle, shape (F,)."""
+    ids = [mesh.material_ids for mesh in scene.meshes]
+    return np.concatenate(ids).astype(np.int32) if ids else np.empty(0, np.int32)
+
+
+def _material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
+    rows = np.zeros((len(materials), WIDTH), np.float32)
+    for row, material in zip(rows, materials, strict=True):
+        for name, at in COLUMNS._asdict().items():
+            value = getattr(material, name)
+            row[at : at + np.size(value)] = value
+    rows[:, COLUMNS.shininess] = np.maximum(rows[:, COLUMNS.shininess], 1.0)
+    return rows
+
+
+def _joined(
+    attributes: Sequence[NDArray[np.float32] | None], scene: Scene, width: int, missing: float
+) -> NDArray[np.float32]:
+    """The attribute of all meshes' vertices, one after another; nothing if no mesh has it."""
+    if all(attribute is None for attribute in attributes):
+        return np.empty((0, width), np.float32)
+    parts = [
+        np.full((len(mesh.vertices), width), missing, np.float32)
+        if attribute is None
+        else np.asarray(attribute, np.float32)
+        for mesh, attribute in zip(scene.meshes, attributes, strict=True)
+    ]
+    return np.ascontiguousarray(np.concatenate(parts))
