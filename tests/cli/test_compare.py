@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -75,6 +77,25 @@ def test_bad_input_is_refused_in_one_line(run, pictures, tmp_path, arguments, na
     (tmp_path / "text.png").write_text("none")
     assert named in run("compare", *arguments).complaint
     assert not (tmp_path / "d.png").exists()
+
+
+def test_damaged_exr_is_one_line_whatever_openexr_prints(environment, tmp_path):
+    """In a process of its own: the library in C prints past Python."""
+    pytest.importorskip("OpenEXR")
+    path = tmp_path / "cut.exr"
+    rs.Image(np.random.default_rng(1).random((64, 64, 3))).save(path)
+    path.write_bytes(path.read_bytes()[:9000])
+    result = subprocess.run(
+        [sys.executable, "-m", "raystream", "compare", "cut.exr", "cut.exr"],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr == "raystream: cut.exr: is not a whole .exr file\n"
 
 
 def test_exr_without_openexr_is_refused(run, monkeypatch):

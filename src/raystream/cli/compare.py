@@ -11,7 +11,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.messages import BadInputError, refuse, write_json, write_line
+from raystream.cli.messages import BadInputError, mute, refuse, write_json, write_line
 from raystream.cli.tables import set_table
 
 if TYPE_CHECKING:
@@ -65,7 +65,8 @@ def compare(
     from raystream.render.image import Image
 
     with Bars() as bars, bars.step("comparing"):
-        found, wanted = Image.load(image), Image.load(reference)
+        with mute():  # OpenEXR, which prints a line for each damaged block
+            found, wanted = Image.load(image), Image.load(reference)
         with refuse(ValueError, where=f"{image}, {reference}"):
             comparison = measure(found, wanted)
         if output is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from raystream.core.errors import RaystreamError, RaystreamWarning
 
 __all__ = [
     "BadInputError",
+    "mute",
     "one_line",
     "open_streams",
     "refuse",
@@ -121,3 +123,25 @@ def silence_stdout() -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
+
+
+@contextlib.contextmanager
+def mute() -> Iterator[None]:
+    """Drop what libraries of others print while the block runs, in Python or in C.
+
+    For those that print what their exceptions say again.
+    """
+    kept = nowhere = None
+    try:
+        with contextlib.suppress(OSError):  # there may be no stderr
+            kept = os.dup(2)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 2)
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        if kept is not None:
+            os.dup2(kept, 2)
+        for handle in (kept, nowhere):
+            if handle is not None:
+                os.close(handle)

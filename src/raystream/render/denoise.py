@@ -32,7 +32,7 @@ _MAX_PASSES = 10
 _MAX_STRENGTH = 1e6
 
 #: Light and variance twice, guides, and what they are made of.
-_BYTES_PER_PIXEL = 120
+_BYTES_PER_PIXEL = 160
 
 #: Light beyond this is cut: sums of squares stay below the largest float32.
 _MOST_LIGHT = np.float32(1e15)

@@ -87,6 +87,8 @@ def read_exr(path: str) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
         with openexr.File(path, separate_channels=True, header_only=True) as file:
             _check_header(path, openexr, len(file.parts), file.header())
         with openexr.File(path, separate_channels=True) as file:
+            if not file.parts:  # OpenEXR prints why, and raises nothing
+                raise FileFormatError(path, "is not a whole .exr file")
             channels = {name: _plain(it.pixels) for name, it in file.channels().items()}
     except (FileFormatError, MemoryError):
         raise
