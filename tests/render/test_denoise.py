@@ -93,8 +93,11 @@ def test_slope_of_depth_is_no_edge():
     rng = np.random.default_rng(5)
     truth = np.full((HEIGHT, WIDTH, 3), 0.5)
     pixels = truth + rng.normal(0, 0.1, (HEIGHT, WIDTH, 1))
-    layers = {"depth": 10 + 2.0 * ROWS, "variance": np.full(truth.shape, 0.01)}
-    assert rmse(denoise(rs.Image(pixels, layers)).pixels, truth) < 0.1 / 5
+    layers = {"variance": np.full(truth.shape, 0.01)}
+    flat = rmse(denoise(rs.Image(pixels, layers)).pixels, truth)
+    layers["depth"] = 10 + 2.0 * ROWS
+    steep = rmse(denoise(rs.Image(pixels, layers)).pixels, truth)
+    assert steep < 1.5 * flat < 0.1 / 5
 
 
 def test_light_with_little_variance_is_kept():
@@ -106,10 +109,13 @@ def test_light_with_little_variance_is_kept():
 
 @pytest.mark.parametrize("variance", [None, 0.0, 0.3, np.inf])
 def test_constant_picture_is_unchanged(variance):
-    pixels = np.full((17, 23, 3), [0.1, 0.37, 12.3], np.float32)
-    layers = {} if variance is None else {"variance": np.full(pixels.shape, variance)}
-    layers["albedo"] = np.full(pixels.shape, [0.3, 0.0, 0.77])
-    assert denoise(rs.Image(pixels, layers)).pixels.tobytes() == pixels.tobytes()
+    """Bit for bit, of many colours: dividing by albedo and multiplying again would round."""
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        pixels = np.full((5, 7, 3), rng.exponential(1.0, 3), np.float32)
+        layers = {} if variance is None else {"variance": np.full(pixels.shape, variance)}
+        layers["albedo"] = np.full(pixels.shape, rng.random(3))
+        assert denoise(rs.Image(pixels, layers)).pixels.tobytes() == pixels.tobytes()
 
 
 def test_mirrored_picture_gives_the_mirrored_answer():
