@@ -22,6 +22,8 @@ from raystream.render.sampling.sampler import Sampler
 from raystream.render.stages import Frame, Renderer, run_stages
 from raystream.render.surfaces import Surfaces
 from raystream.render.vis import VIS
+from raystream.render.whitted import SHADOW, WHITTED
+from raystream.render.xray import XRAY
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -29,7 +31,7 @@ from raystream.tracer import Tracer
 __all__ = ["MODES", "RENDERERS", "render"]
 
 RENDERERS: dict[str, Renderer | SampledRenderer] = {
-    renderer.name: renderer for renderer in (RAYCAST, VIS, AO, KAJIYA, PATH)
+    renderer.name: renderer for renderer in (RAYCAST, VIS, SHADOW, WHITTED, XRAY, AO, KAJIYA, PATH)
 }
 
 #: What each mode shows, by its name.
@@ -64,8 +66,8 @@ def render(
     ----------
     scene : Scene or Tracer
         A tracer saves building the structure again for every picture.
-    mode : {"raycast", "vis", "ao", "kajiya", "path"}
-        The renderer, see `MODES`. The last three are sampled.
+    mode : {"raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path"}
+        The renderer, see `MODES`. All but the first two can be continued.
     size : (int, int)
         Width and height in pixels.
     samples : int
@@ -74,9 +76,11 @@ def render(
         See `Tracer`; not to be given together with one.
     **options
         The renderer's own: ``max_bounces``, surfaces that may scatter light on its way
-        (``"path"``: 8, ``"kajiya"``: 3); ``light_samples=False`` finds lights by chance only
+        (``"path"`` and ``"whitted"``: 8, ``"kajiya"``: 3); ``min_weight``, below which rays end
+        (``"whitted"``: 1/512); ``light_samples=False`` finds lights by chance only
         (``"path"``); ``rays``, from each point, and their length ``distance`` (``"ao"``: 32,
-        inf). Others are for the tracer.
+        inf); ``opacity`` of a sheet, or ``absorption`` of solids for each world length
+        (``"xray"``: 0.2, None). Others are for the tracer.
     camera : Camera, optional
         The view; without it, the scene's, or one that frames it.
     seed : int

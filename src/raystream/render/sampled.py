@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
 from raystream.render.sampling.sampler import Sampler
+from raystream.render.shading.classic import ClassicLights, classic_lights_of
 from raystream.render.shading.lights import LightTables, lights_of
 from raystream.render.shading.paths import LightRays, Paths
 from raystream.render.shading.tables import SceneTables, tables_of
@@ -45,6 +46,8 @@ class Setting:
     width, height : int
     tables : SceneTables
     lights : LightTables
+    classic : ClassicLights
+        The same for modes that take each as one place.
     sampler : Sampler
     options : mapping
         The renderer's own, such as ``max_bounces``.
@@ -58,6 +61,7 @@ class Setting:
     height: int
     tables: SceneTables
     lights: LightTables
+    classic: ClassicLights
     sampler: Sampler
     options: Mapping[str, Any]
     kept: object
@@ -73,8 +77,9 @@ def make_setting(
     """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
     tables, kept_tables = tables_of(tracer.scene)
     lights, kept_lights = lights_of(tracer.scene)
-    kept = kept_tables, kept_lights
-    return Setting(tracer, camera, *size, tables, lights, sampler, options, kept)
+    classic, kept_classic = classic_lights_of(tracer.scene, camera)
+    kept = kept_tables, kept_lights, kept_classic
+    return Setting(tracer, camera, *size, tables, lights, classic, sampler, options, kept)
 
 
 @dataclass(frozen=True)

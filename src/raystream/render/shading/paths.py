@@ -28,7 +28,15 @@ from raystream.render.shading.scatter import reflection_pdf, scatter
 from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import ROLES, texture_color, texture_of
 
-__all__ = ["LightRays", "PathRules", "Paths", "add_unblocked", "follow_paths"]
+__all__ = [
+    "LightRays",
+    "PathRules",
+    "Paths",
+    "add_light",
+    "add_unblocked",
+    "emitted",
+    "follow_paths",
+]
 
 _EMISSION = np.uint64(COLUMNS.emission)
 _EMISSION_TEXTURE = np.uint64(ROLES.index("emission"))
@@ -151,7 +159,8 @@ def _number(sampler, pixel, sample, dimension):
 
 
 @device
-def _add(radiance, pixel, weights, i, color, factor):
+def add_light(radiance, pixel, weights, i, color, factor):
+    """Add light that path i brings to its pixel."""
     radiance[pixel, 0] += np.float32(weights[i, 0] * color[0] * factor)
     radiance[pixel, 1] += np.float32(weights[i, 1] * color[1] * factor)
     radiance[pixel, 2] += np.float32(weights[i, 2] * color[2] * factor)
@@ -167,7 +176,8 @@ def _balance(pdf, other):
 
 
 @device
-def _emitted(tables, point):
+def emitted(tables, point):
+    """What the front of a surface emits."""
     color = material_color(tables, point.material, _EMISSION)
     texture = texture_of(tables.textures, point.material, _EMISSION_TEXTURE)
     if texture >= 0:
@@ -222,19 +232,19 @@ def follow_paths(
         pdf = paths.pdfs[i]
         if prim_ids[i] < 0:
             other = lights.sky_density if rules.samples_lights else 0.0
-            _add(radiance, pixel, paths.weights, i, lights.sky, _balance(pdf, other))
+            add_light(radiance, pixel, paths.weights, i, lights.sky, _balance(pdf, other))
             continue
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         back = -dx / length, -dy / length, -dz / length
         if point.is_front:
-            color = _emitted(tables, point)
+            color = emitted(tables, point)
             if color[0] + color[1] + color[2] > 0.0:
                 other = 0.0
                 if rules.samples_lights and pdf != np.inf:
                     distance = np.float64(t[i]) * length / tables.inverse_scale
                     cosine = back[0] * point.gx + back[1] * point.gy + back[2] * point.gz
                     other = triangle_pdf(lights, point, distance, cosine)
-                _add(radiance, pixel, paths.weights, i, color, _balance(pdf, other))
+                add_light(radiance, pixel, paths.weights, i, color, _balance(pdf, other))
         if bounce >= rules.max_bounces:
             continue
 

@@ -1,0 +1,161 @@
+"""Whitted's shading: light from each light, and rays on to mirrors and through glass.
+
+References
+----------
+Whitted, "An Improved Illumination Model for Shaded Display", 1980. Without recursion: what a
+ray brings to its pixel is in its weight (Purcell 2002, section 3.2; Christen 2005, section
+5.2, whose equation 5.1 this is, with a material's colour times 1 - r as its diffuse share).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from raystream.jit.cpu import device, kernel
+from raystream.render.shading.bsdf import dot, fresnel, lobes_at, mirrored, reflected, refracted
+from raystream.render.shading.classic import arriving
+from raystream.render.shading.paths import add_light, emitted
+from raystream.render.shading.points import spawned, surface_point, to_world
+
+__all__ = ["light_surfaces"]
+
+_ONE = np.uint64(1)
+_INF = np.float32(np.inf)
+
+
+@device
+def _go_on(onward, row, pixel, tables, point, toward, weights, i, color, min_weight):
+    """Write a ray that goes on, unless it brings too little; returns the next free row."""
+    weight = (
+        weights[i, 0] * color[0],
+        weights[i, 1] * color[1],
+        weights[i, 2] * color[2],
+    )
+    if not max(weight[0], weight[1], weight[2]) > min_weight:
+        return row
+    x, y, z = spawned(tables, point, toward)
+    onward.pixels[row] = pixel
+    onward.origins[row, 0], onward.origins[row, 1], onward.origins[row, 2] = x, y, z
+    onward.pdfs[row] = np.inf
+    for k in range(3):
+        onward.directions[row, k] = np.float32(toward[k])
+        onward.weights[row, k] = np.float32(weight[k])
+    return row + _ONE
+
+
+@kernel
+def light_surfaces(
+    paths, hits, tables, lights, goes_on, min_weight, first_pixel, radiance, onward, rays
+):
+    """Light the surfaces that rays meet, by every light, and send rays on.
+
+    Parameters
+    ----------
+    paths, hits, tables, first_pixel, radiance
+        See `paths.follow_paths`. What surfaces emit, and ambient light, is added at once.
+    lights : ClassicLights
+    goes_on : bool
+        Whether mirrors and glass send rays on.
+    min_weight : float
+        Rays of which no colour weighs more end.
+    onward : Paths
+        Room for twice as many; reflected and refracted rays are written.
+    rays : LightRays
+        Room for one to each light for each ray; written.
+
+    Returns
+    -------
+    path_count, ray_count : int
+        Rows written.
+    """
+    _, us, vs, prim_ids = hits
+    path_count, ray_count = np.uint64(0), np.uint64(0)
+    for i in range(np.uint64(len(paths.pixels))):
+        pixel_id = paths.pixels[i]
+        pixel = np.uint64(pixel_id - first_pixel)
+        if prim_ids[i] < 0:
+            add_light(radiance, pixel, paths.weights, i, lights.background, 1.0)
+            continue
+        dx = np.float64(paths.directions[i, 0])
+        dy = np.float64(paths.directions[i, 1])
+        dz = np.float64(paths.directions[i, 2])
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        back = -dx / length, -dy / length, -dz / length
+        point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
+        if point.is_front:
+            add_light(radiance, pixel, paths.weights, i, emitted(tables, point), 1.0)
+        lobes = lobes_at(tables, point)
+        matte, ambient = lobes.diffuse, lights.ambient
+        light = matte[0] * ambient[0], matte[1] * ambient[1], matte[2] * ambient[2]
+        add_light(radiance, pixel, paths.weights, i, light, 1.0)
+        for number in range(lights.light_count):
+            found = arriving(tables, lights, number, point)
+            if not found.is_valid:
+                continue
+            color, _, _ = reflected(lobes, point, back, found.toward)
+            if color[0] + color[1] + color[2] <= 0.0:
+                continue
+            x, y, z = spawned(tables, point, found.toward)
+            rays.pixels[ray_count] = pixel_id
+            rays.origins[ray_count, 0] = x
+            rays.origins[ray_count, 1] = y
+            rays.origins[ray_count, 2] = z
+            toward, t_max = found.toward, _INF
+            if not found.is_far:
+                target = found.target
+                px, py, pz = to_world(tables, target[0], target[1], target[2])
+                toward, t_max = (px - x, py - y, pz - z), np.float32(1.0)
+            rays.t_max[ray_count] = t_max
+            for k in range(3):
+                rays.directions[ray_count, k] = np.float32(toward[k])
+                rays.light[ray_count, k] = np.float32(
+                    paths.weights[i, k] * color[k] * found.color[k]
+                )
+            ray_count += _ONE
+        if not goes_on:
+            continue
+
+        normal, clear = (point.nx, point.ny, point.nz), 0.0
+        through = lobes.transmission
+        if through[0] + through[1] + through[2] > 0.0:
+            if lobes.ior != 1.0:
+                clear = fresnel(min(dot(back, normal), 1.0), lobes.ior)
+            toward = refracted(back, normal, lobes.ior)
+            if clear < 1.0 and dot((point.gx, point.gy, point.gz), toward) < 0.0:
+                rest = 1.0 - clear
+                color = through[0] * rest, through[1] * rest, through[2] * rest
+                path_count = _go_on(
+                    onward,
+                    path_count,
+                    pixel_id,
+                    tables,
+                    point,
+                    toward,
+                    paths.weights,
+                    i,
+                    color,
+                    min_weight,
+                )
+        mirror = lobes.reflection
+        color = (
+            mirror[0] + clear * through[0],
+            mirror[1] + clear * through[1],
+            mirror[2] + clear * through[2],
+        )
+        toward = mirrored(back, normal)
+        if dot((point.gx, point.gy, point.gz), toward) > 0.0:
+            path_count = _go_on(
+                onward,
+                path_count,
+                pixel_id,
+                tables,
+                point,
+                toward,
+                paths.weights,
+                i,
+                color,
+                min_weight,
+            )
+    return np.int64(path_count), np.int64(ray_count)
