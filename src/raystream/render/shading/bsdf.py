@@ -212,11 +212,19 @@ def reflected(lobes, point, back, toward):
     if cosine <= 0.0 or dot((point.gx, point.gy, point.gz), toward) <= 0.0:
         return (0.0, 0.0, 0.0), 0.0, 0.0
     diffuse = cosine / math.pi
+    color = (
+        lobes.diffuse[0] * diffuse,
+        lobes.diffuse[1] * diffuse,
+        lobes.diffuse[2] * diffuse,
+    )
+    gloss = lobes.specular
+    if gloss[0] + gloss[1] + gloss[2] == 0.0:  # a power takes as long as all the rest
+        return color, diffuse, 0.0
     highlight = max(dot(mirrored(back, normal), toward), 0.0) ** lobes.shininess
     specular = highlight * (lobes.shininess + 2.0) / (2.0 * math.pi) * cosine
     color = (
-        lobes.diffuse[0] * diffuse + lobes.specular[0] * specular,
-        lobes.diffuse[1] * diffuse + lobes.specular[1] * specular,
-        lobes.diffuse[2] * diffuse + lobes.specular[2] * specular,
+        color[0] + gloss[0] * specular,
+        color[1] + gloss[1] * specular,
+        color[2] + gloss[2] * specular,
     )
     return color, diffuse, highlight * (lobes.shininess + 1.0) / (2.0 * math.pi)
