@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
@@ -23,13 +25,13 @@ from raystream.render.sampled import SampledRenderer, Setting
 from raystream.render.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 
-__all__ = ["Limits", "render_samples"]
+__all__ = ["Limits", "checkpoint_seconds", "render_samples"]
 
 #: Pixels that go through the stages together: enough for streams of rays to be worth sorting,
 #: few enough for the threads to finish together. Memory is about 300 bytes for each.
 LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
 
-#: Seconds between two checkpoints, and between two calls of `on_pass`.
+#: See `checkpoint_seconds`.
 CHECKPOINT_SECONDS = 10.0
 
 
@@ -80,12 +82,14 @@ def render_samples(
     limits : Limits
     checkpoint : path, optional
         A file, ending in ``.npz``, to which all samples go every 10 seconds, at the end, and
-        when the rendering is interrupted. If it is there already, the picture goes on from it:
-        to the same bits as without a break.
+        when the rendering is interrupted after the first of them. If it is there already, the
+        picture goes on from it: to the same bits as without a break.
     on_pass : callable, optional
         Called with the picture so far, every 10 seconds, after whole samples.
     progress : callable, optional
-        Called with (paths done, paths). An exception that it raises ends the rendering.
+        Called with (paths done, paths): first with those that the checkpoint has. Noise and
+        time limits tell only on the way how many paths there will be; the last call has the
+        number that there were. An exception that it raises ends the rendering.
 
     Returns
     -------
@@ -96,53 +100,109 @@ def render_samples(
     ------
     FileFormatError
         If the checkpoint is damaged, or of another picture.
+    OSError
+        If the checkpoint cannot be written.
+    ValueError
+        If ``RAYSTREAM_CHECKPOINT_SECONDS`` is no number of seconds.
     """
-    width, height = setting.width, setting.height
+    interval = checkpoint_seconds()
+    pixel_count = setting.width * setting.height
     name = identity(renderer, setting)
-    sums = Accumulation(width, height)
+    sums = Accumulation(setting.width, setting.height)
     if checkpoint is not None and Path(checkpoint).exists():
         sums = Accumulation.load(checkpoint, name)
+    first = sample = int(sums.counts.min())
     started = shown = time.monotonic()
     try:
-        for sample in range(int(sums.counts.min()), limits.samples):
-            now = time.monotonic()
-            if _is_done(sums, sample, limits, now - started):
-                break
-            if now - shown >= CHECKPOINT_SECONDS:
-                shown = now
-                if checkpoint is not None:
-                    sums.save(checkpoint, name)
-                if on_pass is not None:
-                    on_pass(sums.image())
-            report = part_of(progress, sample * width * height, limits.samples * width * height)
-            sums = _next_sample(renderer, setting, sums, sample, report)
+        # Ctrl-C comes to this thread only. On another one, whose end the block waits for, sums
+        # are not left with half of a sample.
+        with ThreadPoolExecutor(1) as adder:
+            adder.submit(int).result()  # a thread that has started is waited for
+            while True:
+                now = time.monotonic()
+                expected = _expected_samples(sums, first, sample, limits, now - started)
+                if progress is not None:
+                    progress(sample * pixel_count, expected * pixel_count)
+                if sample >= expected:
+                    break
+                if sample and now - shown >= interval:
+                    if checkpoint is not None:
+                        sums.save(checkpoint, name)
+                    if on_pass is not None:
+                        on_pass(sums.image())
+                    shown = time.monotonic()
+                report = part_of(progress, sample * pixel_count, expected * pixel_count)
+                light = _next_sample(renderer, setting, sample, report)
+                adder.submit(sums.add_samples, 0, light).result()
+                sample += 1
     except KeyboardInterrupt:
-        if checkpoint is not None:
+        if checkpoint is not None and sums.counts.any():
             sums.save(checkpoint, name)
         raise
     if checkpoint is not None:
         sums.save(checkpoint, name)
-    if progress is not None:
-        progress(limits.samples * width * height, limits.samples * width * height)
-    return sums.image({"samples": int(sums.counts.min()), "error": sums.error()})
+    return sums.image({"samples": sample, "error": sums.error()})
 
 
-def _is_done(sums: Accumulation, sample: int, limits: Limits, seconds: float) -> bool:
-    if limits.seconds is not None and sample > 0 and seconds >= limits.seconds:
-        return True
-    if limits.noise is None or sample < _FIRST_SAMPLES:
-        return False
-    return sums.error() <= limits.noise
+def checkpoint_seconds() -> float:
+    """Seconds between two checkpoints, and between two calls of `on_pass`.
+
+    ``RAYSTREAM_CHECKPOINT_SECONDS`` decides, else they are `CHECKPOINT_SECONDS`; 0 is after
+    every sample.
+
+    Raises
+    ------
+    ValueError
+        If the variable is no finite number from 0 on.
+    """
+    text = os.environ.get("RAYSTREAM_CHECKPOINT_SECONDS", "").strip()
+    if not text:
+        return CHECKPOINT_SECONDS
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 <= seconds < math.inf:
+        raise ValueError(f"RAYSTREAM_CHECKPOINT_SECONDS: expected seconds, got {text!r}")
+    return seconds
+
+
+def _expected_samples(
+    sums: Accumulation, first: int, sample: int, limits: Limits, seconds: float
+) -> int:
+    """Samples that the picture will have, as far as can be told; `sample` or less: it is done.
+
+    Parameters
+    ----------
+    sums : Accumulation
+    first, sample : int
+        Samples that it had at the start, and has.
+    limits : Limits
+    seconds : float
+        Since the start.
+    """
+    if sample >= limits.samples:
+        return sample
+    expected = float(limits.samples)
+    if limits.seconds is not None and sample > 0:
+        if seconds >= limits.seconds:
+            return sample
+        if sample > first:
+            per_second = (sample - first) / max(seconds, 1e-9)
+            expected = min(expected, first + per_second * limits.seconds)
+    if limits.noise is not None and sample >= _FIRST_SAMPLES:
+        error = sums.error()
+        if error <= limits.noise:
+            return sample
+        ratio = error / limits.noise
+        expected = min(expected, sample * ratio * ratio)  # four times the samples halve it
+    return min(limits.samples, max(math.ceil(expected), sample + 1))
 
 
 def _next_sample(
-    renderer: SampledRenderer,
-    setting: Setting,
-    sums: Accumulation,
-    sample: int,
-    progress: Progress | None,
-) -> Accumulation:
-    """One more sample of every pixel; if it is broken off, none."""
+    renderer: SampledRenderer, setting: Setting, sample: int, progress: Progress | None
+) -> NDArray[np.float32]:
+    """One more sample of every pixel: shape (H * W, 3), linear RGB."""
     width, height = setting.width, setting.height
     share = -(-width * height // (4 * thread_count()))
     rows_per_band = max(1, min(max(share, LEAST_BAND), MOST_BAND) // width)
@@ -161,8 +221,7 @@ def _next_sample(
         whole = progress
         report = lambda done, steps: whole(width * height * done // steps, width * height)  # noqa: E731
     parallel_for(trace, band_count, 1, report)
-    sums.add_samples(0, light)
-    return sums
+    return light
 
 
 def identity(renderer: SampledRenderer, setting: Setting) -> str:
