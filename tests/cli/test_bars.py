@@ -85,3 +85,17 @@ def test_nobody_to_see_it(to_terminal, monkeypatch, kind):
         assert progress is None
         time.sleep(0.05)
     assert terminal.getvalue() == ""
+
+
+def test_speed_is_shown_of_what_is_counted(to_terminal, monkeypatch):
+    terminal = to_terminal()
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    monkeypatch.setenv("COLUMNS", "80")
+    with bars.Bars() as shown, shown.step("rendering", "paths") as progress:
+        end = time.monotonic() + 10
+        done = 0
+        while "Mpaths/s" not in terminal.getvalue():
+            assert time.monotonic() < end
+            done += 20_000
+            progress(done, 1 << 40)
+            time.sleep(0.01)

@@ -15,7 +15,14 @@ from raystream._version import __version__
 from raystream.cli.bench import bench
 from raystream.cli.compare import compare
 from raystream.cli.info import info
-from raystream.cli.messages import one_line, open_streams, show_warnings, silence_stdout
+from raystream.cli.messages import (
+    BrokenOffError,
+    one_line,
+    open_streams,
+    show_warnings,
+    silence_stdout,
+    write_note,
+)
 from raystream.cli.query import query
 from raystream.cli.render import render
 from raystream.core.errors import RaystreamError
@@ -97,6 +104,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             code = command.main(given, "raystream", standalone_mode=False, obj=settings)
     except KeyboardInterrupt:
         code = INTERRUPTED
+    except BrokenOffError as error:
+        write_note(f"interrupted; {error}")
+        sys.exit(INTERRUPTED)
     except (RaystreamError, MemoryError, UsageError) as error:
         if settings.debug:
             traceback.print_exc()

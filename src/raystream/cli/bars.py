@@ -57,13 +57,15 @@ class Bars:
                 self._progress.start()
 
     @contextlib.contextmanager
-    def step(self, title: str) -> Iterator[Callable[[int, int], None] | None]:
+    def step(self, title: str, unit: str = "") -> Iterator[Callable[[int, int], None] | None]:
         """Show a step while the block runs.
 
         Parameters
         ----------
         title : str
             Such as "tracing".
+        unit : str, optional
+            What is counted, such as "rays": shows how many millions of them a second.
 
         Yields
         ------
@@ -75,7 +77,7 @@ class Bars:
         if progress is None:
             yield None
             return
-        task = progress.add_task(title, total=None)
+        task = progress.add_task(title, total=None, unit=unit)
         try:
             yield lambda done, total: progress.update(task, completed=done, total=total)
         finally:
@@ -87,11 +89,23 @@ def _make_progress() -> RichProgress:
     from rich.progress import (
         BarColumn,
         Progress,
+        ProgressColumn,
         SpinnerColumn,
+        Task,
         TaskProgressColumn,
         TextColumn,
         TimeRemainingColumn,
     )
+    from rich.text import Text
+
+    class SpeedColumn(ProgressColumn):
+        """Millions of what a step counts, in a second."""
+
+        def render(self, task: Task) -> Text:
+            unit = task.fields["unit"]
+            if not unit or task.speed is None:
+                return Text("")
+            return Text(f"{task.speed / 1e6:.2f} M{unit}/s")
 
     return Progress(
         SpinnerColumn(),
@@ -99,6 +113,7 @@ def _make_progress() -> RichProgress:
         BarColumn(),
         TaskProgressColumn(),
         TimeRemainingColumn(),
+        SpeedColumn(),
         console=Console(stderr=True),
         transient=True,
     )

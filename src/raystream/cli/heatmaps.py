@@ -67,7 +67,9 @@ def check_heatmap(
         return
     for name, value in others.items():
         if value is not None:
-            raise BadInputError(f"--{name}: not with --heatmap, which shows counts")
+            raise BadInputError(
+                f"--{name.replace('_', '-')}: not with --heatmap, which shows counts"
+            )
     if chosen.setdefault("counters", True) is not True:
         raise BadInputError("--option: --heatmap needs counters")
 

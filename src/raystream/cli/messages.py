@@ -16,6 +16,7 @@ from raystream.core.errors import RaystreamError, RaystreamWarning
 
 __all__ = [
     "BadInputError",
+    "BrokenOffError",
     "mute",
     "one_line",
     "open_streams",
@@ -24,11 +25,16 @@ __all__ = [
     "silence_stdout",
     "write_json",
     "write_line",
+    "write_note",
 ]
 
 
 class BadInputError(RaystreamError):
     """Something that the user can put right: one line, without a traceback."""
+
+
+class BrokenOffError(RaystreamError):
+    """Ctrl-C, where there is something to say about it: one line, and the exit code of Ctrl-C."""
 
 
 @contextlib.contextmanager
@@ -96,6 +102,11 @@ def write_line(text: str = "") -> None:
     except OSError as error:
         silence_stdout()
         raise BadInputError(f"stdout: {error.strerror}") from error
+
+
+def write_note(text: str) -> None:
+    """Print a line on stderr, for people."""
+    print(one_line(text), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def write_json(figures: Mapping[str, Any]) -> None:

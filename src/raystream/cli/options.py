@@ -24,6 +24,7 @@ __all__ = [
     "MODES",
     "PEERS",
     "RAY_SETS",
+    "SAMPLERS",
     "SCENES",
     "SCHEDULERS",
     "STRUCTURES",
@@ -53,7 +54,8 @@ __all__ = [
 
 #: The names that the library has, for help and completion; a test compares them.
 SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
-MODES = ("raycast", "vis")
+MODES = ("raycast", "vis", "ao", "kajiya", "path")
+SAMPLERS = ("sobol", "stratified", "random")
 TONES = ("linear", "reinhard", "aces")
 HEATMAPS = ("cells", "tests", "steps")
 STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +15,21 @@ from raystream.cli.heatmaps import Maximum, What, check_heatmap, heatmap_figures
 from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
+from raystream.cli.resuming import Paths, Resume, checkpoint_beside, keeping_samples
+from raystream.cli.sampling import (
+    Asked,
+    MaxBounces,
+    Noise,
+    SamplerName,
+    Samples,
+    Seed,
+    TimeLimit,
+    mode_arguments,
+)
+
+if TYPE_CHECKING:
+    from raystream.render.heatmap import Heatmap
+    from raystream.render.image import Image
 
 __all__ = ["DEFAULT_SCENE", "render"]
 
@@ -39,7 +55,13 @@ def render(
     heatmap: What = None,
     maximum: Maximum = None,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size in pixels.")] = "1024x768",
-    samples: Annotated[int, typer.Option(min=1, metavar="N", help="Rays for each pixel.")] = 1,
+    samples: Samples = None,
+    noise: Noise = None,
+    time_limit: TimeLimit = None,
+    max_bounces: MaxBounces = None,
+    sampler: SamplerName = None,
+    seed: Seed = 0,
+    resume: Resume = False,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -86,50 +108,64 @@ def render(
     parts = {} if camera is None else options.parse_camera(camera)
     options.check_output(output, (".png", ".exr"), inputs=[scene])
     chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
-    check_heatmap(heatmap, maximum, {"mode": mode, "exposure": exposure, "tone": tone}, chosen)
+    asked = Asked(samples, seed, max_bounces, noise, time_limit, sampler, resume or None)
+    of_pictures = {"mode": mode, "exposure": exposure, "tone": tone, **asked.of_sampled_modes()}
+    check_heatmap(heatmap, maximum, of_pictures, chosen)
     mode = mode or options.MODES[0]
     choose_threads(threads)
     import raystream.render as renderers
     from raystream.render.arguments import MAX_PIXELS
-    from raystream.render.heatmap import Heatmap
     from raystream.render.heatmap import heatmap as draw_heatmap
 
     if width * height > MAX_PIXELS:
         raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
+    arguments: dict[str, Any] = {"samples": samples or 1, "seed": seed}
+    if heatmap is None:
+        arguments = mode_arguments(mode, asked, chosen)
+    is_sampled = "sampler" in arguments
+    checkpoint = checkpoint_beside(output, resume) if is_sampled else None
+    save = _saver(output, exposure or 1.0, tone or options.TONES[0])
     watch = Stopwatch()
     heat: Heatmap | None = None
-    with Bars() as bars:
+    with Bars() as bars, keeping_samples(checkpoint):
         tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
             view = dataclasses.replace(view, **parts)
-        with watch.measure("trace"), bars.step("rendering") as progress:
-            picture: dict[str, Any] = {
-                "size": (width, height),
-                "samples": samples,
-                "camera": view,
-                "progress": progress,
-            }
-            if heatmap is None:
-                image = renderers.render(tracer, mode, **picture)
+        arguments |= {"size": (width, height), "camera": view}
+        unit = "paths" if is_sampled else "rays"
+        with watch.measure("trace"), bars.step("rendering", unit) as progress:
+            if checkpoint is not None:
+                paths = Paths(output, width * height, progress)
+                arguments |= {"checkpoint": checkpoint, "on_pass": save}
+                with refuse(OSError, where=str(checkpoint)):
+                    image = renderers.render(tracer, mode, progress=paths, **arguments)
+            elif heatmap is None:
+                image = renderers.render(tracer, mode, progress=progress, **arguments)
             else:
-                heat = draw_heatmap(tracer, heatmap, maximum=maximum, **picture)
-        with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
-            image = image if heat is None else heat.image
-            image.save(output, exposure=exposure or 1.0, tone=tone or options.TONES[0])
-    ray_count = width * height * samples
-    speed = rays_per_second(ray_count, watch.seconds["trace"])
+                heat = draw_heatmap(
+                    tracer, heatmap, maximum=maximum, progress=progress, **arguments
+                )
+                image = heat.image
+        with watch.measure("save"), bars.step("saving"):
+            save(image)
     triangle_count = len(tracer.structure.triangles)
+    if is_sampled:
+        ray_count, counts, figures = paths.count(image), paths.text(image), paths.figures(image)
+    else:
+        ray_count = width * height * arguments["samples"]
+        counts, figures = ("", {}) if heat is None else (heat.title, heatmap_figures(heat))
+    speed = rays_per_second(ray_count, watch.seconds["trace"])
     if json:
-        shown = {"mode": mode} if heat is None else heatmap_figures(heat)
         write_json(
             {
                 "output": str(output),
                 "scene": scene,
-                **shown,
+                **({"mode": mode} if heat is None else {}),
+                **figures,
                 "width": width,
                 "height": height,
-                "samples": samples,
+                "samples": arguments["samples"],
                 "structure": tracer.structure.name,
                 **machine_figures(chosen),
                 "device": device,
@@ -140,8 +176,15 @@ def render(
             }
         )
     else:
-        counts = "" if heat is None else f"; {heat.title}"
         write_line(
-            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles{counts}; "
-            f"{watch.text()}; {speed:g} Mrays/s"
+            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles"
+            f"{counts and f'; {counts}'}; {watch.text()}; {speed:g} M{unit}/s"
         )
+
+
+def _saver(output: Path, exposure: float, tone: str) -> Callable[[Image], None]:
+    def save(image: Image) -> None:
+        with refuse(OSError, where=str(output)):
+            image.save(output, exposure=exposure, tone=tone)
+
+    return save
