@@ -98,12 +98,18 @@ def test_time_ends_a_picture(run):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--max-bounces", "3"], "--max-bounces: only with --mode kajiya or path"),
-        (["--mode", "ao", "--max-bounces", "3"], "--max-bounces: only with --mode kajiya or path"),
-        (["--mode", "vis", "--noise", "0.1"], "--noise: only with --mode ao or kajiya or path"),
-        (["--time-limit", "9"], "--time-limit: only with --mode ao"),
-        (["--sampler", "sobol"], "--sampler: only with --mode ao"),
-        (["--resume"], "--resume: only with --mode ao"),
+        (["--max-bounces", "3"], "--max-bounces: only with --mode whitted or"),
+        (
+            ["--mode", "ao", "--max-bounces", "3"],
+            "--max-bounces: only with --mode whitted or",
+        ),
+        (
+            ["--mode", "vis", "--noise", "0.1"],
+            "--noise: only with --mode shadow or whitted or",
+        ),
+        (["--time-limit", "9"], "--time-limit: only with --mode shadow"),
+        (["--sampler", "sobol"], "--sampler: only with --mode shadow"),
+        (["--resume"], "--resume: only with --mode shadow"),
         (["--option", "rays=3"], "--option: rays: only with --mode ao"),
         (["--mode", "path", "--option", "rays=3"], "--option: rays: only with --mode ao"),
         (["--heatmap", "cells", "--noise", "1"], "--noise: not with --heatmap"),

@@ -29,7 +29,7 @@ __all__ = [
 #: Samples at most where noise or time decide, and no number is given.
 MOST_SAMPLES = 1 << 16
 
-SAMPLED = "ao, kajiya, path"
+SAMPLED = "shadow, whitted, xray, ao, kajiya, path"
 
 Samples = Annotated[
     int | None,
@@ -68,7 +68,7 @@ MaxBounces = Annotated[
         min=0,
         metavar="N",
         show_default=False,
-        help="Modes kajiya and path: surfaces that may scatter light on its way; 3 and 8 "
+        help="Modes whitted, kajiya and path: surfaces that may scatter light on its way; 8, 3 and 8 "
         "without it. Other options of a mode go by --option.",
     ),
 ]
@@ -196,7 +196,7 @@ def _like(where: str, value: Any, usual: Any) -> Any:
     if not is_right:
         raise BadInputError(f"{where}: expected {kind}, got {value!r}")
     try:
-        return type(usual)(value)
+        return float(value) if usual is None else type(usual)(value)
     except OverflowError:
         raise BadInputError(f"{where}: is too large") from None
 

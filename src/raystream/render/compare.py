@@ -35,14 +35,14 @@ class Comparison:
     rmse : float
         Root of the mean of (a - b)².
     mean_relative_error : float
-        Mean of |a - b| / (|b| + 0.01).
+        Mean of ``abs(a - b) / (abs(b) + 0.01)``.
     relative_mse : float
         Mean of (a - b)² / (b² + 0.01) [1]_.
     psnr : float
         Peak signal-to-noise ratio in decibels, of the pictures as sRGB bytes with the peak
         255: as far as a screen shows a difference. Infinite where it shows none.
     max_error : float
-        Largest |a - b|.
+        Largest ``abs(a - b)``.
     max_error_at : (int, int)
         Column and row of its pixel, from the upper left; the first, if there are several.
     mean, reference_mean : float
