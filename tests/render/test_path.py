@@ -260,6 +260,24 @@ def test_all_lights_together_add_up():
     assert_mean(image, ALBEDO / math.pi * received)
 
 
+def test_lights_that_take_light_away_are_sampled_too():
+    """Two that reach the floor, and one that a screen keeps off."""
+    lights = [
+        rs.DirectionalLight((1, -3, 0.5), (3, 2, 1)),
+        rs.DirectionalLight((0, -1, 0), (-1, -2, -0.5)),
+        rs.PointLight((1, 2, 0.5), (1, -2, 1)),
+        rs.DirectionalLight((-1, -1, 0), (-2, -1, -1)),
+    ]
+    screen = np.array([[1, 0.5, -1], [1, 0.5, 0.5], [1, 1.5, 0.5], [1, 1.5, -1]])
+    scene = on_the_floor(lights)
+    hidden = rs.Mesh(screen, DOWNWARD)
+    scene = rs.Scene(
+        [*scene.meshes, hidden], materials=scene.materials, lights=lights, camera=AIMED
+    )
+    received = sum(map(received_from, lights[:3]))
+    assert_mean(path(scene, 64, max_bounces=1), ALBEDO / math.pi * received)
+
+
 def test_light_from_below_does_not_reach_the_floor():
     lights = [rs.PointLight((0, -1, 0), (9, 9, 9)), rs.DirectionalLight((0, 1, 0), (9, 9, 9))]
     lamp = RECTANGLE - [0, 4, 0], [[2, 1, 0], [3, 2, 0]]

@@ -104,11 +104,12 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     far[points[:, 6] == 0.0] = 1.0
     shares = np.concatenate(
         [
-            points[:, 3:6] @ _LUMINANCE / far**2,
-            suns[:, 3:6] @ _LUMINANCE,
-            [math.pi * float(sky @ _LUMINANCE), math.pi * float(powers.sum()) / radius**2],
+            np.abs(points[:, 3:6]) @ _LUMINANCE / far**2,
+            np.abs(suns[:, 3:6]) @ _LUMINANCE,
+            [math.pi * float(np.abs(sky) @ _LUMINANCE), math.pi * float(powers.sum()) / radius**2],
         ]
     )
+    # Without signs: a light may take light away, as some formats allow, but no share may.
     total = float(shares.sum())
     if total > 0.0:
         shares /= total
