@@ -1,5 +1,7 @@
 """Modes whose pictures have closed forms, or a recursive reference."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -213,6 +215,9 @@ def test_solids_absorb_by_their_thickness():
         ("ao", {"distance": 0.0}, "distance: expected"),
         ("xray", {"opacity": 1.5}, "opacity: expected 0 to 1"),
         ("xray", {"absorption": -1.0}, "absorption: expected"),
+        ("path", {"max_bounces": 2.5}, "max_bounces: expected an integer, got 2.5"),
+        ("path", {"light_samples": "no"}, "light_samples: expected True or False"),
+        ("ao", {"distance": "far"}, "distance: expected a number, got 'far'"),
         ("path", {"noise": 0.0}, "noise: expected a number above 0"),
         ("path", {"time_limit": float("inf")}, "time_limit: expected a number above 0"),
         ("path", {"sampler": "halton"}, "expected one of"),
@@ -265,3 +270,31 @@ def test_sampler_of_one_sample_goes_through_the_centres():
     same = rs.render(scene, "shadow", size=(9, 7), seed=5, sampler="random")
     np.testing.assert_array_equal(image.pixels, same.pixels)
     assert Sampler.of("sobol", 0, 1).sample_count == 1
+
+
+def test_a_lens_blurs_what_is_out_of_focus():
+    camera = rs.Camera(eye=(0, 0, 4), look_at=(0, 0, 0), up=(0, 1, 0), fov=30.0)
+    glow = rs.Material(emission=(1, 1, 1))
+    scene = rs.Scene([square(0.5, 0.0)], materials=[glow])
+    sharp = rs.render(scene, "path", (24, 24), 64, camera=camera).pixels
+    blurred = dataclasses.replace(camera, aperture=0.5, focus=1.0)
+    focused = dataclasses.replace(camera, aperture=0.5, focus=4.0)
+    edges = {}
+    for name, view in (("blurred", blurred), ("focused", focused)):
+        pixels = rs.render(scene, "path", (24, 24), 64, camera=view).pixels
+        edges[name] = np.abs(pixels - sharp).mean()
+    assert edges["focused"] < 0.01 < 0.1 < edges["blurred"]
+
+
+def test_a_checkpoint_of_other_texture_pixels_is_another_picture(tmp_path):
+    file = tmp_path / "samples.npz"
+    for shade, refused in ((200, False), (20, True)):
+        texture = rs.Texture(np.full((2, 2, 3), shade, np.uint8))
+        mesh = square(1, 0.0)
+        mesh = rs.Mesh(mesh.vertices, mesh.faces, texcoords=np.zeros((4, 2)))
+        scene = rs.Scene([mesh], materials=[rs.Material(textures={"diffuse": texture})])
+        if refused:
+            with pytest.raises(rs.FileFormatError, match="another picture"):
+                rs.render(scene, "path", (4, 3), 3, checkpoint=file)
+        else:
+            rs.render(scene, "path", (4, 3), 2, checkpoint=file)

@@ -68,8 +68,8 @@ MaxBounces = Annotated[
         min=0,
         metavar="N",
         show_default=False,
-        help="Modes whitted, kajiya and path: surfaces that may scatter light on its way; 8, 3 and 8 "
-        "without it. Other options of a mode go by --option.",
+        help="Modes whitted, kajiya and path: surfaces that may scatter light on its way; 8, 3 "
+        "and 8 without it. Other options of a mode go by --option.",
     ),
 ]
 Noise = Annotated[

@@ -7,10 +7,10 @@ nothing within `distance`.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping
 from typing import Any
 
+from raystream.render.arguments import check_number, check_whole
 from raystream.render.path import reach_lights
 from raystream.render.sampled import Band, PathStream, SampledRenderer, find_surfaces
 from raystream.render.shading.around import look_around
@@ -45,10 +45,9 @@ def ask_around(stream: PathStream, band: Band) -> PathStream:
 
 
 def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    rays, distance = operator.index(options["rays"]), float(options["distance"])
-    if not 1 <= rays <= MAX_RAYS:
-        raise ValueError(f"rays: expected 1 to {MAX_RAYS}, got {rays}")
-    if math.isnan(distance) or distance <= 0.0:
+    rays = check_whole("rays", options["rays"], 1, MAX_RAYS)
+    distance = check_number("distance", options["distance"])
+    if distance <= 0.0:
         raise ValueError(f"distance: expected a number above 0, or inf, got {distance}")
     return {"rays": rays, "distance": distance}
 

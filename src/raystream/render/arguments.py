@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Mapping
 from typing import Any
@@ -11,7 +12,15 @@ from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["MAX_PIXELS", "check_camera", "check_samples", "check_size", "make_tracer"]
+__all__ = [
+    "MAX_PIXELS",
+    "check_camera",
+    "check_number",
+    "check_samples",
+    "check_size",
+    "check_whole",
+    "make_tracer",
+]
 
 #: Larger pictures are refused.
 MAX_PIXELS = 1 << 30
@@ -69,3 +78,25 @@ def make_tracer(
             raise ValueError("structure, device, options: the tracer given has its own")
         return scene
     return Tracer(scene, structure, device, **options)
+
+
+def check_whole(name: str, value: Any, least: int, most: int) -> int:
+    """An integer of an option, if it is within bounds; else ValueError that names it."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name}: expected an integer, got {value!r:.40}") from None
+    if not least <= number <= most:
+        raise ValueError(f"{name}: expected {least} to {most}, got {number}")
+    return number
+
+
+def check_number(name: str, value: Any) -> float:
+    """A number of an option; ValueError that names it if it is none, or NaN."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected a number, got {value!r:.40}") from None
+    if math.isnan(number):
+        raise ValueError(f"{name}: expected a number, got nan")
+    return number

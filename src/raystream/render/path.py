@@ -7,11 +7,11 @@ Rayforce poster's: the first surface and two diffuse bounces, with a shadow ray 
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from raystream.render.arguments import check_whole
 from raystream.render.sampled import Band, PathStream, SampledRenderer, find_surfaces
 from raystream.render.shading.paths import LightRays, PathRules, add_unblocked, follow_paths
 
@@ -57,10 +57,10 @@ def reach_lights(stream: PathStream, band: Band) -> PathStream:
 
 
 def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    bounces = operator.index(options["max_bounces"])
-    if not 0 <= bounces <= MAX_BOUNCES:
-        raise ValueError(f"max_bounces: expected 0 to {MAX_BOUNCES}, got {bounces}")
-    samples_lights = bool(options.get("light_samples", True))
+    bounces = check_whole("max_bounces", options["max_bounces"], 0, MAX_BOUNCES)
+    samples_lights = options.get("light_samples", True)
+    if not isinstance(samples_lights, bool):
+        raise ValueError(f"light_samples: expected True or False, got {samples_lights!r:.40}")
     return {"rules": PathRules(bounces, samples_lights, ROULETTE_BOUNCE)}
 
 

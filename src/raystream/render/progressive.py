@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream._version import __version__
+from raystream.core.errors import FileFormatError
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.render.accumulation import Accumulation
 from raystream.render.image import Image
@@ -113,6 +114,8 @@ def render_samples(
         sums = Accumulation.load(checkpoint, name)
     first = sample = int(sums.counts.min())
     started = shown = time.monotonic()
+    if sample < limits.samples:  # compile on this thread, see `parallel_for`
+        renderer.trace(setting, range(1), sample)
     try:
         # Ctrl-C comes to this thread only. On another one, whose end the block waits for, sums
         # are not left with half of a sample.
@@ -210,8 +213,6 @@ def _next_sample(
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
 
     def trace(begin: int, end: int) -> None:
-        if begin == end:  # compile on this thread, see `parallel_for`
-            renderer.trace(setting, range(1), sample)
         for band in range(begin, end):
             rows = range(band * rows_per_band, min((band + 1) * rows_per_band, height))
             light[rows.start * width : rows.stop * width] = renderer.trace(setting, rows, sample)
@@ -257,6 +258,7 @@ def _digest(scene: Scene) -> str:
             digest.update(repr(value).encode())
 
     add(scene.triangles.corners)
+    add((scene.triangles.center.tolist(), float(scene.triangles.scale)))
     for mesh in scene.meshes:
         for array in (mesh.normals, mesh.texcoords, mesh.colors, mesh.material_ids):
             add(array)
@@ -264,7 +266,11 @@ def _digest(scene: Scene) -> str:
         plain = {**vars(material), "textures": sorted(material.textures)}
         add(plain)
         for _, texture in sorted(material.textures.items()):
-            add((texture.name, texture.wrap, texture.path))
+            add(texture.wrap)
+            try:
+                add(texture.pixels())
+            except FileFormatError:  # left out of the picture, too
+                add(None)
     add(scene.lights)
     add(scene.background)
     return digest.hexdigest()

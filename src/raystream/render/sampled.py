@@ -163,18 +163,22 @@ class SampledRenderer:
 
 
 def eye_paths(setting: Setting, rows: range, sample: int) -> Paths:
-    """Begin a path at each pixel of some rows: at its centre, or spread over it if it has many."""
+    """Begin a path at each pixel of some rows: at its centre, or spread over it and the lens."""
     width, height = setting.width, setting.height
     count = len(rows) * width
     pixels = np.arange(rows.start * width, rows.start * width + count)
     x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
+    lens = None
     if setting.sampler.sample_count == 1:
         x, y = x + 0.5, y + 0.5
     else:
-        numbers = setting.sampler.numbers(pixels, sample, 0, 2)
+        numbers = setting.sampler.numbers(pixels, sample, 0, 4)
         x, y = x + numbers[:, 0], y + numbers[:, 1]
+        if setting.camera.aperture > 0.0:
+            lens = numbers[:, 2:].reshape(len(rows), width, 2)
     shape = len(rows), width
-    origins, directions = setting.camera.rays(width, height, x.reshape(shape), y.reshape(shape))
+    places = x.reshape(shape), y.reshape(shape)
+    origins, directions = setting.camera.rays(width, height, *places, lens)
     return Paths(
         pixels,
         np.ascontiguousarray(origins, np.float64).reshape(-1, 3),

@@ -8,10 +8,10 @@ Figure 3). Neither draws samples but for the places in the pixel.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping
 from typing import Any
 
+from raystream.render.arguments import check_number, check_whole
 from raystream.render.path import MAX_BOUNCES, reach_lights
 from raystream.render.sampled import Band, PathStream, SampledRenderer, find_surfaces
 from raystream.render.shading.paths import LightRays, Paths
@@ -43,10 +43,8 @@ def ask_every_light(stream: PathStream, band: Band) -> PathStream:
 
 
 def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    bounces = operator.index(options.get("max_bounces", 0))
-    weight = float(options.get("min_weight", 0.0))
-    if not 0 <= bounces <= MAX_BOUNCES:
-        raise ValueError(f"max_bounces: expected 0 to {MAX_BOUNCES}, got {bounces}")
+    bounces = check_whole("max_bounces", options.get("max_bounces", 0), 0, MAX_BOUNCES)
+    weight = check_number("min_weight", options.get("min_weight", 0.0))
     if not (math.isfinite(weight) and weight >= 0.0):
         raise ValueError(f"min_weight: expected a number of at least 0, got {weight}")
     return {"max_bounces": bounces, "min_weight": weight}

@@ -15,6 +15,7 @@ import numpy as np
 
 from raystream.physics.attenuation import attenuation
 from raystream.physics.segments import thickness
+from raystream.render.arguments import check_number
 from raystream.render.sampled import Band, PathStream, SampledRenderer
 from raystream.render.shading.sheets import look_through
 
@@ -48,11 +49,11 @@ def look_along(stream: PathStream, band: Band) -> PathStream:
 
 
 def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    opacity, absorption = float(options["opacity"]), options["absorption"]
+    opacity, absorption = check_number("opacity", options["opacity"]), options["absorption"]
     if not 0.0 <= opacity <= 1.0:
         raise ValueError(f"opacity: expected 0 to 1, got {opacity}")
     if absorption is not None:
-        absorption = float(absorption)
+        absorption = check_number("absorption", absorption)
         if not (math.isfinite(absorption) and absorption >= 0.0):
             raise ValueError(f"absorption: expected a number of at least 0, got {absorption}")
     return {"opacity": opacity, "absorption": absorption}
