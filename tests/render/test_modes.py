@@ -241,6 +241,12 @@ def test_every_mode_renders_nothing_at_all():
         assert np.isfinite(image.pixels).all(), mode
 
 
+def test_every_mode_renders_one_pixel():
+    scene = rs.Scene([square(1, 0.0)], lights=[DOWN], camera=looking_down())
+    for mode in rs.render.MODES:
+        assert rs.render(scene, mode, size=(1, 1)).pixels.any(), mode
+
+
 def test_samples_of_a_picture_that_goes_on_are_those_of_a_longer_one(tmp_path):
     scene = rs.Scene([square(4, 0.0), square(1, 1.0)], lights=[DOWN])
     file = tmp_path / "samples.npz"

@@ -87,6 +87,8 @@ LOSSLESS = {
 GLOSSY = {
     "dull": {"diffuse": NONE, "specular": WHITE, "shininess": 2.0},
     "sharp": {"diffuse": NONE, "specular": WHITE, "shininess": 500.0},
+    "metal": {"diffuse": WHITE, "roughness": 0.4, "metallic": 1.0},
+    "plastic": {"diffuse": WHITE, "roughness": 0.2, "metallic": 0.0},
     "varnish": {"diffuse": (0.5, 0.5, 0.5), "specular": (0.5, 0.5, 0.5), "shininess": 20.0},
     "all of them": {
         "diffuse": (0.25, 0.25, 0.25),

@@ -181,8 +181,9 @@ def eye_paths(setting: Setting, rows: range, sample: int) -> Paths:
     origins, directions = setting.camera.rays(width, height, *places, lens)
     return Paths(
         pixels,
-        np.ascontiguousarray(origins, np.float64).reshape(-1, 3),
-        np.ascontiguousarray(directions, np.float32).reshape(-1, 3),
+        # Copies: rays of one eye are repeated in place, and read-only.
+        np.array(origins, np.float64, order="C").reshape(-1, 3),
+        np.array(directions, np.float32, order="C").reshape(-1, 3),
         np.ones((count, 3), np.float32),
         np.full(count, np.inf),
     )

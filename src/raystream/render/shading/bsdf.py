@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
+from raystream.render.shading.microfacet import LEAST_ALPHA, PLASTIC, rough_reflected
 from raystream.render.shading.points import material_color, material_number
 from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import ROLES, texture_color, texture_of
@@ -31,7 +32,10 @@ _REFLECTION = np.uint64(COLUMNS.reflection)
 _TRANSMISSION = np.uint64(COLUMNS.transmission)
 _SHININESS = np.uint64(COLUMNS.shininess)
 _IOR = np.uint64(COLUMNS.ior)
+_ROUGHNESS = np.uint64(COLUMNS.roughness)
+_METALLIC = np.uint64(COLUMNS.metallic)
 _DIFFUSE_TEXTURE = np.uint64(ROLES.index("diffuse"))
+_ROUGHNESS_TEXTURE = np.uint64(ROLES.index("metallic_roughness"))
 _SPECULAR_TEXTURE = np.uint64(ROLES.index("specular"))
 
 Vector = tuple[float, float, float]
@@ -49,6 +53,9 @@ class Lobes(NamedTuple):
         Phong exponent.
     ior : float64
         Index of refraction of what the ray enters over that of what it leaves.
+    alpha : float64
+        GGX's roughness of a surface of glTF's kind, see `microfacet`: `specular` is then what it
+        mirrors squarely. 0 for Phong's lobe.
     """
 
     diffuse: Vector
@@ -57,6 +64,7 @@ class Lobes(NamedTuple):
     transmission: Vector
     shininess: float
     ior: float
+    alpha: float
 
 
 class Bounce(NamedTuple):
@@ -95,6 +103,36 @@ def _scaled(a, factor):
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
+@device
+def _tinted(color, tables, point, role):
+    """A colour of a material times its texture."""
+    textures = tables.textures
+    texture = texture_of(textures, point.material, role)
+    if texture < 0:
+        return color
+    return _times(color, texture_color(textures, texture, point.u, point.v, textures.linear))
+
+
+@device
+def _metal_or_plastic(tables, point, roughness, base):
+    """GGX's roughness of glTF's materials, and what they scatter evenly and mirror squarely."""
+    metallic = max(material_number(tables, point.material, _METALLIC), 0.0)
+    textures = tables.textures
+    texture = texture_of(textures, point.material, _ROUGHNESS_TEXTURE)
+    if texture >= 0:
+        numbers = texture_color(textures, texture, point.u, point.v, textures.plain)
+        roughness, metallic = roughness * numbers[1], metallic * numbers[2]
+    metallic = min(metallic, 1.0)
+    plastic = 1.0 - metallic
+    mirror = (
+        PLASTIC * plastic + base[0] * metallic,
+        PLASTIC * plastic + base[1] * metallic,
+        PLASTIC * plastic + base[2] * metallic,
+    )
+    alpha = min(max(roughness * roughness, LEAST_ALPHA), 1.0)
+    return alpha, _scaled(base, plastic), mirror
+
+
 @device_call
 def lobes_at(tables, point):
     """What a surface does at a point.
@@ -111,18 +149,21 @@ def lobes_at(tables, point):
     diffuse = _times(
         material_color(tables, material, _DIFFUSE), (point.red, point.green, point.blue)
     )
-    texture = texture_of(tables.textures, material, _DIFFUSE_TEXTURE)
-    if texture >= 0:
-        diffuse = _times(diffuse, texture_color(tables.textures, texture, point.u, point.v))
-    specular = material_color(tables, material, _SPECULAR)
-    texture = texture_of(tables.textures, material, _SPECULAR_TEXTURE)
-    if texture >= 0:
-        specular = _times(specular, texture_color(tables.textures, texture, point.u, point.v))
+    diffuse = _tinted(diffuse, tables, point, _DIFFUSE_TEXTURE)
+    specular = _tinted(
+        material_color(tables, material, _SPECULAR), tables, point, _SPECULAR_TEXTURE
+    )
+    roughness = material_number(tables, material, _ROUGHNESS)
+    alpha = 0.0
+    if roughness >= 0.0:
+        alpha, diffuse, specular = _metal_or_plastic(tables, point, roughness, diffuse)
     reflection = material_color(tables, material, _REFLECTION)
     transmission = material_color(tables, material, _TRANSMISSION)
     most = 1.0
     for k in range(3):
-        most = max(most, diffuse[k] + specular[k] + reflection[k] + transmission[k])
+        # Small faces take their share of what the rest would scatter.
+        both = max(diffuse[k], specular[k]) if alpha > 0.0 else diffuse[k] + specular[k]
+        most = max(most, both + reflection[k] + transmission[k])
     ior = max(material_number(tables, material, _IOR), 1e-3)
     return Lobes(
         _scaled(diffuse, 1.0 / most),
@@ -131,6 +172,7 @@ def lobes_at(tables, point):
         _scaled(transmission, 1.0 / most),
         material_number(tables, material, _SHININESS),
         ior if point.is_front else 1.0 / ior,
+        alpha,
     )
 
 
@@ -212,6 +254,11 @@ def reflected(lobes, point, back, toward):
     if cosine <= 0.0 or dot((point.gx, point.gy, point.gz), toward) <= 0.0:
         return (0.0, 0.0, 0.0), 0.0, 0.0
     diffuse = cosine / math.pi
+    if lobes.alpha > 0.0:
+        color, pdf = rough_reflected(
+            lobes.diffuse, lobes.specular, lobes.alpha, normal, back, toward
+        )
+        return color, diffuse, pdf
     color = (
         lobes.diffuse[0] * diffuse,
         lobes.diffuse[1] * diffuse,

@@ -181,7 +181,7 @@ def emitted(tables, point):
     color = material_color(tables, point.material, _EMISSION)
     texture = texture_of(tables.textures, point.material, _EMISSION_TEXTURE)
     if texture >= 0:
-        tint = texture_color(tables.textures, texture, point.u, point.v)
+        tint = texture_color(tables.textures, texture, point.u, point.v, tables.textures.linear)
         return color[0] * tint[0], color[1] * tint[1], color[2] * tint[2]
     return color
 

@@ -14,6 +14,7 @@ from raystream.render.shading.bsdf import (
     reflected,
     refracted,
 )
+from raystream.render.shading.microfacet import mirrored_share, rough_direction
 
 __all__ = ["reflection_pdf", "scatter"]
 
@@ -43,6 +44,9 @@ def _shares(lobes, back, normal):
     if _mean(lobes.transmission) > 0.0 and lobes.ior != 1.0:
         clear = fresnel(min(dot(back, normal), 1.0), lobes.ior)
     diffuse, specular = _mean(lobes.diffuse), _mean(lobes.specular)
+    if lobes.alpha > 0.0:
+        specular = _mean(mirrored_share(lobes.specular, dot(back, normal)))
+        diffuse *= 1.0 - specular
     mirror = _mean(lobes.reflection) + clear * _mean(lobes.transmission)
     through = (1.0 - clear) * _mean(lobes.transmission)
     total = diffuse + specular + mirror + through
@@ -104,6 +108,8 @@ def scatter(lobes, point, back, choice, u, v):
         if choice < diffuse:
             x, y, z = cosine_hemisphere(np.float32(u), np.float32(v))
             toward = _turned(np.float64(x), np.float64(y), np.float64(z), normal)
+        elif lobes.alpha > 0.0:
+            toward = rough_direction(lobes.alpha, normal, back, u, v)
         else:
             x, y, z = power_cosine(np.float32(u), np.float32(v), np.float32(lobes.shininess))
             axis = mirrored(back, normal)

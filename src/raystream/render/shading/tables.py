@@ -25,10 +25,12 @@ class Column(NamedTuple):
     emission: int
     shininess: int
     ior: int
+    roughness: int
+    metallic: int
 
 
-COLUMNS = Column(0, 3, 6, 9, 12, 15, 16)
-WIDTH = 17
+COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18)
+WIDTH = 19
 
 
 class SceneTables(NamedTuple):
@@ -58,7 +60,8 @@ class SceneTables(NamedTuple):
     material_ids : uint64
         Of shape (F,), int32.
     materials : uint64
-        Of shape (M, 17), float32. See `Column`; colours are three numbers.
+        Of shape (M, 19), float32. See `Column`; colours are three numbers. Roughness and
+        metallic are -1 where a material has none.
     textures : TextureTables
     """
 
@@ -136,7 +139,7 @@ def _material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
     for row, material in zip(rows, materials, strict=True):
         for name, at in COLUMNS._asdict().items():
             value = getattr(material, name)
-            row[at : at + np.size(value)] = value
+            row[at : at + np.size(value)] = -1.0 if value is None else value
     rows[:, COLUMNS.shininess] = np.maximum(rows[:, COLUMNS.shininess], 1.0)
     return rows
 

@@ -18,8 +18,8 @@ from raystream.scene.texture import Texture
 
 __all__ = ["ROLES", "TextureTables", "pack_textures", "place_of", "texture_color", "texture_of"]
 
-#: Colours of a material that a texture may multiply, in the order of `TextureTables.of_material`.
-ROLES = ("diffuse", "specular", "emission")
+#: What of a material a texture may multiply, in the order of `TextureTables.of_material`.
+ROLES = ("diffuse", "specular", "emission", "metallic_roughness")
 
 _ONE = np.float32(1.0)
 _ROLES = np.uint64(len(ROLES))
@@ -44,15 +44,16 @@ class TextureTables(NamedTuple):
         Of shape (T, 4), int64: first texel, width, height, and 1 for a texture that is clamped,
         0 if it repeats.
     of_material : uint64
-        Of shape (M, 3), int32: each material's texture by role; -1 for none.
-    linear : uint64
-        Of shape (256,), float32: linear values of bytes.
+        Of shape (M, 4), int32: each material's texture by role; -1 for none.
+    linear, plain : uint64
+        Of shape (256,), float32: values of bytes, of colours, and of numbers.
     """
 
     texels: np.uint64
     places: np.uint64
     of_material: np.uint64
     linear: np.uint64
+    plain: np.uint64
 
 
 def place_of(array: NDArray[Any]) -> np.uint64:
@@ -76,7 +77,7 @@ def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]
     for row, material in zip(of_material, materials, strict=True):
         for column, role in enumerate(ROLES):
             texture = material.textures.get(role)
-            if texture is None or not any(getattr(material, role)):
+            if texture is None or not _is_seen(material, role):
                 continue
             if id(texture) not in known:
                 pixels = _rgb_of(texture)
@@ -93,8 +94,16 @@ def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]
         np.array(places, np.int64).reshape(-1, 4),
         of_material,
         decode_srgb(np.arange(256, dtype=np.uint8)),
+        np.arange(256, dtype=np.float32) / np.float32(255.0),
     )
     return TextureTables(*map(place_of, kept)), kept
+
+
+def _is_seen(material: Material, role: str) -> bool:
+    """Whether it matters what a texture multiplies."""
+    if role == "metallic_roughness":
+        return bool(material.roughness or material.metallic)
+    return any(getattr(material, role))
 
 
 def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
@@ -122,14 +131,14 @@ def _wrapped(index, size, is_clamped):
 
 
 @device
-def _texel(tables, bitmap, column, row):
+def _texel(tables, values, bitmap, column, row):
     first, width, height, is_clamped = bitmap
     at = first + _wrapped(row, height, is_clamped) * width + _wrapped(column, width, is_clamped)
     texel = tables.texels + np.uint64(at) * _TEXEL
     return (
-        load(np.float32, tables.linear + np.uint64(load(np.uint8, texel)) * _WORD),
-        load(np.float32, tables.linear + np.uint64(load(np.uint8, texel + _ONE_BYTE)) * _WORD),
-        load(np.float32, tables.linear + np.uint64(load(np.uint8, texel + _TWO_BYTES)) * _WORD),
+        load(np.float32, values + np.uint64(load(np.uint8, texel)) * _WORD),
+        load(np.float32, values + np.uint64(load(np.uint8, texel + _ONE_BYTE)) * _WORD),
+        load(np.float32, values + np.uint64(load(np.uint8, texel + _TWO_BYTES)) * _WORD),
     )
 
 
@@ -140,8 +149,8 @@ def _mixed(a, b, share):
 
 
 @device_call
-def texture_color(tables, texture, u, v):
-    """Linear RGB between the four nearest texels' centres; white where u or v is NaN.
+def texture_color(tables, texture, u, v, values):
+    """RGB between the four nearest texels' centres; white where u or v is NaN.
 
     Parameters
     ----------
@@ -150,6 +159,8 @@ def texture_color(tables, texture, u, v):
         Its row of `places`.
     u, v : float64
         Texture coordinates; v points up.
+    values : uint64
+        `TextureTables.linear` of colours, ``plain`` of numbers.
     """
     if not (abs(u) < np.inf and abs(v) < np.inf):
         return _ONE, _ONE, _ONE
@@ -165,9 +176,13 @@ def texture_color(tables, texture, u, v):
     column, row = np.int64(np.floor(x)), np.int64(np.floor(y))
     across, down = np.float32(x - column), np.float32(y - row)
     upper = _mixed(
-        _texel(tables, bitmap, column, row), _texel(tables, bitmap, column + 1, row), across
+        _texel(tables, values, bitmap, column, row),
+        _texel(tables, values, bitmap, column + 1, row),
+        across,
     )
     lower = _mixed(
-        _texel(tables, bitmap, column, row + 1), _texel(tables, bitmap, column + 1, row + 1), across
+        _texel(tables, values, bitmap, column, row + 1),
+        _texel(tables, values, bitmap, column + 1, row + 1),
+        across,
     )
     return _mixed(upper, lower, down)
