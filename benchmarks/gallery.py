@@ -2,8 +2,8 @@
 
     python benchmarks/gallery.py robots cornell -o docs/images/modes.png
 
-A row for each scene, a column for each mode. With 16 or more samples the sampled modes are
-smooth; `--samples` says how many paths get (ao needs an eighth of it, the others a sixteenth).
+The modes of a scene follow each other in rows of four. `--samples` says how many samples paths
+get: with 64 or more they are smooth. (ao gets an eighth of it, the others a sixteenth.)
 """
 
 import argparse
@@ -14,6 +14,9 @@ import raystream as rs
 from raystream.render.tone import apply_tone
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
+
+#: Pictures side by side.
+COLUMNS = 4
 
 
 def samples_of(mode, samples):
@@ -41,14 +44,19 @@ def main():
     rows = []
     for name in arguments.scenes:
         tracer = rs.Tracer(rs.load(name))
-        row = []
+        pictures = []
         for mode in arguments.modes:
             samples = samples_of(mode, arguments.samples)
             image = rs.render(tracer, mode, (width, height), samples)
             exposure = min(brightness(image), 8.0) if mode in ("kajiya", "path") else 1.0
-            row.append(image.pixels * np.float32(exposure))
+            pictures.append(image.pixels * np.float32(exposure))
             print(name, mode, f"{samples} samples", flush=True)
-        rows.append(np.concatenate(row, axis=1))
+        while len(pictures) % COLUMNS:
+            pictures.append(np.zeros_like(pictures[0]))
+        rows += [
+            np.concatenate(pictures[first : first + COLUMNS], axis=1)
+            for first in range(0, len(pictures), COLUMNS)
+        ]
     sheet = apply_tone(np.concatenate(rows, axis=0), "linear")
     rs.Image(np.minimum(sheet, 1.0)).save(arguments.output)
 
