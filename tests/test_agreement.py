@@ -173,8 +173,17 @@ def test_more_hits_than_memory_are_refused(monkeypatch):
     """Nothing is cut off silently, and the system need not kill the process."""
     tracer = rs.Tracer(CASES["one_triangle"](np.random.default_rng(0)).scene)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
-    monkeypatch.setattr("raystream.structures.batches.CHECKED_HITS", 1)
-    with pytest.raises(MemoryError, match=r"multi_hit: 1 hits would take .* give max_hits"):
-        tracer.multi_hit([0.2, 0.2, 1], [0, 0, -1])
+    monkeypatch.setattr("raystream.structures.found.CHECKED_HITS", 1)
+    refused = r"multi_hit: [\d,]+ hits would take .* give max_hits"
+    rays = np.full((10, 3), [0.2, 0.2, 1.0]), [0, 0, -1]
+    with pytest.raises(MemoryError, match=refused):
+        tracer.multi_hit(*rays)
+    # Room for a buffer of four hits, but not for all ten.
+    monkeypatch.setattr("raystream.structures.base.FIRST_CAPACITY", 4)
+    monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 4 * 16)
+    assert len(tracer.multi_hit(rays[0][:3], rays[1]).t) == 3
+    with pytest.raises(MemoryError, match=refused):
+        tracer.multi_hit(*rays)
+    monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
     with pytest.raises(MemoryError, match="a picture of 100x100 would"):
         rs.render(rs.Scene(), size=(100, 100))
