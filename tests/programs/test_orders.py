@@ -10,9 +10,7 @@ from programs.layers import layers_scene
 from raystream.structures import base
 from raystream.structures.bvh import packet_all
 
-RECORD = np.dtype(
-    [("hits", "i4"), ("ids", "i8"), ("rays", "i8"), ("near", "f4"), ("far", "f4"), ("in", "i4")]
-)
+RECORD = np.dtype([("hits", "i4"), ("ids", "i8"), ("rays", "i8"), ("near", "f4"), ("far", "f4")])
 
 VERTICES, FACES = dented_sphere(3)
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.render import progressive
+from raystream.render.sampled import SampledRenderer
 from raystream.render.sampling.sampler import Sampler
 
 DOWN = rs.DirectionalLight((0.0, 0.0, -1.0), (2.0, 1.0, 0.5))
@@ -258,6 +260,31 @@ def test_samples_of_a_picture_that_goes_on_are_those_of_a_longer_one(tmp_path):
     np.testing.assert_array_equal(again.layers["samples"], 12)
     with pytest.raises(rs.FileFormatError, match="another picture"):
         rs.render(scene, "path", samples=12, checkpoint=file, **{**options, "seed": 4})
+
+
+@pytest.mark.parametrize("mode", ["ao", "whitted", "path"])
+def test_pictures_do_not_depend_on_bands(mode, monkeypatch):
+    """Where a pixel sends many rays, bands have few pixels, so that memory is bounded."""
+    materials = [rs.Material(reflection=(0.3, 0.3, 0.3)), rs.Material()]
+    scene = rs.Scene(
+        [square(4, 0.0), square(1, 1.0, 1)],
+        materials=materials,
+        lights=[DOWN, rs.PointLight((2.0, 1.0, 4.0), (9.0, 9.0, 9.0))],
+        camera=rs.Camera(eye=(6, -5, 7), look_at=(0, 0, 0.5), up=(0, 0, 1), fov=40.0),
+    )
+    whole = rs.render(scene, mode, size=(16, 12), samples=2).pixels
+    counted = []
+    trace = SampledRenderer.trace
+
+    def spy(renderer, setting, rows, sample):
+        counted.append(len(rows))
+        return trace(renderer, setting, rows, sample)
+
+    monkeypatch.setattr(SampledRenderer, "trace", spy)
+    monkeypatch.setattr(progressive, "MOST_RAYS", 64)
+    monkeypatch.setattr(progressive, "MOST_BAND", 64)
+    np.testing.assert_array_equal(rs.render(scene, mode, (16, 12), samples=2).pixels, whole)
+    assert max(counted) == {"ao": 1, "whitted": 2, "path": 4}[mode]
 
 
 def test_noise_ends_a_picture_early():

@@ -11,10 +11,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from raystream.render.arguments import check_number, check_whole
-from raystream.render.path import reach_lights
-from raystream.render.sampled import Band, PathStream, SampledRenderer, find_surfaces
+from raystream.render.sampled import (
+    Band,
+    PathStream,
+    SampledRenderer,
+    Setting,
+    find_surfaces,
+    reach_lights,
+)
 from raystream.render.shading.around import look_around
-from raystream.render.shading.paths import LightRays
+from raystream.render.shading.streams import LightRays
 
 __all__ = ["AO"]
 
@@ -44,6 +50,10 @@ def ask_around(stream: PathStream, band: Band) -> PathStream:
     return PathStream(stream.paths.first(0), rays=rays.first(ray_count))
 
 
+def _rays_per_pixel(setting: Setting) -> int:
+    return int(setting.options["rays"])
+
+
 def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
     rays = check_whole("rays", options["rays"], 1, MAX_RAYS)
     distance = check_number("distance", options["distance"])
@@ -58,4 +68,5 @@ AO = SampledRenderer(
     (find_surfaces, ask_around, reach_lights),
     {"rays": 32, "distance": math.inf},
     _check,
+    _rays_per_pixel,
 )

@@ -36,12 +36,15 @@ class PatchLight:
     radiance : ndarray of shape (3,), float64
         What each point of it emits, linear RGB.
     area : float
+    prim_ids : ndarray of shape (K,), int32
+        The triangles, which can be hit.
     """
 
     position: NDArray[np.float64]
     normal: NDArray[np.float64] | None
     radiance: NDArray[np.float64]
     area: float
+    prim_ids: NDArray[np.int32]
 
 
 def area_patches(scene: Scene) -> list[PatchLight]:
@@ -64,6 +67,7 @@ def area_patches(scene: Scene) -> list[PatchLight]:
                 normal=total / np.linalg.norm(total) if flat else None,
                 radiance=np.array(light.radiance),
                 area=area,
+                prim_ids=solid,
             )
         )
     return patches

@@ -12,17 +12,19 @@ from raystream.render.arguments import check_camera, check_samples, check_size, 
 from raystream.render.eye_rays import eye_rays
 from raystream.render.film import Film
 from raystream.render.image import Image
+from raystream.render.kajiya import KAJIYA
 from raystream.render.lighting import area_patches, classic_lights
 from raystream.render.looks import Looks
-from raystream.render.path import KAJIYA, PATH
+from raystream.render.path import PATH
 from raystream.render.progressive import Limits, render_samples
 from raystream.render.raycast import RAYCAST
 from raystream.render.sampled import SampledRenderer, make_setting
 from raystream.render.sampling.sampler import Sampler
+from raystream.render.shadow import SHADOW
 from raystream.render.stages import Frame, Renderer, run_stages
 from raystream.render.surfaces import Surfaces
 from raystream.render.vis import VIS
-from raystream.render.whitted import SHADOW, WHITTED
+from raystream.render.whitted import WHITTED
 from raystream.render.xray import XRAY
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene

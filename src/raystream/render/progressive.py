@@ -32,6 +32,9 @@ __all__ = ["Limits", "checkpoint_seconds", "render_samples"]
 #: few enough for the threads to finish together. Memory is about 300 bytes for each.
 LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
 
+#: Rays that the pixels of a band may send at once, if they are of more than one row: 110 MB.
+MOST_RAYS = 1 << 21
+
 #: See `checkpoint_seconds`.
 CHECKPOINT_SECONDS = 10.0
 
@@ -208,7 +211,9 @@ def _next_sample(
     """One more sample of every pixel: shape (H * W, 3), linear RGB."""
     width, height = setting.width, setting.height
     share = -(-width * height // (4 * thread_count()))
-    rows_per_band = max(1, min(max(share, LEAST_BAND), MOST_BAND) // width)
+    per_pixel = max(renderer.rays_per_pixel(setting), 1)
+    most = min(MOST_BAND, MOST_RAYS // per_pixel)
+    rows_per_band = max(1, min(max(share, LEAST_BAND), most) // width)
     band_count = -(-height // rows_per_band)
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
 

@@ -18,12 +18,13 @@ from raystream.core.hits import Hits
 from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.classic import ClassicLights, classic_lights_of
 from raystream.render.shading.lights import LightTables, lights_of
-from raystream.render.shading.paths import LightRays, Paths
+from raystream.render.shading.streams import LightRays, Paths, add_unblocked
 from raystream.render.shading.tables import SceneTables, tables_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
 
 __all__ = [
+    "MAX_BOUNCES",
     "Band",
     "PathStage",
     "PathStream",
@@ -32,7 +33,11 @@ __all__ = [
     "eye_paths",
     "find_surfaces",
     "make_setting",
+    "reach_lights",
 ]
+
+#: Most surfaces on a path, for options `max_bounces`.
+MAX_BOUNCES = 1000
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,9 @@ class SampledRenderer:
         What a caller may set, and what holds without; checked by `check`.
     check : callable
         Returns the options as stages take them; raises ValueError for bad ones.
+    rays_per_pixel : callable
+        Rays of a pixel, with a setting, that a stage makes at once: bands have fewer pixels for
+        more of them.
     """
 
     name: str
@@ -149,6 +157,7 @@ class SampledRenderer:
     stages: Sequence[PathStage]
     options: Mapping[str, Any]
     check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
+    rays_per_pixel: Callable[[Setting], int] = lambda _: 1
 
     def trace(self, setting: Setting, rows: range, sample: int) -> NDArray[np.float32]:
         """One sample of each pixel of some rows: shape (rows * width, 3), linear RGB."""
@@ -194,3 +203,13 @@ def find_surfaces(stream: PathStream, band: Band) -> PathStream:
     paths = stream.paths
     hits = band.setting.tracer.first_hit(paths.origins, paths.directions)
     return replace(stream, hits=hits)
+
+
+def reach_lights(stream: PathStream, band: Band) -> PathStream:
+    """Stage: add what the lights send where nothing is in the way."""
+    rays = stream.rays
+    assert rays is not None
+    if len(rays.pixels):
+        blocked = band.setting.tracer.any_hit(rays.origins, rays.directions, t_max=rays.t_max)
+        add_unblocked(rays, blocked, band.first_pixel, band.radiance)
+    return replace(stream, rays=None)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
+from raystream.render.attributes import VertexAttributes, material_ids_of
 from raystream.scene.scene import Scene
 
 __all__ = ["SurfacePoints", "Surfaces"]
@@ -50,17 +50,8 @@ class Surfaces:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._normals = _joined([mesh.normals for mesh in scene.meshes], scene, 3, np.nan)
-        self._colors = _joined([mesh.colors for mesh in scene.meshes], scene, 3, 1.0)
-        self._texcoords = _joined([mesh.texcoords for mesh in scene.meshes], scene, 2, np.nan)
-        self._faces = np.empty((0, 3), np.int64)
-        if not (self._normals is None and self._colors is None and self._texcoords is None):
-            counts = [len(mesh.vertices) for mesh in scene.meshes]
-            firsts = np.cumsum([0, *counts[:-1]])
-            faces = [m.faces + first for m, first in zip(scene.meshes, firsts, strict=True)]
-            self._faces = np.concatenate(faces)
-        ids = [mesh.material_ids for mesh in scene.meshes]
-        self._material_ids = np.concatenate(ids) if ids else np.empty(0, np.int32)
+        self._vertices = VertexAttributes.of(scene)
+        self._material_ids = material_ids_of(scene)
 
     def at(self, hits: Hits, directions: NDArray[np.float32]) -> SurfacePoints:
         """Look up the attributes where rays hit.
@@ -76,12 +67,13 @@ class Surfaces:
         front: NDArray[np.bool_] = np.einsum("nk,nk->n", plane_normals, directions) <= 0.0
         facing = np.where(front[:, None], plane_normals, -plane_normals)
         normals, colors, texcoords = facing, np.ones_like(facing), None
-        if self._normals is not None:
-            normals = _turned(self._interpolate(self._normals, hits), facing)
-        if self._colors is not None:
-            colors = self._interpolate(self._colors, hits)
-        if self._texcoords is not None:
-            texcoords = self._interpolate(self._texcoords, hits)
+        vertices = self._vertices
+        if vertices.normals is not None:
+            normals = _turned(self._interpolate(vertices.normals, hits), facing)
+        if vertices.colors is not None:
+            colors = self._interpolate(vertices.colors, hits)
+        if vertices.texcoords is not None:
+            texcoords = self._interpolate(vertices.texcoords, hits)
         return SurfacePoints(
             hits.positions,
             normals,
@@ -92,27 +84,12 @@ class Surfaces:
         )
 
     def _interpolate(self, values: NDArray[np.float32], hits: Hits) -> NDArray[np.float32]:
-        corners = values[self._faces[hits.prim_id]]
+        corners = values[self._vertices.faces[hits.prim_id]]
         u, v = hits.u[:, None], hits.v[:, None]
         result: NDArray[np.float32] = (
             (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
         )
         return result
-
-
-def _joined(
-    attributes: Sequence[NDArray[np.float32] | None], scene: Scene, width: int, missing: float
-) -> NDArray[np.float32] | None:
-    """The attribute of all meshes' vertices, one after another; None if no mesh has it."""
-    if all(attribute is None for attribute in attributes):
-        return None
-    parts = [
-        np.full((len(mesh.vertices), width), missing, np.float32)
-        if attribute is None
-        else attribute
-        for mesh, attribute in zip(scene.meshes, attributes, strict=True)
-    ]
-    return np.concatenate(parts)
 
 
 def _turned(smooth: NDArray[np.float32], facing: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,8 +1,7 @@
-"""whitted and shadow: light from every light where nothing blocks it (Purcell 2002, 3.2).
+"""whitted: light from every light, mirrors and glass (Whitted 1980; Purcell 2002, 3.2).
 
-`shadow` is Purcell's shadow caster: the first visible surface, and one shadow ray for each
-light. `whitted` adds rays to mirrors and through glass, L + 2 for each surface (Purcell 2002,
-Figure 3). Neither draws samples but for the places in the pixel.
+Each surface sends a ray to each of L lights, one to where it mirrors and one through it: L + 2
+rays (Purcell 2002, Figure 3). No samples are drawn but for the places in the pixel.
 """
 
 from __future__ import annotations
@@ -12,12 +11,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from raystream.render.arguments import check_number, check_whole
-from raystream.render.path import MAX_BOUNCES, reach_lights
-from raystream.render.sampled import Band, PathStream, SampledRenderer, find_surfaces
-from raystream.render.shading.paths import LightRays, Paths
+from raystream.render.sampled import (
+    MAX_BOUNCES,
+    Band,
+    PathStream,
+    SampledRenderer,
+    Setting,
+    find_surfaces,
+    reach_lights,
+)
+from raystream.render.shading.streams import LightRays, Paths
 from raystream.render.shading.whitted import light_surfaces
 
-__all__ = ["SHADOW", "WHITTED"]
+__all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel"]
 
 
 def ask_every_light(stream: PathStream, band: Band) -> PathStream:
@@ -25,7 +31,7 @@ def ask_every_light(stream: PathStream, band: Band) -> PathStream:
     assert stream.hits is not None
     setting, hits, count = band.setting, stream.hits, len(stream)
     goes_on = stream.bounce < setting.options["max_bounces"]
-    rays = LightRays.empty(count * int(setting.classic.light_count))
+    rays = LightRays.empty(count * lights_per_pixel(setting))
     onward = Paths.empty(2 * count if goes_on else 0)
     path_count, ray_count = light_surfaces(
         stream.paths,
@@ -42,7 +48,13 @@ def ask_every_light(stream: PathStream, band: Band) -> PathStream:
     return PathStream(onward.first(path_count), stream.bounce + 1, rays=rays.first(ray_count))
 
 
-def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
+def lights_per_pixel(setting: Setting) -> int:
+    """Rays that a pixel's first surface sends to lights."""
+    return int(setting.classic.light_count)
+
+
+def check_whitted(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The options ``max_bounces``, 0 without it, and ``min_weight``."""
     bounces = check_whole("max_bounces", options.get("max_bounces", 0), 0, MAX_BOUNCES)
     weight = check_number("min_weight", options.get("min_weight", 0.0))
     if not (math.isfinite(weight) and weight >= 0.0):
@@ -50,20 +62,13 @@ def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"max_bounces": bounces, "min_weight": weight}
 
 
-_STAGES = (find_surfaces, ask_every_light, reach_lights)
-
-SHADOW = SampledRenderer(
-    "shadow",
-    "the nearest surface under the lights, with shadows (Purcell 2002)",
-    _STAGES,
-    {},
-    _check,
-)
+WHITTED_STAGES = (find_surfaces, ask_every_light, reach_lights)
 
 WHITTED = SampledRenderer(
     "whitted",
     "shadows, mirrors and glass, without recursion (Whitted 1980, Christen 2005)",
-    _STAGES,
+    WHITTED_STAGES,
     {"max_bounces": 8, "min_weight": 1.0 / 512.0},
-    _check,
+    check_whitted,
+    lights_per_pixel,
 )

@@ -8,6 +8,7 @@ from raystream.jit.cpu import device_call, kernel
 from raystream.render.sampling.sampler import draw_pair
 from raystream.render.sampling.warp import cosine_hemisphere, to_world
 from raystream.render.shading.points import spawned, surface_point
+from raystream.render.shading.streams import direction_of, put_ray
 
 __all__ = ["look_around"]
 
@@ -53,21 +54,20 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
             for k in range(3):
                 radiance[np.uint64(pixel_id - first_pixel), k] += paths.weights[i, k]
             continue
-        dx = np.float64(paths.directions[i, 0])
-        dy = np.float64(paths.directions[i, 1])
-        dz = np.float64(paths.directions[i, 2])
+        dx, dy, dz, _ = direction_of(paths, i)
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
+        share = np.float32(count)
+        light = (
+            paths.weights[i, 0] / share,
+            paths.weights[i, 1] / share,
+            paths.weights[i, 2] / share,
+        )
         for j in range(count):
             toward = _direction(sampler, pixel_id, sample * count + j, point.nx, point.ny, point.nz)
             # Those that a smooth normal sends below the triangle meet it at once.
             if toward[0] * point.gx + toward[1] * point.gy + toward[2] * point.gz <= 0.0:
                 continue
-            x, y, z = spawned(tables, point, toward)
-            rays.pixels[row] = pixel_id
-            rays.origins[row, 0], rays.origins[row, 1], rays.origins[row, 2] = x, y, z
-            rays.t_max[row] = np.float32(distance)
-            for k in range(3):
-                rays.directions[row, k] = np.float32(toward[k])
-                rays.light[row, k] = paths.weights[i, k] / np.float32(count)
+            origin, reach = spawned(tables, point, toward), np.float32(distance)
+            put_ray(rays, row, pixel_id, origin, toward, reach, light)
             row += _ONE
     return np.int64(row)

@@ -24,7 +24,17 @@ from raystream.render.shading.points import material_color, material_number
 from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import ROLES, texture_color, texture_of
 
-__all__ = ["Bounce", "Lobes", "dot", "fresnel", "lobes_at", "mirrored", "reflected", "refracted"]
+__all__ = [
+    "Bounce",
+    "Lobes",
+    "dot",
+    "emitted",
+    "fresnel",
+    "lobes_at",
+    "mirrored",
+    "reflected",
+    "refracted",
+]
 
 _DIFFUSE = np.uint64(COLUMNS.diffuse)
 _SPECULAR = np.uint64(COLUMNS.specular)
@@ -34,6 +44,8 @@ _SHININESS = np.uint64(COLUMNS.shininess)
 _IOR = np.uint64(COLUMNS.ior)
 _ROUGHNESS = np.uint64(COLUMNS.roughness)
 _METALLIC = np.uint64(COLUMNS.metallic)
+_EMISSION = np.uint64(COLUMNS.emission)
+_EMISSION_TEXTURE = np.uint64(ROLES.index("emission"))
 _DIFFUSE_TEXTURE = np.uint64(ROLES.index("diffuse"))
 _ROUGHNESS_TEXTURE = np.uint64(ROLES.index("metallic_roughness"))
 _SPECULAR_TEXTURE = np.uint64(ROLES.index("specular"))
@@ -111,6 +123,13 @@ def _tinted(color, tables, point, role):
     if texture < 0:
         return color
     return _times(color, texture_color(textures, texture, point.u, point.v, textures.linear))
+
+
+@device
+def emitted(tables, point):
+    """What the front of a surface emits."""
+    color = material_color(tables, point.material, _EMISSION)
+    return _tinted(color, tables, point, _EMISSION_TEXTURE)
 
 
 @device

@@ -95,13 +95,12 @@ def _vector(values: NDArray[np.float64] | Sequence[float]) -> Vector:
 
 
 def _patch_rows(scene: Scene, patches: Sequence[PatchLight]) -> list[list[float]]:
-    """Rows of area lights; their triangles are found by the patches' order."""
+    """Rows of area lights."""
     frame, rows = scene.triangles, []
-    solids = [np.intersect1d(light.prim_ids, frame.prim_ids) for light in scene.area_lights]
-    for patch, prims in zip(patches, [s for s in solids if len(s)], strict=True):
+    for patch in patches:
         row = [0.0] * _COLUMNS
         place = (patch.position - frame.center) * float(frame.scale)
-        spread = frame.corners[prims].reshape(-1, 3).astype(np.float64) - place
+        spread = frame.corners[patch.prim_ids].reshape(-1, 3).astype(np.float64) - place
         row[:3], row[3:6] = place, math.pi * patch.radiance
         row[_RADIUS] = math.sqrt(patch.area / math.pi) * float(frame.scale)
         if patch.normal is None:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from raystream.core.spawn import UNIT
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
+from raystream.render.attributes import material_ids_of
 from raystream.render.sampling.warp import sphere, triangle
 from raystream.render.shading.points import corner_of, material_color, material_of, offset_at
-from raystream.render.shading.tables import COLUMNS, material_ids_of
+from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import place_of
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene

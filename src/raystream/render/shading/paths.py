@@ -13,33 +13,19 @@ Simulation", 1997.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.render.sampling.sampler import draw, draw_pair
-from raystream.render.shading.bsdf import lobes_at, reflected
+from raystream.render.shading.bsdf import emitted, lobes_at, reflected
 from raystream.render.shading.lights import sample_light, triangle_pdf
-from raystream.render.shading.points import material_color, spawned, surface_point, to_world
+from raystream.render.shading.points import surface_point
 from raystream.render.shading.scatter import reflection_pdf, scatter
-from raystream.render.shading.tables import COLUMNS
-from raystream.render.shading.textures import ROLES, texture_color, texture_of
+from raystream.render.shading.streams import add_light, aimed, direction_of, put_path, put_ray
 
-__all__ = [
-    "LightRays",
-    "PathRules",
-    "Paths",
-    "add_light",
-    "add_unblocked",
-    "emitted",
-    "follow_paths",
-]
-
-_EMISSION = np.uint64(COLUMNS.emission)
-_EMISSION_TEXTURE = np.uint64(ROLES.index("emission"))
+__all__ = ["PathRules", "follow_paths"]
 
 #: Numbers that a path takes at each surface, and those before the first one: for the place in
 #: the pixel and on the lens.
@@ -47,80 +33,6 @@ _DIMENSIONS = 8
 _FIRST_DIMENSION = 4
 
 _ONE = np.uint64(1)
-_INF = np.float32(np.inf)
-
-
-class Paths(NamedTuple):
-    """A stream of paths, each at the start of a ray.
-
-    Attributes
-    ----------
-    pixels : ndarray of shape (N,), int64
-    origins : ndarray of shape (N, 3), float64
-        World space.
-    directions : ndarray of shape (N, 3), float32
-    weights : ndarray of shape (N, 3), float32
-        What part of the light that a ray finds reaches its pixel.
-    pdfs : ndarray of shape (N,), float64
-        Density over solid angle with which the direction was chosen; inf where no other way
-        finds its light: from the eye, from mirrors and through glass.
-    """
-
-    pixels: NDArray[np.int64]
-    origins: NDArray[np.float64]
-    directions: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    pdfs: NDArray[np.float64]
-
-    @classmethod
-    def empty(cls, count: int) -> Paths:
-        """Room for so many."""
-        return cls(
-            np.empty(count, np.int64),
-            np.empty((count, 3)),
-            np.empty((count, 3), np.float32),
-            np.empty((count, 3), np.float32),
-            np.empty(count),
-        )
-
-    def first(self, count: int) -> Paths:
-        """The first `count` of them."""
-        return self._replace(**{name: array[:count] for name, array in self._asdict().items()})
-
-
-class LightRays(NamedTuple):
-    """Rays to lights, and what they bring if nothing is in their way.
-
-    Attributes
-    ----------
-    pixels : ndarray of shape (N,), int64
-    origins : ndarray of shape (N, 3), float64
-        World space.
-    directions : ndarray of shape (N, 3), float32
-    t_max : ndarray of shape (N,), float32
-    light : ndarray of shape (N, 3), float32
-    """
-
-    pixels: NDArray[np.int64]
-    origins: NDArray[np.float64]
-    directions: NDArray[np.float32]
-    t_max: NDArray[np.float32]
-    light: NDArray[np.float32]
-
-    @classmethod
-    def empty(cls, count: int) -> LightRays:
-        """Room for so many."""
-        return cls(
-            np.empty(count, np.int64),
-            np.empty((count, 3)),
-            np.empty((count, 3), np.float32),
-            np.empty(count, np.float32),
-            np.empty((count, 3), np.float32),
-        )
-
-    def first(self, count: int) -> LightRays:
-        """The first `count` of them."""
-        return self._replace(**{name: array[:count] for name, array in self._asdict().items()})
 
 
 class PathRules(NamedTuple):
@@ -159,31 +71,12 @@ def _number(sampler, pixel, sample, dimension):
 
 
 @device
-def add_light(radiance, pixel, weights, i, color, factor):
-    """Add light that path i brings to its pixel."""
-    radiance[pixel, 0] += np.float32(weights[i, 0] * color[0] * factor)
-    radiance[pixel, 1] += np.float32(weights[i, 1] * color[1] * factor)
-    radiance[pixel, 2] += np.float32(weights[i, 2] * color[2] * factor)
-
-
-@device
 def _balance(pdf, other):
     """Weight of a way to find light among two, by the squares of their densities."""
     if other == 0.0 or pdf == np.inf:
         return 1.0
     ratio = other / pdf
     return 1.0 / (1.0 + ratio * ratio)
-
-
-@device
-def emitted(tables, point):
-    """What the front of a surface emits."""
-    color = material_color(tables, point.material, _EMISSION)
-    texture = texture_of(tables.textures, point.material, _EMISSION_TEXTURE)
-    if texture >= 0:
-        tint = texture_color(tables.textures, texture, point.u, point.v, tables.textures.linear)
-        return color[0] * tint[0], color[1] * tint[1], color[2] * tint[2]
-    return color
 
 
 @kernel
@@ -225,10 +118,7 @@ def follow_paths(
     for i in range(np.uint64(len(paths.pixels))):
         pixel_id = paths.pixels[i]
         pixel = np.uint64(pixel_id - first_pixel)
-        dx = np.float64(paths.directions[i, 0])
-        dy = np.float64(paths.directions[i, 1])
-        dz = np.float64(paths.directions[i, 2])
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz, length = direction_of(paths, i)
         pdf = paths.pdfs[i]
         if prim_ids[i] < 0:
             other = lights.sky_density if rules.samples_lights else 0.0
@@ -259,22 +149,15 @@ def follow_paths(
                     if found.pdf != np.inf:
                         other = reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf)
                     share = _balance(found.pdf, other)
-                    row = ray_count
+                    weights = paths.weights
+                    light = (
+                        weights[i, 0] * color[0] * found.color[0] * share,
+                        weights[i, 1] * color[1] * found.color[1] * share,
+                        weights[i, 2] * color[2] * found.color[2] * share,
+                    )
+                    origin, toward, t_max = aimed(tables, point, found)
+                    put_ray(rays, ray_count, pixel_id, origin, toward, t_max, light)
                     ray_count += _ONE
-                    rays.pixels[row] = pixel_id
-                    x, y, z = spawned(tables, point, found.toward)
-                    rays.origins[row, 0], rays.origins[row, 1], rays.origins[row, 2] = x, y, z
-                    toward, t_max = found.toward, _INF
-                    if not found.is_far:
-                        target = found.target
-                        px, py, pz = to_world(tables, target[0], target[1], target[2])
-                        toward, t_max = (px - x, py - y, pz - z), np.float32(1.0)
-                    rays.t_max[row] = t_max
-                    for k in range(3):
-                        rays.directions[row, k] = np.float32(toward[k])
-                        rays.light[row, k] = np.float32(
-                            paths.weights[i, k] * color[k] * found.color[k] * share
-                        )
 
         u, v, choice = _three_numbers(sampler, pixel_id, sample, dimension + 4)
         next_ray = scatter(lobes, point, back, choice, u, v)
@@ -293,31 +176,8 @@ def follow_paths(
             chance = min(brightest, 0.95)
             if _number(sampler, pixel_id, sample, dimension + 7) >= chance:
                 continue
-        row = path_count
+        weight = weight[0] / chance, weight[1] / chance, weight[2] / chance
+        toward = next_ray.direction
+        put_path(onward, path_count, pixel_id, tables, point, toward, weight, next_ray.pdf)
         path_count += _ONE
-        x, y, z = spawned(tables, point, next_ray.direction)
-        onward.pixels[row] = pixel_id
-        onward.origins[row, 0], onward.origins[row, 1], onward.origins[row, 2] = x, y, z
-        onward.pdfs[row] = next_ray.pdf
-        for k in range(3):
-            onward.directions[row, k] = np.float32(next_ray.direction[k])
-            onward.weights[row, k] = np.float32(weight[k] / chance)
     return np.int64(path_count), np.int64(ray_count)
-
-
-@kernel
-def add_unblocked(rays, blocked, first_pixel, radiance):
-    """Add what rays to lights bring where nothing is in their way.
-
-    Parameters
-    ----------
-    rays : LightRays
-    blocked : ndarray of shape (N,), bool
-    first_pixel, radiance
-        See `follow_paths`.
-    """
-    for i in range(np.uint64(len(rays.pixels))):
-        if not blocked[i]:
-            pixel = np.uint64(rays.pixels[i] - first_pixel)
-            for k in range(3):
-                radiance[pixel, k] += rays.light[i, k]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from raystream.jit.cpu import kernel
 from raystream.render.shading.bsdf import lobes_at
-from raystream.render.shading.paths import add_light
 from raystream.render.shading.points import surface_point
+from raystream.render.shading.streams import add_light, direction_of
 
 __all__ = ["look_through"]
 
@@ -35,10 +33,7 @@ def look_through(paths, splits, rows, tables, opacity, background, first_pixel, 
     clear = 1.0 - opacity
     for i in range(np.uint64(len(paths.pixels))):
         pixel = np.uint64(paths.pixels[i] - first_pixel)
-        dx = np.float64(paths.directions[i, 0])
-        dy = np.float64(paths.directions[i, 1])
-        dz = np.float64(paths.directions[i, 2])
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz, length = direction_of(paths, i)
         passed = 1.0
         for row in range(np.uint64(splits[i]), np.uint64(splits[i + _ONE])):
             point = surface_point(tables, prim_ids[row], us[row], vs[row], dx, dy, dz)

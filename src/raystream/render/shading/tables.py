@@ -8,11 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.render.attributes import VertexAttributes, material_ids_of
 from raystream.render.shading.textures import TextureTables, pack_textures, place_of
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 
-__all__ = ["COLUMNS", "WIDTH", "Column", "SceneTables", "material_ids_of", "tables_of"]
+__all__ = ["COLUMNS", "WIDTH", "Column", "SceneTables", "tables_of"]
 
 
 class Column(NamedTuple):
@@ -88,15 +89,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         See `pack_textures`.
     """
     triangles = scene.triangles
-    normals = _joined([mesh.normals for mesh in scene.meshes], scene, 3, np.nan)
-    texcoords = _joined([mesh.texcoords for mesh in scene.meshes], scene, 2, np.nan)
-    colors = _joined([mesh.colors for mesh in scene.meshes], scene, 3, 1.0)
-    faces = np.empty((0, 3), np.int32)
-    if len(normals) or len(texcoords) or len(colors):
-        counts = [len(mesh.vertices) for mesh in scene.meshes]
-        firsts = np.cumsum([0, *counts[:-1]])
-        parts = [m.faces + first for m, first in zip(scene.meshes, firsts, strict=True)]
-        faces = np.ascontiguousarray(np.concatenate(parts), np.int32)
+    vertices = VertexAttributes.of(scene)
     material_ids = material_ids_of(scene)
     materials = _material_rows(scene.materials)
     textures, kept_textures = pack_textures(scene.materials)
@@ -108,30 +101,15 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         1.0 / float(triangles.scale),
         float(triangles.extreme),
         float(np.abs(triangles.center).max()) * float(triangles.scale),
-        place_of(faces),
-        place_of(normals),
-        place_of(texcoords),
-        place_of(colors),
+        place_of(vertices.faces),
+        place_of(vertices.normals),
+        place_of(vertices.texcoords),
+        place_of(vertices.colors),
         place_of(material_ids),
         place_of(materials),
         textures,
     )
-    return tables, (
-        corners,
-        faces,
-        normals,
-        texcoords,
-        colors,
-        material_ids,
-        materials,
-        kept_textures,
-    )
-
-
-def material_ids_of(scene: Scene) -> NDArray[np.int32]:
-    """The material of each triangle, shape (F,)."""
-    ids = [mesh.material_ids for mesh in scene.meshes]
-    return np.concatenate(ids).astype(np.int32) if ids else np.empty(0, np.int32)
+    return tables, (corners, vertices, material_ids, materials, kept_textures)
 
 
 def _material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
@@ -142,18 +120,3 @@ def _material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
             row[at : at + np.size(value)] = -1.0 if value is None else value
     rows[:, COLUMNS.shininess] = np.maximum(rows[:, COLUMNS.shininess], 1.0)
     return rows
-
-
-def _joined(
-    attributes: Sequence[NDArray[np.float32] | None], scene: Scene, width: int, missing: float
-) -> NDArray[np.float32]:
-    """The attribute of all meshes' vertices, one after another; nothing if no mesh has it."""
-    if all(attribute is None for attribute in attributes):
-        return np.empty((0, width), np.float32)
-    parts = [
-        np.full((len(mesh.vertices), width), missing, np.float32)
-        if attribute is None
-        else np.asarray(attribute, np.float32)
-        for mesh, attribute in zip(scene.meshes, attributes, strict=True)
-    ]
-    return np.ascontiguousarray(np.concatenate(parts))

@@ -56,9 +56,9 @@ class TextureTables(NamedTuple):
     plain: np.uint64
 
 
-def place_of(array: NDArray[Any]) -> np.uint64:
-    """The address of a contiguous array's first number; 0 if it has none."""
-    return np.uint64(array.ctypes.data if array.size else 0)
+def place_of(array: NDArray[Any] | None) -> np.uint64:
+    """The address of a contiguous array's first number; 0 if it has none, or is none."""
+    return np.uint64(0 if array is None or not array.size else array.ctypes.data)
 
 
 def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]:

@@ -9,20 +9,25 @@ ray brings to its pixel is in its weight (Purcell 2002, section 3.2; Christen 20
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
-from raystream.render.shading.bsdf import dot, fresnel, lobes_at, mirrored, reflected, refracted
+from raystream.render.shading.bsdf import (
+    dot,
+    emitted,
+    fresnel,
+    lobes_at,
+    mirrored,
+    reflected,
+    refracted,
+)
 from raystream.render.shading.classic import arriving
-from raystream.render.shading.paths import add_light, emitted
-from raystream.render.shading.points import spawned, surface_point, to_world
+from raystream.render.shading.points import surface_point
+from raystream.render.shading.streams import add_light, aimed, direction_of, put_path, put_ray
 
 __all__ = ["light_surfaces"]
 
 _ONE = np.uint64(1)
-_INF = np.float32(np.inf)
 
 
 @device
@@ -35,13 +40,7 @@ def _go_on(onward, row, pixel, tables, point, toward, weights, i, color, min_wei
     )
     if not max(weight[0], weight[1], weight[2]) > min_weight:
         return row
-    x, y, z = spawned(tables, point, toward)
-    onward.pixels[row] = pixel
-    onward.origins[row, 0], onward.origins[row, 1], onward.origins[row, 2] = x, y, z
-    onward.pdfs[row] = np.inf
-    for k in range(3):
-        onward.directions[row, k] = np.float32(toward[k])
-        onward.weights[row, k] = np.float32(weight[k])
+    put_path(onward, row, pixel, tables, point, toward, weight, np.inf)
     return row + _ONE
 
 
@@ -78,10 +77,7 @@ def light_surfaces(
         if prim_ids[i] < 0:
             add_light(radiance, pixel, paths.weights, i, lights.background, 1.0)
             continue
-        dx = np.float64(paths.directions[i, 0])
-        dy = np.float64(paths.directions[i, 1])
-        dz = np.float64(paths.directions[i, 2])
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz, length = direction_of(paths, i)
         back = -dx / length, -dy / length, -dz / length
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         if point.is_front:
@@ -97,22 +93,14 @@ def light_surfaces(
             color, _, _ = reflected(lobes, point, back, found.toward)
             if color[0] + color[1] + color[2] <= 0.0:
                 continue
-            x, y, z = spawned(tables, point, found.toward)
-            rays.pixels[ray_count] = pixel_id
-            rays.origins[ray_count, 0] = x
-            rays.origins[ray_count, 1] = y
-            rays.origins[ray_count, 2] = z
-            toward, t_max = found.toward, _INF
-            if not found.is_far:
-                target = found.target
-                px, py, pz = to_world(tables, target[0], target[1], target[2])
-                toward, t_max = (px - x, py - y, pz - z), np.float32(1.0)
-            rays.t_max[ray_count] = t_max
-            for k in range(3):
-                rays.directions[ray_count, k] = np.float32(toward[k])
-                rays.light[ray_count, k] = np.float32(
-                    paths.weights[i, k] * color[k] * found.color[k]
-                )
+            weights = paths.weights
+            light = (
+                weights[i, 0] * color[0] * found.color[0],
+                weights[i, 1] * color[1] * found.color[1],
+                weights[i, 2] * color[2] * found.color[2],
+            )
+            origin, toward, t_max = aimed(tables, point, found)
+            put_ray(rays, ray_count, pixel_id, origin, toward, t_max, light)
             ray_count += _ONE
         if not goes_on:
             continue

@@ -1,0 +1,194 @@
+"""Streams that shading kernels read and write: paths, and rays to lights."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device, kernel
+from raystream.render.shading.points import spawned, to_world
+
+__all__ = [
+    "LightRays",
+    "Paths",
+    "add_light",
+    "add_unblocked",
+    "aimed",
+    "direction_of",
+    "put_path",
+    "put_ray",
+]
+
+_ONE = np.float32(1.0)
+_INF = np.float32(np.inf)
+
+
+class Paths(NamedTuple):
+    """A stream of paths, each at the start of a ray.
+
+    Attributes
+    ----------
+    pixels : ndarray of shape (N,), int64
+    origins : ndarray of shape (N, 3), float64
+        World space.
+    directions : ndarray of shape (N, 3), float32
+    weights : ndarray of shape (N, 3), float32
+        What part of the light that a ray finds reaches its pixel.
+    pdfs : ndarray of shape (N,), float64
+        Density over solid angle with which the direction was chosen; inf where no other way
+        finds its light: from the eye, from mirrors and through glass.
+    """
+
+    pixels: NDArray[np.int64]
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    pdfs: NDArray[np.float64]
+
+    @classmethod
+    def empty(cls, count: int) -> Paths:
+        """Room for so many."""
+        directions, weights = (np.empty((count, 3), np.float32) for _ in range(2))
+        pixels, origins = np.empty(count, np.int64), np.empty((count, 3))
+        return cls(pixels, origins, directions, weights, np.empty(count))
+
+    def first(self, count: int) -> Paths:
+        """The first `count` of them."""
+        return self._replace(**{name: array[:count] for name, array in self._asdict().items()})
+
+
+class LightRays(NamedTuple):
+    """Rays to lights, and what they bring if nothing is in their way.
+
+    Attributes
+    ----------
+    pixels : ndarray of shape (N,), int64
+    origins : ndarray of shape (N, 3), float64
+        World space.
+    directions : ndarray of shape (N, 3), float32
+    light : ndarray of shape (N, 3), float32
+    t_max : ndarray of shape (N,), float32
+    """
+
+    pixels: NDArray[np.int64]
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float32]
+    light: NDArray[np.float32]
+    t_max: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, count: int) -> LightRays:
+        """Room for so many."""
+        directions, light = (np.empty((count, 3), np.float32) for _ in range(2))
+        pixels, origins = np.empty(count, np.int64), np.empty((count, 3))
+        return cls(pixels, origins, directions, light, np.empty(count, np.float32))
+
+    def first(self, count: int) -> LightRays:
+        """The first `count` of them."""
+        return self._replace(**{name: array[:count] for name, array in self._asdict().items()})
+
+
+@device
+def direction_of(paths, i):
+    """Direction of path i, and its length, float64."""
+    x = np.float64(paths.directions[i, 0])
+    y = np.float64(paths.directions[i, 1])
+    z = np.float64(paths.directions[i, 2])
+    return x, y, z, math.sqrt(x * x + y * y + z * z)
+
+
+@device
+def put_path(onward, row, pixel, tables, point, toward, weight, pdf):
+    """Write a path that leaves a point.
+
+    Parameters
+    ----------
+    onward : Paths
+    row : uint64
+    pixel : int64
+    tables : SceneTables
+    point : Point
+    toward, weight : tuple of three float64
+    pdf : float64
+    """
+    origin = spawned(tables, point, toward)
+    onward.pixels[row] = pixel
+    onward.pdfs[row] = pdf
+    for k in range(3):
+        onward.origins[row, k] = origin[k]
+        onward.directions[row, k] = np.float32(toward[k])
+        onward.weights[row, k] = np.float32(weight[k])
+
+
+@device
+def aimed(tables, point, found):
+    """The ray from a point to a light: its origin, direction and end.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    point : Point
+    found : LightSample
+
+    Returns
+    -------
+    origin, toward : tuple of three float64
+        World space.
+    t_max : float32
+    """
+    x, y, z = spawned(tables, point, found.toward)
+    if found.is_far:
+        return (x, y, z), found.toward, _INF
+    px, py, pz = to_world(tables, found.target[0], found.target[1], found.target[2])
+    return (x, y, z), (px - x, py - y, pz - z), _ONE
+
+
+@device
+def put_ray(rays, row, pixel, origin, toward, t_max, light):
+    """Write a ray to a light, and what it brings.
+
+    Parameters
+    ----------
+    rays : LightRays
+    row : uint64
+    pixel : int64
+    origin, toward, light : tuple of three float64 or float32
+    t_max : float32
+    """
+    rays.pixels[row] = pixel
+    rays.t_max[row] = t_max
+    for k in range(3):
+        rays.origins[row, k] = origin[k]
+        rays.directions[row, k] = np.float32(toward[k])
+        rays.light[row, k] = np.float32(light[k])
+
+
+@device
+def add_light(radiance, pixel, weights, i, color, factor):
+    """Add light that path i brings to its pixel."""
+    radiance[pixel, 0] += np.float32(weights[i, 0] * color[0] * factor)
+    radiance[pixel, 1] += np.float32(weights[i, 1] * color[1] * factor)
+    radiance[pixel, 2] += np.float32(weights[i, 2] * color[2] * factor)
+
+
+@kernel
+def add_unblocked(rays, blocked, first_pixel, radiance):
+    """Add what rays to lights bring where nothing is in their way.
+
+    Parameters
+    ----------
+    rays : LightRays
+    blocked : ndarray of shape (N,), bool
+    first_pixel : int
+        The pixel of row 0 of `radiance`.
+    radiance : ndarray of shape (P, 3), float32
+        Changed.
+    """
+    for i in range(np.uint64(len(rays.pixels))):
+        if not blocked[i]:
+            pixel = np.uint64(rays.pixels[i] - first_pixel)
+            for k in range(3):
+                radiance[pixel, k] += rays.light[i, k]
