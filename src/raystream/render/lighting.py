@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.render.environment import image_light, mean_radiance
 from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
 from raystream.scene.scene import Scene
@@ -88,10 +89,21 @@ def classic_lights(
     Returns
     -------
     tuple of Light
-        A scene without any light gets a white one at the eye. A scene with area lights gets
-        an ambient one, for what its surfaces would reflect on each other: as much as a
-        closed box of the scene's size would, every wall of which reflects half.
+        The mean of an environment light's image takes its place. A scene without any light
+        gets a white one at the eye. A scene with area lights gets an ambient one, for what its
+        surfaces would reflect on each other: as much as a closed box of the scene's size
+        would, every wall of which reflects half.
+
+    Raises
+    ------
+    ValueError, FileFormatError, ImportError
+        See `environment.image_light` and `environment.texels_of`.
     """
+    image = image_light(scene.lights)
+    lights = tuple(
+        EnvironmentLight(mean_radiance(light)) if light is image else light
+        for light in scene.lights
+    )
     if patches:
         extent = scene.bounds[1] - scene.bounds[0]
         box_area = 2.0 * float(extent @ np.roll(extent, 1))
@@ -99,8 +111,8 @@ def classic_lights(
         # evenly; a uniform radiance L gives each wall an irradiance of pi * L.
         radiance = sum((p.radiance * (p.area / box_area) for p in patches), np.zeros(3))
         ambient = float(radiance[0]), float(radiance[1]), float(radiance[2])
-        return (*scene.lights, EnvironmentLight(ambient))
-    return scene.lights or (PointLight(camera.eye, (1.0, 1.0, 1.0), falloff="none"),)
+        return (*lights, EnvironmentLight(ambient))
+    return lights or (PointLight(camera.eye, (1.0, 1.0, 1.0), falloff="none"),)
 
 
 def arriving_light(

@@ -21,6 +21,7 @@ from raystream._version import __version__
 from raystream.core.errors import FileFormatError
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.render.accumulation import Accumulation
+from raystream.render.environment import image_light, texels_of
 from raystream.render.image import Image
 from raystream.render.sampled import SampledRenderer, Setting
 from raystream.render.sampling.sampler import Sampler
@@ -277,5 +278,8 @@ def _digest(scene: Scene) -> str:
             except FileFormatError:  # left out of the picture, too
                 add(None)
     add(scene.lights)
+    environment = image_light(scene.lights)
+    if environment is not None:
+        add(texels_of(environment))
     add(scene.background)
     return digest.hexdigest()

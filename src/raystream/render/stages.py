@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
+from raystream.render.environment import image_light
 from raystream.render.film import Film
 from raystream.render.lighting import PatchLight
 from raystream.render.looks import Looks
+from raystream.render.shading.sky import seen_sky
 from raystream.render.surfaces import Surfaces
 from raystream.scene.camera import Camera
 from raystream.scene.lights import Light
@@ -130,9 +132,9 @@ def find_first_hits(stream: RayStream, frame: Frame) -> RayStream:
     """Stage: trace the rays; those that miss bring the background to their pixels and end."""
     hits = frame.tracer.first_hit(stream.origins, stream.directions)
     is_hit = hits.is_hit
-    if any(frame.scene.background):
+    if any(frame.scene.background) or image_light(frame.scene.lights):
         missed = ~is_hit
-        light = stream.weights[missed] * np.asarray(frame.scene.background, np.float32)
+        light = stream.weights[missed] * seen_sky(frame.scene, stream.directions[missed])
         frame.film.add(stream.pixels[missed], light)
     found = np.flatnonzero(is_hit)
     return RayStream(

@@ -35,7 +35,7 @@ def look_along(stream: PathStream, band: Band) -> PathStream:
             (hits.u, hits.v, hits.prim_id),
             setting.tables,
             setting.options["opacity"],
-            setting.classic.background,
+            setting.classic,
             band.first_pixel,
             band.radiance,
         )

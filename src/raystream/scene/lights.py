@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -11,7 +13,14 @@ from numpy.typing import NDArray
 
 from raystream.scene.material import Color
 
-__all__ = ["AreaLight", "DirectionalLight", "EnvironmentLight", "Light", "PointLight"]
+__all__ = [
+    "AreaLight",
+    "DirectionalLight",
+    "EnvironmentLight",
+    "Light",
+    "PointLight",
+    "texel_fault",
+]
 
 Vector = tuple[float, float, float]
 
@@ -72,20 +81,68 @@ class DirectionalLight:
             raise ValueError("direction: must not be zero")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EnvironmentLight:
-    """Light of one radiance from every direction that no surface blocks.
+    """Light from every direction that no surface blocks: of one radiance, or as an image has it.
+
+    An image is a map by longitude and latitude (equirectangular): its top row is around `up`, its
+    bottom row around the opposite, and it goes once around from its left to its right side. With
+    no rotation, what it shows a quarter of its width to the right of its middle is at the world's
+    +x (made square to `up`; +z where `up` is along x), and its middle at `up` x that: at -z where
+    y is up, at +y where z is up. An equirectangular camera that looks there takes the same
+    picture. Between the middles of texels it is bilinear. A scene may have one such light.
 
     Parameters
     ----------
     radiance : Color
-        Linear RGB.
+        Linear RGB; a factor on the image, if there is one.
+    image : path, or array_like of shape (H, W, 3), float, optional
+        Linear radiance, or a file, read when it is first needed: ``.hdr`` (Radiance) and ``.exr``
+        have radiance, ``.png``, ``.jpg`` and ``.jpeg`` are decoded from sRGB.
+    up : Vector
+        The world's direction at the top of the image; need not be unit length.
+    rotation : float
+        Degrees by which the image is turned around `up`, counterclockwise as seen from above.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, `up` is zero, or texels are negative or of another shape.
     """
 
     radiance: Color = (1.0, 1.0, 1.0)
+    image: Path | NDArray[np.float32] | None = field(default=None, repr=False)
+    up: Vector = (0.0, 1.0, 0.0)
+    rotation: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "radiance", _vector("radiance", self.radiance))
+        object.__setattr__(self, "up", _vector("up", self.up))
+        object.__setattr__(self, "rotation", float(self.rotation))
+        if not any(self.up):
+            raise ValueError("up: must not be zero")
+        if not math.isfinite(self.rotation):
+            raise ValueError(f"rotation: expected a finite number, got {self.rotation}")
+        if isinstance(self.image, str | PathLike):
+            object.__setattr__(self, "image", Path(self.image))
+        elif self.image is not None:
+            with np.errstate(over="ignore"):
+                texels = np.array(self.image, np.float32)
+            fault = texel_fault(texels)
+            if fault:
+                raise ValueError(f"image: {fault}")
+            texels.setflags(write=False)
+            object.__setattr__(self, "image", texels)
+
+
+def texel_fault(texels: NDArray[np.float32]) -> str:
+    """Say why an array is no map of radiance; nothing if it is one."""
+    if texels.ndim != 3 or texels.shape[2] != 3 or 0 in texels.shape:
+        return f"expected shape (H, W, 3), got {texels.shape}"
+    lowest, highest = float(texels.min()), float(texels.max())
+    if not (lowest >= 0.0 and highest < math.inf):  # NaN is neither
+        return f"expected finite radiance of at least 0, got {lowest:g} to {highest:g}"
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

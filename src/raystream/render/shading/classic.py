@@ -18,6 +18,7 @@ from raystream.jit.simd import load
 from raystream.render.lighting import PatchLight, area_patches, classic_lights
 from raystream.render.shading.lights import LightSample
 from raystream.render.shading.points import offset_at
+from raystream.render.shading.sky import Sky, background_of
 from raystream.render.shading.textures import place_of
 from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
@@ -50,14 +51,14 @@ class ClassicLights(NamedTuple):
     light_count : uint64
     ambient : tuple of three float
         Radiance from everywhere, that nothing blocks.
-    background : tuple of three float
-        What rays that miss see.
+    sky : Sky
+        What rays that miss see: the background, and the image of an environment light.
     """
 
     rows: np.uint64
     light_count: np.uint64
     ambient: Vector
-    background: Vector
+    sky: Sky
 
 
 def classic_lights_of(scene: Scene, camera: Camera) -> tuple[ClassicLights, object]:
@@ -83,10 +84,9 @@ def classic_lights_of(scene: Scene, camera: Camera) -> tuple[ClassicLights, obje
         rows.append(row)
     rows += _patch_rows(scene, patches)
     table = np.array(rows, np.float64).reshape(-1, _COLUMNS)
-    lights = ClassicLights(
-        place_of(table), np.uint64(len(table)), _vector(ambient), _vector(scene.background)
-    )
-    return lights, table
+    sky, kept_sky = background_of(scene)
+    lights = ClassicLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
+    return lights, (table, kept_sky)
 
 
 def _vector(values: NDArray[np.float64] | Sequence[float]) -> Vector:

@@ -18,8 +18,11 @@ from raystream.core.spawn import UNIT
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.render.attributes import material_ids_of
+from raystream.render.environment import image_light
 from raystream.render.sampling.warp import sphere, triangle
 from raystream.render.shading.points import corner_of, material_color, material_of, offset_at
+from raystream.render.shading.shares import chosen, double, running_sums
+from raystream.render.shading.sky import Sky, map_sample, sky_of, sky_toward
 from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import place_of
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
@@ -31,9 +34,8 @@ _EMISSION = np.uint64(COLUMNS.emission)
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 
-# Bytes: of a number, of a long one, of a row of points, and of one of suns.
+# Bytes: of a number, of a row of points, and of one of suns.
 _WORD = np.uint64(4)
-_LONG = np.uint64(8)
 _POINT = np.uint64(56)
 _SUN = np.uint64(48)
 
@@ -55,10 +57,10 @@ class LightTables(NamedTuple):
         1; 1 if that falls with the square of the distance, 0 if it does not.
     suns : uint64
         Of shape (S, 6), float64: unit vector to the light; what a facing surface receives.
-    sky : tuple of three float
-        Radiance of what rays see that miss: the environment lights and the background.
+    sky : Sky
+        What rays see that miss: the environment lights and the background.
     sky_density : float
-        Density over solid angle with which the sky is sampled, the same in all directions.
+        Mean density over solid angle with which the sky is sampled; see `sky.sky_pdf`.
     prims : uint64
         Of shape (A,), int32: triangles of the area lights.
     prim_ends : uint64
@@ -79,7 +81,7 @@ class LightTables(NamedTuple):
     prim_count: np.uint64
     points: np.uint64
     suns: np.uint64
-    sky: Vector
+    sky: Sky
     sky_density: float
     prims: np.uint64
     prim_ends: np.uint64
@@ -89,14 +91,21 @@ class LightTables(NamedTuple):
 
 
 def lights_of(scene: Scene) -> tuple[LightTables, object]:
-    """The lights of a scene, and what must be kept; one without any gets a white sky."""
-    points, suns, sky = _far_lights(scene)
+    """The lights of a scene, and what must be kept; one without any gets a white sky.
+
+    Raises
+    ------
+    ValueError, FileFormatError, ImportError
+        See `environment.image_light` and `environment.texels_of`.
+    """
+    points, suns, color = _far_lights(scene)
     prims = np.concatenate(
         [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
     )
     prims = np.intersect1d(prims, scene.triangles.prim_ids).astype(np.int32)
-    if not (scene.lights or len(prims) or sky.any()):
-        sky = np.ones(3)
+    if not (scene.lights or len(prims) or color.any()):
+        color = np.ones(3)
+    sky, sky_luminance, kept_sky = sky_of(color, image_light(scene.lights))
     powers, density = _area_powers(scene, prims)
 
     bounds = scene.triangles.bounds.astype(np.float64)
@@ -107,7 +116,7 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
         [
             np.abs(points[:, 3:6]) @ _LUMINANCE / far**2,
             np.abs(suns[:, 3:6]) @ _LUMINANCE,
-            [math.pi * float(np.abs(sky) @ _LUMINANCE), math.pi * float(powers.sum()) / radius**2],
+            [math.pi * sky_luminance, math.pi * float(powers.sum()) / radius**2],
         ]
     )
     # Without signs: a light may take light away, as some formats allow, but no share may.
@@ -115,8 +124,7 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     if total > 0.0:
         shares /= total
     density *= shares[-1]
-    red, green, blue = sky.tolist()
-    kept = points, suns, prims, _running_sums(powers), density, _running_sums(shares)
+    kept = points, suns, prims, running_sums(powers), density, running_sums(shares)
     point_rows, sun_rows, prim_ids, prim_ends, densities, ends = map(place_of, kept)
     tables = LightTables(
         np.uint64(len(points)),
@@ -124,7 +132,7 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
         np.uint64(len(prims)),
         point_rows,
         sun_rows,
-        (red, green, blue),
+        sky,
         float(shares[-2]) / (4.0 * math.pi),
         prim_ids,
         prim_ends,
@@ -132,19 +140,19 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
         ends,
         not total > 0.0,
     )
-    return tables, kept
+    return tables, (kept, kept_sky)
 
 
 def _far_lights(
     scene: Scene,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Rows of points and of suns, and the sky's radiance."""
+    """Rows of points and of suns, and the sky's radiance without an image."""
     frame = scene.triangles
     scale = float(frame.scale)
     points, suns, sky = np.empty((0, 7)), np.empty((0, 6)), np.array(scene.background, np.float64)
     for light in scene.lights:
         if isinstance(light, EnvironmentLight):
-            sky = sky + light.radiance
+            sky = sky + light.radiance if light.image is None else sky
         elif isinstance(light, DirectionalLight):
             against = -np.array(light.direction) / np.linalg.norm(light.direction)
             suns = np.vstack([suns, [*against, *light.irradiance]])
@@ -171,15 +179,6 @@ def _area_powers(
         listed = np.unique(materials)
         density[listed] = emission[listed] / powers.sum()
     return powers, density
-
-
-def _running_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Running sums of shares; the last one that is not 0 ends at exactly 1."""
-    ends = np.cumsum(values)
-    if len(ends) and ends[-1] > 0.0:
-        ends /= ends[-1]
-        ends[np.flatnonzero(values)[-1] :] = 1.0
-    return ends
 
 
 class LightSample(NamedTuple):
@@ -213,27 +212,6 @@ _NOTHING = (0.0, 0.0, 0.0)
 
 
 @device
-def _double(at, k):
-    return load(np.float64, at + k * _LONG)
-
-
-@device
-def _chosen(ends, count, number):
-    """Which of the shares a number falls into, the share, and where it falls within."""
-    low, high = _NONE, count
-    while high - low > _ONE:
-        middle = (low + high) >> _ONE
-        if _double(ends, middle - _ONE) <= number:
-            low = middle
-        else:
-            high = middle
-    start = _double(ends, low - _ONE) if low != _NONE else 0.0
-    share = _double(ends, low) - start
-    within = (number - start) / share if share > 0.0 else 0.0
-    return low, share, min(max(within, 0.0), 1.0 - 2.0**-53)
-
-
-@device
 def _times(color, factor):
     return color[0] * factor, color[1] * factor, color[2] * factor
 
@@ -246,18 +224,18 @@ def _none():
 @device
 def _color_of(row):
     """Of a point or a sun."""
-    return _double(row, np.uint64(3)), _double(row, np.uint64(4)), _double(row, np.uint64(5))
+    return double(row, np.uint64(3)), double(row, np.uint64(4)), double(row, np.uint64(5))
 
 
 @device
 def _from_point(row, point, share):
-    target = _double(row, _NONE), _double(row, _ONE), _double(row, np.uint64(2))
+    target = double(row, _NONE), double(row, _ONE), double(row, np.uint64(2))
     x, y, z = target[0] - point.x, target[1] - point.y, target[2] - point.z
     distance = math.sqrt(x * x + y * y + z * z)
     if not distance > 0.0:
         return _none()
     factor = 1.0 / share
-    if _double(row, np.uint64(6)) != 0.0:
+    if double(row, np.uint64(6)) != 0.0:
         factor /= distance * distance
     return LightSample(
         (x / distance, y / distance, z / distance),
@@ -271,15 +249,20 @@ def _from_point(row, point, share):
 
 @device
 def _from_sky(lights, share, u, v):
-    x, y, z = sphere(np.float32(u), np.float32(v))
-    toward, pdf = (np.float64(x), np.float64(y), np.float64(z)), share / (4.0 * math.pi)
-    return LightSample(toward, _NOTHING, True, _times(lights.sky, 1.0 / pdf), pdf, True)
+    if lights.sky.image != _NONE:
+        toward, relative = map_sample(lights.sky, u, v)
+    else:
+        x, y, z = sphere(np.float32(u), np.float32(v))
+        toward, relative = (np.float64(x), np.float64(y), np.float64(z)), 1.0
+    pdf = share / (4.0 * math.pi) * relative
+    color = sky_toward(lights, toward[0], toward[1], toward[2])
+    return LightSample(toward, _NOTHING, True, _times(color, 1.0 / pdf), pdf, pdf > 0.0)
 
 
 @device
 def _from_triangle(tables, lights, point, within, u, v):
     """A point on an area light, spread evenly over a triangle."""
-    number, _, _ = _chosen(lights.prim_ends, lights.prim_count, within)
+    number, _, _ = chosen(lights.prim_ends, lights.prim_count, within)
     prim = np.uint64(load(np.int32, lights.prims + number * _WORD))
     ax, ay, az = corner_of(tables, prim, _NONE)
     bx, by, bz = corner_of(tables, prim, _ONE)
@@ -302,7 +285,7 @@ def _from_triangle(tables, lights, point, within, u, v):
     x, y, z = x / distance, y / distance, z / distance
     cosine = -(x * nx + y * ny + z * nz)
     material = material_of(tables, prim)
-    pdf = _double(lights.density, material) * square / max(cosine, 1e-300)
+    pdf = double(lights.density, material) * square / max(cosine, 1e-300)
     if not (cosine > 0.0 and pdf > 0.0):
         return _none()
     # Off the light's own triangle, so that it does not block its light; also when the ray's
@@ -339,13 +322,13 @@ def sample_light(tables, lights, point, choice, u, v):
     if lights.is_dark:
         return _none()
     count = lights.point_count + lights.sun_count + np.uint64(2)
-    number, share, within = _chosen(lights.ends, count, choice)
+    number, share, within = chosen(lights.ends, count, choice)
     if number < lights.point_count:
         return _from_point(lights.points + number * _POINT, point, share)
     number -= lights.point_count
     if number < lights.sun_count:
         row = lights.suns + number * _SUN
-        toward = _double(row, _NONE), _double(row, _ONE), _double(row, np.uint64(2))
+        toward = double(row, _NONE), double(row, _ONE), double(row, np.uint64(2))
         return LightSample(
             toward, _NOTHING, True, _times(_color_of(row), 1.0 / share), np.inf, True
         )
@@ -368,4 +351,4 @@ def triangle_pdf(lights, point, distance, cosine):
     cosine : float64
         Between the ray and the light's normal.
     """
-    return _double(lights.density, point.material) * distance * distance / max(abs(cosine), 1e-300)
+    return double(lights.density, point.material) * distance * distance / max(abs(cosine), 1e-300)

@@ -23,6 +23,7 @@ from raystream.render.shading.bsdf import emitted, lobes_at, reflected
 from raystream.render.shading.lights import sample_light, triangle_pdf
 from raystream.render.shading.points import surface_point
 from raystream.render.shading.scatter import reflection_pdf, scatter
+from raystream.render.shading.sky import sky_pdf, sky_toward
 from raystream.render.shading.streams import add_light, aimed, direction_of, put_path, put_ray
 
 __all__ = ["PathRules", "follow_paths"]
@@ -121,8 +122,9 @@ def follow_paths(
         dx, dy, dz, length = direction_of(paths, i)
         pdf = paths.pdfs[i]
         if prim_ids[i] < 0:
-            other = lights.sky_density if rules.samples_lights else 0.0
-            add_light(radiance, pixel, paths.weights, i, lights.sky, _balance(pdf, other))
+            other = sky_pdf(lights, dx, dy, dz) if rules.samples_lights else 0.0
+            color = sky_toward(lights, dx, dy, dz)
+            add_light(radiance, pixel, paths.weights, i, color, _balance(pdf, other))
             continue
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         back = -dx / length, -dy / length, -dz / length

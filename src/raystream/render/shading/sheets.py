@@ -7,6 +7,7 @@ import numpy as np
 from raystream.jit.cpu import kernel
 from raystream.render.shading.bsdf import lobes_at
 from raystream.render.shading.points import surface_point
+from raystream.render.shading.sky import sky_toward
 from raystream.render.shading.streams import add_light, direction_of
 
 __all__ = ["look_through"]
@@ -15,7 +16,7 @@ _ONE = np.uint64(1)
 
 
 @kernel
-def look_through(paths, splits, rows, tables, opacity, background, first_pixel, radiance):
+def look_through(paths, splits, rows, tables, opacity, lights, first_pixel, radiance):
     """Add what rays see through all surfaces on their way, front to back.
 
     Parameters
@@ -26,8 +27,8 @@ def look_through(paths, splits, rows, tables, opacity, background, first_pixel, 
         All hits of the rays, as in `MultiHits`.
     opacity : float
         Of a sheet that is looked at squarely, 0 to 1; at a slant there is more of it.
-    background : tuple of three float
-        Behind the last sheet.
+    lights : ClassicLights
+        Their sky is behind the last sheet.
     """
     us, vs, prim_ids = rows
     clear = 1.0 - opacity
@@ -44,4 +45,5 @@ def look_through(paths, splits, rows, tables, opacity, background, first_pixel, 
             shade = passed * (1.0 - here) * facing
             add_light(radiance, pixel, paths.weights, i, color, shade)
             passed *= here
-        add_light(radiance, pixel, paths.weights, i, background, passed)
+        behind = sky_toward(lights, dx, dy, dz)
+        add_light(radiance, pixel, paths.weights, i, behind, passed)

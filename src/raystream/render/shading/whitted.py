@@ -23,6 +23,7 @@ from raystream.render.shading.bsdf import (
 )
 from raystream.render.shading.classic import arriving
 from raystream.render.shading.points import surface_point
+from raystream.render.shading.sky import sky_toward
 from raystream.render.shading.streams import add_light, aimed, direction_of, put_path, put_ray
 
 __all__ = ["light_surfaces"]
@@ -74,10 +75,10 @@ def light_surfaces(
     for i in range(np.uint64(len(paths.pixels))):
         pixel_id = paths.pixels[i]
         pixel = np.uint64(pixel_id - first_pixel)
-        if prim_ids[i] < 0:
-            add_light(radiance, pixel, paths.weights, i, lights.background, 1.0)
-            continue
         dx, dy, dz, length = direction_of(paths, i)
+        if prim_ids[i] < 0:
+            add_light(radiance, pixel, paths.weights, i, sky_toward(lights, dx, dy, dz), 1.0)
+            continue
         back = -dx / length, -dy / length, -dz / length
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         if point.is_front:

@@ -1,0 +1,61 @@
+"""Shares of a whole: running sums, and which of them a number falls into."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import load
+
+__all__ = ["chosen", "double", "running_sums"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LONG = np.uint64(8)
+
+
+def running_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Running sums of shares; the last one that is not 0 ends at exactly 1."""
+    ends = np.cumsum(values)
+    if len(ends) and ends[-1] > 0.0:
+        ends /= ends[-1]
+        ends[np.flatnonzero(values)[-1] :] = 1.0
+    return ends
+
+
+@device
+def double(at, k):
+    """Number k of those at an address, float64."""
+    return load(np.float64, at + k * _LONG)
+
+
+@device
+def chosen(ends, count, number):
+    """Which of the shares a number falls into, the share, and where it falls within.
+
+    Parameters
+    ----------
+    ends : uint64
+        Address of the running sums, float64.
+    count : uint64
+    number : float64
+        In [0, 1).
+
+    Returns
+    -------
+    index : uint64
+    share, within : float64
+        Within in [0, 1).
+    """
+    low, high = _NONE, count
+    while high - low > _ONE:
+        middle = (low + high) >> _ONE
+        if double(ends, middle - _ONE) <= number:
+            low = middle
+        else:
+            high = middle
+    start = double(ends, low - _ONE) if low != _NONE else 0.0
+    share = double(ends, low) - start
+    within = (number - start) / share if share > 0.0 else 0.0
+    return low, share, min(max(within, 0.0), 1.0 - 2.0**-53)
