@@ -45,6 +45,7 @@ __all__ = [
     "check_suffix",
     "complete",
     "complete_scenes",
+    "finite_if_given",
     "one_of",
     "parse_camera",
     "parse_size",
@@ -112,6 +113,11 @@ def finite(value: float) -> float:
     if not math.isfinite(value):
         raise typer.BadParameter(f"expected a finite number, got {value}")
     return value
+
+
+def finite_if_given(value: float | None) -> float | None:
+    """Accept a finite number, or that the option was left out."""
+    return None if value is None else finite(value)
 
 
 def positive(value: float) -> float:

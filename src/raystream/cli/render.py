@@ -11,6 +11,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.environment import Environment, Rotation, check_environment, use_environment
 from raystream.cli.heatmaps import Maximum, What, check_heatmap, heatmap_figures
 from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
@@ -92,6 +93,8 @@ def render(
             autocompletion=options.complete(options.TONES),
         ),
     ] = None,
+    environment: Environment = None,
+    environment_rotation: Rotation = None,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
     machine: options.Machine = None,
@@ -106,10 +109,14 @@ def render(
     """Render a picture of a scene; without SCENE, of robots in a city."""
     width, height = options.parse_size(size)
     parts = {} if camera is None else options.parse_camera(camera)
-    options.check_output(output, (".png", ".exr"), inputs=[scene])
+    options.check_output(output, (".png", ".exr"), inputs=[scene, str(environment or scene)])
     chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
     asked = Asked(samples, seed, max_bounces, noise, time_limit, sampler, resume or None)
-    of_pictures = {"mode": mode, "exposure": exposure, "tone": tone, **asked.of_sampled_modes()}
+    check_environment(environment, environment_rotation)
+    of_pictures = {
+        **{"mode": mode, "exposure": exposure, "tone": tone, "environment": environment},
+        **asked.of_sampled_modes(),
+    }
     check_heatmap(heatmap, maximum, of_pictures, chosen)
     mode = mode or options.MODES[0]
     choose_threads(threads)
@@ -129,6 +136,9 @@ def render(
     heat: Heatmap | None = None
     with Bars() as bars, keeping_samples(checkpoint):
         tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
+        if environment is not None:
+            with watch.measure("environment"), bars.step("reading environment"):
+                use_environment(tracer.scene, environment, environment_rotation or 0.0)
         view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
             view = dataclasses.replace(view, **parts)

@@ -1,0 +1,67 @@
+"""An environment map on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.messages import BadInputError
+
+if TYPE_CHECKING:
+    from raystream.scene.scene import Scene
+
+__all__ = ["Environment", "Rotation", "check_environment", "use_environment"]
+
+#: The library's, for help; a test compares them.
+SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
+
+Environment = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        show_default=False,
+        help="An image all around (equirectangular: .hdr, .exr, .png or .jpg) in place of the "
+        "scene's own sky; its top is where the scene has up.",
+    ),
+]
+Rotation = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEGREES",
+        show_default=False,
+        callback=options.finite_if_given,
+        help="With --environment: turns it counterclockwise, as seen from above.",
+    ),
+]
+
+
+def check_environment(path: Path | None, rotation: float | None) -> None:
+    """Refuse a map that cannot be read by its name, and a rotation of none."""
+    if path is None:
+        if rotation is not None:
+            raise BadInputError("--environment-rotation: only with --environment")
+    else:
+        options.check_suffix(path, SUFFIXES, "reading")
+
+
+def use_environment(scene: Scene, path: Path, rotation: float) -> None:
+    """Put a map in the place of a scene's environment lights and background, and read it.
+
+    Raises
+    ------
+    FileFormatError
+        If it cannot be read.
+    MemoryError
+        If it does not fit into memory.
+    """
+    from raystream.render.environment import texels_of
+    from raystream.scene.lights import EnvironmentLight
+
+    light = EnvironmentLight(image=path, up=tuple(scene.up), rotation=rotation)
+    texels_of(light)
+    others = [other for other in scene.lights if not isinstance(other, EnvironmentLight)]
+    scene.lights = (*others, light)
+    scene.background = (0.0, 0.0, 0.0)
