@@ -15,8 +15,25 @@ AVX-512 and NEON alike, with the same bits. No operation here is inexact, fused 
 unless it is said: there are no fast-math flags.
 """
 
-from raystream.jit.simd.arithmetic import absolute, copy_sign, fma, maximum, minimum
-from raystream.jit.simd.convert import narrow, widen
+from raystream.jit.simd.arithmetic import (
+    absolute,
+    copy_sign,
+    fma,
+    maximum,
+    minimum,
+    round_down,
+    square_root,
+)
+from raystream.jit.simd.convert import (
+    as_float32,
+    as_int32,
+    as_uint32,
+    narrow,
+    narrow_lanes,
+    widen,
+)
+from raystream.jit.simd.elementary import exponential, logarithm, power, turned
+from raystream.jit.simd.gathers import gather, scatter
 from raystream.jit.simd.lanes import (
     all_lanes,
     any_lane,
@@ -54,6 +71,9 @@ from raystream.jit.simd.types import (
     mask4,
     mask8,
     mask16,
+    u32x4,
+    u32x8,
+    u32x16,
 )
 
 __all__ = [
@@ -62,10 +82,14 @@ __all__ = [
     "address",
     "all_lanes",
     "any_lane",
+    "as_float32",
+    "as_int32",
+    "as_uint32",
     "bits_as_float",
     "compress",
     "copy_sign",
     "count_bits",
+    "exponential",
     "f32x4",
     "f32x8",
     "f32x16",
@@ -75,6 +99,7 @@ __all__ = [
     "first_bit",
     "float_as_bits",
     "fma",
+    "gather",
     "i32x4",
     "i32x8",
     "i32x16",
@@ -87,21 +112,31 @@ __all__ = [
     "load",
     "load_records",
     "load_triples",
+    "logarithm",
     "mask4",
     "mask8",
     "mask16",
     "maximum",
     "minimum",
     "narrow",
+    "narrow_lanes",
     "permutation",
     "permute",
+    "power",
     "prefetch",
     "reduce_max",
     "reduce_min",
+    "round_down",
+    "scatter",
     "scratch",
     "select",
+    "square_root",
     "store",
     "store_past_cache",
     "store_records",
+    "turned",
+    "u32x4",
+    "u32x8",
+    "u32x16",
     "widen",
 ]

@@ -13,6 +13,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin
 
 from raystream.jit.simd.types import (
+    VECTORS,
     VectorType,
     broadcast,
     constant,
@@ -24,6 +25,7 @@ from raystream.jit.simd.types import (
 
 __all__ = [
     "absolute",
+    "as_numbers",
     "as_vectors",
     "call_intrinsic",
     "common",
@@ -31,10 +33,14 @@ __all__ = [
     "fma",
     "maximum",
     "minimum",
+    "one_lane",
+    "round_down",
+    "square_root",
+    "wider",
 ]
 
 _FLOATS = ("f32", "f64")
-_INTEGERS = ("i32", "i64")
+_INTEGERS = ("i32", "i64", "u32")
 _NUMBERS = (*_FLOATS, *_INTEGERS)
 
 
@@ -58,6 +64,11 @@ def common(*args: Any) -> VectorType | None:
     return vector if vector and all(_operand(type_, vector) for type_ in args) else None
 
 
+def one_lane(type_: Any) -> VectorType | None:
+    """A vector type whose lanes are numbers of a type; None if there is none."""
+    return next((v for v in VECTORS.values() if type_ == v.element), None)
+
+
 def as_vectors(
     context: Any, builder: Any, vector: VectorType, types_: Any, values: Any
 ) -> list[Any]:
@@ -70,6 +81,12 @@ def as_vectors(
         )
         for type_, value in zip(types_, values, strict=True)
     ]
+
+
+def as_numbers(context: Any, builder: Any, number: Any, types_: Any, values: Any) -> list[Any]:
+    """Numbers as LLVM values of one type."""
+    pairs = zip(types_, values, strict=True)
+    return [context.cast(builder, value, type_, number) for type_, value in pairs]
 
 
 def _binary(
@@ -109,6 +126,10 @@ def _binary(
         lower_builtin(function, number, VectorType)(lower)
 
 
+def _shift_right(builder: Any, vector: VectorType, x: Any, y: Any) -> Any:
+    return builder.lshr(x, y) if vector.kind == "u32" else builder.ashr(x, y)
+
+
 def _by_kind(float_name: str, integer_name: str) -> Callable[[Any, VectorType, Any, Any], Any]:
     def generate(builder: Any, vector: VectorType, x: Any, y: Any) -> Any:
         return getattr(builder, float_name if vector.is_float else integer_name)(x, y)
@@ -122,6 +143,8 @@ def _integer(name: str) -> Callable[[Any, VectorType, Any, Any], Any]:
 
 def _comparison(sign: str) -> Callable[[Any, VectorType, Any, Any], Any]:
     def generate(builder: Any, vector: VectorType, x: Any, y: Any) -> Any:
+        if vector.kind == "u32":
+            return builder.icmp_unsigned(sign, x, y)
         if not vector.is_float:
             return builder.icmp_signed(sign, x, y)
         # As in Python, a comparison with NaN is false, except that NaN != anything.
@@ -141,7 +164,7 @@ for _functions, _kinds, _generate in (
     ((operator.or_, operator.ior), (*_INTEGERS, "mask"), _integer("or_")),
     ((operator.xor, operator.ixor), (*_INTEGERS, "mask"), _integer("xor")),
     ((operator.lshift, operator.ilshift), _INTEGERS, _integer("shl")),
-    ((operator.rshift, operator.irshift), _INTEGERS, _integer("ashr")),
+    ((operator.rshift, operator.irshift), _INTEGERS, _shift_right),
 ):
     for _function in _functions:
         _binary(_function, _kinds, _generate)
@@ -218,17 +241,28 @@ def fma(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
     return vector(*given), generate
 
 
+def wider(x: Any, y: Any) -> Any:
+    """The type of two numbers that holds both, float64 of two floats; None of other types."""
+    if x == y and one_lane(x) is not None:
+        return x
+    floats = isinstance(x, types.Float) and isinstance(y, types.Float)
+    return types.float64 if floats else None
+
+
 def _choose(name: str, sign: str, x: Any, y: Any) -> Any:
-    vector = common(x, y)
+    number = wider(x, y)
+    vector = common(x, y) if number is None else one_lane(number)
     if vector is None or vector.kind == "mask":
-        refuse(name, "vectors of one type, or one and a number of its lanes' type", x, y)
+        refuse(name, "vectors or numbers of one type, or one and a number of its lanes'", x, y)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b = as_vectors(context, builder, vector, signature.args, arguments)
-        compare = builder.fcmp_ordered if vector.is_float else builder.icmp_signed
-        return builder.select(compare(sign, a, b), a, b)
+        if number is None:
+            a, b = as_vectors(context, builder, vector, signature.args, arguments)
+        else:
+            a, b = as_numbers(context, builder, number, signature.args, arguments)
+        return builder.select(_comparison(sign)(builder, vector, a, b), a, b)
 
-    return vector(x, y), generate
+    return (number or vector)(x, y), generate
 
 
 @intrinsic
@@ -243,31 +277,48 @@ def maximum(typing_context: Any, x: Any, y: Any) -> Any:
     return _choose("maximum", ">", x, y)
 
 
-@intrinsic
-def absolute(typing_context: Any, x: Any) -> Any:
-    """Magnitude of a float vector's lanes."""
-    if not isinstance(x, VectorType) or not x.is_float:
-        refuse("absolute", "a float vector", x)
+def _of_floats(function: str, name: str, x: Any) -> Any:
+    """An LLVM function of the lanes of a float vector, or of a float."""
+    vector = x if isinstance(x, VectorType) else one_lane(x)
+    if vector is None or not vector.is_float:
+        refuse(function, "a float vector or number", x)
+    suffix = vector.kind if x != vector else f"v{vector.lane_count}{vector.kind}"
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return call_intrinsic(builder, _llvm_name("fabs", x), llvm_type(x), arguments)
+        (value,) = arguments
+        return call_intrinsic(builder, f"llvm.{name}.{suffix}", value.type, arguments)
 
     return x(x), generate
 
 
 @intrinsic
+def absolute(typing_context: Any, x: Any) -> Any:
+    """Magnitude of a float vector's lanes, or of a float."""
+    return _of_floats("absolute", "fabs", x)
+
+
+@intrinsic
+def square_root(typing_context: Any, x: Any) -> Any:
+    """Square root of a float vector's lanes, or of a float, rounded to nearest; NaN below 0."""
+    return _of_floats("square_root", "sqrt", x)
+
+
+@intrinsic
+def round_down(typing_context: Any, x: Any) -> Any:
+    """The largest whole numbers that are not larger than a float vector's lanes, or a float."""
+    return _of_floats("round_down", "floor", x)
+
+
+@intrinsic
 def copy_sign(typing_context: Any, x: Any, y: Any) -> Any:
-    """The magnitudes of x with the signs of y (of -0 too), lane by lane."""
-    if not isinstance(x, VectorType) or not x.is_float or x != y:
-        refuse("copy_sign", "two float vectors of one type", x, y)
-    integers = vector_type("i" + x.kind[1:], x.lane_count)
-    bits = 31 if x.kind == "f32" else 63
+    """The magnitudes of x with the signs of y (of -0 too), lane by lane, or of numbers."""
+    vector = x if isinstance(x, VectorType) else one_lane(x)
+    if vector is None or not vector.is_float or x != y:
+        refuse("copy_sign", "two float vectors or numbers of one type", x, y)
+    suffix = vector.kind if x != vector else f"v{vector.lane_count}{vector.kind}"
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        whole = llvm_type(integers)
-        a, b = (builder.bitcast(value, whole) for value in arguments)
-        magnitude = builder.and_(a, constant(integers, 2**bits - 1))
-        sign = builder.and_(b, constant(integers, -(2**bits)))
-        return builder.bitcast(builder.or_(magnitude, sign), llvm_type(x))
+        kind = arguments[0].type
+        return call_intrinsic(builder, f"llvm.copysign.{suffix}", kind, arguments)
 
     return x(x, y), generate

@@ -8,7 +8,13 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from raystream.jit.simd.arithmetic import as_vectors, call_intrinsic, common
+from raystream.jit.simd.arithmetic import (
+    as_numbers,
+    as_vectors,
+    call_intrinsic,
+    common,
+    wider,
+)
 from raystream.jit.simd.types import (
     VectorClass,
     VectorType,
@@ -61,9 +67,18 @@ def _bits(builder: Any, mask: Any) -> Any:
     return builder.bitcast(mask, ir.IntType(mask.type.count))
 
 
+def _choose_number(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    number, types_ = signature.return_type, signature.args[1:]
+    a, b = as_numbers(context, builder, number, types_, arguments[1:])
+    return builder.select(arguments[0], a, b)
+
+
 @intrinsic
 def select(typing_context: Any, mask: Any, x: Any, y: Any) -> Any:
-    """Lanes of x where the mask is set, of y elsewhere; a bool chooses all of one."""
+    """Lanes of x where the mask is set, of y elsewhere; a bool chooses one of two, whole."""
+    number = wider(x, y)
+    if mask == types.boolean and number is not None:
+        return number(mask, x, y), _choose_number
     vector = common(x, y)
     if vector is None or mask not in (mask_of(vector), types.boolean):
         refuse("select", "a mask and two operands of as many lanes", mask, x, y)
@@ -105,7 +120,9 @@ def lanes_from_bits(typing_context: Any, mask_class: Any, bits: Any) -> Any:
 
 @intrinsic
 def any_lane(typing_context: Any, mask: Any) -> Any:
-    """Whether any lane of a mask is set."""
+    """Whether any lane of a mask is set; of a bool, what it is."""
+    if mask == types.boolean:
+        return mask(mask), lambda context, builder, signature, arguments: arguments[0]
     if not _is_mask(mask):
         refuse("any_lane", "a mask", mask)
 

@@ -35,6 +35,9 @@ __all__ = [
     "mask16",
     "mask_of",
     "refuse",
+    "u32x4",
+    "u32x8",
+    "u32x16",
     "vector_type",
 ]
 
@@ -44,6 +47,7 @@ ELEMENTS = {
     "f64": (types.float64, ir.DoubleType()),
     "i32": (types.int32, ir.IntType(32)),
     "i64": (types.int64, ir.IntType(64)),
+    "u32": (types.uint32, ir.IntType(32)),
     "mask": (types.boolean, ir.IntType(1)),
 }
 
@@ -57,7 +61,7 @@ class VectorType(types.Type):
 
     Attributes
     ----------
-    kind : {"f32", "f64", "i32", "i64", "mask"}
+    kind : {"f32", "f64", "i32", "i64", "u32", "mask"}
     lane_count : int
     """
 
@@ -106,6 +110,7 @@ f32x4, f32x8, f32x16 = (VECTORS["f32", n] for n in (4, 8, 16))
 f64x4, f64x8, f64x16 = (VECTORS["f64", n] for n in (4, 8, 16))
 i32x4, i32x8, i32x16 = (VECTORS["i32", n] for n in (4, 8, 16))
 i64x4, i64x8, i64x16 = (VECTORS["i64", n] for n in (4, 8, 16))
+u32x4, u32x8, u32x16 = (VECTORS["u32", n] for n in (4, 8, 16))
 mask4, mask8, mask16 = (VECTORS["mask", n] for n in (4, 8, 16))
 
 
@@ -199,10 +204,14 @@ def _convert(builder: Any, value: Any, source: VectorType, target: VectorType) -
         grow = target.kind == "f64"
         return builder.fpext(value, to) if grow else builder.fptrunc(value, to)
     if source.is_float:
-        return builder.fptosi(value, to)
+        return builder.fptoui(value, to) if target.kind == "u32" else builder.fptosi(value, to)
     if target.is_float:
-        return builder.sitofp(value, to)
-    return builder.sext(value, to) if target.kind == "i64" else builder.trunc(value, to)
+        return builder.uitofp(value, to) if source.kind == "u32" else builder.sitofp(value, to)
+    if source.element.bitwidth == target.element.bitwidth:
+        return value
+    if target.kind != "i64":
+        return builder.trunc(value, to)
+    return builder.zext(value, to) if source.kind == "u32" else builder.sext(value, to)
 
 
 def _make_constructor(target: VectorType) -> None:

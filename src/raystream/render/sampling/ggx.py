@@ -7,11 +7,12 @@ import math
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import maximum, select, square_root, turned
 
 __all__ = ["ggx_density", "visible_normal", "visible_normal_pdf"]
 
 _0, _1, _2 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-_PI, _TWO_PI = np.float32(math.pi), np.float32(2 * math.pi)
+_PI = np.float32(math.pi)
 
 
 @device
@@ -35,11 +36,10 @@ def ggx_density(x, y, z, ax, ay):
     .. [1] Walter et al., "Microfacet Models for Refraction through Rough Surfaces",
        Eurographics Symposium on Rendering 2007.
     """
-    if z <= _0:
-        return _0
     sx, sy = x / ax, y / ay
     length2 = sx * sx + sy * sy + z * z
-    return _1 / (_PI * ax * ay * length2 * length2)
+    density = _1 / (_PI * ax * ay * length2 * length2)
+    return select(z > _0, density, _0 * density)
 
 
 @device
@@ -66,20 +66,20 @@ def visible_normal(u, v, vx, vy, vz, ax, ay):
     """
     # Step 1: stretch the surface until its faces are those of a half sphere, and the view.
     sx, sy = ax * vx, ay * vy
-    inv_length = _1 / np.sqrt(sx * sx + sy * sy + vz * vz)
+    inv_length = _1 / square_root(sx * sx + sy * sy + vz * vz)
     sx, sy, sz = sx * inv_length, sy * inv_length, vz * inv_length
 
     # Step 2: light mirrored by the half sphere towards the viewer comes evenly from the cap
     # above z = -sz. The normal is half-way; its z is a product, so that it is never 0.
     z = (_1 - v) * (_1 + sz)
     cap = z - sz
-    radius = np.sqrt(max(_0, _1 - cap * cap))
-    angle = _TWO_PI * u
-    x, y = radius * np.cos(angle) + sx, radius * np.sin(angle) + sy
+    radius = square_root(maximum(_1 - cap * cap, _0))
+    x, y = turned(u)
+    x, y = radius * x + sx, radius * y + sy
 
     # Step 3: back to the surface as it is.
     x, y = ax * x, ay * y
-    inv_length = _1 / np.sqrt(x * x + y * y + z * z)
+    inv_length = _1 / square_root(x * x + y * y + z * z)
     return x * inv_length, y * inv_length, z * inv_length
 
 
@@ -107,8 +107,6 @@ def visible_normal_pdf(x, y, z, vx, vy, vz, ax, ay):
     their own.
     """
     cosine = x * vx + y * vy + z * vz
-    if cosine <= _0:
-        return _0
     sx, sy = ax * vx, ay * vy
-    length = np.sqrt(sx * sx + sy * sy + vz * vz)
-    return ggx_density(x, y, z, ax, ay) * _2 * cosine / (vz + length)
+    length = square_root(sx * sx + sy * sy + vz * vz)
+    return ggx_density(x, y, z, ax, ay) * _2 * maximum(cosine, _0) / (vz + length)

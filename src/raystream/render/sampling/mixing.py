@@ -1,10 +1,14 @@
-"""Integer hashes, from which samplers get their keys, and floats from their bits."""
+"""Integer hashes, from which samplers get their keys, and floats from their bits.
+
+Of numbers and, lane by lane, of vectors.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import as_float32, as_uint32
 
 __all__ = ["as_float", "mix", "stream_key"]
 
@@ -24,10 +28,10 @@ _ULP = np.float32(2.0**-24)
 @device
 def mix(x):
     """Hash an uint32 to an uint32, one to one: each bit in flips about half of those out."""
-    x = np.uint32(x)
-    x = np.uint32(np.uint32(x ^ (x >> _16)) * _FIRST)
-    x = np.uint32(np.uint32(x ^ (x >> _15)) * _SECOND)
-    return np.uint32(x ^ (x >> _15))
+    x = as_uint32(x)
+    x = as_uint32(as_uint32(x ^ (x >> _16)) * _FIRST)
+    x = as_uint32(as_uint32(x ^ (x >> _15)) * _SECOND)
+    return as_uint32(x ^ (x >> _15))
 
 
 @device
@@ -41,11 +45,11 @@ def stream_key(seed, pixel, dimension):
         one key while the other two arguments agree.
     """
     # What depends on seed and pixel alone comes first: compilers take it out of loops.
-    at_pixel = mix(mix(np.uint32(seed) + _OF_SEED) ^ np.uint32(pixel))
-    return mix(at_pixel ^ mix(np.uint32(dimension) + _OF_DIMENSION))
+    at_pixel = mix(mix(as_uint32(seed) + _OF_SEED) ^ as_uint32(pixel))
+    return mix(at_pixel ^ mix(as_uint32(dimension) + _OF_DIMENSION))
 
 
 @device
 def as_float(bits):
     """The upper 24 bits of an uint32 as a fraction, float32: 0 to 1 - 2**-24, never 1."""
-    return np.float32(np.uint32(bits) >> _8) * _ULP
+    return as_float32(as_uint32(as_uint32(bits) >> _8)) * _ULP

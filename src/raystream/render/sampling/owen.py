@@ -11,12 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import address, as_uint32, gather
 from raystream.render.sampling.mixing import as_float, mix, stream_key
 from raystream.render.sampling.quad_matrix import byte_tables, quad_matrix
 
 __all__ = ["sample_number", "sample_pair"]
 
 _SECOND_PAIR = byte_tables(quad_matrix())
+_256, _512, _768 = np.uint32(256), np.uint32(512), np.uint32(768)
 
 _1, _2, _3, _4 = np.uint32(1), np.uint32(2), np.uint32(3), np.uint32(4)
 _8, _16, _24, _BYTE = np.uint32(8), np.uint32(16), np.uint32(24), np.uint32(0xFF)
@@ -38,11 +40,11 @@ _LK_1, _LK_2, _LK_3 = np.uint32(0x3D20ADEA), np.uint32(0x05526C56), np.uint32(0x
 @device
 def _reverse(x):
     """The bits of an uint32 in reverse order."""
-    x = np.uint32((x >> _16) | (x << _16))
-    x = np.uint32(((x >> _8) & _BY_8) | ((x & _BY_8) << _8))
-    x = np.uint32(((x >> _4) & _BY_4) | ((x & _BY_4) << _4))
-    x = np.uint32(((x >> _2) & _BY_2) | ((x & _BY_2) << _2))
-    return np.uint32(((x >> _1) & _BY_1) | ((x & _BY_1) << _1))
+    x = as_uint32((x >> _16) | (x << _16))
+    x = as_uint32(((x >> _8) & _BY_8) | ((x & _BY_8) << _8))
+    x = as_uint32(((x >> _4) & _BY_4) | ((x & _BY_4) << _4))
+    x = as_uint32(((x >> _2) & _BY_2) | ((x & _BY_2) << _2))
+    return as_uint32(((x >> _1) & _BY_1) | ((x & _BY_1) << _1))
 
 
 @device
@@ -52,18 +54,25 @@ def _pascal(x):
     Bit i of the product is the sum of those bits whose index has all the ones of i, so five
     steps do it, one for each bit of an index.
     """
-    x = np.uint32(x ^ (x >> _16))
-    x = np.uint32(x ^ ((x >> _8) & _BY_8))
-    x = np.uint32(x ^ ((x >> _4) & _BY_4))
-    x = np.uint32(x ^ ((x >> _2) & _BY_2))
-    return np.uint32(x ^ ((x >> _1) & _BY_1))
+    x = as_uint32(x ^ (x >> _16))
+    x = as_uint32(x ^ ((x >> _8) & _BY_8))
+    x = as_uint32(x ^ ((x >> _4) & _BY_4))
+    x = as_uint32(x ^ ((x >> _2) & _BY_2))
+    return as_uint32(x ^ ((x >> _1) & _BY_1))
+
+
+@device
+def _flips(tables, place):
+    return gather(np.uint32, tables, as_uint32(place))
 
 
 @device
 def _second_pair(x):
     """The index at which the second pair of a group has its sample: the matrix times x."""
-    low = _SECOND_PAIR[0, x & _BYTE] ^ _SECOND_PAIR[1, (x >> _8) & _BYTE]
-    return np.uint32(low ^ _SECOND_PAIR[2, (x >> _16) & _BYTE] ^ _SECOND_PAIR[3, x >> _24])
+    tables = address(_SECOND_PAIR)
+    low = _flips(tables, x & _BYTE) ^ _flips(tables, ((x >> _8) & _BYTE) + _256)
+    high = _flips(tables, ((x >> _16) & _BYTE) + _512) ^ _flips(tables, (x >> _24) + _768)
+    return as_uint32(low ^ high)
 
 
 @device
@@ -74,11 +83,11 @@ def _scramble(x, key):
     higher value. Sums, products with odd and xor with products with even numbers all carry
     upwards only (Laine and Karras 2011).
     """
-    x = np.uint32(x ^ np.uint32(x * _LK_1))
-    x = np.uint32(x + key)
-    x = np.uint32(x * ((key >> _16) | _1))
-    x = np.uint32(x ^ np.uint32(x * _LK_2))
-    return np.uint32(x ^ np.uint32(x * _LK_3))
+    x = as_uint32(x ^ as_uint32(x * _LK_1))
+    x = as_uint32(x + key)
+    x = as_uint32(x * ((key >> _16) | _1))
+    x = as_uint32(x ^ as_uint32(x * _LK_2))
+    return as_uint32(x ^ as_uint32(x * _LK_3))
 
 
 @device
@@ -88,8 +97,8 @@ def _index(sample, dimension, key):
     The order of samples is scrambled, too, by which groups become independent. As it is
     scrambled from the highest bit down, the first 2**k stay one block of 2**k.
     """
-    index = _reverse(_scramble(_reverse(np.uint32(sample)), mix(key ^ _ORDER)))
-    return _second_pair(index) if np.uint32(dimension) & _2 else index
+    index = _reverse(_scramble(_reverse(as_uint32(sample)), mix(key ^ _ORDER)))
+    return _second_pair(index) if as_uint32(dimension) & _2 else index
 
 
 @device
@@ -114,11 +123,11 @@ def sample_number(seed, pixel, sample, dimension):
     .. [2] Laine and Karras, "Stratified Sampling for Stochastic Transparency", Eurographics
        Symposium on Rendering 2011.
     """
-    dimension = np.uint32(dimension)
+    dimension = as_uint32(dimension)
     key = stream_key(seed, pixel, dimension >> _2)
     index = _index(sample, dimension, key)
     matrix = _pascal(index) if dimension & _1 else index
-    return as_float(_reverse(_scramble(matrix, mix(np.uint32(key + (dimension & _3))))))
+    return as_float(_reverse(_scramble(matrix, mix(as_uint32(key + as_uint32(dimension & _3))))))
 
 
 @device
@@ -136,15 +145,15 @@ def sample_pair(seed, pixel, sample, dimension):
         In [0, 1). In an even dimension the first 2**k samples are a (0, k, 2)-net: each
         rectangle of 2**-i by 2**-(k - i) gets one.
     """
-    dimension = np.uint32(dimension)
+    dimension = as_uint32(dimension)
     if dimension & _1:
         return (
             sample_number(seed, pixel, sample, dimension),
-            sample_number(seed, pixel, sample, np.uint32(dimension + _1)),
+            sample_number(seed, pixel, sample, as_uint32(dimension + _1)),
         )
     key = stream_key(seed, pixel, dimension >> _2)
     index = _index(sample, dimension, key)
-    in_group = dimension & _2
-    x = _scramble(index, mix(np.uint32(key + in_group)))
-    y = _scramble(_pascal(index), mix(np.uint32(key + in_group + _1)))
+    in_group = as_uint32(dimension & _2)
+    x = _scramble(index, mix(as_uint32(key + in_group)))
+    y = _scramble(_pascal(index), mix(as_uint32(key + in_group + _1)))
     return as_float(_reverse(x)), as_float(_reverse(y))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import as_uint32
 from raystream.render.sampling.mixing import as_float, mix, stream_key
 
 __all__ = ["sample_number", "sample_pair"]
@@ -30,13 +31,13 @@ def sample_number(seed, pixel, sample, dimension):
     # The sample's own hash: with the bare number, two keys that differ in low bits only would
     # give the same numbers in another order.
     key = stream_key(seed, pixel, dimension)
-    return as_float(mix(key ^ mix(np.uint32(sample) + _OF_SAMPLE)))
+    return as_float(mix(key ^ mix(as_uint32(sample) + _OF_SAMPLE)))
 
 
 @device
 def sample_pair(seed, pixel, sample, dimension):
     """The numbers of a dimension and of the next, two float32; see `sample_number`."""
-    following = np.uint32(np.uint32(dimension) + _1)
+    following = as_uint32(as_uint32(dimension) + _1)
     return (
         sample_number(seed, pixel, sample, dimension),
         sample_number(seed, pixel, sample, following),

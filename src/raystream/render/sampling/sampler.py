@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 from raystream.core.arrays import as_host_array
 from raystream.core.memory import check_memory
 from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import f32x16, lane, load, scratch, store
 from raystream.jit.threads import parallel_for
 from raystream.render.sampling import owen, random, stratified
 
-__all__ = ["KINDS", "MAX_SAMPLES", "Sampler", "draw", "draw_pair"]
+__all__ = [
+    "KINDS",
+    "MAX_SAMPLES",
+    "Sampler",
+    "draw",
+    "draw_lanes",
+    "draw_pair",
+    "draw_pair_lanes",
+]
 
 #: The kinds by name: the position is `Sampler.kind`.
 KINDS = ("sobol", "stratified", "random")
@@ -30,7 +39,9 @@ _RANGE = 1 << 32
 #: Rows that a thread takes at a time.
 _CHUNK = 1 << 12
 
-_1, _2 = np.uint32(1), np.uint32(2)
+#: Of vectors, and their bytes.
+_LANES, _WORD = 16, np.uint64(4)
+_ROW = 64
 
 
 class Sampler(NamedTuple):
@@ -197,6 +208,35 @@ def draw_pair(sampler, pixel, sample, dimension):
         count = sampler.sample_count
         return stratified.sample_pair(sampler.seed, pixel, sample, dimension, count)
     return random.sample_pair(sampler.seed, pixel, sample, dimension)
+
+
+@device
+def draw_lanes(sampler, pixels, samples, dimension):
+    """`draw` for 16 pixels and samples, `u32x16`: an `f32x16` with the same bits."""
+    if sampler.kind == _SOBOL:
+        return owen.sample_number(sampler.seed, pixels, samples, dimension)
+    if sampler.kind == _STRATIFIED:
+        numbers = scratch(_ROW)
+        for i in range(_LANES):
+            number = draw(sampler, lane(pixels, i), lane(samples, i), dimension)
+            store(numbers + np.uint64(i) * _WORD, number)
+        return load(f32x16, numbers)
+    return random.sample_number(sampler.seed, pixels, samples, dimension)
+
+
+@device
+def draw_pair_lanes(sampler, pixels, samples, dimension):
+    """`draw_pair` for 16 pixels and samples, `u32x16`: two `f32x16` with the same bits."""
+    if sampler.kind == _SOBOL:
+        return owen.sample_pair(sampler.seed, pixels, samples, dimension)
+    if sampler.kind == _STRATIFIED:
+        us, vs = scratch(_ROW), scratch(_ROW)
+        for i in range(_LANES):
+            u, v = draw_pair(sampler, lane(pixels, i), lane(samples, i), dimension)
+            store(us + np.uint64(i) * _WORD, u)
+            store(vs + np.uint64(i) * _WORD, v)
+        return load(f32x16, us), load(f32x16, vs)
+    return random.sample_pair(sampler.seed, pixels, samples, dimension)
 
 
 @kernel

@@ -3,7 +3,8 @@
 All take two numbers u and v in [0, 1), float32, such as `draw_pair` gives, and keep close
 what was close, as far as they can, so that even numbers give even points. Directions are
 about +z and of unit length; `basis` and `to_world` turn them. Densities of directions are
-per steradian, of points per unit of area.
+per steradian, of points per unit of area. Where float32 is said, vectors of it do as well:
+lane by lane the same bits.
 """
 
 from __future__ import annotations
@@ -13,6 +14,17 @@ import math
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    absolute,
+    copy_sign,
+    exponential,
+    logarithm,
+    maximum,
+    power,
+    select,
+    square_root,
+    turned,
+)
 
 __all__ = [
     "basis",
@@ -32,8 +44,8 @@ __all__ = [
 ]
 
 _0, _HALF, _1, _2 = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
-_QUARTER_PI, _HALF_PI = np.float32(math.pi / 4), np.float32(math.pi / 2)
-_TWO_PI = np.float32(2 * math.pi)
+_EIGHTH, _QUARTER = np.float32(0.125), np.float32(0.25)
+_SIXTH, _24TH, _120TH = np.float32(1 / 6), np.float32(1 / 24), np.float32(1 / 120)
 _INV_PI, _INV_TWO_PI = np.float32(1 / math.pi), np.float32(0.5 / math.pi)
 _INV_FOUR_PI = np.float32(0.25 / math.pi)
 
@@ -52,13 +64,11 @@ def disk(u, v):
        Graphics Tools 2(3), 1997.
     """
     a, b = _2 * u - _1, _2 * v - _1
-    if a == _0 and b == _0:
-        return _0, _0
-    if abs(a) > abs(b):
-        radius, angle = a, _QUARTER_PI * (b / a)
-    else:
-        radius, angle = b, _HALF_PI - _QUARTER_PI * (a / b)
-    return radius * np.cos(angle), radius * np.sin(angle)
+    is_wide = absolute(a) > absolute(b)
+    radius, rest = select(is_wide, a, b), select(is_wide, b, a)
+    part = _EIGHTH * (rest / select(radius == _0, _1, radius))
+    x, y = turned(select(is_wide, part, _QUARTER - part))
+    return radius * x, radius * y
 
 
 @device
@@ -77,27 +87,27 @@ def cosine_hemisphere(u, v):
         z is at least 0: it is the cosine. The directions lie above an even disk (Malley).
     """
     x, y = disk(u, v)
-    return x, y, np.sqrt(max(_0, _1 - x * x - y * y))
+    return x, y, square_root(maximum(_1 - x * x - y * y, _0))
 
 
 @device
 def cosine_hemisphere_pdf(z):
     """Density of `cosine_hemisphere` at a direction with this z; 0 below."""
-    return max(_0, z) * _INV_PI
+    return maximum(z, _0) * _INV_PI
 
 
 @device
 def _around(z, radius, v):
     """The direction of this z, at v of a whole turn."""
-    angle = _TWO_PI * v
-    return radius * np.cos(angle), radius * np.sin(angle), z
+    x, y = turned(v)
+    return radius * x, radius * y, z
 
 
 @device
 def sphere(u, v):
     """A direction, evenly: x, y, z of float32."""
     # The radius from u, not from 1 - z * z, which loses the digits of small ones.
-    return _around(_1 - _2 * u, _2 * np.sqrt(u * (_1 - u)), v)
+    return _around(_1 - _2 * u, _2 * square_root(u * (_1 - u)), v)
 
 
 @device
@@ -122,13 +132,20 @@ def cone(u, v, height):
     x, y, z : float32
     """
     below = u * height
-    return _around(_1 - below, np.sqrt(below * (_2 - below)), v)
+    return _around(_1 - below, square_root(below * (_2 - below)), v)
 
 
 @device
 def cone_pdf(z, height):
     """Density of `cone` at a direction with this z; 0 outside."""
     return _INV_TWO_PI / height if _1 - z <= height else _0
+
+
+@device
+def _missing(x):
+    """1 - exp(x) of numbers up to 0, whose digits are not lost near 0 (Taylor's series)."""
+    series = -x * (_1 + x * (_HALF + x * (_SIXTH + x * (_24TH + x * _120TH))))
+    return select(x > -_QUARTER, series, _1 - exponential(x))
 
 
 @device
@@ -146,15 +163,15 @@ def power_cosine(u, v, exponent):
     x, y, z : float32
         z is the cosine, at least 0.
     """
-    # The logarithm of 1 - z * z is not lost where z rounds to 1, in narrow lobes.
-    logarithm = np.log1p(-u) / (exponent + _1)
-    return _around(np.exp(logarithm), np.sqrt(-np.expm1(_2 * logarithm)), v)
+    # u has 24 bits: 1 - u is exact, and at least 2**-24.
+    height = logarithm(_1 - u) / (exponent + _1)
+    return _around(exponential(height), square_root(_missing(_2 * height)), v)
 
 
 @device
 def power_cosine_pdf(z, exponent):
     """Density of `power_cosine` at a direction with this z; 0 below."""
-    return (exponent + _1) * _INV_TWO_PI * z**exponent if z >= _0 else _0
+    return (exponent + _1) * _INV_TWO_PI * power(z, exponent)
 
 
 @device
@@ -170,11 +187,8 @@ def triangle(u, v):
     ----------
     .. [1] Heitz, "A Low-Distortion Map Between Triangle and Square", 2019.
     """
-    if v > u:
-        half = _HALF * u
-        return half, v - half
-    half = _HALF * v
-    return u - half, half
+    half = _HALF * select(v > u, u, v)
+    return select(v > u, half, u - half), select(v > u, v - half, half)
 
 
 @device
@@ -203,7 +217,7 @@ def basis(x, y, z):
     .. [1] Duff et al., "Building an Orthonormal Basis, Revisited", Journal of Computer
        Graphics Techniques 6(1), 2017.
     """
-    side = np.copysign(_1, z)
+    side = copy_sign(select(z == z, _1, z), z)
     a = -_1 / (side + z)
     b = x * y * a
     return _1 + side * x * x * a, side * b, -side * x, b, side + y * y * a, -y
