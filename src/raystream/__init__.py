@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from raystream.programs.hits import Hit
     from raystream.render import Image, render
     from raystream.render.heatmap import Heatmap, RayCost, heatmap
+    from raystream.scene import textures
     from raystream.scene.camera import Camera
     from raystream.scene.camera_track import CameraTrack
     from raystream.scene.lights import AreaLight, DirectionalLight, EnvironmentLight, PointLight
@@ -45,6 +46,9 @@ if TYPE_CHECKING:
     from raystream.structures.base import UpdateReport
     from raystream.structures.devices import register_device
     from raystream.tracer import Tracer
+
+#: Modules as a whole; the first is callable, see there.
+_MODULES = {"render": "render", "streams": "streams", "textures": "scene.textures"}
 
 # Names are imported when they are first used: `import raystream` costs neither numba nor
 # Pillow, and a command that only prints help stays quick.
@@ -129,14 +133,15 @@ __all__ = [
     "render",
     "set_thread_count",
     "streams",
+    "textures",
     "thickness",
     "thread_count",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("render", "streams"):  # rooms; the first is callable, see there
-        return importlib.import_module(f"raystream.{name}")
+    if name in _MODULES:
+        return importlib.import_module(f"raystream.{_MODULES[name]}")
     if name not in _HOMES:
         raise AttributeError(f"module 'raystream' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"raystream.{_HOMES[name]}"), name)
