@@ -45,7 +45,13 @@ class Material:
         False when only the front is to be seen (glTF); tracing hits both sides.
     textures : mapping of str to Texture
         By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
-        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``.
+        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``. Occlusion is not used:
+        what is in the way of light, rays find out.
+    normal_scale : float
+        Factor of a normal map's x and y: 0 is flat, negative ones swap bumps and dents.
+    bump_scale : float
+        Height of white over black in a bump map, in texels: 1 is as steep as 45 degrees where
+        white is beside black. Negative ones swap bumps and dents.
     """
 
     name: str = ""
@@ -61,6 +67,8 @@ class Material:
     metallic: float | None = None
     double_sided: bool = True
     textures: Mapping[str, Texture] = field(default_factory=dict)
+    normal_scale: float = 1.0
+    bump_scale: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("diffuse", "specular", "reflection", "transmission", "emission"):
@@ -68,7 +76,7 @@ class Material:
             if len(color) != 3 or not all(math.isfinite(c) and c >= 0.0 for c in color):
                 raise ValueError(f"{name}: expected three finite numbers >= 0, got {color}")
             object.__setattr__(self, name, color)
-        for name in ("shininess", "ior", "opacity"):
+        for name in ("shininess", "ior", "opacity", "normal_scale", "bump_scale"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"{name}: expected a finite number, got {getattr(self, name)}")
 

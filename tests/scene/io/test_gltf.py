@@ -178,7 +178,7 @@ def test_materials_and_images(tmp_path: Path) -> None:
                     "metallicFactor": 0.6,
                     "baseColorTexture": {"index": 0},
                 },
-                "normalTexture": {"index": 1},
+                "normalTexture": {"index": 1, "scale": 0.25},
                 "extensions": {
                     "KHR_materials_emissive_strength": {"emissiveStrength": 4},
                     "KHR_materials_ior": {"ior": 1.3},
@@ -198,6 +198,7 @@ def test_materials_and_images(tmp_path: Path) -> None:
     assert (material.opacity, material.roughness, material.metallic) == (0.4, 0.7, 0.6)
     assert (material.ior, material.transmission) == (1.3, (0.05, 0.1, 0.15))
     assert material.double_sided
+    assert material.normal_scale == 0.25
     assert material.textures["diffuse"].wrap == "clamp"
     assert material.textures["diffuse"].pixels().shape == (2, 3, 3)
     assert material.textures["normal"].path == tmp_path / "My Map.png"

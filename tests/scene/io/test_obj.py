@@ -170,8 +170,31 @@ def test_refraction_and_options(tmp_path: Path) -> None:
     assert found["glass"].opacity == 1.0
     bump = found["glass"].textures["bump"]
     assert (bump.name, bump.wrap) == ("a b.png", "clamp")
+    assert found["glass"].bump_scale == 1.0
     odd = found["odd"]
     assert (odd.diffuse, odd.shininess, odd.opacity, odd.ior) == ((0.8, 0.8, 0.8), 0, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("statement", "role", "scale"),
+    [
+        ("map_Bump -bm 0.25 a b.png", "bump", 0.25),
+        ("bump -clamp on -bm -2 a b.png", "bump", -2.0),
+        ("bump -bm high a b.png", "bump", 1.0),
+        ("bump -bm 1e99 a b.png", "bump", 1e30),
+        ("norm -bm .5 a b.png", "normal", 0.5),
+        ("map_Kn a b.png", "normal", 1.0),
+        ("bump -bm", "bump", 1.0),
+    ],
+)
+def test_multipliers_of_relief(tmp_path: Path, statement: str, role: str, scale: float) -> None:
+    (tmp_path / "a b.png").touch()
+    (tmp_path / "a.mtl").write_text(f"newmtl x\n{statement}\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RaystreamWarning)  # of the statement without a file
+        material = read_mtl(tmp_path / "a.mtl")["x"]
+    assert getattr(material, f"{role}_scale") == scale
+    assert (role in material.textures) == ("png" in statement)
 
 
 def test_missing_library_and_textures_warn_once(tmp_path: Path) -> None:

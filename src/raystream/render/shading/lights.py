@@ -20,11 +20,12 @@ from raystream.jit.simd import load
 from raystream.render.attributes import material_ids_of
 from raystream.render.environment import image_light
 from raystream.render.sampling.warp import sphere, triangle
-from raystream.render.shading.points import corner_of, material_color, material_of, offset_at
+from raystream.render.shading.points import material_color, material_of, offset_at
 from raystream.render.shading.shares import chosen, double, running_sums
 from raystream.render.shading.sky import Sky, map_sample, sky_of, sky_toward
 from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import place_of
+from raystream.render.shading.vertices import corner_of
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
 

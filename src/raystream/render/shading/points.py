@@ -10,11 +10,17 @@ import numpy as np
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
+from raystream.render.shading.relief import has_relief, relief_normal
 from raystream.render.shading.tables import WIDTH
+from raystream.render.shading.vertices import (
+    attribute_number,
+    attribute_vector,
+    corner_of,
+    number_at,
+)
 
 __all__ = [
     "Point",
-    "corner_of",
     "material_color",
     "material_number",
     "material_of",
@@ -27,9 +33,7 @@ __all__ = [
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
-_THREE = np.uint64(3)
 _WORD = np.uint64(4)
-_VECTOR = np.uint64(12)
 _COLUMN_COUNT = np.uint64(WIDTH)
 
 
@@ -43,7 +47,8 @@ class Point(NamedTuple):
     gx, gy, gz : float64
         Unit normal of the triangle, on the side that the ray came from.
     nx, ny, nz : float64
-        Unit shading normal, likewise.
+        Unit shading normal, likewise; where it would face away from the ray, the triangle's.
+        With the relief of normal and bump maps; it then always faces the ray's origin.
     offset : float64
         How far from the triangle a ray must start that leaves it, see `core.spawn`.
     is_front : bool
@@ -75,13 +80,6 @@ class Point(NamedTuple):
 
 
 @device
-def corner_of(tables, prim, k):
-    """A corner of a triangle, local frame, float64."""
-    at = tables.corners + (prim * _THREE + k) * _VECTOR
-    return _number(at), _number(at + _WORD), _number(at + _WORD + _WORD)
-
-
-@device
 def material_of(tables, prim):
     """The material of a triangle."""
     return np.uint64(load(np.int32, tables.material_ids + prim * _WORD))
@@ -91,13 +89,13 @@ def material_of(tables, prim):
 def material_color(tables, material, column):
     """A colour of a material, by its place in `Column`."""
     at = tables.materials + (material * _COLUMN_COUNT + column) * _WORD
-    return _number(at), _number(at + _WORD), _number(at + _WORD + _WORD)
+    return number_at(at), number_at(at + _WORD), number_at(at + _WORD + _WORD)
 
 
 @device
 def material_number(tables, material, column):
     """A number of a material, by its place in `Column`."""
-    return _number(tables.materials + (material * _COLUMN_COUNT + column) * _WORD)
+    return number_at(tables.materials + (material * _COLUMN_COUNT + column) * _WORD)
 
 
 @device
@@ -119,48 +117,17 @@ def offset_at(tables, extent, reach):
 
 
 @device
-def _number(at):
-    return np.float64(load(np.float32, at))
-
-
-@device
-def _mixed(tables, rows, width, column, prim, u, v):
-    """A number of a triangle's vertices, between them; `rows` have so many numbers."""
-    face, at, row = tables.faces + prim * _VECTOR, rows + column * _WORD, width * _WORD
-    a = _number(at + np.uint64(load(np.int32, face)) * row)
-    b = _number(at + np.uint64(load(np.int32, face + _WORD)) * row)
-    c = _number(at + np.uint64(load(np.int32, face + _WORD + _WORD)) * row)
-    return (1.0 - u - v) * a + u * b + v * c
-
-
-@device
-def _three(tables, rows, prim, u, v):
-    return (
-        _mixed(tables, rows, _THREE, _NONE, prim, u, v),
-        _mixed(tables, rows, _THREE, _ONE, prim, u, v),
-        _mixed(tables, rows, _THREE, _TWO, prim, u, v),
-    )
-
-
-@device
-def _shading_normal(tables, prim, u, v, gx, gy, gz, dx, dy, dz):
-    """The vertices' normals between them, on the side of the triangle's.
-
-    The triangle's own where there are none, or where they point away from the ray, as near an
-    outline: nothing sensible is reflected there.
-    """
+def _smooth_normal(tables, prim, u, v, gx, gy, gz):
+    """The vertices' normals between them, on the side of the triangle's, or that."""
     if tables.normals == _NONE:
         return gx, gy, gz
-    x, y, z = _three(tables, tables.normals, prim, u, v)
+    x, y, z = attribute_vector(tables, tables.normals, prim, u, v)
     length = math.sqrt(x * x + y * y + z * z)
     if not (length > 0.0 and length < np.inf):
         return gx, gy, gz
     if x * gx + y * gy + z * gz < 0.0:
         length = -length
-    x, y, z = x / length, y / length, z / length
-    if x * dx + y * dy + z * dz >= 0.0:
-        return gx, gy, gz
-    return x, y, z
+    return x / length, y / length, z / length
 
 
 @device_call
@@ -199,16 +166,26 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
     if not is_front:
         length = -length
     gx, gy, gz = gx / length, gy / length, gz / length
-    nx, ny, nz = _shading_normal(tables, prim, u, v, gx, gy, gz, dx, dy, dz)
+    nx, ny, nz = _smooth_normal(tables, prim, u, v, gx, gy, gz)
     s, t = np.nan, np.nan
     if tables.texcoords != _NONE:
-        s = _mixed(tables, tables.texcoords, _TWO, _NONE, prim, u, v)
-        t = _mixed(tables, tables.texcoords, _TWO, _ONE, prim, u, v)
+        s = attribute_number(tables, tables.texcoords, _TWO, _NONE, prim, u, v)
+        t = attribute_number(tables, tables.texcoords, _TWO, _ONE, prim, u, v)
+    material = material_of(tables, prim)
+    if has_relief(tables, material):
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        back = -dx / length, -dy / length, -dz / length
+        triangle, smooth = (gx, gy, gz), (nx, ny, nz)
+        nx, ny, nz = relief_normal(
+            tables, prim, material, (u, v), (s, t), triangle, smooth, is_front, back
+        )
+    elif nx * dx + ny * dy + nz * dz >= 0.0:
+        # Away from the ray, as near an outline, nothing sensible is reflected.
+        nx, ny, nz = gx, gy, gz
     red, green, blue = 1.0, 1.0, 1.0
     if tables.colors != _NONE:
-        red, green, blue = _three(tables, tables.colors, prim, u, v)
+        red, green, blue = attribute_vector(tables, tables.colors, prim, u, v)
     offset = offset_at(tables, extent, max(abs(x), abs(y), abs(z)))
-    material = material_of(tables, prim)
     return Point(
         x, y, z, gx, gy, gz, nx, ny, nz, offset, is_front, s, t, red, green, blue, material
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.render.attributes import VertexAttributes, material_ids_of
+from raystream.render.shading.tangents import vertex_tangents
 from raystream.render.shading.textures import TextureTables, pack_textures, place_of
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
@@ -56,6 +57,8 @@ class SceneTables(NamedTuple):
         likewise the next two.
     texcoords : uint64
         Of shape (V, 2), float32.
+    tangents, mirrored_tangents : uint64
+        Of shape (V, 3), float32, see `vertex_tangents`; 0 if no material has relief.
     colors : uint64
         Of shape (V, 3), float32: linear RGB, 1 where a mesh has none.
     material_ids : uint64
@@ -74,6 +77,8 @@ class SceneTables(NamedTuple):
     faces: np.uint64
     normals: np.uint64
     texcoords: np.uint64
+    tangents: np.uint64
+    mirrored_tangents: np.uint64
     colors: np.uint64
     material_ids: np.uint64
     materials: np.uint64
@@ -94,6 +99,8 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     materials = _material_rows(scene.materials)
     textures, kept_textures = pack_textures(scene.materials)
     corners = np.ascontiguousarray(triangles.corners)
+    tangents = _tangents(scene, corners, vertices, material_ids)
+    upright, mirrored = (None, None) if tangents is None else tangents
     x, y, z = (float(c) for c in triangles.center)
     tables = SceneTables(
         place_of(corners),
@@ -104,12 +111,27 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         place_of(vertices.faces),
         place_of(vertices.normals),
         place_of(vertices.texcoords),
+        place_of(upright),
+        place_of(mirrored),
         place_of(vertices.colors),
         place_of(material_ids),
         place_of(materials),
         textures,
     )
-    return tables, (corners, vertices, material_ids, materials, kept_textures)
+    return tables, (corners, vertices, tangents, material_ids, materials, kept_textures)
+
+
+def _tangents(
+    scene: Scene,
+    corners: NDArray[np.float32],
+    vertices: VertexAttributes,
+    material_ids: NDArray[np.int32],
+) -> NDArray[np.float32] | None:
+    """Tangents where materials have relief; None if none has, or there is no texture."""
+    has_relief = np.array([not {"normal", "bump"}.isdisjoint(m.textures) for m in scene.materials])
+    if vertices.texcoords is None or not has_relief[material_ids].any():
+        return None
+    return vertex_tangents(corners, vertices, has_relief[material_ids])
 
 
 def _material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:

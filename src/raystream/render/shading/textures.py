@@ -16,10 +16,21 @@ from raystream.render.color import decode_srgb
 from raystream.scene.material import Material
 from raystream.scene.texture import Texture
 
-__all__ = ["ROLES", "TextureTables", "pack_textures", "place_of", "texture_color", "texture_of"]
+__all__ = [
+    "ROLES",
+    "TextureTables",
+    "pack_textures",
+    "place_of",
+    "texture_color",
+    "texture_of",
+    "texture_size",
+]
 
-#: What of a material a texture may multiply, in the order of `TextureTables.of_material`.
-ROLES = ("diffuse", "specular", "emission", "metallic_roughness")
+#: What of a material a texture may multiply, or make, in the order of
+#: `TextureTables.of_material`.
+ROLES = ("diffuse", "specular", "emission", "metallic_roughness", "normal", "bump")
+
+_NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
 
 _ONE = np.float32(1.0)
 _ROLES = np.uint64(len(ROLES))
@@ -44,16 +55,22 @@ class TextureTables(NamedTuple):
         Of shape (T, 4), int64: first texel, width, height, and 1 for a texture that is clamped,
         0 if it repeats.
     of_material : uint64
-        Of shape (M, 4), int32: each material's texture by role; -1 for none.
-    linear, plain : uint64
-        Of shape (256,), float32: values of bytes, of colours, and of numbers.
+        Of shape (M, 6), int32: each material's texture by role; -1 for none.
+    reliefs : uint64
+        Of shape (M, 3), float32: factors of normals' x and y and of heights, and 1 for
+        materials that mirror or have a gloss, 0 for matte ones.
+    linear, plain, signed : uint64
+        Of shape (256,), float32: values of bytes, of colours, of numbers in [0, 1], and of
+        normals' components in [-1, 1]: 128 is 0, so that a flat normal map is flat.
     """
 
     texels: np.uint64
     places: np.uint64
     of_material: np.uint64
+    reliefs: np.uint64
     linear: np.uint64
     plain: np.uint64
+    signed: np.uint64
 
 
 def place_of(array: NDArray[Any] | None) -> np.uint64:
@@ -89,12 +106,19 @@ def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]
                     parts.append(pixels.reshape(-1, 3))
                     first += height * width
             row[column] = known[id(texture)]
+    reliefs = np.array([_relief_of(material) for material in materials], np.float32)
+    for row, material, relief in zip(of_material, materials, reliefs, strict=True):
+        if row[_BUMP] >= 0 and row[_NORMAL] < 0 and _holds_normals(parts[row[_BUMP]]):
+            row[_NORMAL], relief[0] = row[_BUMP], material.bump_scale
+    bytes_ = np.arange(256, dtype=np.uint8)
     kept: tuple[NDArray[Any], ...] = (
         np.concatenate(parts) if parts else np.empty((0, 3), np.uint8),
         np.array(places, np.int64).reshape(-1, 4),
         of_material,
-        decode_srgb(np.arange(256, dtype=np.uint8)),
-        np.arange(256, dtype=np.float32) / np.float32(255.0),
+        reliefs,
+        decode_srgb(bytes_),
+        bytes_ / np.float32(255.0),
+        np.maximum((bytes_ - np.float32(128.0)) / np.float32(127.0), np.float32(-1.0)),
     )
     return TextureTables(*map(place_of, kept)), kept
 
@@ -103,7 +127,28 @@ def _is_seen(material: Material, role: str) -> bool:
     """Whether it matters what a texture multiplies."""
     if role == "metallic_roughness":
         return bool(material.roughness or material.metallic)
+    if role in ("normal", "bump"):
+        return bool(getattr(material, f"{role}_scale"))
     return any(getattr(material, role))
+
+
+def _relief_of(material: Material) -> tuple[float, float, float]:
+    shines = material.roughness is not None or any(
+        (*material.specular, *material.reflection, *material.transmission)
+    )
+    return material.normal_scale, material.bump_scale, float(shines)
+
+
+def _holds_normals(texels: NDArray[np.uint8]) -> bool:
+    """Whether a bitmap for bumps holds normals: MTL files of some programs name them so.
+
+    Normals are unit vectors, most of them nearly upright: none of a photograph's colours, and
+    of greys only one.
+    """
+    some = texels[:: max(1, len(texels) // 4096)] / 127.5 - 1.0
+    is_normal = (some[:, 2] > 0.0) & (abs(np.linalg.norm(some, axis=1) - 1.0) < 0.1)
+    x, y, z = some.mean(axis=0)
+    return bool(is_normal.mean() > 0.9 and max(abs(x), abs(y)) < 0.25 < 0.5 < z)
 
 
 def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
@@ -121,6 +166,13 @@ def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
 def texture_of(tables, material, role):
     """A material's texture by its position in `ROLES`; -1 for none."""
     return load(np.int32, tables.of_material + (material * _ROLES + role) * _WORD)
+
+
+@device
+def texture_size(tables, texture):
+    """Width and height of a texture, in texels."""
+    at = tables.places + np.uint64(texture) * _PLACE
+    return load(np.int64, at + _LONG), load(np.int64, at + _LONG + _LONG)
 
 
 @device
@@ -160,12 +212,12 @@ def texture_color(tables, texture, u, v, values):
     u, v : float64
         Texture coordinates; v points up.
     values : uint64
-        `TextureTables.linear` of colours, ``plain`` of numbers.
+        `TextureTables.linear` of colours, ``plain`` of numbers, ``signed`` of normals.
     """
     if not (abs(u) < np.inf and abs(v) < np.inf):
         return _ONE, _ONE, _ONE
     at = tables.places + np.uint64(texture) * _PLACE
-    width, height = load(np.int64, at + _LONG), load(np.int64, at + _LONG + _LONG)
+    width, height = texture_size(tables, texture)
     is_clamped = load(np.int64, at + _LONG + _LONG + _LONG) != 0
     bitmap = load(np.int64, at), width, height, is_clamped
     if is_clamped:

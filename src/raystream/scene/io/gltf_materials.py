@@ -13,13 +13,17 @@ __all__ = ["read_materials", "texcoord_set"]
 _CLAMP_TO_EDGE = 33071
 _REPEAT = 10497
 
+#: Larger numbers are cut: float32 holds squares of no more than about 1e38.
+_MOST = 1e30
+
 
 def read_materials(file: GltfFile) -> list[Material]:
     """Read all materials, and after them the default one for primitives that name none.
 
     The base colour becomes `diffuse`, whatever the metallic factor is; `roughness`, `metallic`
     and ``KHR_materials_`` `emissive_strength`, `ior` and `transmission` are kept. Factors
-    are to be multiplied with the textures of the same role.
+    are to be multiplied with the textures of the same role. Of a normal map the `scale` is
+    kept. Strengths of occlusion are not read: no renderer here uses it.
 
     Parameters
     ----------
@@ -86,11 +90,12 @@ def _material(file: GltfFile, entry: Node, reader: _TextureReader) -> Material:
         metallic=file.number(surface, "metallicFactor", 1.0),
         double_sided=entry.get("doubleSided", False) is True,
         textures={r: t for r, t in textures.items() if t is not None},
+        normal_scale=min(max(-_MOST, file.number(roles["normal"], "scale", 1.0)), _MOST),
     )
 
 
 def _positive(values: tuple[float, ...]) -> Color:
-    red, green, blue = (min(max(0.0, value), 1e30) for value in values)
+    red, green, blue = (min(max(0.0, value), _MOST) for value in values)
     return red, green, blue
 
 

@@ -26,6 +26,7 @@ _TEXTURE_ROLES = {
     "map_d": "opacity",
     "map_bump": "bump",
     "bump": "bump",
+    "map_kn": "normal",
     "norm": "normal",
 }
 
@@ -53,7 +54,8 @@ def read_mtl(path: Path) -> dict[str, Material]:
     Colours are taken as linear numbers. The ambient colour is not used: `Ka` repeats `Kd` in
     practice. Models 3 to 7 reflect with `Ks`; of the refracting models 4, 6, 7 and 9 the
     transmittance is `Tf`, and a `d` below 1 belongs to the refraction there. Numbers that
-    make no sense are left at their defaults.
+    make no sense are left at their defaults. Of textures' options ``-clamp`` is read, and
+    ``-bm`` of bump and normal maps.
 
     Parameters
     ----------
@@ -115,11 +117,14 @@ def _material(
     opacity = _opacity(entries)
     refracts = model in GLASS_MODELS
     maps: dict[str, Texture] = {}
+    scales = {"bump": default.bump_scale, "normal": default.normal_scale}
     for word, role in _TEXTURE_ROLES.items():
         if entries.get(word):
             texture = _texture(path, entries[word], textures, missing)
             if texture is not None:
                 maps[role] = texture
+                if role in scales:
+                    scales[role] = _multiplier(entries[word], scales[role])
     return Material(
         name=name,
         diffuse=_color(entries.get("kd", ""), default.diffuse),
@@ -131,6 +136,8 @@ def _material(
         emission=_color(entries.get("ke", ""), default.emission),
         opacity=1.0 if refracts else opacity,
         textures=maps,
+        normal_scale=scales["normal"],
+        bump_scale=scales["bump"],
     )
 
 
@@ -186,8 +193,20 @@ def _texture(
 
 def _texture_name(statement: str) -> tuple[str, bool]:
     """Split a texture statement into the file's name, which may hold spaces, and ``-clamp``."""
+    options, name = _split_options(statement)
+    return name, options.get("-clamp") == "on"
+
+
+def _multiplier(statement: str, default: float) -> float:
+    """Read ``-bm``, a bump map's multiplier."""
+    value = _number(_split_options(statement)[0].get("-bm", ""), default)
+    return min(max(-1e30, value), 1e30)
+
+
+def _split_options(statement: str) -> tuple[dict[str, str], str]:
+    """Split a texture statement into its options' first words, and the rest."""
     rest = _without_comment(statement)
-    clamp = False
+    options: dict[str, str] = {}
     while rest.startswith("-"):
         words = rest.split()
         option = words[0].lower()
@@ -196,10 +215,10 @@ def _texture_name(statement: str) -> tuple[str, bool]:
         skip = 1 + _OPTION_WORDS[option]
         if option in ("-o", "-s", "-t"):
             skip = 1 + sum(1 for _ in _leading_numbers(words[1:4]))
-        clamp = clamp or (option == "-clamp" and words[1:2] == ["on"])
+        options[option] = words[1] if skip > 1 and len(words) > 1 else ""
         parts = rest.split(None, skip)
         rest = parts[skip] if len(parts) > skip else ""
-    return rest, clamp
+    return options, rest
 
 
 def _leading_numbers(words: list[str]) -> list[float]:
