@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from raystream.core.hits import Hits
 from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.classic import ClassicLights, classic_lights_of
+from raystream.render.shading.eyes import begin_paths, view_of
 from raystream.render.shading.lights import LightTables, lights_of
 from raystream.render.shading.streams import LightRays, Paths, add_unblocked
 from raystream.render.shading.tables import SceneTables, tables_of
@@ -175,26 +176,28 @@ def eye_paths(setting: Setting, rows: range, sample: int) -> Paths:
     """Begin a path at each pixel of some rows: at its centre, or spread over it and the lens."""
     width, height = setting.width, setting.height
     count = len(rows) * width
+    if setting.camera.projection == "perspective":
+        paths = Paths.empty(count)
+        view = view_of(setting.camera, width, height)
+        begin_paths(view, rows.start, len(rows), setting.sampler, sample, paths)
+        return paths
     pixels = np.arange(rows.start * width, rows.start * width + count)
     x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
-    lens = None
     if setting.sampler.sample_count == 1:
         x, y = x + 0.5, y + 0.5
     else:
-        numbers = setting.sampler.numbers(pixels, sample, 0, 4)
+        numbers = setting.sampler.numbers(pixels, sample, 0, 2)
         x, y = x + numbers[:, 0], y + numbers[:, 1]
-        if setting.camera.aperture > 0.0:
-            lens = numbers[:, 2:].reshape(len(rows), width, 2)
     shape = len(rows), width
     places = x.reshape(shape), y.reshape(shape)
-    origins, directions = setting.camera.rays(width, height, *places, lens)
+    origins, directions = setting.camera.rays(width, height, *places)
     return Paths(
         pixels,
         # Copies: rays of one eye are repeated in place, and read-only.
         np.array(origins, np.float64, order="C").reshape(-1, 3),
         np.array(directions, np.float32, order="C").reshape(-1, 3),
         np.ones((count, 3), np.float32),
-        np.full(count, np.inf),
+        np.full(count, np.inf, np.float32),
     )
 
 

@@ -31,6 +31,7 @@ from raystream.jit.simd.convert import (
     narrow,
     narrow_lanes,
     widen,
+    widen_number,
 )
 from raystream.jit.simd.elementary import exponential, logarithm, power, turned
 from raystream.jit.simd.gathers import gather, scatter
@@ -44,9 +45,11 @@ from raystream.jit.simd.lanes import (
     float_as_bits,
     lane,
     lane_bits,
+    lane_numbers,
     lanes_from_bits,
     permutation,
     permute,
+    ranks,
     reduce_max,
     reduce_min,
     select,
@@ -108,6 +111,7 @@ __all__ = [
     "i64x16",
     "lane",
     "lane_bits",
+    "lane_numbers",
     "lanes_from_bits",
     "load",
     "load_records",
@@ -124,6 +128,7 @@ __all__ = [
     "permute",
     "power",
     "prefetch",
+    "ranks",
     "reduce_max",
     "reduce_min",
     "round_down",
@@ -139,4 +144,5 @@ __all__ = [
     "u32x8",
     "u32x16",
     "widen",
+    "widen_number",
 ]

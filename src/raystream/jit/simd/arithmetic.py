@@ -16,11 +16,9 @@ from raystream.jit.simd.types import (
     VECTORS,
     VectorType,
     broadcast,
-    constant,
     llvm_type,
     mask_of,
     refuse,
-    vector_type,
 )
 
 __all__ = [

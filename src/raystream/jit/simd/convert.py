@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 
 from raystream.jit.simd.types import VectorType, llvm_type, refuse, vector_type
 
-__all__ = ["as_float32", "as_int32", "as_uint32", "narrow", "narrow_lanes", "widen"]
+__all__ = ["as_float32", "as_int32", "as_uint32", "narrow", "narrow_lanes", "widen", "widen_number"]
 
 
 @intrinsic
@@ -50,6 +50,16 @@ def narrow_lanes(typing_context: Any, x: Any) -> Any:
     if not isinstance(x, VectorType) or x.kind != "f64":
         refuse("narrow_lanes", "a float64 vector, or a number", x)
     return _narrowed(x)
+
+
+@intrinsic
+def widen_number(typing_context: Any, x: Any) -> Any:
+    """A float32 number as float64, a float64 number and a float32 vector as they are."""
+    if x == types.float64 or (isinstance(x, VectorType) and x.kind == "f32"):
+        return x(x), _same
+    if x != types.float32:
+        refuse("widen_number", "a number, or a float32 vector", x)
+    return types.float64(x), _cast
 
 
 def _narrowed(x: Any) -> Any:

@@ -12,7 +12,6 @@ Moshier, "Methods and Programs for Mathematical Functions", 1989 (Cephes): the c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -61,7 +60,7 @@ def turned(part: Any) -> Any:
 
 
 def exponential(x: Any) -> Any:
-    """e to the power of x: of float32 to within 2 units of the last place, for -87 to 88.
+    """E to the power of x: of float32 to within 2 units of the last place, for -87 to 88.
 
     Beyond, the result is that at the end.
     """
@@ -74,7 +73,7 @@ def logarithm(x: Any) -> Any:
 
 
 def power(x: Any, exponent: Any) -> Any:
-    """x to the power of an exponent; 0 where x is not above 1e-37.
+    """A power of x, by its exponent; 0 where x is not above 1e-37.
 
     Of float32 with a relative error of 1.2e-7 times the exponent times log(x), or 4e-7 if that
     is more.

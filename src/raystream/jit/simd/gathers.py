@@ -11,7 +11,6 @@ from numba.extending import intrinsic
 from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import (
     ELEMENTS,
-    VectorClass,
     VectorType,
     llvm_type,
     mask_of,

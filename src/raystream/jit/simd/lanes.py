@@ -18,6 +18,7 @@ from raystream.jit.simd.arithmetic import (
 from raystream.jit.simd.types import (
     VectorClass,
     VectorType,
+    broadcast,
     constant,
     llvm_type,
     mask_of,
@@ -169,6 +170,36 @@ def count_bits(typing_context: Any, bits: Any) -> Any:
         return call_intrinsic(builder, "llvm.ctpop.i64", _I64, arguments)
 
     return types.uint64(bits), generate
+
+
+@intrinsic
+def lane_numbers(typing_context: Any, class_: Any) -> Any:
+    """The vector 0, 1, 2 ... of an integer type."""
+    vector = class_.instance_type if isinstance(class_, VectorClass) else None
+    if vector is None or vector.is_float or vector.kind == "mask":
+        refuse("lane_numbers", "a vector type of integers", class_)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return constant(vector, list(range(vector.lane_count)))
+
+    return vector(class_), generate
+
+
+@intrinsic
+def ranks(typing_context: Any, mask: Any) -> Any:
+    """Of each lane, how many lanes before it a mask has set: an int32 vector."""
+    if not _is_mask(mask):
+        refuse("ranks", "a mask", mask)
+    result = vector_type("i32", mask.lane_count)
+    lower = constant(result, [2**i - 1 for i in range(mask.lane_count)])
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits = builder.zext(_bits(builder, arguments[0]), _I32)
+        before = builder.and_(broadcast(builder, bits, mask.lane_count), lower)
+        name = f"llvm.ctpop.v{mask.lane_count}i32"
+        return call_intrinsic(builder, name, llvm_type(result), [before])
+
+    return result(mask), generate
 
 
 @intrinsic

@@ -4,26 +4,53 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.cpu import device_call, kernel
-from raystream.render.sampling.sampler import draw_pair
-from raystream.render.sampling.warp import cosine_hemisphere, to_world
-from raystream.render.shading.points import spawned, surface_point
-from raystream.render.shading.streams import direction_of, put_ray
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import (
+    address,
+    as_int32,
+    as_uint32,
+    count_bits,
+    f32x16,
+    f64x16,
+    i32x16,
+    i64x16,
+    lane_bits,
+    lane_numbers,
+    ranks,
+    scatter,
+    u32x16,
+    widen,
+)
+from raystream.render.sampling.sampler import draw_pair_lanes
+from raystream.render.sampling.warp import basis, cosine_hemisphere
+from raystream.render.shading.points import surface_point, to_world
+from raystream.render.shading.streams import direction_of, put_vectors
 
 __all__ = ["look_around"]
 
 #: The numbers before are for the place in the pixel and on the lens.
 _DIMENSION = 4
 
-_ONE = np.uint64(1)
+#: Of vectors.
+_LANES = 16
 
 
-@device_call
-def _direction(sampler, pixel, sample, nx, ny, nz):
-    u, v = draw_pair(sampler, pixel, sample, _DIMENSION)
+@device
+def _spread(a):
+    """A vector of three float64 in all lanes, float32."""
+    return f32x16(np.float32(a[0])), f32x16(np.float32(a[1])), f32x16(np.float32(a[2]))
+
+
+@device
+def _directions(u, v, normal):
+    """Directions about a normal, by their cosine."""
+    tx, ty, tz, bx, by, bz = basis(normal[0], normal[1], normal[2])
     x, y, z = cosine_hemisphere(u, v)
-    x, y, z = to_world(x, y, z, np.float32(nx), np.float32(ny), np.float32(nz))
-    return np.float64(x), np.float64(y), np.float64(z)
+    return (
+        x * tx + y * bx + z * normal[0],
+        x * ty + y * by + z * normal[1],
+        x * tz + y * bz + z * normal[2],
+    )
 
 
 @kernel
@@ -47,7 +74,7 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
         Rays written.
     """
     _, us, vs, prim_ids = hits
-    row = np.uint64(0)
+    row, reach = np.int32(0), f32x16(np.float32(distance))
     for i in range(np.uint64(len(paths.pixels))):
         pixel_id = paths.pixels[i]
         if prim_ids[i] < 0:
@@ -56,18 +83,36 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
             continue
         dx, dy, dz, _ = direction_of(paths, i)
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
-        share = np.float32(count)
-        light = (
-            paths.weights[i, 0] / share,
-            paths.weights[i, 1] / share,
-            paths.weights[i, 2] / share,
+        share = np.float64(1.0 / count)
+        light = _spread(
+            (
+                paths.weights[i, 0] * share,
+                paths.weights[i, 1] * share,
+                paths.weights[i, 2] * share,
+            )
         )
-        for j in range(count):
-            toward = _direction(sampler, pixel_id, sample * count + j, point.nx, point.ny, point.nz)
+        normal = _spread((point.nx, point.ny, point.nz))
+        # All leave on the side of the view, from one place.
+        origin = to_world(
+            tables,
+            point.x + point.offset * point.gx,
+            point.y + point.offset * point.gy,
+            point.z + point.offset * point.gz,
+        )
+        for first in range(0, count, _LANES):
+            j = lane_numbers(i32x16) + as_int32(first)
+            samples = as_uint32(j) + as_uint32(sample * count)
+            u, v = draw_pair_lanes(sampler, u32x16(as_uint32(pixel_id)), samples, _DIMENSION)
+            x, y, z = _directions(u, v, normal)
             # Those that a smooth normal sends below the triangle meet it at once.
-            if toward[0] * point.gx + toward[1] * point.gy + toward[2] * point.gz <= 0.0:
-                continue
-            origin, reach = spawned(tables, point, toward), np.float32(distance)
-            put_ray(rays, row, pixel_id, origin, toward, reach, light)
-            row += _ONE
+            height = widen(x) * point.gx + widen(y) * point.gy + widen(z) * point.gz
+            mask = (j < as_int32(count)) & (height > 0.0)
+            place = ranks(mask) + row
+            scatter(address(rays.pixels), place, i64x16(pixel_id), mask)
+            scatter(address(rays.t_max), place, reach, mask)
+            start = f64x16(origin[0]), f64x16(origin[1]), f64x16(origin[2])
+            put_vectors(address(rays.origins), place, start, mask)
+            put_vectors(address(rays.directions), place, (x, y, z), mask)
+            put_vectors(address(rays.light), place, light, mask)
+            row = as_int32(row + as_int32(count_bits(lane_bits(mask))))
     return np.int64(row)

@@ -19,14 +19,16 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
 from raystream.render.shading.microfacet import LEAST_ALPHA, PLASTIC, rough_reflected
-from raystream.render.shading.points import material_color, material_number
+from raystream.render.shading.points import largest, material_color, material_number
 from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import ROLES, texture_color, texture_of
 
 __all__ = [
     "Bounce",
     "Lobes",
+    "chosen",
     "dot",
     "emitted",
     "fresnel",
@@ -34,21 +36,28 @@ __all__ = [
     "mirrored",
     "reflected",
     "refracted",
+    "scaled",
+    "times",
 ]
 
-_DIFFUSE = np.uint64(COLUMNS.diffuse)
-_SPECULAR = np.uint64(COLUMNS.specular)
-_REFLECTION = np.uint64(COLUMNS.reflection)
-_TRANSMISSION = np.uint64(COLUMNS.transmission)
-_SHININESS = np.uint64(COLUMNS.shininess)
-_IOR = np.uint64(COLUMNS.ior)
-_ROUGHNESS = np.uint64(COLUMNS.roughness)
-_METALLIC = np.uint64(COLUMNS.metallic)
-_EMISSION = np.uint64(COLUMNS.emission)
-_EMISSION_TEXTURE = np.uint64(ROLES.index("emission"))
-_DIFFUSE_TEXTURE = np.uint64(ROLES.index("diffuse"))
-_ROUGHNESS_TEXTURE = np.uint64(ROLES.index("metallic_roughness"))
-_SPECULAR_TEXTURE = np.uint64(ROLES.index("specular"))
+_NULL, _WHOLE, _TWO, _HALF = map(np.float32, (0.0, 1.0, 2.0, 0.5))
+_LEAST_IOR = np.float32(1e-3)
+_INV_PI, _INV_TWO_PI = np.float32(1.0 / math.pi), np.float32(0.5 / math.pi)
+_0 = np.int32(0)
+
+_DIFFUSE = np.int32(COLUMNS.diffuse)
+_SPECULAR = np.int32(COLUMNS.specular)
+_REFLECTION = np.int32(COLUMNS.reflection)
+_TRANSMISSION = np.int32(COLUMNS.transmission)
+_SHININESS = np.int32(COLUMNS.shininess)
+_IOR = np.int32(COLUMNS.ior)
+_ROUGHNESS = np.int32(COLUMNS.roughness)
+_METALLIC = np.int32(COLUMNS.metallic)
+_EMISSION = np.int32(COLUMNS.emission)
+_EMISSION_TEXTURE = np.int32(ROLES.index("emission"))
+_DIFFUSE_TEXTURE = np.int32(ROLES.index("diffuse"))
+_ROUGHNESS_TEXTURE = np.int32(ROLES.index("metallic_roughness"))
+_SPECULAR_TEXTURE = np.int32(ROLES.index("specular"))
 
 Vector = tuple[float, float, float]
 
@@ -106,23 +115,42 @@ def dot(a, b):
 
 
 @device
-def _times(a, b):
-    return a[0] * np.float64(b[0]), a[1] * np.float64(b[1]), a[2] * np.float64(b[2])
+def times(a, b):
+    """Product of two colours."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @device
-def _scaled(a, factor):
+def scaled(a, factor):
+    """A colour or vector times a number."""
     return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@device
+def chosen(mask, a, b):
+    """A colour or vector where a mask, or a bool, is set, and another elsewhere."""
+    return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
+
+
+@device
+def _looked_up(tables, point, role, values):
+    """A texture's RGB at a point, and where there is one; 1 elsewhere."""
+    textures = tables.textures
+    texture = texture_of(textures, point.material, role)
+    is_there = texture >= _0
+    white = point.red * _NULL + _WHOLE
+    color = white, white, white
+    if any_lane(is_there):
+        found = texture_color(textures, maximum(texture, _0), point.u, point.v, values)
+        color = chosen(is_there, found, color)
+    return color, is_there
 
 
 @device
 def _tinted(color, tables, point, role):
     """A colour of a material times its texture."""
-    textures = tables.textures
-    texture = texture_of(textures, point.material, role)
-    if texture < 0:
-        return color
-    return _times(color, texture_color(textures, texture, point.u, point.v, textures.linear))
+    found, _ = _looked_up(tables, point, role, tables.textures.linear)
+    return times(color, found)
 
 
 @device
@@ -135,21 +163,17 @@ def emitted(tables, point):
 @device
 def _metal_or_plastic(tables, point, roughness, base):
     """GGX's roughness of glTF's materials, and what they scatter evenly and mirror squarely."""
-    metallic = max(material_number(tables, point.material, _METALLIC), 0.0)
-    textures = tables.textures
-    texture = texture_of(textures, point.material, _ROUGHNESS_TEXTURE)
-    if texture >= 0:
-        numbers = texture_color(textures, texture, point.u, point.v, textures.plain)
-        roughness, metallic = roughness * numbers[1], metallic * numbers[2]
-    metallic = min(metallic, 1.0)
-    plastic = 1.0 - metallic
+    metallic = maximum(material_number(tables, point.material, _METALLIC), _NULL)
+    numbers, _ = _looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
+    roughness, metallic = roughness * numbers[1], minimum(metallic * numbers[2], _WHOLE)
+    plastic = _WHOLE - metallic
     mirror = (
         PLASTIC * plastic + base[0] * metallic,
         PLASTIC * plastic + base[1] * metallic,
         PLASTIC * plastic + base[2] * metallic,
     )
-    alpha = min(max(roughness * roughness, LEAST_ALPHA), 1.0)
-    return alpha, _scaled(base, plastic), mirror
+    alpha = minimum(maximum(roughness * roughness, LEAST_ALPHA), _WHOLE)
+    return alpha, scaled(base, plastic), mirror
 
 
 @device_call
@@ -165,40 +189,50 @@ def lobes_at(tables, point):
     point : Point
     """
     material = point.material
-    diffuse = _times(
-        material_color(tables, material, _DIFFUSE), (point.red, point.green, point.blue)
-    )
+    diffuse = material_color(tables, material, _DIFFUSE)
+    diffuse = times(diffuse, (point.red, point.green, point.blue))
     diffuse = _tinted(diffuse, tables, point, _DIFFUSE_TEXTURE)
-    specular = _tinted(
-        material_color(tables, material, _SPECULAR), tables, point, _SPECULAR_TEXTURE
-    )
+    specular = material_color(tables, material, _SPECULAR)
+    specular = _tinted(specular, tables, point, _SPECULAR_TEXTURE)
     roughness = material_number(tables, material, _ROUGHNESS)
-    alpha = 0.0
-    if roughness >= 0.0:
-        alpha, diffuse, specular = _metal_or_plastic(tables, point, roughness, diffuse)
+    is_rough = roughness >= _NULL
+    alpha = roughness * _NULL
+    if any_lane(is_rough):
+        rough, base, mirror = _metal_or_plastic(tables, point, roughness, diffuse)
+        alpha = select(is_rough, rough, alpha)
+        diffuse, specular = chosen(is_rough, base, diffuse), chosen(is_rough, mirror, specular)
     reflection = material_color(tables, material, _REFLECTION)
     transmission = material_color(tables, material, _TRANSMISSION)
-    most = 1.0
-    for k in range(3):
-        # Small faces take their share of what the rest would scatter.
-        both = max(diffuse[k], specular[k]) if alpha > 0.0 else diffuse[k] + specular[k]
-        most = max(most, both + reflection[k] + transmission[k])
-    ior = max(material_number(tables, material, _IOR), 1e-3)
+    share = _WHOLE / maximum(
+        largest(
+            _sum(diffuse[0], specular[0], is_rough) + reflection[0] + transmission[0],
+            _sum(diffuse[1], specular[1], is_rough) + reflection[1] + transmission[1],
+            _sum(diffuse[2], specular[2], is_rough) + reflection[2] + transmission[2],
+        ),
+        _WHOLE,
+    )
+    ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
     return Lobes(
-        _scaled(diffuse, 1.0 / most),
-        _scaled(specular, 1.0 / most),
-        _scaled(reflection, 1.0 / most),
-        _scaled(transmission, 1.0 / most),
+        scaled(diffuse, share),
+        scaled(specular, share),
+        scaled(reflection, share),
+        scaled(transmission, share),
         material_number(tables, material, _SHININESS),
-        ior if point.is_front else 1.0 / ior,
+        select(point.is_front, ior, _WHOLE / ior),
         alpha,
     )
 
 
 @device
+def _sum(diffuse, specular, is_rough):
+    """What two lobes scatter at most; small faces take their share of what the rest would."""
+    return select(is_rough, maximum(diffuse, specular), diffuse + specular)
+
+
+@device
 def mirrored(back, normal):
     """The direction in which a mirror sends a ray."""
-    along = 2.0 * dot(back, normal)
+    along = _TWO * dot(back, normal)
     return (
         along * normal[0] - back[0],
         along * normal[1] - back[1],
@@ -222,13 +256,12 @@ def fresnel(cosine, ior):
     float64
         1 beyond the angle of total reflection.
     """
-    square = 1.0 - (1.0 - cosine * cosine) / (ior * ior)
-    if square <= 0.0:
-        return 1.0
-    behind = math.sqrt(square)
+    square = _WHOLE - (_WHOLE - cosine * cosine) / (ior * ior)
+    behind = square_root(maximum(square, _NULL))
     across = (cosine - ior * behind) / (cosine + ior * behind)
     along = (ior * cosine - behind) / (ior * cosine + behind)
-    return 0.5 * (across * across + along * along)
+    share = _HALF * (across * across + along * along)
+    return select(square > _NULL, share, _WHOLE)
 
 
 @device
@@ -238,12 +271,12 @@ def refracted(back, normal, ior):
     Only where `fresnel` is below 1.
     """
     cosine = dot(back, normal)
-    behind = math.sqrt(max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 0.0))
+    behind = square_root(maximum(_WHOLE - (_WHOLE - cosine * cosine) / (ior * ior), _NULL))
     along = cosine / ior - behind
     x = along * normal[0] - back[0] / ior
     y = along * normal[1] - back[1] / ior
     z = along * normal[2] - back[2] / ior
-    length = math.sqrt(x * x + y * y + z * z)
+    length = square_root(x * x + y * y + z * z)
     return x / length, y / length, z / length
 
 
@@ -270,27 +303,25 @@ def reflected(lobes, point, back, toward):
     """
     normal = point.nx, point.ny, point.nz
     cosine = dot(normal, toward)
-    if cosine <= 0.0 or dot((point.gx, point.gy, point.gz), toward) <= 0.0:
-        return (0.0, 0.0, 0.0), 0.0, 0.0
-    diffuse = cosine / math.pi
-    if lobes.alpha > 0.0:
-        color, pdf = rough_reflected(
+    is_lit = (cosine > _NULL) & (dot((point.gx, point.gy, point.gz), toward) > _NULL)
+    cosine = select(is_lit, cosine, _NULL)
+    diffuse_pdf = cosine * _INV_PI
+    color, specular_pdf = scaled(lobes.diffuse, diffuse_pdf), cosine * _NULL
+    is_rough = lobes.alpha > _NULL
+    if any_lane(is_rough & is_lit):
+        rough, pdf = rough_reflected(
             lobes.diffuse, lobes.specular, lobes.alpha, normal, back, toward
         )
-        return color, diffuse, pdf
-    color = (
-        lobes.diffuse[0] * diffuse,
-        lobes.diffuse[1] * diffuse,
-        lobes.diffuse[2] * diffuse,
-    )
+        is_rough &= is_lit
+        color = chosen(is_rough, rough, color)
+        specular_pdf = select(is_rough, pdf, specular_pdf)
     gloss = lobes.specular
-    if gloss[0] + gloss[1] + gloss[2] == 0.0:  # a power takes as long as all the rest
-        return color, diffuse, 0.0
-    highlight = max(dot(mirrored(back, normal), toward), 0.0) ** lobes.shininess
-    specular = highlight * (lobes.shininess + 2.0) / (2.0 * math.pi) * cosine
-    color = (
-        color[0] + gloss[0] * specular,
-        color[1] + gloss[1] * specular,
-        color[2] + gloss[2] * specular,
-    )
-    return color, diffuse, highlight * (lobes.shininess + 1.0) / (2.0 * math.pi)
+    is_glossy = is_lit & (lobes.alpha <= _NULL) & (gloss[0] + gloss[1] + gloss[2] > _NULL)
+    if any_lane(is_glossy):  # a power takes as long as all the rest
+        highlight = power(maximum(dot(mirrored(back, normal), toward), _NULL), lobes.shininess)
+        highlight = select(is_glossy, highlight * _INV_TWO_PI, _NULL)
+        shining = scaled(gloss, highlight * (lobes.shininess + _TWO) * cosine)
+        color = color[0] + shining[0], color[1] + shining[1], color[2] + shining[2]
+        glossy_pdf = highlight * (lobes.shininess + _WHOLE)
+        specular_pdf = select(is_glossy, glossy_pdf, specular_pdf)
+    return color, diffuse_pdf, specular_pdf

@@ -16,13 +16,26 @@ from numpy.typing import NDArray
 
 from raystream.core.spawn import UNIT
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import load
+from raystream.jit.simd import (
+    absolute,
+    any_lane,
+    as_int32,
+    f64x16,
+    gather,
+    maximum,
+    minimum,
+    narrow,
+    select,
+    square_root,
+    widen,
+)
 from raystream.render.attributes import material_ids_of
 from raystream.render.environment import image_light
 from raystream.render.sampling.warp import sphere, triangle
-from raystream.render.shading.points import material_color, material_of, offset_at
-from raystream.render.shading.shares import chosen, double, running_sums
-from raystream.render.shading.sky import Sky, map_sample, sky_of, sky_toward
+from raystream.render.shading.bsdf import chosen, dot, scaled
+from raystream.render.shading.points import largest, material_color, material_of, offset_at
+from raystream.render.shading.shares import chosen_lanes, running_sums
+from raystream.render.shading.sky import Sky, map_sample_lanes, sky_of, sky_toward_lanes
 from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import place_of
 from raystream.render.shading.vertices import corner_of
@@ -31,14 +44,15 @@ from raystream.scene.scene import Scene
 
 __all__ = ["LightSample", "LightTables", "lights_of", "sample_light", "triangle_pdf"]
 
-_EMISSION = np.uint64(COLUMNS.emission)
+_EMISSION = np.int32(COLUMNS.emission)
 _NONE = np.uint64(0)
-_ONE = np.uint64(1)
 
-# Bytes: of a number, of a row of points, and of one of suns.
-_WORD = np.uint64(4)
-_POINT = np.uint64(56)
-_SUN = np.uint64(48)
+_0, _1, _2, _3, _6 = (np.int32(k) for k in (0, 1, 2, 3, 6))
+_NULL, _WHOLE, _INF, _TINY = map(np.float32, (0.0, 1.0, np.inf, 1e-37))
+_INV_FOUR_PI = 0.25 / math.pi
+
+# Numbers in a row of points, and of one of suns.
+_POINT, _SUN = np.int32(7), np.int32(6)
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -183,7 +197,9 @@ def _area_powers(
 
 
 class LightSample(NamedTuple):
-    """Light from one direction.
+    """Light from one direction, for a point or for 16 of them.
+
+    For one, numbers are float64; for 16, vectors of float32, but `target` of float64.
 
     Attributes
     ----------
@@ -209,147 +225,169 @@ class LightSample(NamedTuple):
     is_valid: bool
 
 
-_NOTHING = (0.0, 0.0, 0.0)
-
-
 @device
-def _times(color, factor):
-    return color[0] * factor, color[1] * factor, color[2] * factor
-
-
-@device
-def _none():
-    return LightSample(_NOTHING, _NOTHING, True, _NOTHING, 0.0, False)
-
-
-@device
-def _color_of(row):
-    """Of a point or a sun."""
-    return double(row, np.uint64(3)), double(row, np.uint64(4)), double(row, np.uint64(5))
-
-
-@device
-def _from_point(row, point, share):
-    target = double(row, _NONE), double(row, _ONE), double(row, np.uint64(2))
-    x, y, z = target[0] - point.x, target[1] - point.y, target[2] - point.z
-    distance = math.sqrt(x * x + y * y + z * z)
-    if not distance > 0.0:
-        return _none()
-    factor = 1.0 / share
-    if double(row, np.uint64(6)) != 0.0:
-        factor /= distance * distance
-    return LightSample(
-        (x / distance, y / distance, z / distance),
-        target,
-        False,
-        _times(_color_of(row), factor),
-        np.inf,
-        True,
+def _doubles(row, k):
+    """Three float64 of a table from a place on."""
+    return (
+        gather(np.float64, row, k),
+        gather(np.float64, row, k + _1),
+        gather(np.float64, row, k + _2),
     )
 
 
 @device
-def _from_sky(lights, share, u, v):
-    if lights.sky.image != _NONE:
-        toward, relative = map_sample(lights.sky, u, v)
-    else:
-        x, y, z = sphere(np.float32(u), np.float32(v))
-        toward, relative = (np.float64(x), np.float64(y), np.float64(z)), 1.0
-    pdf = share / (4.0 * math.pi) * relative
-    color = sky_toward(lights, toward[0], toward[1], toward[2])
-    return LightSample(toward, _NOTHING, True, _times(color, 1.0 / pdf), pdf, pdf > 0.0)
+def _narrowed(a):
+    return narrow(a[0]), narrow(a[1]), narrow(a[2])
 
 
 @device
-def _from_triangle(tables, lights, point, within, u, v):
-    """A point on an area light, spread evenly over a triangle."""
-    number, _, _ = chosen(lights.prim_ends, lights.prim_count, within)
-    prim = np.uint64(load(np.int32, lights.prims + number * _WORD))
-    ax, ay, az = corner_of(tables, prim, _NONE)
-    bx, by, bz = corner_of(tables, prim, _ONE)
-    cx, cy, cz = corner_of(tables, prim, np.uint64(2))
+def _toward(x, y, z):
+    """Unit vectors of float64 vectors, in float32, and their lengths, float64."""
+    length = square_root(x * x + y * y + z * z)
+    return (narrow(x / length), narrow(y / length), narrow(z / length)), length
+
+
+@device
+def _from_sky(lights, is_sky, share, u, v):
+    """The sky's share of samples: directions, densities, and what comes from there."""
+    toward, pdf = sphere(u, v), narrow(share * _INV_FOUR_PI)
+    if lights.sky.image != _NONE:
+        toward, relative = map_sample_lanes(lights.sky, u, v, is_sky)
+        pdf = pdf * relative
+    color = sky_toward_lanes(lights, toward, is_sky)
+    return toward, pdf, scaled(color, _WHOLE / pdf)
+
+
+@device_call
+def _from_points(lights, number, point, share, found):
+    """Point lights' share of samples."""
+    is_point = number < as_int32(lights.point_count)
+    row = minimum(number, as_int32(as_int32(lights.point_count) - _1)) * _POINT
+    target = _doubles(lights.points, row)
+    toward, distance = _toward(target[0] - point.x, target[1] - point.y, target[2] - point.z)
+    falls = gather(np.float64, lights.points, row + _6) != 0.0
+    factor = 1.0 / (share * select(falls, distance * distance, 1.0))
+    return LightSample(
+        chosen(is_point, toward, found.toward),
+        chosen(is_point, target, found.target),
+        found.is_far & ~is_point,
+        chosen(is_point, _narrowed(scaled(_doubles(lights.points, row + _3), factor)), found.color),
+        select(is_point, _INF, found.pdf),
+        found.is_valid | (is_point & (distance > 0.0)),
+    )
+
+
+@device_call
+def _from_suns(lights, number, share, found):
+    """Suns' share of samples."""
+    number = number - as_int32(lights.point_count)
+    is_sun = (number >= _0) & (number < as_int32(lights.sun_count))
+    row = minimum(maximum(number, _0), as_int32(as_int32(lights.sun_count) - _1)) * _SUN
+    toward = _narrowed(_doubles(lights.suns, row))
+    color = _narrowed(scaled(_doubles(lights.suns, row + _3), 1.0 / share))
+    return LightSample(
+        chosen(is_sun, toward, found.toward),
+        found.target,
+        found.is_far,
+        chosen(is_sun, color, found.color),
+        select(is_sun, _INF, found.pdf),
+        found.is_valid | is_sun,
+    )
+
+
+@device_call
+def _from_triangles(tables, lights, is_area, point, within, u, v, found):
+    """Area lights' share of samples: points spread evenly over triangles."""
+    number, _, _ = chosen_lanes(lights.prim_ends, lights.prim_count, within)
+    prim = gather(np.int32, lights.prims, number)
+    ax, ay, az = corner_of(tables, prim, _0)
+    bx, by, bz = corner_of(tables, prim, _1)
+    cx, cy, cz = corner_of(tables, prim, _2)
     bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-    first, second = triangle(np.float32(u), np.float32(v))
+    first, second = triangle(u, v)
+    first, second = widen(first), widen(second)
     px = ax + first * bx + second * cx
     py = ay + first * by + second * cy
     pz = az + first * bz + second * cz
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    most = max(abs(nx), abs(ny), abs(nz))
-    nx, ny, nz = nx / most, ny / most, nz / most
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = nx / length, ny / length, nz / length
-    x, y, z = px - point.x, py - point.y, pz - point.z
-    square = x * x + y * y + z * z
-    distance = math.sqrt(square)
-    if not distance > 0.0:
-        return _none()
-    x, y, z = x / distance, y / distance, z / distance
-    cosine = -(x * nx + y * ny + z * nz)
+    most = largest(absolute(nx), absolute(ny), absolute(nz))
+    normal, _ = _toward(nx / most, ny / most, nz / most)
+    toward, distance = _toward(px - point.x, py - point.y, pz - point.z)
+    nx, ny, nz = widen(normal[0]), widen(normal[1]), widen(normal[2])
+    cosine = -dot(toward, normal)
     material = material_of(tables, prim)
-    pdf = double(lights.density, material) * square / max(cosine, 1e-300)
-    if not (cosine > 0.0 and pdf > 0.0):
-        return _none()
+    square = distance * distance / widen(maximum(cosine, _TINY))
+    pdf = narrow(gather(np.float64, lights.density, material) * square)
     # Off the light's own triangle, so that it does not block its light; also when the ray's
     # direction is rounded to float32.
-    extent = max(abs(bx), abs(by), abs(bz), abs(cx), abs(cy), abs(cz))
-    reach = max(abs(px), abs(py), abs(pz))
+    extent = maximum(
+        largest(absolute(bx), absolute(by), absolute(bz)),
+        largest(absolute(cx), absolute(cy), absolute(cz)),
+    )
+    reach = largest(absolute(px), absolute(py), absolute(pz))
     away = offset_at(tables, 2.0 * extent, reach) + 2.0 * UNIT * distance
+    target = px + away * nx, py + away * ny, pz + away * nz
+    is_lit = is_area & (distance > 0.0) & (cosine > _NULL) & (pdf > _NULL) & (pdf < _INF)
+    color = scaled(material_color(tables, material, _EMISSION), _WHOLE / pdf)
     return LightSample(
-        (x, y, z),
-        (px + away * nx, py + away * ny, pz + away * nz),
-        False,
-        _times(material_color(tables, material, _EMISSION), 1.0 / pdf),
-        pdf,
-        True,
+        chosen(is_area, toward, found.toward),
+        chosen(is_area, target, found.target),
+        found.is_far & ~is_area,
+        chosen(is_area, color, found.color),
+        select(is_area, pdf, found.pdf),
+        (found.is_valid & ~is_area) | is_lit,
     )
 
 
 @device_call
 def sample_light(tables, lights, point, choice, u, v):
-    """Light that reaches a point from one of the lights, if nothing is in its way.
+    """Light that reaches points from one of the lights each, if nothing is in its way.
 
     Parameters
     ----------
     tables : SceneTables
     lights : LightTables
     point : Point
-    choice, u, v : float64
+        Of 16.
+    choice, u, v : f32x16
         Random numbers in [0, 1).
 
     Returns
     -------
     LightSample
+        Of vectors.
     """
-    if lights.is_dark:
-        return _none()
     count = lights.point_count + lights.sun_count + np.uint64(2)
-    number, share, within = chosen(lights.ends, count, choice)
-    if number < lights.point_count:
-        return _from_point(lights.points + number * _POINT, point, share)
-    number -= lights.point_count
-    if number < lights.sun_count:
-        row = lights.suns + number * _SUN
-        toward = double(row, _NONE), double(row, _ONE), double(row, np.uint64(2))
-        return LightSample(
-            toward, _NOTHING, True, _times(_color_of(row), 1.0 / share), np.inf, True
-        )
-    if number == lights.sun_count:
-        return _from_sky(lights, share, u, v)
-    return _from_triangle(tables, lights, point, within, u, v)
+    number, share, within = chosen_lanes(lights.ends, count, widen(choice))
+    is_sky = number == as_int32(lights.point_count + lights.sun_count)
+    toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
+    nowhere = f64x16(0.0)
+    is_found = is_sky & (pdf > _NULL)
+    found = LightSample(toward, (nowhere, nowhere, nowhere), is_sky | ~is_sky, color, pdf, is_found)
+    if lights.point_count != _NONE:
+        found = _from_points(lights, number, point, share, found)
+    if lights.sun_count != _NONE:
+        found = _from_suns(lights, number, share, found)
+    if lights.prim_count != _NONE:
+        is_area = number > as_int32(lights.point_count + lights.sun_count)
+        if any_lane(is_area):
+            found = _from_triangles(tables, lights, is_area, point, within, u, v, found)
+    return found
 
 
 @device
 def triangle_pdf(lights, point, distance, cosine):
-    """Density over solid angle with which a point of an area light is sampled.
+    """Density over solid angle with which points of area lights are sampled.
 
     Parameters
     ----------
     lights : LightTables
     point : Point
-        On the light.
-    distance : float64
-        From where it is seen, local.
-    cosine : float64
-        Between the ray and the light's normal.
+        16 on lights.
+    distance : f64x16
+        From where each is seen, local.
+    cosine : f32x16
+        Between the rays and the lights' normals.
     """
-    return double(lights.density, point.material) * distance * distance / max(abs(cosine), 1e-300)
+    square = distance * distance / widen(maximum(absolute(cosine), _TINY))
+    return narrow(gather(np.float64, lights.density, point.material) * square)

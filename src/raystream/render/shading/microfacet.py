@@ -17,18 +17,21 @@ import math
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import as_float32, maximum, minimum, select, square_root
 from raystream.render.sampling.ggx import visible_normal
 from raystream.render.sampling.warp import basis
 
 __all__ = ["LEAST_ALPHA", "PLASTIC", "mirrored_share", "rough_direction", "rough_reflected"]
 
 #: What a surface that is no metal mirrors of light that meets it squarely (an index of 1.5).
-PLASTIC = 0.04
+PLASTIC = np.float32(0.04)
 
 #: Smoothest surface, as GGX's parameter; smoother ones would need mirrors.
-LEAST_ALPHA = 1e-3
+LEAST_ALPHA = np.float32(1e-3)
 
-_LEAST_COSINE = 1e-4
+_LEAST_COSINE = np.float32(1e-4)
+_NULL, _WHOLE, _TWO, _HALF = map(np.float32, (0.0, 1.0, 2.0, 0.5))
+_PI, _INV_PI = np.float32(math.pi), np.float32(1.0 / math.pi)
 
 
 @device
@@ -39,12 +42,12 @@ def _dot(a, b):
 @device
 def mirrored_share(color, cosine):
     """What small faces mirror at an angle, by what they mirror squarely (Schlick)."""
-    rest = 1.0 - min(max(cosine, 0.0), 1.0)
+    rest = _WHOLE - minimum(maximum(cosine, _NULL), _WHOLE)
     grazing = rest * rest * rest * rest * rest
     return (
-        color[0] + (1.0 - color[0]) * grazing,
-        color[1] + (1.0 - color[1]) * grazing,
-        color[2] + (1.0 - color[2]) * grazing,
+        color[0] + (_WHOLE - color[0]) * grazing,
+        color[1] + (_WHOLE - color[1]) * grazing,
+        color[2] + (_WHOLE - color[2]) * grazing,
     )
 
 
@@ -69,52 +72,51 @@ def rough_reflected(diffuse, mirror, alpha, normal, back, toward):
         Over solid angle.
     """
     x, y, z = back[0] + toward[0], back[1] + toward[1], back[2] + toward[2]
-    length = math.sqrt(x * x + y * y + z * z)
-    cosine = _dot(normal, toward)
-    if not length > 0.0:
-        return (0.0, 0.0, 0.0), 0.0
+    length = square_root(x * x + y * y + z * z)
+    is_sound = length > _NULL
+    length = select(is_sound, length, _WHOLE)
+    cosine = maximum(_dot(normal, toward), _NULL)
     half = x / length, y / length, z / length
-    view = max(_dot(normal, back), _LEAST_COSINE)
+    view = maximum(_dot(normal, back), _LEAST_COSINE)
     height = _dot(normal, half)
     square = alpha * alpha
-    spread = height * height * (square - 1.0) + 1.0
-    density = square / (math.pi * spread * spread)
-    view_length = math.sqrt(view * view * (1.0 - square) + square)
-    light_length = math.sqrt(cosine * cosine * (1.0 - square) + square)
-    faces = density * cosine * 0.5 / (view * light_length + cosine * view_length)
+    spread = height * height * (square - _WHOLE) + _WHOLE
+    density = select(is_sound, square / (_PI * spread * spread), _NULL)
+    view_length = square_root(view * view * (_WHOLE - square) + square)
+    light_length = square_root(cosine * cosine * (_WHOLE - square) + square)
+    faces = density * cosine * _HALF / (view * light_length + cosine * view_length)
     share = mirrored_share(mirror, _dot(back, half))
-    even = cosine / math.pi
+    even = select(is_sound, cosine * _INV_PI, _NULL)
     color = (
-        share[0] * faces + (1.0 - share[0]) * diffuse[0] * even,
-        share[1] * faces + (1.0 - share[1]) * diffuse[1] * even,
-        share[2] * faces + (1.0 - share[2]) * diffuse[2] * even,
+        share[0] * faces + (_WHOLE - share[0]) * diffuse[0] * even,
+        share[1] * faces + (_WHOLE - share[1]) * diffuse[1] * even,
+        share[2] * faces + (_WHOLE - share[2]) * diffuse[2] * even,
     )
-    return color, density * 0.5 / (view + view_length)
+    return color, density * _HALF / (view + view_length)
 
 
 @device_call
 def rough_direction(alpha, normal, back, u, v):
     """A direction into which a small face mirrors, of those that are seen from `back`."""
     tx, ty, tz, bx, by, bz = basis(
-        np.float32(normal[0]), np.float32(normal[1]), np.float32(normal[2])
+        as_float32(normal[0]), as_float32(normal[1]), as_float32(normal[2])
     )
-    across = np.float64(tx), np.float64(ty), np.float64(tz)
-    up = np.float64(bx), np.float64(by), np.float64(bz)
+    across, up = (tx, ty, tz), (bx, by, bz)
     x, y, z = visible_normal(
-        np.float32(u),
-        np.float32(v),
-        np.float32(_dot(across, back)),
-        np.float32(_dot(up, back)),
-        np.float32(max(_dot(normal, back), _LEAST_COSINE)),
-        np.float32(alpha),
-        np.float32(alpha),
+        u,
+        v,
+        as_float32(_dot(across, back)),
+        as_float32(_dot(up, back)),
+        as_float32(maximum(_dot(normal, back), _LEAST_COSINE)),
+        as_float32(alpha),
+        as_float32(alpha),
     )
     half = (
         x * across[0] + y * up[0] + z * normal[0],
         x * across[1] + y * up[1] + z * normal[1],
         x * across[2] + y * up[2] + z * normal[2],
     )
-    along = 2.0 * _dot(back, half)
+    along = _TWO * _dot(back, half)
     return (
         along * half[0] - back[0],
         along * half[1] - back[1],

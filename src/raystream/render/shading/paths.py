@@ -17,14 +17,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device, device_call, kernel
-from raystream.render.sampling.sampler import draw, draw_pair
-from raystream.render.shading.bsdf import emitted, lobes_at, reflected
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import (
+    address,
+    any_lane,
+    as_int32,
+    as_uint32,
+    count_bits,
+    f32x16,
+    gather,
+    i32x16,
+    lane_bits,
+    lane_numbers,
+    maximum,
+    minimum,
+    select,
+    square_root,
+    u32x16,
+    widen,
+)
+from raystream.render.sampling.sampler import draw_lanes, draw_pair_lanes
+from raystream.render.shading.bsdf import dot, emitted, lobes_at, reflected, scaled, times
 from raystream.render.shading.lights import sample_light, triangle_pdf
-from raystream.render.shading.points import surface_point
+from raystream.render.shading.points import largest, surface_points
 from raystream.render.shading.scatter import reflection_pdf, scatter
-from raystream.render.shading.sky import sky_pdf, sky_toward
-from raystream.render.shading.streams import add_light, aimed, direction_of, put_path, put_ray
+from raystream.render.shading.sky import sky_pdf_lanes, sky_toward_lanes
+from raystream.render.shading.streams import add_lights, put_light_rays, put_paths, vector_at
 
 __all__ = ["PathRules", "follow_paths"]
 
@@ -33,7 +51,14 @@ __all__ = ["PathRules", "follow_paths"]
 _DIMENSIONS = 8
 _FIRST_DIMENSION = 4
 
-_ONE = np.uint64(1)
+#: Of vectors.
+_LANES = 16
+
+_0, _1 = np.int32(0), np.int32(1)
+_NULL, _WHOLE, _INF = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
+
+#: That a path goes on past roulette.
+_MOST_CHANCE = np.float32(0.95)
 
 
 class PathRules(NamedTuple):
@@ -54,43 +79,54 @@ class PathRules(NamedTuple):
     roulette_bounce: int
 
 
-# Not inlined, as other long functions of shading: inlined, they take the compiler most of a
-# minute, and the kernel is no faster.
-
-
-@device_call
-def _three_numbers(sampler, pixel, sample, dimension):
-    """Random numbers in [0, 1): two for a place or direction, and one for a choice."""
-    u, v = draw_pair(sampler, pixel, sample, dimension)
-    choice = draw(sampler, pixel, sample, dimension + 2)
-    return np.float64(u), np.float64(v), np.float64(choice)
-
-
-@device_call
-def _number(sampler, pixel, sample, dimension):
-    return np.float64(draw(sampler, pixel, sample, dimension))
-
-
 @device
 def _balance(pdf, other):
     """Weight of a way to find light among two, by the squares of their densities."""
-    if other == 0.0 or pdf == np.inf:
-        return 1.0
     ratio = other / pdf
-    return 1.0 / (1.0 + ratio * ratio)
+    share = _WHOLE / (_WHOLE + ratio * ratio)
+    return select((other == _NULL) | (pdf == _INF), _WHOLE, share)
+
+
+@device
+def _light_found(tables, lights, rules, point, back, t, length, pdf, weights, mask):
+    """What rays bring that meet the front of something that emits, and where any does."""
+    color = emitted(tables, point)
+    mask &= point.is_front & (color[0] + color[1] + color[2] > _NULL)
+    if rules.samples_lights and any_lane(mask):
+        distance = widen(t * length) * (1.0 / tables.inverse_scale)
+        cosine = dot(back, (point.gx, point.gy, point.gz))
+        other = select(pdf < _INF, triangle_pdf(lights, point, distance, cosine), _NULL)
+        color = scaled(color, _balance(pdf, other))
+    return times(weights, color), mask
+
+
+@device
+def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights, mask):
+    """A sample of the lights for each point: `LightSample`, what it brings, and where any."""
+    pixel, sample, dimension = numbers
+    u, v = draw_pair_lanes(sampler, pixel, sample, dimension)
+    choice = draw_lanes(sampler, pixel, sample, dimension + 2)
+    found = sample_light(tables, lights, point, choice, u, v)
+    color, diffuse_pdf, specular_pdf = reflected(lobes, point, back, found.toward)
+    mask &= found.is_valid & (color[0] + color[1] + color[2] > _NULL)
+    other = reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf)
+    share = select(found.pdf < _INF, _balance(found.pdf, other), _WHOLE)
+    light = scaled(times(times(weights, color), found.color), share)
+    return found, light, mask
 
 
 @kernel
 def follow_paths(
     paths, hits, tables, lights, sampler, sample, bounce, rules, first_pixel, radiance, onward, rays
 ):
-    """Let paths meet surfaces.
+    """Let paths meet surfaces, 16 at a time.
 
     Parameters
     ----------
     paths : Paths
+        No two of one pixel.
     hits : tuple of t, u, v, prim_id
-        The rays' nearest hits, as in `Hits`.
+        The rays' nearest hits, as in `Hits`; contiguous arrays.
     tables : SceneTables
     lights : LightTables
     sampler : Sampler
@@ -113,73 +149,66 @@ def follow_paths(
     path_count, ray_count : int
         Rows written.
     """
-    t, us, vs, prim_ids = hits
-    path_count, ray_count = np.uint64(0), np.uint64(0)
+    ts, us, vs, prim_ids = hits
+    path_count, ray_count = np.int32(0), np.int32(0)
     dimension = _FIRST_DIMENSION + _DIMENSIONS * bounce
-    for i in range(np.uint64(len(paths.pixels))):
-        pixel_id = paths.pixels[i]
-        pixel = np.uint64(pixel_id - first_pixel)
-        dx, dy, dz, length = direction_of(paths, i)
-        pdf = paths.pdfs[i]
-        if prim_ids[i] < 0:
-            other = sky_pdf(lights, dx, dy, dz) if rules.samples_lights else 0.0
-            color = sky_toward(lights, dx, dy, dz)
-            add_light(radiance, pixel, paths.weights, i, color, _balance(pdf, other))
+    samples = u32x16(as_uint32(sample))
+    count = as_int32(len(paths.pixels))
+    for first in range(0, count, _LANES):
+        row = lane_numbers(i32x16) + as_int32(first)
+        is_path = row < count
+        row = minimum(row, as_int32(count - _1))
+        pixels = gather(np.int64, address(paths.pixels), row)
+        pixel, key = as_int32(pixels - first_pixel), as_uint32(pixels)
+        weights = vector_at(address(paths.weights), row)
+        dx, dy, dz = vector_at(address(paths.directions), row)
+        pdf = gather(np.float32, address(paths.pdfs), row)
+        prim = gather(np.int32, address(prim_ids), row)
+        is_hit = is_path & (prim >= _0)
+        is_missed = is_path & (prim < _0)
+        if any_lane(is_missed):
+            share = f32x16(_WHOLE)
+            if rules.samples_lights:
+                share = _balance(pdf, sky_pdf_lanes(lights, (dx, dy, dz), is_missed))
+            color = sky_toward_lanes(lights, (dx, dy, dz), is_missed)
+            color = scaled(times(weights, color), share)
+            add_lights(radiance, pixel, color, is_missed)
+        if not any_lane(is_hit):
             continue
-        point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
+
+        u, v = gather(np.float32, address(us), row), gather(np.float32, address(vs), row)
+        point = surface_points(tables, maximum(prim, _0), u, v, dx, dy, dz, is_hit)
+        length = square_root(dx * dx + dy * dy + dz * dz)
         back = -dx / length, -dy / length, -dz / length
-        if point.is_front:
-            color = emitted(tables, point)
-            if color[0] + color[1] + color[2] > 0.0:
-                other = 0.0
-                if rules.samples_lights and pdf != np.inf:
-                    distance = np.float64(t[i]) * length / tables.inverse_scale
-                    cosine = back[0] * point.gx + back[1] * point.gy + back[2] * point.gz
-                    other = triangle_pdf(lights, point, distance, cosine)
-                add_light(radiance, pixel, paths.weights, i, color, _balance(pdf, other))
+        t = gather(np.float32, address(ts), row)
+        light, is_lit = _light_found(
+            tables, lights, rules, point, back, t, length, pdf, weights, is_hit
+        )
+        if any_lane(is_lit):
+            add_lights(radiance, pixel, light, is_lit)
         if bounce >= rules.max_bounces:
             continue
 
         lobes = lobes_at(tables, point)
-        if rules.samples_lights:
-            u, v, choice = _three_numbers(sampler, pixel_id, sample, dimension)
-            found = sample_light(tables, lights, point, choice, u, v)
-            if found.is_valid:
-                color, diffuse_pdf, specular_pdf = reflected(lobes, point, back, found.toward)
-                if color[0] + color[1] + color[2] > 0.0:
-                    other = 0.0
-                    if found.pdf != np.inf:
-                        other = reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf)
-                    share = _balance(found.pdf, other)
-                    weights = paths.weights
-                    light = (
-                        weights[i, 0] * color[0] * found.color[0] * share,
-                        weights[i, 1] * color[1] * found.color[1] * share,
-                        weights[i, 2] * color[2] * found.color[2] * share,
-                    )
-                    origin, toward, t_max = aimed(tables, point, found)
-                    put_ray(rays, ray_count, pixel_id, origin, toward, t_max, light)
-                    ray_count += _ONE
+        if rules.samples_lights and not lights.is_dark:
+            numbers = key, samples, dimension
+            found, light, is_lit = _light_sampled(
+                tables, lights, sampler, numbers, point, lobes, back, weights, is_hit
+            )
+            put_light_rays(rays, ray_count, is_lit, pixels, tables, point, found, light)
+            ray_count = as_int32(ray_count + as_int32(count_bits(lane_bits(is_lit))))
 
-        u, v, choice = _three_numbers(sampler, pixel_id, sample, dimension + 4)
-        next_ray = scatter(lobes, point, back, choice, u, v)
-        if not next_ray.is_valid:
-            continue
-        weight = (
-            paths.weights[i, 0] * next_ray.weight[0],
-            paths.weights[i, 1] * next_ray.weight[1],
-            paths.weights[i, 2] * next_ray.weight[2],
-        )
-        brightest = max(weight[0], weight[1], weight[2])
-        if not brightest > 0.0:
-            continue
-        chance = 1.0
+        u, v = draw_pair_lanes(sampler, key, samples, dimension + 4)
+        choice = draw_lanes(sampler, key, samples, dimension + 6)
+        ray = scatter(lobes, point, back, choice, u, v)
+        weights = times(weights, ray.weight)
+        brightest = largest(weights[0], weights[1], weights[2])
+        goes_on = is_hit & ray.is_valid & (brightest > _NULL)
         if bounce >= rules.roulette_bounce:
-            chance = min(brightest, 0.95)
-            if _number(sampler, pixel_id, sample, dimension + 7) >= chance:
-                continue
-        weight = weight[0] / chance, weight[1] / chance, weight[2] / chance
-        toward = next_ray.direction
-        put_path(onward, path_count, pixel_id, tables, point, toward, weight, next_ray.pdf)
-        path_count += _ONE
+            chance = minimum(brightest, _MOST_CHANCE)
+            goes_on &= draw_lanes(sampler, key, samples, dimension + 7) < chance
+            weights = scaled(weights, _WHOLE / chance)
+        toward, going = ray.direction, goes_on
+        put_paths(onward, path_count, going, pixels, tables, point, toward, weights, ray.pdf)
+        path_count = as_int32(path_count + as_int32(count_bits(lane_bits(going))))
     return np.int64(path_count), np.int64(ray_count)

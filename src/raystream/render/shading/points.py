@@ -9,36 +9,63 @@ import numpy as np
 
 from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import load
+from raystream.jit.simd import (
+    absolute,
+    as_int32,
+    f32x16,
+    first_bit,
+    gather,
+    lane,
+    lane_bits,
+    load,
+    maximum,
+    minimum,
+    narrow_lanes,
+    scratch,
+    select,
+    square_root,
+    store,
+    widen,
+    widen_number,
+)
 from raystream.render.shading.relief import has_relief, relief_normal
 from raystream.render.shading.tables import WIDTH
 from raystream.render.shading.vertices import (
     attribute_number,
     attribute_vector,
     corner_of,
-    number_at,
+    vertices_of,
 )
 
 __all__ = [
     "Point",
+    "largest",
     "material_color",
     "material_number",
     "material_of",
     "offset_at",
     "spawned",
     "surface_point",
+    "surface_points",
     "to_world",
 ]
 
 _NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_WORD = np.uint64(4)
-_COLUMN_COUNT = np.uint64(WIDTH)
+_0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
+_COLUMN_COUNT = np.int32(WIDTH)
+_NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
+_INF, _NAN = np.float32(np.inf), np.float32(np.nan)
+
+# Of 16 lanes: bytes of a number and of a vector.
+_WORD, _ROW = np.uint64(4), 64
+_BIT = np.uint64(1)
 
 
 class Point(NamedTuple):
-    """A point where a ray meets a surface.
+    """A point where a ray meets a surface, or 16 of them.
+
+    For one, numbers are float64. For 16 they are vectors: of float32, but `x`, `y`, `z` and
+    `offset` of float64; `is_front` is then a mask.
 
     Attributes
     ----------
@@ -57,7 +84,7 @@ class Point(NamedTuple):
         Texture coordinates; NaN where there are none.
     red, green, blue : float64
         Colour of the vertices.
-    material : uint64
+    material : int32
     """
 
     x: float
@@ -76,26 +103,30 @@ class Point(NamedTuple):
     red: float
     green: float
     blue: float
-    material: np.uint64
+    material: np.int32
 
 
 @device
 def material_of(tables, prim):
-    """The material of a triangle."""
-    return np.uint64(load(np.int32, tables.material_ids + prim * _WORD))
-
-
-@device
-def material_color(tables, material, column):
-    """A colour of a material, by its place in `Column`."""
-    at = tables.materials + (material * _COLUMN_COUNT + column) * _WORD
-    return number_at(at), number_at(at + _WORD), number_at(at + _WORD + _WORD)
+    """The material of a triangle, int32; or of 16."""
+    return gather(np.int32, tables.material_ids, prim)
 
 
 @device
 def material_number(tables, material, column):
     """A number of a material, by its place in `Column`."""
-    return number_at(tables.materials + (material * _COLUMN_COUNT + column) * _WORD)
+    at = as_int32(material * _COLUMN_COUNT + column)
+    return widen_number(gather(np.float32, tables.materials, at))
+
+
+@device
+def material_color(tables, material, column):
+    """A colour of a material, by its place in `Column`."""
+    return (
+        material_number(tables, material, column),
+        material_number(tables, material, as_int32(column + _1)),
+        material_number(tables, material, as_int32(column + _2)),
+    )
 
 
 @device
@@ -110,24 +141,117 @@ def offset_at(tables, extent, reach):
     reach : float64
         Largest coordinate of the point.
     """
-    offset = UNIT * min(
+    offset = UNIT * minimum(
         EXTENT_UNITS * extent + REACH_UNITS * reach, MOST_UNITS * (tables.extreme + reach)
     )
     return offset + WORLD_UNIT * tables.world_reach
 
 
 @device
-def _smooth_normal(tables, prim, u, v, gx, gy, gz):
+def largest(a, b, c):
+    """The largest of three."""
+    return maximum(maximum(a, b), c)
+
+
+@device
+def _extent(a, b, c):
+    return largest(a, b, c) - minimum(minimum(a, b), c)
+
+
+@device
+def _smooth_normal(tables, vertices, u, v, gx, gy, gz):
     """The vertices' normals between them, on the side of the triangle's, or that."""
     if tables.normals == _NONE:
         return gx, gy, gz
-    x, y, z = attribute_vector(tables, tables.normals, prim, u, v)
-    length = math.sqrt(x * x + y * y + z * z)
-    if not (length > 0.0 and length < np.inf):
-        return gx, gy, gz
-    if x * gx + y * gy + z * gz < 0.0:
-        length = -length
-    return x / length, y / length, z / length
+    x, y, z = attribute_vector(tables.normals, vertices, u, v)
+    length = square_root(x * x + y * y + z * z)
+    is_sound = (length > _NULL) & (length < _INF)
+    length = select(x * gx + y * gy + z * gz < _NULL, -length, length)
+    return (
+        select(is_sound, x / length, gx),
+        select(is_sound, y / length, gy),
+        select(is_sound, z / length, gz),
+    )
+
+
+@device
+def _seen_point(tables, prim, u, v, dx, dy, dz):
+    """The point of a hit, or of 16, and its smooth normal, before any relief."""
+    ax, ay, az = corner_of(tables, prim, _0)
+    bx, by, bz = corner_of(tables, prim, _1)
+    cx, cy, cz = corner_of(tables, prim, _2)
+    extent = largest(_extent(ax, bx, cx), _extent(ay, by, cy), _extent(az, bz, cz))
+    bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    first, second = widen(u), widen(v)
+    x = ax + first * bx + second * cx
+    y = ay + first * by + second * cy
+    z = az + first * bz + second * cz
+    gx, gy, gz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    # Scaled before it is measured: the square of a small area would vanish.
+    most = largest(absolute(gx), absolute(gy), absolute(gz))
+    gx, gy, gz = narrow_lanes(gx / most), narrow_lanes(gy / most), narrow_lanes(gz / most)
+    length = square_root(gx * gx + gy * gy + gz * gz)
+    is_front = gx * dx + gy * dy + gz * dz <= _NULL
+    length = select(is_front, length, -length)
+    gx, gy, gz = gx / length, gy / length, gz / length
+
+    u, v = widen_number(u), widen_number(v)
+    vertices = vertices_of(tables, prim) if tables.faces != _NONE else (prim, prim, prim)
+    nx, ny, nz = _smooth_normal(tables, vertices, u, v, gx, gy, gz)
+    s, t = u * _NAN, v * _NAN
+    if tables.texcoords != _NONE:
+        s = attribute_number(tables.texcoords, _2, _0, vertices, u, v)
+        t = attribute_number(tables.texcoords, _2, _1, vertices, u, v)
+    red, green, blue = u * _NULL + _WHOLE, u * _NULL + _WHOLE, u * _NULL + _WHOLE
+    if tables.colors != _NONE:
+        red, green, blue = attribute_vector(tables.colors, vertices, u, v)
+    offset = offset_at(tables, extent, largest(absolute(x), absolute(y), absolute(z)))
+    # Away from the ray, as near an outline, nothing sensible is reflected.
+    is_away = nx * dx + ny * dy + nz * dz >= _NULL
+    point = Point(
+        x,
+        y,
+        z,
+        gx,
+        gy,
+        gz,
+        select(is_away, gx, nx),
+        select(is_away, gy, ny),
+        select(is_away, gz, nz),
+        offset,
+        is_front,
+        s,
+        t,
+        red,
+        green,
+        blue,
+        material_of(tables, prim),
+    )
+    return point, (nx, ny, nz)
+
+
+@device
+def _with_normal(point, x, y, z):
+    """The same point with another shading normal."""
+    return Point(
+        point.x,
+        point.y,
+        point.z,
+        point.gx,
+        point.gy,
+        point.gz,
+        x,
+        y,
+        z,
+        point.offset,
+        point.is_front,
+        point.u,
+        point.v,
+        point.red,
+        point.green,
+        point.blue,
+        point.material,
+    )
 
 
 @device_call
@@ -147,48 +271,92 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
     -------
     Point
     """
-    prim = np.uint64(prim_id)
-    u, v = np.float64(u), np.float64(v)
-    ax, ay, az = corner_of(tables, prim, _NONE)
-    bx, by, bz = corner_of(tables, prim, _ONE)
-    cx, cy, cz = corner_of(tables, prim, _TWO)
-    low = min(ax, bx, cx), min(ay, by, cy), min(az, bz, cz)
-    high = max(ax, bx, cx), max(ay, by, cy), max(az, bz, cz)
-    extent = max(high[0] - low[0], high[1] - low[1], high[2] - low[2])
-    bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-    x, y, z = ax + u * bx + v * cx, ay + u * by + v * cy, az + u * bz + v * cz
-    gx, gy, gz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    # Scaled before it is measured: the square of a small area would vanish.
-    most = max(abs(gx), abs(gy), abs(gz))
-    gx, gy, gz = gx / most, gy / most, gz / most
-    length = math.sqrt(gx * gx + gy * gy + gz * gz)
-    is_front = gx * dx + gy * dy + gz * dz <= 0.0
-    if not is_front:
-        length = -length
-    gx, gy, gz = gx / length, gy / length, gz / length
-    nx, ny, nz = _smooth_normal(tables, prim, u, v, gx, gy, gz)
-    s, t = np.nan, np.nan
-    if tables.texcoords != _NONE:
-        s = attribute_number(tables, tables.texcoords, _TWO, _NONE, prim, u, v)
-        t = attribute_number(tables, tables.texcoords, _TWO, _ONE, prim, u, v)
-    material = material_of(tables, prim)
-    if has_relief(tables, material):
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        back = -dx / length, -dy / length, -dz / length
-        triangle, smooth = (gx, gy, gz), (nx, ny, nz)
-        nx, ny, nz = relief_normal(
-            tables, prim, material, (u, v), (s, t), triangle, smooth, is_front, back
-        )
-    elif nx * dx + ny * dy + nz * dz >= 0.0:
-        # Away from the ray, as near an outline, nothing sensible is reflected.
-        nx, ny, nz = gx, gy, gz
-    red, green, blue = 1.0, 1.0, 1.0
-    if tables.colors != _NONE:
-        red, green, blue = attribute_vector(tables, tables.colors, prim, u, v)
-    offset = offset_at(tables, extent, max(abs(x), abs(y), abs(z)))
-    return Point(
-        x, y, z, gx, gy, gz, nx, ny, nz, offset, is_front, s, t, red, green, blue, material
+    prim = as_int32(prim_id)
+    point, smooth = _seen_point(tables, prim, u, v, dx, dy, dz)
+    if tables.tangents == _NONE or not has_relief(tables, point.material):
+        return point
+    x, y, z = _relief_at(tables, prim, u, v, point, smooth, (dx, dy, dz))
+    return _with_normal(point, x, y, z)
+
+
+@device
+def _relief_at(tables, prim, u, v, point, smooth, direction):
+    dx, dy, dz = direction
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    return relief_normal(
+        tables,
+        prim,
+        point.material,
+        (widen(u), widen(v)),
+        (point.u, point.v),
+        (point.gx, point.gy, point.gz),
+        smooth,
+        point.is_front,
+        (-dx / length, -dy / length, -dz / length),
     )
+
+
+@device_call
+def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
+    """The points of 16 hits.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    prim_ids : i32x16
+        Triangles of the scene in all lanes, also where nothing is hit.
+    u, v, dx, dy, dz : f32x16
+        As of `surface_point`.
+    is_hit : mask16
+        Lanes that matter.
+
+    Returns
+    -------
+    Point
+        Of vectors.
+    """
+    point, smooth = _seen_point(tables, prim_ids, u, v, dx, dy, dz)
+    if tables.tangents == _NONE:
+        return point
+    bits = lane_bits(has_relief(tables, point.material) & is_hit)
+    if bits == _NONE:
+        return point
+    # One by one: relief is rare, and looks up more than it computes.
+    xs, ys, zs = scratch(_ROW), scratch(_ROW), scratch(_ROW)
+    store(xs, point.nx)
+    store(ys, point.ny)
+    store(zs, point.nz)
+    while bits != _NONE:
+        i = first_bit(bits)
+        bits &= bits - _BIT
+        one = Point(
+            lane(point.x, i),
+            lane(point.y, i),
+            lane(point.z, i),
+            widen(lane(point.gx, i)),
+            widen(lane(point.gy, i)),
+            widen(lane(point.gz, i)),
+            0.0,
+            0.0,
+            0.0,
+            lane(point.offset, i),
+            (lane_bits(point.is_front) >> i) & _BIT != _NONE,
+            widen(lane(point.u, i)),
+            widen(lane(point.v, i)),
+            1.0,
+            1.0,
+            1.0,
+            lane(point.material, i),
+        )
+        normal = widen(lane(smooth[0], i)), widen(lane(smooth[1], i)), widen(lane(smooth[2], i))
+        direction = widen(lane(dx, i)), widen(lane(dy, i)), widen(lane(dz, i))
+        x, y, z = _relief_at(
+            tables, lane(prim_ids, i), lane(u, i), lane(v, i), one, normal, direction
+        )
+        store(xs + i * _WORD, np.float32(x))
+        store(ys + i * _WORD, np.float32(y))
+        store(zs + i * _WORD, np.float32(z))
+    return _with_normal(point, load(f32x16, xs), load(f32x16, ys), load(f32x16, zs))
 
 
 @device
@@ -201,12 +369,11 @@ def to_world(tables, x, y, z):
 @device
 def spawned(tables, point, toward):
     """The origin of a ray that leaves a point in a direction, world space; see `Hits.spawn`."""
-    away = point.offset
-    if point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < 0.0:
-        away = -away
+    is_below = point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < _NULL
+    away = select(is_below, -point.offset, point.offset)
     return to_world(
         tables,
-        point.x + away * point.gx,
-        point.y + away * point.gy,
-        point.z + away * point.gz,
+        point.x + away * widen(point.gx),
+        point.y + away * widen(point.gy),
+        point.z + away * widen(point.gz),
     )

@@ -17,10 +17,10 @@ import math
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import load
+from raystream.jit.simd import gather, maximum
 from raystream.render.color import LUMINANCE
 from raystream.render.shading.textures import ROLES, texture_color, texture_of, texture_size
-from raystream.render.shading.vertices import attribute_pair, attribute_vector
+from raystream.render.shading.vertices import attribute_pair, attribute_vector, vertices_of
 
 __all__ = ["LEAST_COSINE", "has_relief", "relief_normal"]
 
@@ -28,24 +28,20 @@ __all__ = ["LEAST_COSINE", "has_relief", "relief_normal"]
 #: within float32's rounding.
 LEAST_COSINE = 1e-3
 
-_NORMAL = np.uint64(ROLES.index("normal"))
-_BUMP = np.uint64(ROLES.index("bump"))
+_NORMAL = np.int32(ROLES.index("normal"))
+_BUMP = np.int32(ROLES.index("bump"))
 _RED, _GREEN, _BLUE = LUMINANCE
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_WORD = np.uint64(4)
-_RELIEF = np.uint64(12)
+_0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
+_RELIEF = np.int32(3)
 
 
 @device
 def has_relief(tables, material):
-    """Whether a material has a normal map or a bump map."""
-    if tables.tangents == _NONE:
-        return False
+    """Whether a material, or each of 16, has a normal map or a bump map."""
     textures = tables.textures
-    return max(texture_of(textures, material, _NORMAL), texture_of(textures, material, _BUMP)) >= 0
+    normal, bump = texture_of(textures, material, _NORMAL), texture_of(textures, material, _BUMP)
+    return maximum(normal, bump) >= _0
 
 
 @device
@@ -79,14 +75,14 @@ def _height(textures, texture, s, t):
 @device_call
 def _mapped(textures, material, s, t):
     """The normal in the surface's frame, of any length."""
-    scales = textures.reliefs + material * _RELIEF
+    row = material * _RELIEF
     texture = texture_of(textures, material, _NORMAL)
     if texture >= 0:
-        scale = np.float64(load(np.float32, scales))
+        scale = np.float64(gather(np.float32, textures.reliefs, row))
         x, y, z = texture_color(textures, texture, s, t, textures.signed)
         return scale * x, scale * y, np.float64(z)
     texture = texture_of(textures, material, _BUMP)
-    scale = 0.5 * np.float64(load(np.float32, scales + _WORD))
+    scale = 0.5 * np.float64(gather(np.float32, textures.reliefs, row + _1))
     width, height = texture_size(textures, texture)
     across, up = 1.0 / width, 1.0 / height
     x = _height(textures, texture, s - across, t) - _height(textures, texture, s + across, t)
@@ -95,11 +91,11 @@ def _mapped(textures, material, s, t):
 
 
 @device
-def _is_mirrored(tables, prim):
+def _is_mirrored(tables, vertices):
     """Whether the texture covers the triangle's front as if seen in a mirror."""
-    s, t = attribute_pair(tables, tables.texcoords, prim, _NONE)
-    s1, t1 = attribute_pair(tables, tables.texcoords, prim, _ONE)
-    s2, t2 = attribute_pair(tables, tables.texcoords, prim, _TWO)
+    s, t = attribute_pair(tables.texcoords, vertices[0])
+    s1, t1 = attribute_pair(tables.texcoords, vertices[1])
+    s2, t2 = attribute_pair(tables.texcoords, vertices[2])
     return (s1 - s) * (t2 - t) - (s2 - s) * (t1 - t) < 0.0
 
 
@@ -134,7 +130,7 @@ def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, 
     Parameters
     ----------
     tables : SceneTables
-    prim, material : uint64
+    prim, material : int32
     weights, texcoord : tuple of two float64
         Of vertices 1 and 2; texture coordinates.
     geometric, normal : tuple of three float64
@@ -152,9 +148,10 @@ def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, 
     """
     s, t = texcoord
     rows, hand = tables.tangents, 1.0
-    if _is_mirrored(tables, prim):
+    vertices = vertices_of(tables, prim)
+    if _is_mirrored(tables, vertices):
         rows, hand = tables.mirrored_tangents, -1.0
-    across = attribute_vector(tables, rows, prim, weights[0], weights[1])
+    across = attribute_vector(rows, vertices, weights[0], weights[1])
     across = _unit(_sum(across, normal, -_dot(across, normal)))
     if _is_unit(across) and abs(s) < np.inf and abs(t) < np.inf:
         # The frame is the front's; its back has the opposite normal, as bumps are dents there.
@@ -172,5 +169,5 @@ def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, 
         bent = _unit(bent)
         if _is_unit(bent):
             normal = bent
-    mirrors = load(np.float32, tables.textures.reliefs + material * _RELIEF + _WORD + _WORD)
+    mirrors = gather(np.float32, tables.textures.reliefs, material * _RELIEF + _2)
     return _turned(normal, geometric, back, mirrors > np.float32(0.0))

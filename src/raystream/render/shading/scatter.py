@@ -1,34 +1,33 @@
-"""Sending a ray on from a surface, in a direction chosen by what the surface does."""
+"""Sending rays on from surfaces, in directions chosen by what each surface does: 16 at a time."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import any_lane, minimum, select
 from raystream.render.sampling.warp import basis, cosine_hemisphere, power_cosine
 from raystream.render.shading.bsdf import (
     Bounce,
+    chosen,
     dot,
     fresnel,
     mirrored,
     reflected,
     refracted,
+    scaled,
 )
 from raystream.render.shading.microfacet import mirrored_share, rough_direction
 
 __all__ = ["reflection_pdf", "scatter"]
 
-_NOTHING = (0.0, 0.0, 0.0)
+_NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
+_THIRD, _INF = np.float32(1.0 / 3.0), np.float32(np.inf)
 
 
 @device
 def _mean(color):
-    return (color[0] + color[1] + color[2]) / 3.0
-
-
-@device
-def _over(color, divisor):
-    return color[0] / divisor, color[1] / divisor, color[2] / divisor
+    return (color[0] + color[1] + color[2]) * _THIRD
 
 
 @device
@@ -37,22 +36,26 @@ def _shares(lobes, back, normal):
 
     Returns
     -------
-    diffuse, specular, mirror, through, clear : float64
+    diffuse, specular, mirror, through, clear : f32x16
         The first four add up to 1, or are 0.
     """
-    clear = 0.0
-    if _mean(lobes.transmission) > 0.0 and lobes.ior != 1.0:
-        clear = fresnel(min(dot(back, normal), 1.0), lobes.ior)
     diffuse, specular = _mean(lobes.diffuse), _mean(lobes.specular)
-    if lobes.alpha > 0.0:
-        specular = _mean(mirrored_share(lobes.specular, dot(back, normal)))
-        diffuse *= 1.0 - specular
-    mirror = _mean(lobes.reflection) + clear * _mean(lobes.transmission)
-    through = (1.0 - clear) * _mean(lobes.transmission)
+    is_rough = lobes.alpha > _NULL
+    if any_lane(is_rough):
+        rough = _mean(mirrored_share(lobes.specular, dot(back, normal)))
+        diffuse = select(is_rough, diffuse * (_WHOLE - rough), diffuse)
+        specular = select(is_rough, rough, specular)
+    mirror, through = _mean(lobes.reflection), _mean(lobes.transmission)
+    clear = through * _NULL
+    is_clear = (through > _NULL) & (lobes.ior != _WHOLE)
+    if any_lane(is_clear):
+        share = fresnel(minimum(dot(back, normal), _WHOLE), lobes.ior)
+        clear = select(is_clear, share, clear)
+    mirror = mirror + clear * through
+    through = (_WHOLE - clear) * through
     total = diffuse + specular + mirror + through
-    if total == 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    return diffuse / total, specular / total, mirror / total, through / total, clear
+    factor = select(total > _NULL, _WHOLE / total, _NULL)
+    return diffuse * factor, specular * factor, mirror * factor, through * factor, clear
 
 
 @device
@@ -65,9 +68,7 @@ def reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf):
 @device
 def _turned(x, y, z, normal):
     """A direction about +z as one about a normal."""
-    tx, ty, tz, bx, by, bz = basis(
-        np.float32(normal[0]), np.float32(normal[1]), np.float32(normal[2])
-    )
+    tx, ty, tz, bx, by, bz = basis(normal[0], normal[1], normal[2])
     return (
         x * tx + y * bx + z * normal[0],
         x * ty + y * by + z * normal[1],
@@ -76,63 +77,75 @@ def _turned(x, y, z, normal):
 
 
 @device
-def _none():
-    return Bounce(_NOTHING, _NOTHING, 0.0, False)
+def _shining(toward, is_specular, lobes, normal, back, u, v):
+    """Directions of gloss, where that was chosen."""
+    is_rough = is_specular & (lobes.alpha > _NULL)
+    if any_lane(is_rough):
+        toward = chosen(is_rough, rough_direction(lobes.alpha, normal, back, u, v), toward)
+    is_glossy = is_specular & (lobes.alpha <= _NULL)
+    if any_lane(is_glossy):
+        x, y, z = power_cosine(u, v, lobes.shininess)
+        toward = chosen(is_glossy, _turned(x, y, z, mirrored(back, normal)), toward)
+    return toward
 
 
 @device_call
 def scatter(lobes, point, back, choice, u, v):
-    """Choose a direction in which a ray goes on.
+    """Choose directions in which rays go on.
 
     Parameters
     ----------
     lobes : Lobes
     point : Point
-    back : tuple of three float64
-        Unit vector to where the ray came from.
-    choice, u, v : float64
+    back : tuple of three f32x16
+        Unit vectors to where the rays came from.
+    choice, u, v : f32x16
         Random numbers in [0, 1).
 
     Returns
     -------
     Bounce
+        Of vectors.
 
     Notes
     -----
     A ray that enters glass is narrowed with all that come along, and one that leaves it spread:
     radiance in glass is the squared index of refraction times as large.
     """
-    normal = point.nx, point.ny, point.nz
+    normal, triangle = (point.nx, point.ny, point.nz), (point.gx, point.gy, point.gz)
     diffuse, specular, mirror, through, clear = _shares(lobes, back, normal)
-    if choice < diffuse + specular:
-        if choice < diffuse:
-            x, y, z = cosine_hemisphere(np.float32(u), np.float32(v))
-            toward = _turned(np.float64(x), np.float64(y), np.float64(z), normal)
-        elif lobes.alpha > 0.0:
-            toward = rough_direction(lobes.alpha, normal, back, u, v)
-        else:
-            x, y, z = power_cosine(np.float32(u), np.float32(v), np.float32(lobes.shininess))
-            axis = mirrored(back, normal)
-            toward = _turned(np.float64(x), np.float64(y), np.float64(z), axis)
-        color, diffuse_pdf, specular_pdf = reflected(lobes, point, back, toward)
-        pdf = diffuse * diffuse_pdf + specular * specular_pdf
-        if not pdf > 0.0:
-            return _none()
-        return Bounce(toward, _over(color, pdf), pdf, True)
-    if choice < diffuse + specular + mirror:
-        toward = mirrored(back, normal)
-        if dot((point.gx, point.gy, point.gz), toward) <= 0.0:
-            return _none()
-        weight = (
+    scattered = diffuse + specular
+    x, y, z = cosine_hemisphere(u, v)
+    toward = _turned(x, y, z, normal)
+    is_specular = (choice >= diffuse) & (choice < scattered)
+    if any_lane(is_specular):
+        toward = _shining(toward, is_specular, lobes, normal, back, u, v)
+    color, diffuse_pdf, specular_pdf = reflected(lobes, point, back, toward)
+    pdf = diffuse * diffuse_pdf + specular * specular_pdf
+    is_valid = (choice < scattered) & (pdf > _NULL)
+    weight = scaled(color, _WHOLE / pdf)
+
+    is_mirrored = (choice >= scattered) & (choice < scattered + mirror)
+    if any_lane(is_mirrored):
+        direction = mirrored(back, normal)
+        is_mirrored &= dot(triangle, direction) > _NULL
+        light = (
             lobes.reflection[0] + clear * lobes.transmission[0],
             lobes.reflection[1] + clear * lobes.transmission[1],
             lobes.reflection[2] + clear * lobes.transmission[2],
         )
-        return Bounce(toward, _over(weight, mirror), np.inf, True)
-    if not through > 0.0:
-        return _none()
-    toward = refracted(back, normal, lobes.ior)
-    if dot((point.gx, point.gy, point.gz), toward) >= 0.0:
-        return _none()
-    share = through * lobes.ior * lobes.ior / (1.0 - clear)
-    return Bounce(toward, _over(lobes.transmission, share), np.inf, True)
+        toward = chosen(is_mirrored, direction, toward)
+        weight = chosen(is_mirrored, scaled(light, _WHOLE / mirror), weight)
+        pdf = select(is_mirrored, _INF, pdf)
+        is_valid |= is_mirrored
+
+    is_through = (choice >= scattered + mirror) & (through > _NULL)
+    if any_lane(is_through):
+        direction = refracted(back, normal, lobes.ior)
+        is_through &= dot(triangle, direction) < _NULL
+        share = through * lobes.ior * lobes.ior / (_WHOLE - clear)
+        toward = chosen(is_through, direction, toward)
+        weight = chosen(is_through, scaled(lobes.transmission, _WHOLE / share), weight)
+        pdf = select(is_through, _INF, pdf)
+        is_valid |= is_through
+    return Bounce(toward, weight, pdf, is_valid)

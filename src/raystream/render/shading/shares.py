@@ -6,13 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import load
+from raystream.jit.simd import (
+    any_lane,
+    as_int32,
+    gather,
+    i32x16,
+    load,
+    maximum,
+    minimum,
+    select,
+)
 
-__all__ = ["chosen", "double", "running_sums"]
+__all__ = ["chosen", "chosen_lanes", "double", "running_sums"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _LONG = np.uint64(8)
+_0, _1 = np.int32(0), np.int32(1)
 
 
 def running_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -59,3 +69,30 @@ def chosen(ends, count, number):
     share = double(ends, low) - start
     within = (number - start) / share if share > 0.0 else 0.0
     return low, share, min(max(within, 0.0), 1.0 - 2.0**-53)
+
+
+@device
+def chosen_lanes(ends, count, number):
+    """`chosen` for 16 numbers.
+
+    Parameters
+    ----------
+    ends : uint64
+        Address of running sums, float64.
+    count : uint64
+        Of these.
+    number : f64x16
+        In [0, 1).
+    """
+    low, high = i32x16(_0), i32x16(as_int32(count))
+    is_open = high - low > _1
+    while any_lane(is_open):
+        middle = (low + high) >> _1
+        is_above = gather(np.float64, ends, maximum(middle - _1, _0)) <= number
+        low = select(is_open & is_above, middle, low)
+        high = select(is_open & ~is_above, middle, high)
+        is_open = high - low > _1
+    start = select(low > _0, gather(np.float64, ends, maximum(low - _1, _0)), 0.0)
+    share = gather(np.float64, ends, low) - start
+    within = select(share > 0.0, (number - start) / share, 0.0)
+    return low, share, minimum(maximum(within, 0.0), 1.0 - 2.0**-53)

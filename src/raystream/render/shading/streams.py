@@ -9,21 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address, f32x16, gather, narrow, ranks, scatter, select
 from raystream.render.shading.points import spawned, to_world
 
 __all__ = [
     "LightRays",
     "Paths",
     "add_light",
+    "add_lights",
     "add_unblocked",
     "aimed",
     "direction_of",
+    "put_light_rays",
     "put_path",
+    "put_paths",
     "put_ray",
+    "vector_at",
 ]
 
-_ONE = np.float32(1.0)
-_INF = np.float32(np.inf)
+_ONE, _INF = np.float32(1.0), np.float32(np.inf)
+_1, _2, _3 = np.int32(1), np.int32(2), np.int32(3)
 
 
 class Paths(NamedTuple):
@@ -37,7 +42,7 @@ class Paths(NamedTuple):
     directions : ndarray of shape (N, 3), float32
     weights : ndarray of shape (N, 3), float32
         What part of the light that a ray finds reaches its pixel.
-    pdfs : ndarray of shape (N,), float64
+    pdfs : ndarray of shape (N,), float32
         Density over solid angle with which the direction was chosen; inf where no other way
         finds its light: from the eye, from mirrors and through glass.
     """
@@ -46,14 +51,14 @@ class Paths(NamedTuple):
     origins: NDArray[np.float64]
     directions: NDArray[np.float32]
     weights: NDArray[np.float32]
-    pdfs: NDArray[np.float64]
+    pdfs: NDArray[np.float32]
 
     @classmethod
     def empty(cls, count: int) -> Paths:
         """Room for so many."""
         directions, weights = (np.empty((count, 3), np.float32) for _ in range(2))
         pixels, origins = np.empty(count, np.int64), np.empty((count, 3))
-        return cls(pixels, origins, directions, weights, np.empty(count))
+        return cls(pixels, origins, directions, weights, np.empty(count, np.float32))
 
     def first(self, count: int) -> Paths:
         """The first `count` of them."""
@@ -172,6 +177,97 @@ def add_light(radiance, pixel, weights, i, color, factor):
     radiance[pixel, 0] += np.float32(weights[i, 0] * color[0] * factor)
     radiance[pixel, 1] += np.float32(weights[i, 1] * color[1] * factor)
     radiance[pixel, 2] += np.float32(weights[i, 2] * color[2] * factor)
+
+
+@device
+def vector_at(base, row):
+    """Three float32 of rows of an array of shape (N, 3), by its address."""
+    at = row * _3
+    return (
+        gather(np.float32, base, at),
+        gather(np.float32, base, at + _1),
+        gather(np.float32, base, at + _2),
+    )
+
+
+@device
+def put_vectors(base, row, vector, mask):
+    """Write three vectors to rows of an array of shape (N, 3), where a mask is set."""
+    at = row * _3
+    scatter(base, at, vector[0], mask)
+    scatter(base, at + _1, vector[1], mask)
+    scatter(base, at + _2, vector[2], mask)
+
+
+@device
+def put_paths(onward, first, mask, pixels, tables, point, toward, weight, pdf):
+    """Write those of 16 paths that leave their points, one after the other.
+
+    Parameters
+    ----------
+    onward : Paths
+    first : int32
+        The row of the first.
+    mask : mask16
+        Which of them go on.
+    pixels : i64x16
+    tables : SceneTables
+    point : Point
+    toward, weight : tuple of three f32x16
+    pdf : f32x16
+    """
+    row = ranks(mask) + first
+    scatter(address(onward.pixels), row, pixels, mask)
+    scatter(address(onward.pdfs), row, pdf, mask)
+    put_vectors(address(onward.origins), row, spawned(tables, point, toward), mask)
+    put_vectors(address(onward.directions), row, toward, mask)
+    put_vectors(address(onward.weights), row, weight, mask)
+
+
+@device
+def put_light_rays(rays, first, mask, pixels, tables, point, found, light):
+    """Write rays from points to lights, as `put_paths` does.
+
+    Parameters
+    ----------
+    rays : LightRays
+    first, mask, pixels, tables, point
+        See `put_paths`.
+    found : LightSample
+    light : tuple of three f32x16
+        What they bring.
+    """
+    row = ranks(mask) + first
+    x, y, z = spawned(tables, point, found.toward)
+    px, py, pz = to_world(tables, found.target[0], found.target[1], found.target[2])
+    toward = (
+        select(found.is_far, found.toward[0], narrow(px - x)),
+        select(found.is_far, found.toward[1], narrow(py - y)),
+        select(found.is_far, found.toward[2], narrow(pz - z)),
+    )
+    scatter(address(rays.pixels), row, pixels, mask)
+    scatter(address(rays.t_max), row, select(found.is_far, _INF, f32x16(_ONE)), mask)
+    put_vectors(address(rays.origins), row, (x, y, z), mask)
+    put_vectors(address(rays.directions), row, toward, mask)
+    put_vectors(address(rays.light), row, light, mask)
+
+
+@device
+def add_lights(radiance, pixel, light, mask):
+    """Add light to pixels of which no two are the same.
+
+    Parameters
+    ----------
+    radiance : ndarray of shape (P, 3), float32
+    pixel : i32x16
+        Rows.
+    light : tuple of three f32x16
+    mask : mask16
+        Which of them.
+    """
+    base = address(radiance)
+    old = vector_at(base, pixel)
+    put_vectors(base, pixel, (old[0] + light[0], old[1] + light[1], old[2] + light[2]), mask)
 
 
 @kernel

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import load
+from raystream.jit.simd import (
+    absolute,
+    as_float32,
+    as_int32,
+    gather,
+    maximum,
+    minimum,
+    round_down,
+    select,
+)
 from raystream.render.color import decode_srgb
 from raystream.scene.material import Material
 from raystream.scene.texture import Texture
@@ -32,16 +41,15 @@ ROLES = ("diffuse", "specular", "emission", "metallic_roughness", "normal", "bum
 
 _NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
 
-_ONE = np.float32(1.0)
-_ROLES = np.uint64(len(ROLES))
+_NULL, _HALF, _WHOLE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_INF = np.float32(np.inf)
+_ROLES = np.int32(len(ROLES))
 
-# Bytes: of a number, of a long one, of a texel, and of a row of `TextureTables.places`.
-_WORD = np.uint64(4)
-_LONG = np.uint64(8)
-_TEXEL = np.uint64(3)
-_PLACE = np.uint64(32)
-_ONE_BYTE = np.uint64(1)
-_TWO_BYTES = np.uint64(2)
+_0, _1, _2, _3, _PLACE = (np.int32(k) for k in range(5))
+_BYTE, _8, _16 = np.uint32(0xFF), np.uint32(8), np.uint32(16)
+
+#: Of all bitmaps of a scene together: kernels count them in int32.
+MAX_TEXELS = 2**31 - 1
 
 
 class TextureTables(NamedTuple):
@@ -50,9 +58,9 @@ class TextureTables(NamedTuple):
     Attributes
     ----------
     texels : uint64
-        Of shape (K, 3), uint8: sRGB, row after row, the top one first.
+        Of shape (K, 4), uint8: sRGB and a byte without meaning, row after row, the top one first.
     places : uint64
-        Of shape (T, 4), int64: first texel, width, height, and 1 for a texture that is clamped,
+        Of shape (T, 4), int32: first texel, width, height, and 1 for a texture that is clamped,
         0 if it repeats.
     of_material : uint64
         Of shape (M, 6), int32: each material's texture by role; -1 for none.
@@ -99,11 +107,13 @@ def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]
             if id(texture) not in known:
                 pixels = _rgb_of(texture)
                 known[id(texture)] = -1
+                if pixels is not None and first + pixels.size // 4 > MAX_TEXELS:
+                    raise MemoryError(f"textures: more than {MAX_TEXELS:,} texels in one scene")
                 if pixels is not None:
                     known[id(texture)] = len(places)
                     height, width = pixels.shape[:2]
                     places.append((first, width, height, int(texture.wrap == "clamp")))
-                    parts.append(pixels.reshape(-1, 3))
+                    parts.append(pixels.reshape(-1, 4))
                     first += height * width
             row[column] = known[id(texture)]
     reliefs = np.array([_relief_of(material) for material in materials], np.float32)
@@ -112,8 +122,8 @@ def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]
             row[_NORMAL], relief[0] = row[_BUMP], material.bump_scale
     bytes_ = np.arange(256, dtype=np.uint8)
     kept: tuple[NDArray[Any], ...] = (
-        np.concatenate(parts) if parts else np.empty((0, 3), np.uint8),
-        np.array(places, np.int64).reshape(-1, 4),
+        np.concatenate(parts) if parts else np.empty((0, 4), np.uint8),
+        np.array(places, np.int32).reshape(-1, 4),
         of_material,
         reliefs,
         decode_srgb(bytes_),
@@ -145,7 +155,7 @@ def _holds_normals(texels: NDArray[np.uint8]) -> bool:
     Normals are unit vectors, most of them nearly upright: none of a photograph's colours, and
     of greys only one.
     """
-    some = texels[:: max(1, len(texels) // 4096)] / 127.5 - 1.0
+    some = texels[:: max(1, len(texels) // 4096), :3] / 127.5 - 1.0
     is_normal = (some[:, 2] > 0.0) & (abs(np.linalg.norm(some, axis=1) - 1.0) < 0.1)
     x, y, z = some.mean(axis=0)
     return bool(is_normal.mean() > 0.9 and max(abs(x), abs(y)) < 0.25 < 0.5 < z)
@@ -157,46 +167,48 @@ def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
     except FileFormatError as error:
         warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=4)
         return None
-    if pixels.shape[2] == 1:
-        return np.repeat(pixels, 3, axis=2)
-    return np.ascontiguousarray(pixels[:, :, :3])
+    padded: NDArray[np.uint8] = np.zeros((*pixels.shape[:2], 4), np.uint8)
+    padded[:, :, :3] = pixels[:, :, :3]  # one channel is grey
+    return padded
 
 
 @device
 def texture_of(tables, material, role):
-    """A material's texture by its position in `ROLES`; -1 for none."""
-    return load(np.int32, tables.of_material + (material * _ROLES + role) * _WORD)
+    """A material's texture by its position in `ROLES`, int32; -1 for none."""
+    return gather(np.int32, tables.of_material, as_int32(material * _ROLES + role))
 
 
 @device
 def texture_size(tables, texture):
     """Width and height of a texture, in texels."""
-    at = tables.places + np.uint64(texture) * _PLACE
-    return load(np.int64, at + _LONG), load(np.int64, at + _LONG + _LONG)
+    row = texture * _PLACE
+    return (
+        gather(np.int32, tables.places, as_int32(row + _1)),
+        gather(np.int32, tables.places, as_int32(row + _2)),
+    )
 
 
 @device
 def _wrapped(index, size, is_clamped):
-    if is_clamped:
-        return min(max(index, 0), size - 1)
-    return index % size
+    """The texel at an index of -1 to `size`."""
+    last = as_int32(size - _1)
+    around = select(index < _0, last, select(index > last, _0, index))
+    return select(is_clamped, minimum(maximum(index, _0), last), around)
 
 
 @device
-def _texel(tables, values, bitmap, column, row):
-    first, width, height, is_clamped = bitmap
-    at = first + _wrapped(row, height, is_clamped) * width + _wrapped(column, width, is_clamped)
-    texel = tables.texels + np.uint64(at) * _TEXEL
+def _texel(tables, values, first, width, column, row):
+    texel = gather(np.uint32, tables.texels, as_int32(first + row * width + column))
     return (
-        load(np.float32, values + np.uint64(load(np.uint8, texel)) * _WORD),
-        load(np.float32, values + np.uint64(load(np.uint8, texel + _ONE_BYTE)) * _WORD),
-        load(np.float32, values + np.uint64(load(np.uint8, texel + _TWO_BYTES)) * _WORD),
+        gather(np.float32, values, as_int32(texel & _BYTE)),
+        gather(np.float32, values, as_int32((texel >> _8) & _BYTE)),
+        gather(np.float32, values, as_int32((texel >> _16) & _BYTE)),
     )
 
 
 @device
 def _mixed(a, b, share):
-    rest = _ONE - share
+    rest = _WHOLE - share
     return a[0] * rest + b[0] * share, a[1] * rest + b[1] * share, a[2] * rest + b[2] * share
 
 
@@ -207,34 +219,44 @@ def texture_color(tables, texture, u, v, values):
     Parameters
     ----------
     tables : TextureTables
-    texture : int
+    texture : int32, or i32x16
         Its row of `places`.
-    u, v : float64
+    u, v : float64, or f32x16
         Texture coordinates; v points up.
     values : uint64
         `TextureTables.linear` of colours, ``plain`` of numbers, ``signed`` of normals.
+
+    Returns
+    -------
+    tuple of three float32, or f32x16
     """
-    if not (abs(u) < np.inf and abs(v) < np.inf):
-        return _ONE, _ONE, _ONE
-    at = tables.places + np.uint64(texture) * _PLACE
+    is_known = (absolute(u) < _INF) & (absolute(v) < _INF)
+    u, v = select(is_known, u, _HALF), select(is_known, v, _HALF)
+    first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
     width, height = texture_size(tables, texture)
-    is_clamped = load(np.int64, at + _LONG + _LONG + _LONG) != 0
-    bitmap = load(np.int64, at), width, height, is_clamped
-    if is_clamped:
-        u, v = min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
-    else:
-        u, v = u - np.floor(u), v - np.floor(v)
-    x, y = u * width - 0.5, (1.0 - v) * height - 0.5
-    column, row = np.int64(np.floor(x)), np.int64(np.floor(y))
-    across, down = np.float32(x - column), np.float32(y - row)
+    is_clamped = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3)) != _0
+    u = select(is_clamped, minimum(maximum(u, _NULL), _WHOLE), u - round_down(u))
+    v = select(is_clamped, minimum(maximum(v, _NULL), _WHOLE), v - round_down(v))
+    x, y = u * as_float32(width) - _HALF, (_WHOLE - v) * as_float32(height) - _HALF
+    left, top = round_down(x), round_down(y)
+    across, down = as_float32(x - left), as_float32(y - top)
+    left, top = as_int32(left), as_int32(top)
+    right = _wrapped(as_int32(left + _1), width, is_clamped)
+    bottom = _wrapped(as_int32(top + _1), height, is_clamped)
+    left, top = _wrapped(left, width, is_clamped), _wrapped(top, height, is_clamped)
     upper = _mixed(
-        _texel(tables, values, bitmap, column, row),
-        _texel(tables, values, bitmap, column + 1, row),
+        _texel(tables, values, first, width, left, top),
+        _texel(tables, values, first, width, right, top),
         across,
     )
     lower = _mixed(
-        _texel(tables, values, bitmap, column, row + 1),
-        _texel(tables, values, bitmap, column + 1, row + 1),
+        _texel(tables, values, first, width, left, bottom),
+        _texel(tables, values, first, width, right, bottom),
         across,
     )
-    return _mixed(upper, lower, down)
+    red, green, blue = _mixed(upper, lower, down)
+    return (
+        select(is_known, red, _WHOLE),
+        select(is_known, green, _WHOLE),
+        select(is_known, blue, _WHOLE),
+    )

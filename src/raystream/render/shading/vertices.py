@@ -1,59 +1,80 @@
-"""Triangles' vertices as shading kernels read them: positions, and attributes between them."""
+"""Triangles' vertices as shading kernels read them: positions, and attributes between them.
+
+Of one triangle, or of 16: an int32 number, or an `i32x16`.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import load
+from raystream.jit.simd import as_int32, gather, widen, widen_number
 
-__all__ = ["attribute_number", "attribute_pair", "attribute_vector", "corner_of", "number_at"]
+__all__ = ["attribute_number", "attribute_pair", "attribute_vector", "corner_of", "vertices_of"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_THREE = np.uint64(3)
-_WORD = np.uint64(4)
-_PAIR = np.uint64(8)
-_VECTOR = np.uint64(12)
-
-
-@device
-def number_at(at):
-    """A float32 by its address, as float64."""
-    return np.float64(load(np.float32, at))
+_1, _2, _3, _9 = np.int32(1), np.int32(2), np.int32(3), np.int32(9)
+_WHOLE = np.float32(1.0)
 
 
 @device
 def corner_of(tables, prim, k):
-    """A corner of a triangle, local frame, float64."""
-    at = tables.corners + (prim * _THREE + k) * _VECTOR
-    return number_at(at), number_at(at + _WORD), number_at(at + _WORD + _WORD)
-
-
-@device
-def attribute_number(tables, rows, width, column, prim, u, v):
-    """A number of a triangle's vertices, between them; `rows` have so many numbers."""
-    face, at, row = tables.faces + prim * _VECTOR, rows + column * _WORD, width * _WORD
-    a = number_at(at + np.uint64(load(np.int32, face)) * row)
-    b = number_at(at + np.uint64(load(np.int32, face + _WORD)) * row)
-    c = number_at(at + np.uint64(load(np.int32, face + _WORD + _WORD)) * row)
-    return (1.0 - u - v) * a + u * b + v * c
-
-
-@device
-def attribute_vector(tables, rows, prim, u, v):
-    """Three numbers of a triangle's vertices, between them."""
+    """Corner 0, 1 or 2 of a triangle, local frame, float64."""
+    at = as_int32(as_int32(prim) * _9 + as_int32(as_int32(k) * _3))
     return (
-        attribute_number(tables, rows, _THREE, _NONE, prim, u, v),
-        attribute_number(tables, rows, _THREE, _ONE, prim, u, v),
-        attribute_number(tables, rows, _THREE, _TWO, prim, u, v),
+        widen(gather(np.float32, tables.corners, at)),
+        widen(gather(np.float32, tables.corners, as_int32(at + _1))),
+        widen(gather(np.float32, tables.corners, as_int32(at + _2))),
     )
 
 
 @device
-def attribute_pair(tables, rows, prim, k):
-    """Two numbers of a triangle's vertex k."""
-    vertex = load(np.int32, tables.faces + prim * _VECTOR + k * _WORD)
-    at = rows + np.uint64(vertex) * _PAIR
-    return number_at(at), number_at(at + _WORD)
+def vertices_of(tables, prim):
+    """The rows of a triangle's vertices, of whose attributes `tables` has addresses."""
+    at = as_int32(as_int32(prim) * _3)
+    return (
+        gather(np.int32, tables.faces, at),
+        gather(np.int32, tables.faces, as_int32(at + _1)),
+        gather(np.int32, tables.faces, as_int32(at + _2)),
+    )
+
+
+@device
+def _number(rows, width, column, vertex):
+    return widen_number(gather(np.float32, rows, as_int32(vertex * width + column)))
+
+
+@device
+def attribute_number(rows, width, column, vertices, u, v):
+    """A number of a triangle's vertices, between them.
+
+    Parameters
+    ----------
+    rows : uint64
+        Address of rows of float32, one for each vertex.
+    width, column : int32
+        Numbers in a row, and which of them.
+    vertices : tuple of three int32
+        From `vertices_of`.
+    u, v : float64, or f32x16
+        Weights of vertices 1 and 2.
+    """
+    a = _number(rows, width, column, vertices[0])
+    b = _number(rows, width, column, vertices[1])
+    c = _number(rows, width, column, vertices[2])
+    return (_WHOLE - u - v) * a + u * b + v * c
+
+
+@device
+def attribute_vector(rows, vertices, u, v):
+    """Three numbers of a triangle's vertices, between them; see `attribute_number`."""
+    return (
+        attribute_number(rows, _3, np.int32(0), vertices, u, v),
+        attribute_number(rows, _3, _1, vertices, u, v),
+        attribute_number(rows, _3, _2, vertices, u, v),
+    )
+
+
+@device
+def attribute_pair(rows, vertex):
+    """Two numbers of a vertex."""
+    return _number(rows, _2, np.int32(0), vertex), _number(rows, _2, _1, vertex)
