@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 #: The names that the library has, for help and completion; a test compares them.
-SCENES = ("cornell", "spheres", "boxes", "building", "forest", "robots")
+SCENES = ("cornell", "cornell_mirrors", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 SAMPLERS = ("sobol", "stratified", "random")
 TONES = ("linear", "reinhard", "aces")

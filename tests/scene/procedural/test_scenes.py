@@ -14,9 +14,12 @@ from scene.procedural.closed import open_edges
 #: Largest share by which the count may differ from targets of at least these.
 CLOSENESS = ((0, 0.5), (36, 0.34), (100, 0.15), (10_000, 0.05), (100_000, 0.02))
 
+BOX = {"floor", "ceiling", "back wall", "right wall", "left wall", "light"}
+
 #: Meshes with edges that belong to one triangle only.
 OPEN = {
-    "cornell": {"floor", "ceiling", "back wall", "right wall", "left wall", "light"},
+    "cornell": BOX,
+    "cornell_mirrors": BOX,
     "boxes": {"lamp"},
     "building": {"lawn"},
     "forest": {"ground", "leaves"},
@@ -26,6 +29,7 @@ OPEN = {
 #: The counts of the papers' scenes, and how near the defaults come.
 DEFAULTS = {
     "cornell": (36, 0),
+    "cornell_mirrors": (36, 0),
     "spheres": (2064, 0),
     "boxes": (61_562, 0),
     "building": (1_500_000, 15_000),
@@ -126,6 +130,20 @@ def test_light_of_the_cornell_box_shines_down_from_below_the_ceiling():
     assert (normals[:, 1] < 0.0).all()
     assert np.abs(normals[:, 1]).sum() / 2 == pytest.approx(130 * 105, rel=1e-5)
     assert 540.0 < corners[..., 1].max() < 548.8
+
+
+def test_polished_cornell_box_makes_no_light():
+    matte, polished = generate("cornell"), generate("cornell_mirrors")
+    seen = set()
+    for one, other in zip(matte.meshes, polished.meshes, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+        before = matte.materials[one.material_ids[0]]
+        after = polished.materials[other.material_ids[0]]
+        share = np.array(after.reflection)
+        np.testing.assert_allclose(after.diffuse, (1.0 - share) * before.diffuse)
+        assert after.emission == before.emission
+        seen.add(after.reflection[0])
+    assert seen == {0.0, 0.3, 0.8}
 
 
 def test_walls_of_the_cornell_box_face_inward():

@@ -44,6 +44,11 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
             "the Cornell box: five walls, a light and two blocks (Christen's scene A)",
             _cornell.DEFAULT_TRIANGLES,
         ),
+        "cornell_mirrors": Builtin(
+            _cornell.cornell_mirrors,
+            "the Cornell box with polished walls and blocks, for rays of many bounces",
+            _cornell.DEFAULT_TRIANGLES,
+        ),
         "spheres": Builtin(
             _spheres.spheres,
             "mirrors, glass and cubes in a room (after Christen's scene B)",

@@ -1,7 +1,8 @@
-"""Cornell box: five walls, a light and two blocks."""
+"""Cornell box: five walls, a light and two blocks, matte or polished."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,16 +10,17 @@ from numpy.typing import NDArray
 
 from raystream.scene.camera import Camera
 from raystream.scene.material import Material
+from raystream.scene.mesh import Mesh
 from raystream.scene.procedural.parts import Part, merge, to_mesh
 from raystream.scene.procedural.shapes import box, patch
 from raystream.scene.procedural.size import check_triangles
 from raystream.scene.scene import Scene
 
-__all__ = ["DEFAULT_TRIANGLES", "cornell"]
+__all__ = ["DEFAULT_TRIANGLES", "cornell", "cornell_mirrors"]
 
 DEFAULT_TRIANGLES = 36
 
-WHITE, RED, GREEN, LIGHT = range(4)
+WHITE, RED, GREEN, LIGHT, BLOCK = range(5)
 
 MATERIALS = (
     Material("white", diffuse=(0.725, 0.71, 0.68)),
@@ -26,6 +28,9 @@ MATERIALS = (
     Material("green", diffuse=(0.14, 0.45, 0.091)),
     Material("light", diffuse=(0.78, 0.78, 0.78), emission=(17.0, 12.0, 4.0)),
 )
+
+#: What polished walls and blocks mirror; the rest is as matte as ever.
+WALL_SHARE, BLOCK_SHARE = 0.3, 0.8
 
 #: Measured corners in millimetres, fronts into the room: floor, ceiling, back, right, left.
 WALLS = (
@@ -44,6 +49,8 @@ LIGHT_CORNERS = (
     (213, LIGHT_HEIGHT, 332),
     (213, LIGHT_HEIGHT, 227),
 )
+
+CAMERA = Camera((278.0, 273.0, -800.0), (278.0, 273.0, 0.0), fov=39.3)
 
 #: Footprint (x, z) in the order of a box's corners, and height, of the short and tall block.
 BLOCKS = (
@@ -79,22 +86,66 @@ def cornell(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     ----------
     Christen 2005, section 6.2.1, scene A; Foley 2005, section 4.
     """
-    across, along = _divisions(check_triangles(triangles))
+    return Scene(
+        _surfaces(check_triangles(triangles), WHITE),
+        materials=MATERIALS,
+        camera=CAMERA,
+        name="cornell",
+    )
+
+
+def cornell_mirrors(triangles: int = DEFAULT_TRIANGLES) -> Scene:
+    """Make the Cornell box with walls that mirror 0.3 of the light, and blocks that mirror 0.8.
+
+    For rays of many bounces: two walls that face each other show a row of boxes.
+
+    Parameters
+    ----------
+    triangles : int
+        As for `cornell`.
+
+    Returns
+    -------
+    Scene
+        The triangles and the camera of `cornell`.
+
+    Raises
+    ------
+    ValueError
+        If the target is out of range.
+    """
+    white, red, green, light = MATERIALS
+    walls = tuple(_polished(material, WALL_SHARE) for material in (white, red, green))
+    return Scene(
+        _surfaces(check_triangles(triangles), BLOCK),
+        materials=(*walls, light, _polished(white, BLOCK_SHARE)),
+        camera=CAMERA,
+        name="cornell_mirrors",
+    )
+
+
+def _polished(material: Material, share: float) -> Material:
+    """A material that mirrors a share of the light, and scatters its part of the rest."""
+    red, green, blue = ((1.0 - share) * channel for channel in material.diffuse)
+    return dataclasses.replace(
+        material, diffuse=(red, green, blue), reflection=(share, share, share)
+    )
+
+
+def _surfaces(triangles: int, block_id: int) -> list[Mesh]:
+    """The walls, the blocks of this material, and the light."""
+    across, along = _divisions(triangles)
     meshes = []
     names = ("floor", "ceiling", "back wall", "right wall", "left wall")
     for name, (material_id, corners) in zip(names, WALLS, strict=True):
         wall = patch(corners, (across, along)).painted(material_id)
         meshes.append(to_mesh(wall, name))
     for name, (footprint, height) in zip(("short block", "tall block"), BLOCKS, strict=True):
-        meshes.append(to_mesh(_block(footprint, height, (across, along, across)), name))
+        block = _block(footprint, height, (across, along, across)).painted(block_id)
+        meshes.append(to_mesh(block, name))
     light = patch(LIGHT_CORNERS, (across, along)).painted(LIGHT)
     meshes.append(to_mesh(merge([light]), "light"))
-    return Scene(
-        meshes,
-        materials=MATERIALS,
-        camera=Camera((278.0, 273.0, -800.0), (278.0, 273.0, 0.0), fov=39.3),
-        name="cornell",
-    )
+    return meshes
 
 
 def _block(
