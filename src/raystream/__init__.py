@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from raystream.render import Image, render
     from raystream.render.heatmap import Heatmap, RayCost, heatmap
     from raystream.scene import textures
+    from raystream.scene.animation import Animation
     from raystream.scene.camera import Camera
     from raystream.scene.camera_track import CameraTrack
     from raystream.scene.lights import AreaLight, DirectionalLight, EnvironmentLight, PointLight
@@ -56,6 +57,7 @@ _HOMES = {
     "CONTINUE": "programs.decisions",
     "IGNORE": "programs.decisions",
     "STOP": "programs.decisions",
+    "Animation": "scene.animation",
     "AreaLight": "scene.lights",
     "Camera": "scene.camera",
     "CameraTrack": "scene.camera_track",
@@ -97,6 +99,7 @@ __all__ = [
     "CONTINUE",
     "IGNORE",
     "STOP",
+    "Animation",
     "AreaLight",
     "Camera",
     "CameraTrack",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import operator
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, cast
 
@@ -10,7 +12,8 @@ from raystream.jit.threads import Progress
 from raystream.kernels.moving import move_triangles
 from raystream.machines import make_machine, own_options
 from raystream.machines.queries import Crossings, Queries
-from raystream.scene.moving import moved_meshes
+from raystream.scene.mesh import Mesh
+from raystream.scene.moving import moved_meshes, same_faces
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
 from raystream.structures.base import UpdateReport
@@ -156,9 +159,12 @@ class Tracer(Queries):
 
         Parameters
         ----------
-        vertices : array_like of shape (V, 3), real; or a sequence of them
+        vertices : array_like of shape (V, 3), real; or a sequence of them; or Scene
             New positions of all vertices, world space, scene units: an array for a scene of
-            one mesh, else one for each mesh, or None for a mesh that stays where it is.
+            one mesh, else one for each mesh, or None for a mesh that stays where it is. Or a
+            scene with the same faces, such as `Scene.at` gives: its lights, materials, normals
+            and camera then count, too. Where all its meshes are the same objects as before,
+            nothing is to be done, and the report's costs are nan.
         max_cost_growth : float
             A tree is adjusted to moved triangles much faster than it is built, but rays take
             longer in it the further neighbours part. It is built anew when the expected cost
@@ -175,8 +181,8 @@ class Tracer(Queries):
         Raises
         ------
         ValueError
-            If the number of meshes or of vertices of a mesh is another one, or
-            `max_cost_growth` is negative or NaN. Nothing was moved then.
+            If the number of meshes or of vertices of a mesh, or a scene's faces are others,
+            or `max_cost_growth` is negative or NaN. Nothing was moved then.
         TypeError
             If the positions are no real numbers.
 
@@ -187,7 +193,8 @@ class Tracer(Queries):
         unless a coordinate grew to more than 2**40 times the scale of the scene. Triangles
         that have become degenerate, NaN or infinite are never hit, until they recover.
 
-        `scene` becomes a scene with the moved vertices; shading normals do not follow. Hits
+        `scene` becomes a scene with the moved vertices; shading normals do not follow arrays.
+        Hits
         found before still refer to the triangles as they were. No query may run in another
         thread meanwhile. An interrupt leaves everything as it was.
 
@@ -204,7 +211,14 @@ class Tracer(Queries):
         if not max_cost_growth >= 0.0:
             raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
         scene = self.scene
-        meshes = moved_meshes(scene.meshes, vertices)
+        if isinstance(vertices, Scene):
+            meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
+            if all(map(operator.is_, scene.meshes, meshes)):
+                self._set(vertices.moved(meshes, self.structure.triangles), self.structure)
+                return UpdateReport(False, 0.0, math.nan, math.nan)
+            scene = vertices
+        else:
+            meshes = moved_meshes(scene.meshes, vertices)
         parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
         triangles = move_triangles(self.structure.triangles, parts)
         structure, report = self.structure.updated(triangles, max_cost_growth, progress)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +12,22 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.scene.camera import Camera
 from raystream.scene.splines import position_at, quaternion_matrix, rotation_at
 
-__all__ = ["CameraTrack"]
+__all__ = ["CameraMotion", "CameraTrack", "keys_span"]
+
+
+class CameraMotion(Protocol):
+    """A camera that moves: a `CameraTrack`, or what a file's moving nodes make of one."""
+
+    @property
+    def still(self) -> Camera:
+        """The camera while it stands still."""
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """When it begins to move, and when it stops."""
+
+    def at(self, time: float) -> Camera:
+        """The camera at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +91,9 @@ class CameraTrack:
     @property
     def times(self) -> tuple[float, float]:
         """When the camera begins to move, and when it stops."""
-        spans = [_span(keys[:, 0]) for keys in (self.positions, self.rotations) if keys is not None]
+        spans = [
+            keys_span(keys[:, 0]) for keys in (self.positions, self.rotations) if keys is not None
+        ]
         return min(first for first, _ in spans), max(last for _, last in spans)
 
     def at(self, time: float) -> Camera:
@@ -128,6 +146,7 @@ def _keys(name: str, values: ArrayLike, width: int) -> NDArray[np.float64]:
     return full
 
 
-def _span(times: NDArray[np.float64]) -> tuple[float, float]:
+def keys_span(times: NDArray[np.float64]) -> tuple[float, float]:
+    """When keys begin to show, and when they end: the first and last may only shape the ends."""
     inner = times if len(times) < 4 else times[1:-1]
     return float(inner[0]), float(inner[-1])

@@ -27,7 +27,8 @@ def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | Non
         triangles may follow, such as ``"forest:1000000"``. Or the name of a sample, such as
         ``"bunny"``. What has a suffix or a slash is a file.
     time : float, optional
-        For animated scenes (AFF): the time to show, in the file's units.
+        For animated scenes (AFF, glTF): the time to show, in the file's units. At 0, glTF
+        shows its rest pose; see also `Scene.at`.
     triangles : int, optional
         For built-in scenes: about how many triangles.
 

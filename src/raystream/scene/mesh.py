@@ -76,18 +76,20 @@ class Mesh:
         """Number of triangles."""
         return len(self.faces)
 
-    def moved(self, vertices: ArrayLike) -> Mesh:
+    def moved(self, vertices: ArrayLike, normals: ArrayLike | None = None) -> Mesh:
         """Make the same mesh with other positions; all else is shared.
 
         Parameters
         ----------
         vertices : array_like of shape (V, 3), float
-            As many as before. Shading normals do not follow.
+            As many as before.
+        normals : array_like of shape (V, 3), float, optional
+            Shading normals; without them, those from before, which do not follow.
 
         Raises
         ------
         ValueError
-            If their number is another one.
+            If the number of either is another one.
         TypeError
             If they are no real numbers.
         """
@@ -100,6 +102,8 @@ class Mesh:
         for name in Mesh.__slots__:
             setattr(mesh, name, getattr(self, name))
         mesh.vertices = positions
+        if normals is not None:
+            mesh.normals = _attribute("normals", normals, (len(positions), 3))
         return mesh
 
     def __repr__(self) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.scene.mesh import Mesh
 
-__all__ = ["moved_meshes"]
+__all__ = ["have_same_faces", "moved_meshes", "same_faces"]
 
 
 def moved_meshes(meshes: Sequence[Mesh], vertices: Any) -> list[Mesh]:
@@ -43,6 +43,47 @@ def moved_meshes(meshes: Sequence[Mesh], vertices: Any) -> list[Mesh]:
                 raise
             raise type(error)(f"mesh {index}: {error}") from None
     return moved
+
+
+def have_same_faces(meshes: Sequence[Mesh], others: Sequence[Mesh]) -> bool:
+    """Whether the same triangles are formed of as many vertices, mesh by mesh."""
+    return len(meshes) == len(others) and all(map(_has_same_faces, meshes, others))
+
+
+def same_faces(meshes: Sequence[Mesh], others: Sequence[Mesh]) -> Sequence[Mesh]:
+    """Accept the meshes of another scene, if only vertices moved.
+
+    Parameters
+    ----------
+    meshes, others : sequence of Mesh
+
+    Returns
+    -------
+    sequence of Mesh
+        The others.
+
+    Raises
+    ------
+    ValueError
+        If their number, or a mesh's faces or number of vertices, is another one.
+    """
+    if len(meshes) != len(others):
+        raise ValueError(
+            f"scene: expected {len(meshes)} meshes, as before, got {len(others)}; "
+            "make a new tracer of it"
+        )
+    for index, (mesh, other) in enumerate(zip(meshes, others, strict=True)):
+        if not _has_same_faces(mesh, other):
+            raise ValueError(
+                f"scene: mesh {index} has other faces than before; make a new tracer of it"
+            )
+    return others
+
+
+def _has_same_faces(mesh: Mesh, other: Mesh) -> bool:
+    if mesh.faces is other.faces:
+        return len(mesh.vertices) == len(other.vertices)
+    return len(mesh.vertices) == len(other.vertices) and np.array_equal(mesh.faces, other.faces)
 
 
 def _is_a_sequence_of_one(vertices: Any) -> bool:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.scene.animation import FPS, Animation, Timeline
 from raystream.scene.camera import Camera, unit_vector
-from raystream.scene.camera_track import CameraTrack
+from raystream.scene.camera_track import CameraMotion
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
@@ -36,6 +37,11 @@ class Scene:
         stands still, else one that frames the scene.
     camera_track : CameraTrack, optional
         How the camera moves; see `camera_at`.
+    cameras : mapping of str to Camera or CameraTrack, optional
+        All views that it has, by name; see `use_camera`. The first is `camera` and
+        `camera_track`, if neither is given.
+    animation : Animation, optional
+        How meshes and lights move; see `at`.
     up : array_like of shape (3,), optional
         The world's up direction, used to frame the scene.
     background : Color, optional
@@ -56,7 +62,9 @@ class Scene:
         materials: Sequence[Material] = (),
         lights: Sequence[Light] = (),
         camera: Camera | None = None,
-        camera_track: CameraTrack | None = None,
+        camera_track: CameraMotion | None = None,
+        cameras: Mapping[str, Camera | CameraMotion] | None = None,
+        animation: Animation | None = None,
         up: ArrayLike = (0.0, 1.0, 0.0),
         background: Color = (0.0, 0.0, 0.0),
         name: str = "",
@@ -69,6 +77,10 @@ class Scene:
         self.background = background
         self._camera = camera_track.still if camera is None and camera_track else camera
         self._camera_track = camera_track
+        self._cameras = dict(cameras or {})
+        self._animation = animation
+        if self._camera is None and self._cameras:
+            self.use_camera(0)
         self._triangles: Triangles | None = None
         for index, mesh in enumerate(self.meshes):
             if len(mesh.faces) and int(mesh.material_ids.max()) >= len(self.materials):
@@ -192,12 +204,46 @@ class Scene:
         return Camera.framing(low, high, up=self.up, aspect=aspect)
 
     @property
-    def camera_track(self) -> CameraTrack | None:
+    def cameras(self) -> dict[str, Camera]:
+        """The views that the scene came with, by name, while they stand still."""
+        return {
+            name: one if isinstance(one, Camera) else one.still
+            for name, one in self._cameras.items()
+        }
+
+    def use_camera(self, which: str | int) -> None:
+        """Look from one of `cameras` from now on; it may move.
+
+        Parameters
+        ----------
+        which : str or int
+            Its name, or its number from 0.
+
+        Raises
+        ------
+        ValueError
+            If there is none of that name or number.
+        """
+        names = list(self._cameras)
+        if isinstance(which, int) and 0 <= which < len(names):
+            which = names[which]
+        if which not in self._cameras:
+            shown = ", ".join(f"{name[:40]!r} ({i})" for i, name in enumerate(names[:10]))
+            there = f"the scene has {shown}" if names else "the scene has none to choose from"
+            raise ValueError(f"there is no camera {which!r:.60}; {there}")
+        one = self._cameras[which]
+        if isinstance(one, Camera):
+            self._camera, self._camera_track = one, None
+        else:
+            self._camera, self._camera_track = one.still, one
+
+    @property
+    def camera_track(self) -> CameraMotion | None:
         """How the camera moves, or None where it does not; setting a `camera` ends it."""
         return self._camera_track
 
     def camera_at(self, time: float) -> Camera:
-        """The camera at a time; meshes and lights stay as they were loaded.
+        """The camera at a time; see `at` for the rest.
 
         Parameters
         ----------
@@ -217,6 +263,70 @@ class Scene:
         if not math.isfinite(time):
             raise ValueError(f"time: expected a finite number, got {time}")
         return self.camera if self._camera_track is None else self._camera_track.at(time)
+
+    @property
+    def animation(self) -> Animation | None:
+        """How meshes and lights move, or None where they do not."""
+        return self._animation
+
+    def at(self, time: float) -> Scene:
+        """The scene at a time.
+
+        Parameters
+        ----------
+        time : float
+            In the units of the file's keyframes.
+
+        Returns
+        -------
+        Scene
+            Its meshes, lights and camera are those of that time; meshes that do not move are
+            the same objects. It can be asked for other times as this one can.
+
+        Raises
+        ------
+        ValueError
+            If `time` is not finite.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> scene = rs.load("robots.aff")  # doctest: +SKIP
+        >>> tracer = rs.Tracer(scene)  # doctest: +SKIP
+        >>> report = tracer.update(scene.at(5.0))  # doctest: +SKIP
+        """
+        if not math.isfinite(time):
+            raise ValueError(f"time: expected a finite number, got {time}")
+        scene = Scene.__new__(Scene)
+        scene.__dict__.update(self.__dict__)
+        if self._animation is not None:
+            posed = self._animation.at(time)
+            scene.meshes, scene.materials = posed.meshes, posed.materials
+            scene.lights = posed.lights
+            is_still = list(map(id, scene.meshes)) == list(map(id, self.meshes))
+            scene._triangles = self._triangles if is_still else posed._triangles
+        if self._camera_track is not None:
+            scene._camera = self._camera_track.at(time)
+        return scene
+
+    def timeline(self, fps: float | None = None) -> Timeline:
+        """The frames of a scene that moves.
+
+        Parameters
+        ----------
+        fps : float, optional
+            Frames in a unit of time; without it, what the file says, else 24.
+
+        Raises
+        ------
+        ValueError
+            If neither meshes, lights nor the camera move, or `fps` is not above 0.
+        """
+        if self._animation is not None:
+            return self._animation.timeline(fps)
+        if self._camera_track is None:
+            raise ValueError("scene: nothing moves in it, neither meshes nor the camera")
+        return Timeline(*self._camera_track.times, FPS if fps is None else fps)
 
     @property
     def area_lights(self) -> list[AreaLight]:

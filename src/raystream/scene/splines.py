@@ -7,7 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["position_at", "quaternion_matrix", "rotation_at", "rotation_matrix"]
+__all__ = [
+    "key_turns",
+    "position_at",
+    "quaternion_matrix",
+    "rotation_at",
+    "rotation_matrix",
+    "slerp",
+]
 
 Array = NDArray[np.float64]
 
@@ -44,8 +51,27 @@ def position_at(keys: Array, time: float) -> Array:
     return point
 
 
-def rotation_at(keys: Array, time: float) -> Array:
+def key_turns(keys: Array) -> list[Array]:
+    """The unit quaternion of each row of `rotation_at`; each nearer to the last than its negative.
+
+    They do not depend on the time.
+    """
+    turns = [_quaternion(row[1:4], float(row[4])) for row in keys]
+    for i in range(1, len(turns)):
+        if turns[i] @ turns[i - 1] < 0.0:  # the same rotation, by the shorter way
+            turns[i] = -turns[i]
+    return turns
+
+
+def rotation_at(keys: Array, time: float, turns: list[Array] | None = None) -> Array:
     """Interpolate rows of time, axis (3), degrees, tension, continuity, bias.
+
+    Parameters
+    ----------
+    keys : ndarray of shape (K, 8)
+    time : float
+    turns : list of ndarray, optional
+        What `key_turns` made of them.
 
     Returns
     -------
@@ -58,10 +84,7 @@ def rotation_at(keys: Array, time: float) -> Array:
     Shoemake, "Quaternion Calculus and Fast Animation", SIGGRAPH 1987 course notes.
     """
     times = keys[:, 0]
-    turns = [_quaternion(row[1:4], float(row[4])) for row in keys]
-    for i in range(1, len(turns)):
-        if turns[i] @ turns[i - 1] < 0.0:  # the same rotation, by the shorter way
-            turns[i] = -turns[i]
+    turns = key_turns(keys) if turns is None else turns
     if len(keys) < 4:
         return _few_rotations(times, turns, time)
     i, s = _segment(times, time)
@@ -73,9 +96,9 @@ def rotation_at(keys: Array, time: float) -> Array:
     arriving = in_step * step + in_after * after
     near_start = _product(turns[i], _exp(0.5 * (leaving - step)))
     near_end = _product(turns[i + 1], _exp(0.5 * (step - arriving)))
-    chord = _slerp(turns[i], turns[i + 1], s)
-    inner = _slerp(near_start, near_end, s)
-    return _slerp(chord, inner, 2.0 * s * (1.0 - s))
+    chord = slerp(turns[i], turns[i + 1], s)
+    inner = slerp(near_start, near_end, s)
+    return slerp(chord, inner, 2.0 * s * (1.0 - s))
 
 
 def _few_rotations(times: Array, turns: list[Array], time: float) -> Array:
@@ -85,7 +108,7 @@ def _few_rotations(times: Array, turns: list[Array], time: float) -> Array:
     if time >= times[last]:
         return turns[last]
     i = min(int(np.searchsorted(times, time, side="right")) - 1, last - 1)
-    return _slerp(turns[i], turns[i + 1], _fraction(times, i, time))
+    return slerp(turns[i], turns[i + 1], _fraction(times, i, time))
 
 
 def _segment(times: Array, time: float) -> tuple[int, float]:
@@ -177,8 +200,8 @@ def _exp(vector: Array) -> Array:
     return np.concatenate([[math.cos(angle)], math.sin(angle) / angle * vector])
 
 
-def _slerp(p: Array, q: Array, s: float) -> Array:
-    """Walk from p to q along the sphere."""
+def slerp(p: Array, q: Array, s: float) -> Array:
+    """Walk from p to q, unit quaternions, along the sphere; s goes from 0 to 1."""
     cosine = min(1.0, max(-1.0, float(p @ q)))
     angle = math.acos(cosine)
     sine = math.sin(angle)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
-from raystream.scene.io import aff
+from raystream.scene.io import aff_builder
 from raystream.scene.io.aff import read_aff
 from raystream.scene.io.aff_animation import Keyframes
 from raystream.scene.io.aff_shapes import cone, sphere
@@ -297,7 +297,7 @@ def test_unusable_files(tmp_path: Path, text: str, reason: str) -> None:
 def test_includes_that_multiply_are_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(aff, "MAX_STATEMENTS", 10_000)
+    monkeypatch.setattr(aff_builder, "MAX_STATEMENTS", 10_000)
     for level in range(9):
         (tmp_path / f"{level}.aff").write_text(f"i 0 {level + 1}.aff\n" * 10)
     (tmp_path / "9.aff").write_text("# nothing\n")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.scene.camera_track import keys_span
 from raystream.scene.io.aff_words import Words
 from raystream.scene.io.text import shown
 from raystream.scene.splines import (
+    key_turns,
     position_at,
     quaternion_matrix,
     rotation_at,
@@ -40,17 +43,32 @@ class Keyframes:
     rotation: Array | None = None
     visibility: Array | None = None
 
+    @cached_property
+    def _turns(self) -> list[Array]:
+        return [] if self.rotation is None else key_turns(self.rotation)
+
     def matrix(self, time: float) -> Array:
         """Scale, then rotation, then translation, at a time; shape (4, 4), column vectors."""
         matrix = np.eye(4)
         with np.errstate(all="ignore"):
             if self.rotation is not None:
-                matrix[:3, :3] = quaternion_matrix(rotation_at(self.rotation, time))
+                matrix[:3, :3] = quaternion_matrix(rotation_at(self.rotation, time, self._turns))
             if self.scale is not None:
                 matrix[:3, :3] *= position_at(self.scale, time)
             if self.translation is not None:
                 matrix[:3, 3] = position_at(self.translation, time)
         return matrix
+
+    def spans(self) -> list[tuple[float, float]]:
+        """When each of its channels changes; none for those that never do."""
+        spans = [
+            keys_span(keys[:, 0])
+            for keys in (self.translation, self.scale, self.rotation)
+            if keys is not None and (keys[:, 1:] != keys[0, 1:]).any()
+        ]
+        if self.visibility is not None:
+            spans.append((float(self.visibility[0, 0]), float(self.visibility[-1, 0])))
+        return spans
 
     def visible(self, time: float) -> bool:
         """Whether it can be seen; before the first key it can."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -94,6 +95,8 @@ class AffFiles:
         By name, wherever they stand: they may follow what they move.
     view : dict of str to list of float
         ``from``, ``at``, ``up``, ``angle``.
+    timing : (float, float, float) or None
+        First and last time, and number of frames.
     background, ambient : tuple of float or None
     """
 
@@ -101,6 +104,7 @@ class AffFiles:
     statements: dict[Path, list[Statement]] = field(default_factory=dict)
     keyframes: dict[str, Keyframes] = field(default_factory=dict)
     view: dict[str, list[float]] = field(default_factory=dict)
+    timing: tuple[float, float, float] | None = None
     background: tuple[float, ...] | None = None
     ambient: tuple[float, ...] | None = None
 
@@ -168,13 +172,19 @@ class AffFiles:
         elif keyword == b"am":
             self.ambient = tuple(words.floats(3).tolist())
         elif keyword == b"a":
-            words.floats(3)  # first and last time, number of frames
+            self._timing(words)
         elif keyword == b"k":
             name = words.name()
             self.keyframes[name] = read_keyframes(words)
         else:
             return False
         return True
+
+    def _timing(self, words: Words) -> None:
+        """Read first and last time, and number of frames; what makes no sense is left out."""
+        first, last, count = words.floats(3).tolist()
+        if -math.inf < first < last < math.inf and 1.0 <= count < math.inf:
+            self.timing = first, last, count
 
     def _view(self, words: Words) -> None:
         widths = {b"from": 3, b"at": 3, b"up": 3, b"angle": 1, b"hither": 1, b"resolution": 2}

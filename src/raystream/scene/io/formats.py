@@ -25,8 +25,9 @@ _READERS = {
     ".nff": ("aff", "read_aff"),
 }
 
-#: Formats whose scenes move.
-ANIMATED = frozenset({".aff", ".nff"})
+#: Formats whose scenes may move; the readers of the first two take a time.
+TIMED = frozenset({".aff", ".nff"})
+ANIMATED = TIMED | {".gltf", ".glb"}
 
 #: The suffixes of all formats; each may be followed by ``.gz``.
 SUFFIXES = tuple(_READERS)
@@ -40,7 +41,7 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     path : Path
         Its suffix tells the format; a ``.gz`` after it is unpacked.
     time : float
-        For animated formats: the time to show, in the file's units.
+        For animated formats: the time to show, in the file's units. glTF at 0 is at rest.
 
     Returns
     -------
@@ -52,7 +53,7 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     FileFormatError
         For whatever is wrong with the file: one line that names it.
     ValueError
-        If `time` is given for a format without animation.
+        If `time` is given for a format without animation, or a glTF file without one.
 
     Warns
     -----
@@ -68,7 +69,7 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
             f"time: {suffix} files are not animated, only {' '.join(sorted(ANIMATED))}"
         )
     try:
-        return check_loaded(path, _reader(suffix, time)(path))
+        scene = check_loaded(path, _reader(suffix, time)(path))
     except (RaystreamError, Warning):  # warnings are errors when the user makes them so
         raise
     except MemoryError:
@@ -76,11 +77,16 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     except Exception as error:  # whatever a hostile file found that the readers did not expect
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise FileFormatError(path, f"cannot be read as {suffix} ({reason[:200]})") from error
+    if time == 0.0 or suffix in TIMED:
+        return scene
+    if scene.animation is None:
+        raise ValueError(f"time: nothing moves in {path}")
+    return scene.at(time)
 
 
 def _reader(suffix: str, time: float) -> Callable[[Path], Scene]:
     module, name = _READERS[suffix]
     function: Callable[..., Scene] = getattr(import_module(f"raystream.scene.io.{module}"), name)
-    if suffix in ANIMATED:
+    if suffix in TIMED:
         return lambda path: function(path, time=time)
     return function

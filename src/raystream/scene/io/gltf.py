@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import FileFormatError
-from raystream.scene.camera import Camera
+from raystream.scene.animation import Animation
 from raystream.scene.io.gltf_accessors import read_accessor
+from raystream.scene.io.gltf_animation import read_animations
+from raystream.scene.io.gltf_cameras import read_cameras
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.gltf_materials import read_materials, texcoord_set
-from raystream.scene.io.instances import TriangleBudget, placed
+from raystream.scene.io.gltf_nodes import Matrix, NodeTree
+from raystream.scene.io.instances import Placements, TriangleBudget
 from raystream.scene.io.partial import IndexCheck, warn_partial
 from raystream.scene.lights import DirectionalLight, Light, PointLight
+from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
 
@@ -26,15 +28,13 @@ __all__ = ["read_gltf"]
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
-Matrix = NDArray[np.float64]
-
 
 def read_gltf(path: Path) -> Scene:
     """Read a glTF 2.0 file in its rest pose.
 
     Each primitive of each node that has a mesh becomes one mesh in world space: nodes depth
-    first, in the order of the file. Points and lines are left out, animations and morph
-    targets are not applied, and skinned meshes stay as modelled.
+    first, in the order of the file. Points and lines are left out, morph targets are not
+    applied, and skinned meshes stay as modelled.
 
     Parameters
     ----------
@@ -44,9 +44,10 @@ def read_gltf(path: Path) -> Scene:
     Returns
     -------
     Scene
-        The camera is the first one; the picture's shape, not the file, says how wide it is.
-        Of ``KHR_lights_punctual`` candela and lux are taken as linear numbers; a spot light
-        shines in all directions.
+        The camera is the first one of its `Scene.cameras`; the picture's shape, not the file,
+        says how wide it is. Of ``KHR_lights_punctual`` candela and lux are taken as linear
+        numbers; a spot light shines in all directions. The animation has all that moves
+        nodes, in seconds.
 
     Raises
     ------
@@ -56,89 +57,39 @@ def read_gltf(path: Path) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For triangles and images that had to be left out.
+        For triangles and images that had to be left out, and for movements that are not
+        followed: of skins, morph targets, and where several animations move one thing.
     """
     file = GltfFile(path)
     materials = read_materials(file)
+    tracks = read_animations(file)
+    tree = NodeTree(file, tracks)
     reader = _SceneReader(file, len(materials) - 1)
-    for index, matrix in _nodes(file):
-        reader.add(file.entry("nodes", index), matrix)
-    if not file.entries(file.root, "nodes"):
-        for index in range(len(file.entries(file.root, "meshes"))):
-            reader.add({"mesh": index}, np.eye(4))
-    reader.checks.report()
-    if reader.unplaced_count:
-        warn_partial(
-            path, f"{reader.unplaced_count:,} nodes with EXT_mesh_gpu_instancing show one copy each"
-        )
-    if reader.spot_count:
-        warn_partial(path, f"{reader.spot_count:,} spot lights shine in all directions")
+    reader.build(tree, None)
+    reader.report()
+    times = tracks.times if tree.moves and tracks.times[0] < tracks.times[1] else None
+    poses = _Poses(reader, tree, tuple(materials))
     return Scene(
         reader.meshes,
         materials=materials,
         lights=reader.lights,
-        camera=reader.camera,
+        cameras=read_cameras(file, tree, times),
+        animation=None if times is None else Animation(poses, times),
         name=path.name,
     )
 
 
-def _nodes(file: GltfFile) -> Iterator[tuple[int, Matrix]]:
-    """Walk the nodes of the scene depth first, each with its matrix to world space."""
-    seen: set[int] = set()
-    stack = [(root, np.eye(4)) for root in reversed(_roots(file))]
-    while stack:
-        index, parent = stack.pop()
-        if index in seen:
-            raise file.error(f"is damaged: node {index} occurs twice in the tree of nodes")
-        seen.add(index)
-        node = file.entry("nodes", index)
-        with np.errstate(all="ignore"):
-            matrix = parent @ _local_matrix(file, node)
-        yield index, matrix
-        children = _indices(file, node, "children")
-        stack += [(child, matrix) for child in reversed(children)]
+@dataclass
+class _Poses:
+    """Builds the scene at any time, with all that stays as it is shared."""
 
+    reader: _SceneReader
+    tree: NodeTree
+    materials: tuple[Material, ...]
 
-def _indices(file: GltfFile, parent: Node, key: str) -> list[int]:
-    return [file.integer({key: value}, key) for value in file.entries(parent, key)]
-
-
-def _roots(file: GltfFile) -> list[int]:
-    if file.entries(file.root, "scenes"):
-        scene = file.entry("scenes", file.integer(file.root, "scene", 0))
-        return _indices(file, scene, "nodes")
-    count = len(file.entries(file.root, "nodes"))
-    children = {c for i in range(count) for c in _indices(file, file.entry("nodes", i), "children")}
-    return [index for index in range(count) if index not in children]
-
-
-def _local_matrix(file: GltfFile, node: Node) -> Matrix:
-    if "matrix" in node:
-        columns = file.numbers(node, "matrix", (0.0,) * 16)
-        matrix = np.array(columns).reshape(4, 4).T
-        matrix[3] = 0.0, 0.0, 0.0, 1.0
-        return matrix
-    x, y, z, w = file.numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0))
-    scale = file.numbers(node, "scale", (1.0, 1.0, 1.0))
-    matrix = np.eye(4)
-    matrix[:3, :3] = _rotation(x, y, z, w) * np.array(scale)
-    matrix[:3, 3] = file.numbers(node, "translation", (0.0, 0.0, 0.0))
-    return matrix
-
-
-def _rotation(x: float, y: float, z: float, w: float) -> Matrix:
-    """Turn a quaternion, of any length but zero, into a matrix."""
-    length = math.hypot(x, y, z, w)
-    if not length > 0.0:
-        return np.eye(3)
-    x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    def __call__(self, time: float) -> Scene:
+        self.reader.build(self.tree, time)
+        return Scene(self.reader.meshes, materials=self.materials, lights=self.reader.lights)
 
 
 @dataclass
@@ -149,29 +100,54 @@ class _SceneReader:
     default_material: int
     meshes: list[Mesh] = field(default_factory=list)
     lights: list[Light] = field(default_factory=list)
-    camera: Camera | None = None
     spot_count: int = 0
     unplaced_count: int = 0
+    skin_count: int = 0
 
     def __post_init__(self) -> None:
         self._read: dict[int, list[Mesh]] = {}
         self.checks = IndexCheck(self.file.path)
         self._read_budget = TriangleBudget(self.file.path)
-        self._placed_budget = TriangleBudget(self.file.path)
+        self._placements = Placements()
 
-    def add(self, node: Node, matrix: Matrix) -> None:
-        """Add a node's mesh, camera and light."""
+    def build(self, tree: NodeTree, time: float | None) -> None:
+        """Collect the meshes and lights of all nodes, at a time or at rest."""
+        self.meshes, self.lights = [], []
+        self.spot_count = self.unplaced_count = self.skin_count = 0
+        self._placed_budget = TriangleBudget(self.file.path)
+        self._placements.begin()
+        for node, matrix in zip(tree.nodes, tree.matrices(time), strict=True):
+            self._add(node, matrix)
+        if not self.file.entries(self.file.root, "nodes"):
+            for index in range(len(self.file.entries(self.file.root, "meshes"))):
+                self._add({"mesh": index}, np.eye(4))
+
+    def report(self) -> None:
+        """Warn about what was left out."""
+        path = self.file.path
+        self.checks.report()
+        if self.unplaced_count:
+            warn_partial(
+                path,
+                f"{self.unplaced_count:,} nodes with EXT_mesh_gpu_instancing show one copy each",
+            )
+        if self.spot_count:
+            warn_partial(path, f"{self.spot_count:,} spot lights shine in all directions")
+        if self.skin_count:
+            warn_partial(path, f"{self.skin_count:,} meshes with a skin stay as modelled")
+
+    def _add(self, node: Node, matrix: Matrix) -> None:
+        """Add a node's mesh and light."""
         mesh = self.file.index(node, "mesh")
         if mesh is not None:
             self.unplaced_count += self.file.extension(node, "EXT_mesh_gpu_instancing") is not None
+            self.skin_count += "skin" in node
             if mesh not in self._read:
                 self._read[mesh] = self._mesh(mesh)
             for part in self._read[mesh]:
                 self._placed_budget.spend(part)
-                self.meshes.append(placed(part, np.eye(4) if "skin" in node else matrix))
-        camera = self.file.index(node, "camera")
-        if camera is not None and self.camera is None:
-            self.camera = _camera(self.file, camera, matrix)
+                place = np.eye(4) if "skin" in node else matrix
+                self.meshes.append(self._placements.place(part, place))
         punctual = self.file.extension(node, "KHR_lights_punctual")
         if punctual is not None:
             self._light(self.file.integer(punctual, "light"), matrix)
@@ -275,26 +251,3 @@ def _triangles(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     faces = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
     faces[1::2] = faces[1::2][:, [0, 2, 1]]
     return faces
-
-
-def _camera(file: GltfFile, index: int, matrix: Matrix) -> Camera | None:
-    """Read a camera, which looks along its own -z with y up; None for unknown types."""
-    entry = file.entry("cameras", index)
-    lens: dict[str, Any]
-    if entry.get("type") == "perspective":
-        lens = {"fov": math.degrees(file.number(file.child(entry, "perspective"), "yfov", 0.7))}
-    elif entry.get("type") == "orthographic":
-        # ymag is half of the height; a node's scale does not count for cameras.
-        half = file.number(file.child(entry, "orthographic"), "ymag", 0.0)
-        lens = {"projection": "orthographic", "height": 2.0 * abs(half)}
-    else:
-        return None
-    eye = matrix[:3, 3]
-    forward = -matrix[:3, 2]
-    with np.errstate(all="ignore"):
-        look_at = eye + forward / np.linalg.norm(forward)
-    try:
-        with np.errstate(all="ignore"):
-            return Camera(tuple(eye), tuple(look_at), tuple(matrix[:3, 1]), **lens)
-    except ValueError as error:
-        raise FileFormatError(file.path, f"its camera makes no sense ({error})") from None

@@ -1,0 +1,149 @@
+"""glTF nodes: where each node of the scene is, at rest or at a time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.scene.io.gltf_animation import NodeTracks
+from raystream.scene.io.gltf_file import GltfFile, Node
+
+__all__ = ["Matrix", "NodeTree"]
+
+Matrix = NDArray[np.float64]
+
+
+class NodeTree:
+    """The nodes of a file's scene, depth first, parents before children.
+
+    Parameters
+    ----------
+    file : GltfFile
+    tracks : NodeTracks
+
+    Attributes
+    ----------
+    nodes : list of dict
+        The JSON objects.
+
+    Raises
+    ------
+    FileFormatError
+        If a node occurs twice, or has numbers that are none.
+    """
+
+    def __init__(self, file: GltfFile, tracks: NodeTracks) -> None:
+        self.nodes: list[Node] = []
+        self._parents: list[int | None] = []
+        self._locals: list[_Local] = []
+        seen: set[int] = set()
+        stack: list[tuple[int, int | None]] = [(root, None) for root in reversed(_roots(file))]
+        while stack:
+            index, parent = stack.pop()
+            if index in seen:
+                raise file.error(f"is damaged: node {index} occurs twice in the tree of nodes")
+            seen.add(index)
+            node = file.entry("nodes", index)
+            place = len(self.nodes)
+            self.nodes.append(node)
+            self._parents.append(parent)
+            self._locals.append(_Local(file, node, tracks, index))
+            children = _indices(file, node, "children")
+            stack += [(child, place) for child in reversed(children)]
+
+    @property
+    def moves(self) -> bool:
+        """Whether any of them moves."""
+        return any(local.tracks for local in self._locals)
+
+    def matrices(self, time: float | None) -> list[Matrix]:
+        """The matrix of each node to world space, shape (4, 4); None for the time is at rest."""
+        found: list[Matrix] = []
+        with np.errstate(all="ignore"):
+            for parent, local in zip(self._parents, self._locals, strict=True):
+                matrix = local.matrix(time)
+                found.append(matrix if parent is None else found[parent] @ matrix)
+        return found
+
+    def path_to(self, place: int) -> list[int]:
+        """A node and those above it, up to the root."""
+        path = [place]
+        while (parent := self._parents[path[-1]]) is not None:
+            path.append(parent)
+        return path
+
+    def matrix(self, place: int, time: float | None) -> Matrix:
+        """The matrix of one node to world space."""
+        first, *others = reversed(self.path_to(place))
+        with np.errstate(all="ignore"):
+            matrix = self._locals[first].matrix(time)
+            for other in others:
+                matrix = matrix @ self._locals[other].matrix(time)
+        return matrix
+
+    def moving(self, place: int) -> bool:
+        """Whether a node, or one above it, moves."""
+        return any(self._locals[one].tracks for one in self.path_to(place))
+
+
+class _Local:
+    """The matrix of a node to its parent."""
+
+    def __init__(self, file: GltfFile, node: Node, tracks: NodeTracks, index: int) -> None:
+        self.tracks = tracks.of.get(index, {})
+        self._parts = {
+            "translation": np.array(file.numbers(node, "translation", (0.0, 0.0, 0.0))),
+            "rotation": np.array(file.numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0))),
+            "scale": np.array(file.numbers(node, "scale", (1.0, 1.0, 1.0))),
+        }
+        if "matrix" in node:
+            columns = file.numbers(node, "matrix", (0.0,) * 16)
+            self._still = np.array(columns).reshape(4, 4).T
+            self._still[3] = 0.0, 0.0, 0.0, 1.0
+        else:
+            self._still = _composed(self._parts)
+
+    def matrix(self, time: float | None) -> Matrix:
+        if time is None or not self.tracks:
+            return self._still
+        moved = {name: track.at(time) for name, track in self.tracks.items()}
+        return _composed({**self._parts, **moved})
+
+
+def _composed(parts: dict[str, NDArray[np.float64]]) -> Matrix:
+    """Scale, then rotate, then move."""
+    matrix = np.eye(4)
+    with np.errstate(all="ignore"):
+        matrix[:3, :3] = _rotation(*parts["rotation"].tolist()) * parts["scale"]
+    matrix[:3, 3] = parts["translation"]
+    return matrix
+
+
+def _rotation(x: float, y: float, z: float, w: float) -> Matrix:
+    """Turn a quaternion, of any length but zero, into a matrix."""
+    length = math.hypot(x, y, z, w)
+    if not length > 0.0:
+        return np.eye(3)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _indices(file: GltfFile, parent: Node, key: str) -> list[int]:
+    return [file.integer({key: value}, key) for value in file.entries(parent, key)]
+
+
+def _roots(file: GltfFile) -> list[int]:
+    if file.entries(file.root, "scenes"):
+        scene = file.entry("scenes", file.integer(file.root, "scene", 0))
+        return _indices(file, scene, "nodes")
+    count = len(file.entries(file.root, "nodes"))
+    children = {c for i in range(count) for c in _indices(file, file.entry("nodes", i), "children")}
+    return [index for index in range(count) if index not in children]

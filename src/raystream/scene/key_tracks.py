@@ -1,0 +1,81 @@
+"""Key tracks: values that move from key to key, as glTF animates them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.scene.splines import slerp
+
+__all__ = ["KeyTrack"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class KeyTrack:
+    """A vector or a rotation at any time; before the first and after the last key it rests.
+
+    Parameters
+    ----------
+    times : ndarray of shape (K,), float64
+        At least one; they do not decrease.
+    values : ndarray of shape (K, W), float64
+        Rotations are unit quaternions, W = 4.
+    method : {"step", "linear", "cubic"}
+        The value of the key before; straight between keys, rotations along the sphere by the
+        shorter way; or Hermite splines, of which rotations are normalised.
+    is_rotation : bool
+    arriving, leaving : ndarray of shape (K, W), float64, optional
+        Tangents at the keys, change in a unit of time, for ``"cubic"``.
+
+    References
+    ----------
+    Khronos Group, "glTF 2.0 Specification", appendix C (animation sampler interpolation).
+    """
+
+    times: Array
+    values: Array
+    method: str = "linear"
+    is_rotation: bool = False
+    arriving: Array | None = None
+    leaving: Array | None = None
+
+    def at(self, time: float) -> Array:
+        """The value at a time, shape (W,)."""
+        last = len(self.times) - 1
+        if last == 0 or time <= self.times[0]:
+            return self._kept(self.values[0])
+        if time >= self.times[last]:
+            return self._kept(self.values[last])
+        i = int(np.searchsorted(self.times, time, side="right")) - 1
+        if self.method == "step":
+            return self.values[i]
+        length = float(self.times[i + 1] - self.times[i])
+        s = (time - float(self.times[i])) / length
+        before, after = self.values[i], self.values[i + 1]
+        if self.arriving is not None and self.leaving is not None:
+            out, into = length * self.leaving[i], length * self.arriving[i + 1]
+            return self._kept(_hermite(before, out, into, after, s))
+        if self.is_rotation:
+            return slerp(before, -after if before @ after < 0.0 else after, s)
+        value: Array = before + s * (after - before)
+        return value
+
+    def _kept(self, value: Array) -> Array:
+        """A value of keys or splines; quaternions get their length back."""
+        length = float(np.linalg.norm(value))
+        return value / length if self.is_rotation and length > 0.0 else value
+
+
+def _hermite(before: Array, out: Array, into: Array, after: Array, s: float) -> Array:
+    square, cube = s * s, s * s * s
+    value: Array = (
+        (2 * cube - 3 * square + 1) * before
+        + (cube - 2 * square + s) * out
+        + (3 * square - 2 * cube) * after
+        + (cube - square) * into
+    )
+    return value
