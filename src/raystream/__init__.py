@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
     from raystream.programs.hits import Hit
     from raystream.render import Image, render
+    from raystream.render.frames import render_frames
     from raystream.render.heatmap import Heatmap, RayCost, heatmap
     from raystream.scene import textures
     from raystream.scene.animation import Animation
@@ -90,6 +91,7 @@ _HOMES = {
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
     "register_device": "structures.devices",
+    "render_frames": "render.frames",
     "set_thread_count": "jit.threads",
     "thickness": "physics.segments",
     "thread_count": "jit.threads",
@@ -134,6 +136,7 @@ __all__ = [
     "load",
     "register_device",
     "render",
+    "render_frames",
     "set_thread_count",
     "streams",
     "textures",

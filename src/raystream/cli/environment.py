@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,6 +51,8 @@ def check_environment(path: Path | None, rotation: float | None) -> None:
 def use_environment(scene: Scene, path: Path, rotation: float) -> None:
     """Put a map in the place of a scene's environment lights and background, and read it.
 
+    In all frames of a scene that moves.
+
     Raises
     ------
     FileFormatError
@@ -62,6 +65,15 @@ def use_environment(scene: Scene, path: Path, rotation: float) -> None:
 
     light = EnvironmentLight(image=path, up=tuple(scene.up), rotation=rotation)
     texels_of(light)
-    others = [other for other in scene.lights if not isinstance(other, EnvironmentLight)]
-    scene.lights = (*others, light)
-    scene.background = (0.0, 0.0, 0.0)
+
+
+    def light_up(scene: Scene) -> Scene:
+        others = [other for other in scene.lights if not isinstance(other, EnvironmentLight)]
+        scene.lights = (*others, light)
+        scene.background = (0.0, 0.0, 0.0)
+        return scene
+
+    light_up(scene)
+    if scene.animation is not None:
+        posed = scene.animation.at
+        scene.animation = replace(scene.animation, at=lambda time: light_up(posed(time)))

@@ -6,6 +6,7 @@ Nothing here imports the library's heavy rooms, so that ``--help`` and completio
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import math
 import os
 import re
@@ -215,7 +216,9 @@ Threads = Annotated[
 ]
 Time = Annotated[
     float,
-    typer.Option(metavar="T", callback=finite, help="For animated scenes (AFF): the time to show."),
+    typer.Option(
+        metavar="T", callback=finite, help="For scenes that move (AFF, glTF): the time to show."
+    ),
 ]
 Triangles = Annotated[
     int | None,
@@ -248,8 +251,9 @@ def parse_camera(text: str) -> dict[str, Any]:
 
     Returns
     -------
-    dict of str to tuple of float, float or str
-        The parts that are there; `Camera` checks their range.
+    dict of str to tuple of float, float, int or str
+        The parts that are there; `Camera` checks their range. Words before them are the name
+        or the number of one of the scene's cameras, ``"which"``.
 
     Raises
     ------
@@ -257,7 +261,13 @@ def parse_camera(text: str) -> dict[str, Any]:
         If a part is unknown, given twice, or not made of as many finite numbers as it needs.
     """
     parts: dict[str, Any] = {}
-    for word in text.split():
+    words = text.split()
+    name_words = list(itertools.takewhile(lambda word: "=" not in word, words))
+    if name_words and name_words[0] not in CAMERA_PARTS:
+        which = " ".join(name_words)
+        parts["which"] = int(which) if which.isascii() and which.isdigit() else which
+        words = words[len(name_words) :]
+    for word in words:
         name, _, value = word.partition("=")
         name = name.replace("-", "_")
         if name not in CAMERA_PARTS:

@@ -12,6 +12,14 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.environment import Environment, Rotation, check_environment, use_environment
+from raystream.cli.films import (
+    FilmAsked,
+    Fps,
+    Frames,
+    is_film,
+    refuse_beside_frames,
+    render_film,
+)
 from raystream.cli.heatmaps import Maximum, What, check_heatmap, heatmap_figures
 from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
@@ -41,7 +49,12 @@ def render(
     scene: options.SceneName = DEFAULT_SCENE,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", help="The picture: .png or .exr."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="The picture: .png or .exr; or frames and videos, see --frames.",
+        ),
     ] = Path("out.png"),
     mode: Annotated[
         str | None,
@@ -55,6 +68,8 @@ def render(
     ] = None,
     heatmap: What = None,
     maximum: Maximum = None,
+    frames: Frames = None,
+    fps: Fps = None,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size in pixels.")] = "1024x768",
     samples: Samples = None,
     noise: Noise = None,
@@ -67,7 +82,8 @@ def render(
         str | None,
         typer.Option(
             metavar="PARTS",
-            help="Parts of the view that replace the scene's own, as in 'eye=3,2,1 "
+            help="One of the scene's cameras by name or number, from 0; and parts of the view "
+            "that replace the scene's own, as in 'eye=3,2,1 "
             "look_at=0,0,0 up=0,1,0 fov=40' (degrees, vertical); also projection=orthographic "
             "height=3 (or equirectangular), or a lens of some width: aperture=0.1 focus=5.",
             show_default=False,
@@ -109,9 +125,12 @@ def render(
     """Render a picture of a scene; without SCENE, of robots in a city."""
     width, height = options.parse_size(size)
     parts = {} if camera is None else options.parse_camera(camera)
-    options.check_output(output, (".png", ".exr"), inputs=[scene, str(environment or scene)])
+    films = is_film(output, frames)
+    if not films:
+        options.check_output(output, (".png", ".exr"), inputs=[scene, str(environment or scene)])
     chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
-    asked = Asked(samples, seed, max_bounces, noise, time_limit, sampler, resume or None)
+    kept = (resume or None) if not films else None
+    asked = Asked(samples, seed, max_bounces, noise, time_limit, sampler, kept)
     check_environment(environment, environment_rotation)
     of_pictures = {
         **{"mode": mode, "exposure": exposure, "tone": tone, "environment": environment},
@@ -129,6 +148,32 @@ def render(
     arguments: dict[str, Any] = {"samples": samples or 1, "seed": seed}
     if heatmap is None:
         arguments = mode_arguments(mode, asked, chosen)
+    if films:
+        refuse_beside_frames({"heatmap": heatmap, "maximum": maximum, "time": time})
+        film = FilmAsked(
+            scene,
+            output,
+            frames,
+            fps,
+            resume,
+            mode,
+            (width, height),
+            parts,
+            exposure or 1.0,
+            tone or options.TONES[0],
+            arguments,
+            structure or options.STRUCTURES[0],
+            device,
+            chosen,
+            triangles,
+            environment,
+            environment_rotation or 0.0,
+        )
+        render_film(film, json)
+        return
+    if fps is not None:
+        raise BadInputError("--fps: only with --frames")
+    which = parts.pop("which", None)
     is_sampled = "sampler" in arguments
     checkpoint = checkpoint_beside(output, resume) if is_sampled else None
     save = _saver(output, exposure or 1.0, tone or options.TONES[0])
@@ -141,6 +186,9 @@ def render(
                 use_environment(tracer.scene, environment, environment_rotation or 0.0)
         view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
+            if which is not None:
+                tracer.scene.use_camera(which)
+                view = tracer.scene.camera
             view = dataclasses.replace(view, **parts)
         arguments |= {"size": (width, height), "camera": view}
         unit = "paths" if is_sampled else "rays"

@@ -269,6 +269,10 @@ class Scene:
         """How meshes and lights move, or None where they do not."""
         return self._animation
 
+    @animation.setter
+    def animation(self, animation: Animation | None) -> None:
+        self._animation = animation
+
     def at(self, time: float) -> Scene:
         """The scene at a time.
 
