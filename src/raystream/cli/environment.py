@@ -66,7 +66,6 @@ def use_environment(scene: Scene, path: Path, rotation: float) -> None:
     light = EnvironmentLight(image=path, up=tuple(scene.up), rotation=rotation)
     texels_of(light)
 
-
     def light_up(scene: Scene) -> Scene:
         others = [other for other in scene.lights if not isinstance(other, EnvironmentLight)]
         scene.lights = (*others, light)

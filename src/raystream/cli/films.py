@@ -14,8 +14,8 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.keywords import blame_options, machine_figures
 from raystream.cli.environment import use_environment
+from raystream.cli.keywords import blame_options, machine_figures
 from raystream.cli.messages import (
     BadInputError,
     BrokenOffError,

@@ -54,9 +54,9 @@ def gather(typing_context: Any, type_: Any, base: Any, index: Any) -> Any:
     ``gather(np.float32, base, index)`` with an index of 16 lanes is an `f32x16`; a number as
     index gives a number. All lanes are read, so each must lie in the array.
     """
-    number = type_.instance_type if isinstance(type_, types.NumberClass) else None
+    number: Any = type_.instance_type if isinstance(type_, types.NumberClass) else None
     kind = _kind_of(number)
-    if kind in (None, "mask"):
+    if kind is None or kind == "mask":
         refuse("gather", "a number type", type_)
     if base != types.uint64:
         refuse("gather", "a uint64 as address", base)
