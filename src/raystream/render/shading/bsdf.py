@@ -22,7 +22,15 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
 from raystream.render.shading.microfacet import LEAST_ALPHA, PLASTIC, rough_reflected
 from raystream.render.shading.points import largest, material_color, material_number
-from raystream.render.shading.tables import COLUMNS
+from raystream.render.shading.tables import (
+    COLUMNS,
+    EMITS,
+    HAS_REFLECTION,
+    HAS_SPECULAR,
+    HAS_TRANSMISSION,
+    IS_ROUGH,
+    IS_TEXTURED,
+)
 from raystream.render.shading.textures import ROLES, texture_color, texture_of
 
 __all__ = [
@@ -134,29 +142,39 @@ def chosen(mask, a, b):
 
 @device
 def _looked_up(tables, point, role, values):
-    """A texture's RGB at a point, and where there is one; 1 elsewhere."""
-    textures = tables.textures
-    texture = texture_of(textures, point.material, role)
-    is_there = texture >= _0
-    white = point.red * _NULL + _WHOLE
+    """A texture's RGB at a point; white without one."""
+    white = point.nx * _NULL + _WHOLE
     color = white, white, white
-    if any_lane(is_there):
-        found = texture_color(textures, maximum(texture, _0), point.u, point.v, values)
-        color = chosen(is_there, found, color)
-    return color, is_there
+    if tables.kinds & IS_TEXTURED:
+        texture = texture_of(tables.textures, point.material, role)
+        is_there = texture >= _0
+        if any_lane(is_there):
+            place = maximum(texture, _0)
+            found = texture_color(tables.textures, place, point.u, point.v, values)
+            color = chosen(is_there, found, color)
+    return color
 
 
 @device
 def _tinted(color, tables, point, role):
     """A colour of a material times its texture."""
-    found, _ = _looked_up(tables, point, role, tables.textures.linear)
-    return times(color, found)
+    return times(color, _looked_up(tables, point, role, tables.textures.linear))
+
+
+@device
+def _color_if(tables, kind, point, column):
+    """A colour of a material, where any material of the scene has one; else black."""
+    nothing = point.nx * _NULL
+    color = nothing, nothing, nothing
+    if tables.kinds & kind:
+        color = material_color(tables, point.material, column)
+    return color
 
 
 @device
 def emitted(tables, point):
     """What the front of a surface emits."""
-    color = material_color(tables, point.material, _EMISSION)
+    color = _color_if(tables, EMITS, point, _EMISSION)
     return _tinted(color, tables, point, _EMISSION_TEXTURE)
 
 
@@ -164,7 +182,7 @@ def emitted(tables, point):
 def _metal_or_plastic(tables, point, roughness, base):
     """GGX's roughness of glTF's materials, and what they scatter evenly and mirror squarely."""
     metallic = maximum(material_number(tables, point.material, _METALLIC), _NULL)
-    numbers, _ = _looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
+    numbers = _looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
     roughness, metallic = roughness * numbers[1], minimum(metallic * numbers[2], _WHOLE)
     plastic = _WHOLE - metallic
     mirror = (
@@ -192,17 +210,19 @@ def lobes_at(tables, point):
     diffuse = material_color(tables, material, _DIFFUSE)
     diffuse = times(diffuse, (point.red, point.green, point.blue))
     diffuse = _tinted(diffuse, tables, point, _DIFFUSE_TEXTURE)
-    specular = material_color(tables, material, _SPECULAR)
+    specular = _color_if(tables, HAS_SPECULAR, point, _SPECULAR)
     specular = _tinted(specular, tables, point, _SPECULAR_TEXTURE)
-    roughness = material_number(tables, material, _ROUGHNESS)
+    roughness = point.nx * _NULL - _WHOLE
+    if tables.kinds & IS_ROUGH:
+        roughness = material_number(tables, material, _ROUGHNESS)
     is_rough = roughness >= _NULL
     alpha = roughness * _NULL
     if any_lane(is_rough):
         rough, base, mirror = _metal_or_plastic(tables, point, roughness, diffuse)
         alpha = select(is_rough, rough, alpha)
         diffuse, specular = chosen(is_rough, base, diffuse), chosen(is_rough, mirror, specular)
-    reflection = material_color(tables, material, _REFLECTION)
-    transmission = material_color(tables, material, _TRANSMISSION)
+    reflection = _color_if(tables, HAS_REFLECTION, point, _REFLECTION)
+    transmission = _color_if(tables, HAS_TRANSMISSION, point, _TRANSMISSION)
     share = _WHOLE / maximum(
         largest(
             _sum(diffuse[0], specular[0], is_rough) + reflection[0] + transmission[0],
@@ -211,13 +231,17 @@ def lobes_at(tables, point):
         ),
         _WHOLE,
     )
-    ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
+    ior, shininess = point.nx * _NULL + _WHOLE, point.nx * _NULL + _WHOLE
+    if tables.kinds & HAS_TRANSMISSION:
+        ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
+    if tables.kinds & HAS_SPECULAR:
+        shininess = material_number(tables, material, _SHININESS)
     return Lobes(
         scaled(diffuse, share),
         scaled(specular, share),
         scaled(reflection, share),
         scaled(transmission, share),
-        material_number(tables, material, _SHININESS),
+        shininess,
         select(point.is_front, ior, _WHOLE / ior),
         alpha,
     )

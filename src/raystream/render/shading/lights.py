@@ -30,31 +30,27 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.render.attributes import material_ids_of
+from raystream.render.color import LUMINANCE
 from raystream.render.environment import image_light
 from raystream.render.sampling.warp import sphere, triangle
 from raystream.render.shading.bsdf import chosen, dot, scaled
-from raystream.render.shading.points import largest, material_color, material_of, offset_at
+from raystream.render.shading.points import largest, offset_at
 from raystream.render.shading.shares import chosen_lanes, running_sums
 from raystream.render.shading.sky import Sky, map_sample_lanes, sky_of, sky_toward_lanes
-from raystream.render.shading.tables import COLUMNS
 from raystream.render.shading.textures import place_of
-from raystream.render.shading.vertices import corner_of
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
 
 __all__ = ["LightSample", "LightTables", "lights_of", "sample_light", "triangle_pdf"]
 
-_EMISSION = np.int32(COLUMNS.emission)
 _NONE = np.uint64(0)
 
-_0, _1, _2, _3, _6 = (np.int32(k) for k in (0, 1, 2, 3, 6))
+_0, _1, _2, _3, _6, _9, _12, _15, _16 = (np.int32(k) for k in (0, 1, 2, 3, 6, 9, 12, 15, 16))
 _NULL, _WHOLE, _INF, _TINY = map(np.float32, (0.0, 1.0, np.inf, 1e-37))
 _INV_FOUR_PI = 0.25 / math.pi
 
-# Numbers in a row of points, and of one of suns.
-_POINT, _SUN = np.int32(7), np.int32(6)
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+# Numbers in a row of points, of suns, and of patches.
+_POINT, _SUN, _PATCH = np.int32(7), np.int32(6), np.int32(17)
 
 Vector = tuple[float, float, float]
 
@@ -76,8 +72,10 @@ class LightTables(NamedTuple):
         What rays see that miss: the environment lights and the background.
     sky_density : float
         Mean density over solid angle with which the sky is sampled; see `sky.sky_pdf`.
-    prims : uint64
-        Of shape (A,), int32: triangles of the area lights.
+    patches : uint64
+        Of shape (A, 17), float32: the area lights' triangles. Corner 0, the edges from there
+        to the others, unit normal, emitted radiance, density of samples over its area,
+        longest side along an axis.
     prim_ends : uint64
         Of shape (A,), float64: running sums of their shares of the area lights' power; the
         last is 1.
@@ -98,7 +96,7 @@ class LightTables(NamedTuple):
     suns: np.uint64
     sky: Sky
     sky_density: float
-    prims: np.uint64
+    patches: np.uint64
     prim_ends: np.uint64
     density: np.uint64
     ends: np.uint64
@@ -121,7 +119,7 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     if not (scene.lights or len(prims) or color.any()):
         color = np.ones(3)
     sky, sky_luminance, kept_sky = sky_of(color, image_light(scene.lights))
-    powers, density = _area_powers(scene, prims)
+    patches, powers, density = _area_patches(scene, prims)
 
     bounds = scene.triangles.bounds.astype(np.float64)
     radius = max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2.0, 1e-30)
@@ -129,8 +127,8 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     far[points[:, 6] == 0.0] = 1.0
     shares = np.concatenate(
         [
-            np.abs(points[:, 3:6]) @ _LUMINANCE / far**2,
-            np.abs(suns[:, 3:6]) @ _LUMINANCE,
+            np.abs(points[:, 3:6]) @ LUMINANCE / far**2,
+            np.abs(suns[:, 3:6]) @ LUMINANCE,
             [math.pi * sky_luminance, math.pi * float(powers.sum()) / radius**2],
         ]
     )
@@ -139,8 +137,16 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     if total > 0.0:
         shares /= total
     density *= shares[-1]
-    kept = points, suns, prims, running_sums(powers), density, running_sums(shares)
-    point_rows, sun_rows, prim_ids, prim_ends, densities, ends = map(place_of, kept)
+    patches[:, 15] *= shares[-1]
+    kept = (
+        points,
+        suns,
+        patches.astype(np.float32),
+        running_sums(powers),
+        density,
+        running_sums(shares),
+    )
+    point_rows, sun_rows, patch_rows, prim_ends, densities, ends = map(place_of, kept)
     tables = LightTables(
         np.uint64(len(points)),
         np.uint64(len(suns)),
@@ -149,7 +155,7 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
         sun_rows,
         sky,
         float(shares[-2]) / (4.0 * math.pi),
-        prim_ids,
+        patch_rows,
         prim_ends,
         densities,
         ends,
@@ -179,21 +185,36 @@ def _far_lights(
     return points, suns, sky
 
 
-def _area_powers(
+def _area_patches(
     scene: Scene, prims: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Luminous power of triangles, without a factor; density of samples by material."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of `LightTables.patches`, their powers, and the density of samples by material.
+
+    Powers without a factor, densities as if there were no other lights.
+    """
     corners = scene.triangles.corners[prims].astype(np.float64)
-    emission = np.array([material.emission for material in scene.materials]) @ _LUMINANCE
+    emission = np.array([material.emission for material in scene.materials]).reshape(-1, 3)
     materials = material_ids_of(scene)[prims]
     edges = corners[:, 1:] - corners[:, :1]
-    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2.0
-    powers = areas * emission[materials]
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    lengths = np.linalg.norm(normals, axis=1)
+    luminance = emission @ LUMINANCE
+    powers = lengths / 2.0 * luminance[materials]
     density = np.zeros(len(scene.materials))
     if powers.sum() > 0.0:
         listed = np.unique(materials)
-        density[listed] = emission[listed] / powers.sum()
-    return powers, density
+        density[listed] = luminance[listed] / powers.sum()
+    patches = np.column_stack(
+        [
+            corners[:, 0],
+            edges.reshape(-1, 6),
+            normals / np.maximum(lengths, 1e-300)[:, None],
+            emission[materials],
+            density[materials],
+            np.ptp(corners, axis=1).max(axis=1, initial=0.0),
+        ]
+    )
+    return patches, powers, density
 
 
 class LightSample(NamedTuple):
@@ -236,6 +257,16 @@ def _doubles(row, k):
 
 
 @device
+def _floats(row, k):
+    """Three float32 of a table from a place on."""
+    return (
+        gather(np.float32, row, k),
+        gather(np.float32, row, k + _1),
+        gather(np.float32, row, k + _2),
+    )
+
+
+@device
 def _narrowed(a):
     return narrow(a[0]), narrow(a[1]), narrow(a[2])
 
@@ -244,7 +275,8 @@ def _narrowed(a):
 def _toward(x, y, z):
     """Unit vectors of float64 vectors, in float32, and their lengths, float64."""
     length = square_root(x * x + y * y + z * z)
-    return (narrow(x / length), narrow(y / length), narrow(z / length)), length
+    inverse = 1.0 / length
+    return (narrow(x * inverse), narrow(y * inverse), narrow(z * inverse)), length
 
 
 @device
@@ -299,36 +331,29 @@ def _from_suns(lights, number, share, found):
 def _from_triangles(tables, lights, is_area, point, within, u, v, found):
     """Area lights' share of samples: points spread evenly over triangles."""
     number, _, _ = chosen_lanes(lights.prim_ends, lights.prim_count, within)
-    prim = gather(np.int32, lights.prims, number)
-    ax, ay, az = corner_of(tables, prim, _0)
-    bx, by, bz = corner_of(tables, prim, _1)
-    cx, cy, cz = corner_of(tables, prim, _2)
-    bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    row = number * _PATCH
+    corner, normal = _floats(lights.patches, row), _floats(lights.patches, row + _9)
     first, second = triangle(u, v)
-    first, second = widen(first), widen(second)
-    px = ax + first * bx + second * cx
-    py = ay + first * by + second * cy
-    pz = az + first * bz + second * cz
-    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    most = largest(absolute(nx), absolute(ny), absolute(nz))
-    normal, _ = _toward(nx / most, ny / most, nz / most)
+    along, across = _floats(lights.patches, row + _3), _floats(lights.patches, row + _6)
+    px = widen(corner[0]) + widen(first * along[0] + second * across[0])
+    py = widen(corner[1]) + widen(first * along[1] + second * across[1])
+    pz = widen(corner[2]) + widen(first * along[2] + second * across[2])
     toward, distance = _toward(px - point.x, py - point.y, pz - point.z)
-    nx, ny, nz = widen(normal[0]), widen(normal[1]), widen(normal[2])
     cosine = -dot(toward, normal)
-    material = material_of(tables, prim)
-    square = distance * distance / widen(maximum(cosine, _TINY))
-    pdf = narrow(gather(np.float64, lights.density, material) * square)
+    density = gather(np.float32, lights.patches, row + _15)
+    pdf = narrow(widen(density / maximum(cosine, _TINY)) * distance * distance)
     # Off the light's own triangle, so that it does not block its light; also when the ray's
-    # direction is rounded to float32.
-    extent = maximum(
-        largest(absolute(bx), absolute(by), absolute(bz)),
-        largest(absolute(cx), absolute(cy), absolute(cz)),
-    )
+    # direction is rounded to float32. Twice the extent: for the edges' own rounding.
+    extent = widen(gather(np.float32, lights.patches, row + _16))
     reach = largest(absolute(px), absolute(py), absolute(pz))
     away = offset_at(tables, 2.0 * extent, reach) + 2.0 * UNIT * distance
-    target = px + away * nx, py + away * ny, pz + away * nz
+    target = (
+        px + away * widen(normal[0]),
+        py + away * widen(normal[1]),
+        pz + away * widen(normal[2]),
+    )
     is_lit = is_area & (distance > 0.0) & (cosine > _NULL) & (pdf > _NULL) & (pdf < _INF)
-    color = scaled(material_color(tables, material, _EMISSION), _WHOLE / pdf)
+    color = scaled(_floats(lights.patches, row + _12), _WHOLE / pdf)
     return LightSample(
         chosen(is_area, toward, found.toward),
         chosen(is_area, target, found.target),

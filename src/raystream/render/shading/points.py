@@ -166,11 +166,11 @@ def _smooth_normal(tables, vertices, u, v, gx, gy, gz):
     x, y, z = attribute_vector(tables.normals, vertices, u, v)
     length = square_root(x * x + y * y + z * z)
     is_sound = (length > _NULL) & (length < _INF)
-    length = select(x * gx + y * gy + z * gz < _NULL, -length, length)
+    scale = _WHOLE / select(x * gx + y * gy + z * gz < _NULL, -length, length)
     return (
-        select(is_sound, x / length, gx),
-        select(is_sound, y / length, gy),
-        select(is_sound, z / length, gz),
+        select(is_sound, x * scale, gx),
+        select(is_sound, y * scale, gy),
+        select(is_sound, z * scale, gz),
     )
 
 
@@ -189,11 +189,12 @@ def _seen_point(tables, prim, u, v, dx, dy, dz):
     gx, gy, gz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     # Scaled before it is measured: the square of a small area would vanish.
     most = largest(absolute(gx), absolute(gy), absolute(gz))
-    gx, gy, gz = narrow_lanes(gx / most), narrow_lanes(gy / most), narrow_lanes(gz / most)
+    scale = 1.0 / most
+    gx, gy, gz = narrow_lanes(gx * scale), narrow_lanes(gy * scale), narrow_lanes(gz * scale)
     length = square_root(gx * gx + gy * gy + gz * gz)
     is_front = gx * dx + gy * dy + gz * dz <= _NULL
-    length = select(is_front, length, -length)
-    gx, gy, gz = gx / length, gy / length, gz / length
+    scale = _WHOLE / select(is_front, length, -length)
+    gx, gy, gz = gx * scale, gy * scale, gz * scale
 
     u, v = widen_number(u), widen_number(v)
     vertices = vertices_of(tables, prim) if tables.faces != _NONE else (prim, prim, prim)

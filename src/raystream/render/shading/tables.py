@@ -14,7 +14,19 @@ from raystream.render.shading.textures import TextureTables, pack_textures, plac
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 
-__all__ = ["COLUMNS", "WIDTH", "Column", "SceneTables", "tables_of"]
+__all__ = [
+    "COLUMNS",
+    "EMITS",
+    "HAS_REFLECTION",
+    "HAS_SPECULAR",
+    "HAS_TRANSMISSION",
+    "IS_ROUGH",
+    "IS_TEXTURED",
+    "WIDTH",
+    "Column",
+    "SceneTables",
+    "tables_of",
+]
 
 
 class Column(NamedTuple):
@@ -33,6 +45,12 @@ class Column(NamedTuple):
 
 COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18)
 WIDTH = 19
+
+
+#: Bits of `SceneTables.kinds`: what some material does. What none does is not looked up.
+HAS_SPECULAR, HAS_REFLECTION, HAS_TRANSMISSION, IS_ROUGH, EMITS, IS_TEXTURED = (
+    1 << k for k in range(6)
+)
 
 
 class SceneTables(NamedTuple):
@@ -66,6 +84,8 @@ class SceneTables(NamedTuple):
     materials : uint64
         Of shape (M, 19), float32. See `Column`; colours are three numbers. Roughness and
         metallic are -1 where a material has none.
+    kinds : int
+        Bits: what some material does.
     textures : TextureTables
     """
 
@@ -82,6 +102,7 @@ class SceneTables(NamedTuple):
     colors: np.uint64
     material_ids: np.uint64
     materials: np.uint64
+    kinds: int
     textures: TextureTables
 
 
@@ -116,9 +137,26 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         place_of(vertices.colors),
         place_of(material_ids),
         place_of(materials),
+        _kinds_of(scene.materials),
         textures,
     )
     return tables, (corners, vertices, tangents, material_ids, materials, kept_textures)
+
+
+def _kinds_of(materials: Sequence[Material]) -> int:
+    """Bits of what materials do."""
+    return sum(
+        bit
+        for bit, does in (
+            (HAS_SPECULAR, any(any(m.specular) or m.roughness is not None for m in materials)),
+            (HAS_REFLECTION, any(any(m.reflection) for m in materials)),
+            (HAS_TRANSMISSION, any(any(m.transmission) for m in materials)),
+            (IS_ROUGH, any(m.roughness is not None for m in materials)),
+            (EMITS, any(m.emits for m in materials)),
+            (IS_TEXTURED, any(m.textures for m in materials)),
+        )
+        if does
+    )
 
 
 def _tangents(
