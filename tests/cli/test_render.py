@@ -19,6 +19,9 @@ FIGURES = {
     "width",
     "height",
     "samples",
+    "samples_taken",
+    "samples_before",
+    "error",
     "structure",
     "machine",
     "device",
@@ -58,8 +61,8 @@ def test_one_line_of_figures(run):
     result = run("render", "cornell", "--size", "32x24")
     number = r"[\d.e+-]+"
     assert re.fullmatch(
-        rf"out\.png: 32x24, 36 triangles; load {number} s, build {number} s, trace {number} s, "
-        rf"save {number} s; {number} Mrays/s\n",
+        rf"out\.png: 32x24, 36 triangles; 1 sample; load {number} s, build {number} s, "
+        rf"trace {number} s, save {number} s; {number} Mpaths/s\n",
         result.out,
     )
     assert Path("out.png").exists()

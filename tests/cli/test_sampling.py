@@ -10,7 +10,7 @@ from PIL import Image
 
 import raystream as rs
 from raystream.cli import options
-from raystream.cli.sampling import MOST_SAMPLES, SAMPLED
+from raystream.cli.sampling import MOST_SAMPLES
 
 SIZE = ("--size", "16x12")
 
@@ -36,6 +36,7 @@ def pixels(path) -> np.ndarray:
         (["--mode", "path", "--sampler", "random"], {"mode": "path", "sampler": "random"}),
         (["--mode", "path", "--seed", 3], {"mode": "path", "seed": 3}),
         (["--mode", "vis", "--seed", 3], {"mode": "vis", "seed": 3}),
+        (["--mode", "raycast", "--sampler", "random"], {"mode": "raycast", "sampler": "random"}),
     ],
 )
 def test_options_reach_the_renderer(run, arguments, wanted):
@@ -103,13 +104,6 @@ def test_time_ends_a_picture(run):
             ["--mode", "ao", "--max-bounces", "3"],
             "--max-bounces: only with --mode whitted or",
         ),
-        (
-            ["--mode", "vis", "--noise", "0.1"],
-            "--noise: only with --mode shadow or whitted or",
-        ),
-        (["--time-limit", "9"], "--time-limit: only with --mode shadow"),
-        (["--sampler", "sobol"], "--sampler: only with --mode shadow"),
-        (["--resume"], "--resume: only with --mode shadow"),
         (["--option", "rays=3"], "--option: rays: only with --mode ao"),
         (["--mode", "path", "--option", "rays=3"], "--option: rays: only with --mode ao"),
         (["--heatmap", "cells", "--noise", "1"], "--noise: not with --heatmap"),
@@ -149,10 +143,6 @@ def test_what_a_mode_has_no_use_for_is_refused_in_one_line(run, tmp_path, argume
 
 
 def test_names_are_those_of_the_library():
-    from raystream.render.picture import RENDERERS
-    from raystream.render.sampled import SampledRenderer
     from raystream.render.sampling.sampler import KINDS
 
     assert options.SAMPLERS == KINDS
-    sampled = [name for name, r in RENDERERS.items() if isinstance(r, SampledRenderer)]
-    assert SAMPLED.split(", ") == sampled

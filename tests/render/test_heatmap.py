@@ -13,8 +13,9 @@ import raystream as rs
 from raystream.render import heatmap as module
 from raystream.render import scale_bar
 from raystream.render.color import decode_srgb
-from raystream.render.eye_rays import eye_rays
 from raystream.render.false_colors import _ANCHORS, color_ramp, draw_counts
+from raystream.render.sampled import eye_paths
+from raystream.render.sampling.sampler import Sampler
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 TITLE = "cells visited per ray, mean 12.3, most 87"
@@ -320,7 +321,9 @@ def test_samples_count_as_their_rays_do(robots):
     heat = rs.heatmap(tracer, "steps", SIZE, 3, seed=5)
     counts = []
     for sample in range(3):
-        stream = eye_rays(camera, width, height, range(height), sample, 3, 5)
+        stream = eye_paths(
+            camera, (width, height), Sampler.of("sobol", 5, 3), range(height), sample
+        )
         np.testing.assert_array_equal(stream.pixels, np.arange(width * height))
         tracer.first_hit(stream.origins, stream.directions)
         counts.append(tracer.counters.all_steps.reshape(height, width))

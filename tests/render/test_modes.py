@@ -223,7 +223,6 @@ def test_solids_absorb_by_their_thickness():
         ("path", {"noise": 0.0}, "noise: expected a number above 0"),
         ("path", {"time_limit": float("inf")}, "time_limit: expected a number above 0"),
         ("path", {"sampler": "halton"}, "expected one of"),
-        ("raycast", {"noise": 0.1}, "noise: mode 'raycast' takes no random samples"),
     ],
 )
 def test_bad_options(mode, options, message):
@@ -234,6 +233,28 @@ def test_bad_options(mode, options, message):
 def test_options_of_another_mode_are_not_taken():
     with pytest.raises(TypeError, match="rays"):
         rs.render(rs.Scene([square(1, 0.0)]), "path", size=(4, 4), rays=3)
+
+
+def test_raycast_is_shadow_where_nothing_is_in_the_way():
+    """Matte, gloss, metal, a bulb, a lamp and ambient light on a floor."""
+    materials = [
+        rs.Material(diffuse=(0.5, 0.3, 0.2), specular=(0.4, 0.4, 0.4), shininess=20),
+        rs.Material(diffuse=(0.9, 0.6, 0.2), roughness=0.4, metallic=0.7),
+        rs.Material(emission=(5.0, 4.0, 3.0)),
+    ]
+    lights = [DOWN, rs.PointLight((1.0, 1.0, 2.0), (3.0, 2.0, 1.0))]
+    floors = [square(2, 0.0, 0), square(6, -0.1, 1)]
+    lamp = square(0.5, 8.0, 2, normal_up=False)
+    scene = rs.Scene([*floors, lamp], materials=materials, lights=lights)
+    camera = rs.Camera(eye=(0, -5, 3), look_at=(0, 0, 0), up=(0, 0, 1), fov=60)
+    raycast, shadow = (
+        rs.render(scene, mode, size=(24, 18), samples=2, camera=camera).pixels
+        for mode in ("raycast", "shadow")
+    )
+    # The upper floor hides the lower one from lights at its rim only.
+    np.testing.assert_allclose(np.median(raycast - shadow), 0.0, atol=1e-6)
+    assert (np.abs(raycast - shadow).max(axis=2) <= 1e-5).mean() > 0.9
+    assert raycast.std() > 0.05
 
 
 def test_every_mode_renders_nothing_at_all():

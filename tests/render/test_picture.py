@@ -233,10 +233,11 @@ def test_a_tracer_brings_its_own_structure():
 @pytest.mark.parametrize("size", [(1, 1), (3, 700), (700, 3), (300, 301)])
 def test_bands_and_threads_do_not_show(size, monkeypatch):
     scene = rs.load("cornell")
-    monkeypatch.setattr("raystream.render.picture._PIXELS_PER_BAND", 1 << 30)
+    monkeypatch.setattr("raystream.render.progressive.LEAST_BAND", 1 << 30)
+    monkeypatch.setattr("raystream.render.progressive.MOST_BAND", 1 << 30)
     whole = rs.render(scene, size=size, samples=3).pixels
     assert whole.any() or size == (1, 1)
-    monkeypatch.setattr("raystream.render.picture._PIXELS_PER_BAND", 1000)
+    monkeypatch.setattr("raystream.render.progressive.MOST_BAND", 1000)
     for threads in (1, 3):
         try:
             rs.set_thread_count(threads)
@@ -247,7 +248,7 @@ def test_bands_and_threads_do_not_show(size, monkeypatch):
 
 
 def test_render_is_a_function_whatever_was_imported_first():
-    import raystream.render.film
+    import raystream.render.image
 
     assert rs.render is raystream.render
     assert rs.render(rs.load("cornell"), size=(2, 2)).size == (2, 2)

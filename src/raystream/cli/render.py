@@ -134,7 +134,7 @@ def render(
     check_environment(environment, environment_rotation)
     of_pictures = {
         **{"mode": mode, "exposure": exposure, "tone": tone, "environment": environment},
-        **asked.of_sampled_modes(),
+        **asked.of_pictures(),
     }
     check_heatmap(heatmap, maximum, of_pictures, chosen)
     mode = mode or options.MODES[0]
@@ -174,8 +174,7 @@ def render(
     if fps is not None:
         raise BadInputError("--fps: only with --frames")
     which = parts.pop("which", None)
-    is_sampled = "sampler" in arguments
-    checkpoint = checkpoint_beside(output, resume) if is_sampled else None
+    checkpoint = checkpoint_beside(output, resume) if heatmap is None else None
     save = _saver(output, exposure or 1.0, tone or options.TONES[0])
     watch = Stopwatch()
     heat: Heatmap | None = None
@@ -191,15 +190,13 @@ def render(
                 view = tracer.scene.camera
             view = dataclasses.replace(view, **parts)
         arguments |= {"size": (width, height), "camera": view}
-        unit = "paths" if is_sampled else "rays"
+        unit = "paths" if heatmap is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
-            if checkpoint is not None:
+            if heatmap is None:
                 paths = Paths(output, width * height, progress)
                 arguments |= {"checkpoint": checkpoint, "on_pass": save}
                 with refuse(OSError, where=str(checkpoint)):
                     image = renderers.render(tracer, mode, progress=paths, **arguments)
-            elif heatmap is None:
-                image = renderers.render(tracer, mode, progress=progress, **arguments)
             else:
                 heat = draw_heatmap(
                     tracer, heatmap, maximum=maximum, progress=progress, **arguments
@@ -208,11 +205,11 @@ def render(
         with watch.measure("save"), bars.step("saving"):
             save(image)
     triangle_count = len(tracer.structure.triangles)
-    if is_sampled:
+    if heat is None:
         ray_count, counts, figures = paths.count(image), paths.text(image), paths.figures(image)
     else:
         ray_count = width * height * arguments["samples"]
-        counts, figures = ("", {}) if heat is None else (heat.title, heatmap_figures(heat))
+        counts, figures = heat.title, heatmap_figures(heat)
     speed = rays_per_second(ray_count, watch.seconds["trace"])
     if json:
         write_json(
@@ -235,8 +232,8 @@ def render(
         )
     else:
         write_line(
-            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles"
-            f"{counts and f'; {counts}'}; {watch.text()}; {speed:g} M{unit}/s"
+            f"{one_line(str(output))}: {width}x{height}, {triangle_count:,} triangles; {counts}; "
+            f"{watch.text()}; {speed:g} M{unit}/s"
         )
 
 

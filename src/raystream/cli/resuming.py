@@ -23,7 +23,7 @@ Resume = Annotated[
     bool,
     typer.Option(
         "--resume",
-        help="Sampled modes: go on from the samples that lie beside the picture, if there are any.",
+        help="Go on from the samples that lie beside the picture, if there are any.",
     ),
 ]
 

@@ -29,16 +29,14 @@ __all__ = [
 #: Samples at most where noise or time decide, and no number is given.
 MOST_SAMPLES = 1 << 16
 
-SAMPLED = "shadow, whitted, xray, ao, kajiya, path"
-
 Samples = Annotated[
     int | None,
     typer.Option(
         min=1,
         metavar="N",
         show_default=False,
-        help="Rays for each pixel, paths in sampled modes; 1 without it, and with --noise or "
-        f"--time-limit at most {MOST_SAMPLES:,}.",
+        help="Paths for each pixel; 1 without it, and with --noise or --time-limit at most "
+        f"{MOST_SAMPLES:,}.",
     ),
 ]
 Seed = Annotated[
@@ -56,8 +54,8 @@ SamplerName = Annotated[
         "--sampler",
         metavar="NAME",
         show_default=False,
-        help=f"Sampled modes ({SAMPLED}): where numbers come from, "
-        f"{' or '.join(options.SAMPLERS)}; {options.SAMPLERS[0]} without it.",
+        help=f"Where the numbers of samples come from: {' or '.join(options.SAMPLERS)}; "
+        f"{options.SAMPLERS[0]} without it.",
         callback=options.one_of(options.SAMPLERS),
         autocompletion=options.complete(options.SAMPLERS),
     ),
@@ -78,8 +76,8 @@ Noise = Annotated[
         metavar="X",
         show_default=False,
         callback=options.positive_if_given,
-        help="Sampled modes: stop once the estimated relative error of the picture is as small; "
-        "0.01 is one per cent.",
+        help="Stop once the estimated relative error of the picture is as small; 0.01 is one "
+        "per cent.",
     ),
 ]
 TimeLimit = Annotated[
@@ -88,7 +86,7 @@ TimeLimit = Annotated[
         metavar="SECONDS",
         show_default=False,
         callback=options.positive_if_given,
-        help="Sampled modes: take no new sample after so many seconds.",
+        help="Take no new sample after so many seconds.",
     ),
 ]
 
@@ -115,8 +113,8 @@ class Asked:
     sampler: str | None
     resume: bool | None
 
-    def of_sampled_modes(self) -> dict[str, Any]:
-        """Those that only sampled modes have a use for, by name."""
+    def of_pictures(self) -> dict[str, Any]:
+        """Those that only pictures have a use for, not heat maps, by name."""
         return {
             name: value
             for name, value in dataclasses.asdict(self).items()
@@ -145,16 +143,9 @@ def mode_arguments(mode: str, asked: Asked, chosen: dict[str, Any]) -> dict[str,
         If the mode has no use for something that was given, or it is out of range.
     """
     from raystream.render.picture import RENDERERS
-    from raystream.render.sampled import SampledRenderer
 
-    sampled = {name: r for name, r in RENDERERS.items() if isinstance(r, SampledRenderer)}
-    given = _own_options(mode, asked, chosen, sampled)
-    if mode not in sampled:
-        for name, value in asked.of_sampled_modes().items():
-            if value is not None:
-                raise _only_with(f"--{name.replace('_', '-')}", sampled)
-        return {"samples": asked.samples or 1, "seed": asked.seed}
-    _check_own(sampled[mode], given, asked)
+    given = _own_options(mode, asked, chosen, RENDERERS)
+    _check_own(RENDERERS[mode], given, asked)
     return {**given, **_sample_arguments(asked)}
 
 
@@ -163,11 +154,11 @@ def _only_with(what: str, modes: Mapping[str, Any]) -> BadInputError:
 
 
 def _own_options(
-    mode: str, asked: Asked, chosen: dict[str, Any], sampled: Mapping[str, SampledRenderer]
+    mode: str, asked: Asked, chosen: dict[str, Any], renderers: Mapping[str, SampledRenderer]
 ) -> dict[str, Any]:
     """Take the modes' options out of `chosen`; refuse those of other modes."""
     owners: dict[str, dict[str, SampledRenderer]] = {}
-    for renderer in sampled.values():
+    for renderer in renderers.values():
         for name in renderer.options:
             owners.setdefault(name, {})[renderer.name] = renderer
     given = {}

@@ -1,4 +1,4 @@
-"""Renderers: lists of stages over streams of rays; film, colour encoding, images.
+"""Renderers: lists of stages over streams of paths; sums of samples, colour encoding, images.
 
 The room is callable: ``raystream.render(scene)`` is `raystream.render.picture.render`. (A
 package cannot have a function and a subpackage of one name side by side: importing the one

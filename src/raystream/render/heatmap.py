@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress
 from raystream.render.arguments import check_camera, check_samples, check_size, make_tracer
-from raystream.render.eye_rays import eye_rays
 from raystream.render.false_colors import check_maximum, draw_counts
 from raystream.render.image import Image
+from raystream.render.sampled import eye_paths
+from raystream.render.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -163,7 +164,7 @@ def heatmap(
         Top of the scale, so that pictures can be compared; larger counts are drawn as the
         top, and the scale says so. Without it, the largest count of a pixel.
     seed : int
-        For the places of the samples.
+        For the places of the samples, 0 to 2**32 - 1.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -186,6 +187,7 @@ def heatmap(
         raise ValueError(f"what: expected one of {known}, got {what!r}")
     width, height = check_size(size)
     samples = check_samples(samples)
+    sampler = Sampler.of("sobol", seed, samples)
     check_camera(camera)
     check_maximum(maximum)
     if not isinstance(scene, Tracer):
@@ -198,7 +200,7 @@ def heatmap(
     sums = np.zeros(height * width, np.int64)
     tallies = {name: _Tally() for name in HEATMAPS}
     passes: list[Passes] = []
-    for pixels, counters in _trace(tracer, camera, (width, height), samples, seed, progress):
+    for pixels, counters in _trace(tracer, camera, (width, height), sampler, progress):
         counts = {"cells": counters.cells, "tests": counters.tests, "steps": counters.all_steps}
         for name, tally in tallies.items():
             tally.add(counts[name])
@@ -214,8 +216,7 @@ def _trace(
     tracer: Tracer,
     camera: Camera,
     size: tuple[int, int],
-    samples: int,
-    seed: int,
+    sampler: Sampler,
     progress: Progress | None,
 ) -> Iterator[tuple[NDArray[np.int64], RayCounters]]:
     """Trace a ray for each pixel and sample; give the pixels and the counters of some at a time.
@@ -223,17 +224,18 @@ def _trace(
     One query runs at a time, on all threads: the counters are those of the last one.
     """
     width, height = size
+    samples = sampler.sample_count
     ray_count = width * height * samples
     rows_per_band = max(1, _RAYS_PER_BAND // width)
     done = 0
     for first in range(0, height, rows_per_band):
         rows = range(first, min(first + rows_per_band, height))
         for sample in range(samples):
-            stream = eye_rays(camera, width, height, rows, sample, samples, seed)
-            report = _part_of(progress, done, len(stream), ray_count)
-            tracer.first_hit(stream.origins, stream.directions, progress=report)
-            yield stream.pixels, tracer.counters
-            done += len(stream)
+            paths = eye_paths(camera, size, sampler, rows, sample)
+            report = _part_of(progress, done, len(paths.pixels), ray_count)
+            tracer.first_hit(paths.origins, paths.directions, progress=report)
+            yield paths.pixels, tracer.counters
+            done += len(paths.pixels)
 
 
 @dataclass

@@ -6,23 +6,17 @@ from collections.abc import Callable
 from os import PathLike
 from typing import Any
 
-from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.threads import Progress
 from raystream.render.ao import AO
 from raystream.render.arguments import check_camera, check_samples, check_size, make_tracer
-from raystream.render.eye_rays import eye_rays
-from raystream.render.film import Film
 from raystream.render.image import Image
 from raystream.render.kajiya import KAJIYA
-from raystream.render.lighting import area_patches, classic_lights
-from raystream.render.looks import Looks
 from raystream.render.path import PATH
 from raystream.render.progressive import Limits, render_samples
 from raystream.render.raycast import RAYCAST
 from raystream.render.sampled import SampledRenderer, make_setting
 from raystream.render.sampling.sampler import Sampler
 from raystream.render.shadow import SHADOW
-from raystream.render.stages import Frame, Renderer, run_stages
-from raystream.render.surfaces import Surfaces
 from raystream.render.vis import VIS
 from raystream.render.whitted import WHITTED
 from raystream.render.xray import XRAY
@@ -32,16 +26,12 @@ from raystream.tracer import Tracer
 
 __all__ = ["MODES", "RENDERERS", "render"]
 
-RENDERERS: dict[str, Renderer | SampledRenderer] = {
+RENDERERS: dict[str, SampledRenderer] = {
     renderer.name: renderer for renderer in (RAYCAST, VIS, SHADOW, WHITTED, XRAY, AO, KAJIYA, PATH)
 }
 
 #: What each mode shows, by its name.
 MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDERERS.items()}
-
-#: Pixels that go through the stages at a time on one thread: bounds memory at about 20 MB a
-#: thread, and is how often progress is reported.
-_PIXELS_PER_BAND = 1 << 16
 
 
 def render(
@@ -69,7 +59,7 @@ def render(
     scene : Scene or Tracer
         A tracer saves building the structure again for every picture.
     mode : {"raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path"}
-        The renderer, see `MODES`. All but the first two can be continued.
+        The renderer, see `MODES`.
     size : (int, int)
         Width and height in pixels.
     samples : int
@@ -88,15 +78,15 @@ def render(
     seed : int
         For the samples: the same seed gives the same picture, on any number of threads.
     noise, time_limit : float, optional
-        Sampled modes stop before they have taken all samples once the picture's estimated
-        relative error is as small, or so many seconds are over; see `progressive.Limits`.
+        Stop before all samples are taken once the picture's estimated relative error is as
+        small, or so many seconds are over; see `progressive.Limits`.
     sampler : {"sobol", "stratified", "random"}
-        Where the numbers of sampled modes come from.
+        Where the numbers of samples come from.
     checkpoint : path, optional
-        Sampled modes: a file that keeps the samples, and from which a picture that was broken
-        off goes on; see `progressive.render_samples`.
+        A file that keeps the samples, and from which a picture that was broken off goes on;
+        see `progressive.render_samples`.
     on_pass : callable, optional
-        Sampled modes: called with the picture so far, every 10 seconds.
+        Called with the picture so far, every 10 seconds.
     progress : callable, optional
         Called with (rays done, rays). An exception that it raises ends the rendering.
 
@@ -128,61 +118,13 @@ def render(
     samples = check_samples(samples)
     check_camera(camera)
     renderer = RENDERERS[mode]
-    if isinstance(renderer, SampledRenderer):
-        limits = Limits(samples, noise, time_limit)
-        own = {name: options.pop(name, usual) for name, usual in renderer.options.items()}
-        chosen = renderer.check(own)
-        numbers = Sampler.of(sampler, seed, samples)
-        tracer = make_tracer(scene, structure, device, options)
-        view = camera or tracer.scene.camera_for(width / height)
-        setting = make_setting(tracer, view, (width, height), numbers, chosen)
-        return render_samples(
-            renderer, setting, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
-        )
-    for name, value in (("noise", noise), ("time_limit", time_limit), ("checkpoint", checkpoint)):
-        if value is not None:
-            raise ValueError(f"{name}: mode {mode!r} takes no random samples")
+    limits = Limits(samples, noise, time_limit)
+    own = {name: options.pop(name, usual) for name, usual in renderer.options.items()}
+    chosen = renderer.check(own)
+    numbers = Sampler.of(sampler, seed, samples)
     tracer = make_tracer(scene, structure, device, options)
-    frame = _make_frame(tracer, camera, Film(width, height))
-
-    _trace_bands(renderer, frame, samples, seed, progress)
-    return frame.film.image(samples)
-
-
-def _trace_bands(
-    renderer: Renderer, frame: Frame, samples: int, seed: int, progress: Progress | None
-) -> None:
-    """Send the picture's rays through the stages, a band of rows and a sample at a time.
-
-    Bands go to the threads whole, so that shading runs in parallel as tracing does; their
-    pixels are disjoint. (When bands run out, idle threads help with the tracing of others.)
-    """
-    width, height = frame.film.width, frame.film.height
-    rows_per_band = max(1, _PIXELS_PER_BAND // width)
-    band_count = -(-height // rows_per_band)
-
-    def trace(begin: int, end: int) -> None:
-        if begin == end:  # compile on this thread, see `parallel_for`
-            frame.tracer.first_hit(*frame.camera.rays(1, 1))
-        for step in range(begin, end):
-            band, sample = divmod(step, samples)
-            first = band * rows_per_band
-            rows = range(first, min(first + rows_per_band, height))
-            stream = eye_rays(frame.camera, width, height, rows, sample, samples, seed)
-            run_stages(renderer.stages, stream, frame)
-
-    report: Progress | None = None
-    if progress is not None:
-        rays = width * height * samples
-        report = lambda done, steps: progress(rays * done // steps, rays)  # noqa: E731
-    # All samples of a band are one call, in order: sums do not depend on the threads.
-    parallel_for(trace, band_count * samples, samples, report)
-
-
-def _make_frame(tracer: Tracer, camera: Camera | None, film: Film) -> Frame:
-    scene = tracer.scene
-    camera = camera or scene.camera_for(film.width / film.height)
-    patches = area_patches(scene)
-    lights = classic_lights(scene, camera, patches)
-    looks = Looks(scene.materials)
-    return Frame(tracer, scene, camera, Surfaces(scene), looks, lights, patches, film)
+    view = camera or tracer.scene.camera_for(width / height)
+    setting = make_setting(tracer, view, (width, height), numbers, chosen)
+    return render_samples(
+        renderer, setting, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
+    )

@@ -1,8 +1,11 @@
 """Sampled renderers: stages over streams of paths, one sample of every pixel after the other.
 
-They are lists of stages as `stages` has them. What differs is that a stage is a compiled
-kernel over the whole stream, that a path's numbers come from a sampler, and that a sample's
-light is gathered for the pixels of a band before it goes to the film.
+A renderer is a list of stages. Each takes a stream of paths and returns one, as the boxes of
+Purcell 2002, Figure 3 do; what the last stage returns (reflected rays, say) goes back to the
+first, until no path is left. So there is no recursion: what a path contributes to its pixel is
+in its weight (Christen 2005, chapter 5). A stage is a query, or a compiled kernel over the whole
+stream; numbers come from a sampler, and a sample's light is gathered for the pixels of a band
+before it goes to the sums.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ __all__ = [
     "find_surfaces",
     "make_setting",
     "reach_lights",
+    "take_no_options",
 ]
 
 #: Most surfaces on a path, for options `max_bounces`.
@@ -165,32 +169,51 @@ class SampledRenderer:
         count = len(rows) * setting.width
         radiance = np.zeros((count, 3), np.float32)
         band = Band(setting, sample, rows.start * setting.width, radiance)
-        stream = PathStream(eye_paths(setting, rows, sample))
+        size = setting.width, setting.height
+        stream = PathStream(eye_paths(setting.camera, size, setting.sampler, rows, sample))
         while len(stream):
             for stage in self.stages:
                 stream = stage(stream, band)
         return radiance
 
 
-def eye_paths(setting: Setting, rows: range, sample: int) -> Paths:
-    """Begin a path at each pixel of some rows: at its centre, or spread over it and the lens."""
-    width, height = setting.width, setting.height
+def take_no_options(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """For `SampledRenderer.check` of modes that have none."""
+    return options
+
+
+def eye_paths(
+    camera: Camera, size: tuple[int, int], sampler: Sampler, rows: range, sample: int
+) -> Paths:
+    """Begin a path at each pixel of some rows of a picture (Purcell 2002, 3.1.1).
+
+    Parameters
+    ----------
+    camera : Camera
+    size : (int, int)
+        Width and height of the whole picture.
+    sampler : Sampler
+        A single sample goes through the pixels' centres, and the middle of a lens; many are
+        spread over each pixel and over the lens, by the numbers 0 to 3.
+    rows : range
+    sample : int
+    """
+    width, _ = size
     count = len(rows) * width
-    if setting.camera.projection == "perspective":
+    if camera.projection == "perspective":
         paths = Paths.empty(count)
-        view = view_of(setting.camera, width, height)
-        begin_paths(view, rows.start, len(rows), setting.sampler, sample, paths)
+        begin_paths(view_of(camera, *size), rows.start, len(rows), sampler, sample, paths)
         return paths
     pixels = np.arange(rows.start * width, rows.start * width + count)
     x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
-    if setting.sampler.sample_count == 1:
+    if sampler.sample_count == 1:
         x, y = x + 0.5, y + 0.5
     else:
-        numbers = setting.sampler.numbers(pixels, sample, 0, 2)
+        numbers = sampler.numbers(pixels, sample, 0, 2)
         x, y = x + numbers[:, 0], y + numbers[:, 1]
     shape = len(rows), width
     places = x.reshape(shape), y.reshape(shape)
-    origins, directions = setting.camera.rays(width, height, *places)
+    origins, directions = camera.rays(*size, *places)
     return Paths(
         pixels,
         # Copies: rays of one eye are repeated in place, and read-only.

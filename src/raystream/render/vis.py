@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from raystream.render.stages import Frame, RayStream, Renderer, find_first_hits
+from raystream.render.sampled import (
+    Band,
+    PathStream,
+    SampledRenderer,
+    find_surfaces,
+    take_no_options,
+)
+from raystream.render.shading.first import shade_by_view
 
 __all__ = ["VIS"]
 
 
-def shade_by_view(stream: RayStream, frame: Frame) -> RayStream:
+def show_facing(stream: PathStream, band: Band) -> PathStream:
     """Stage: grey by the cosine between the normal and the direction to the viewer."""
     assert stream.hits is not None
-    points = frame.surfaces.at(stream.hits, stream.directions)
-    lengths = np.linalg.norm(stream.directions, axis=1)
-    cosine = np.abs(np.einsum("nk,nk->n", points.normals, stream.directions)) / lengths
-    frame.film.add(stream.pixels, stream.weights * cosine[:, None])
-    return RayStream.none()
+    setting, hits = band.setting, stream.hits
+    shade_by_view(
+        stream.paths,
+        (hits.t, hits.u, hits.v, hits.prim_id),
+        setting.tables,
+        setting.classic.background,
+        band.first_pixel,
+        band.radiance,
+    )
+    return PathStream(stream.paths.first(0))
 
 
-VIS = Renderer(
+VIS = SampledRenderer(
     "vis",
     "visible surfaces in grey, N.V shading (Rayforce 2013)",
-    (find_first_hits, shade_by_view),
+    (find_surfaces, show_facing),
+    {},
+    take_no_options,
 )
