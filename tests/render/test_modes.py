@@ -297,9 +297,9 @@ def test_pictures_do_not_depend_on_bands(mode, monkeypatch):
     counted = []
     trace = SampledRenderer.trace
 
-    def spy(renderer, setting, rows, sample):
+    def spy(renderer, setting, rows, *others):
         counted.append(len(rows))
-        return trace(renderer, setting, rows, sample)
+        return trace(renderer, setting, rows, *others)
 
     monkeypatch.setattr(SampledRenderer, "trace", spy)
     monkeypatch.setattr(progressive, "MOST_RAYS", 64)

@@ -16,6 +16,7 @@ from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.environment import use_environment
 from raystream.cli.keywords import blame_options, machine_figures
+from raystream.cli.layers import Kept
 from raystream.cli.messages import (
     BadInputError,
     BrokenOffError,
@@ -87,6 +88,8 @@ class FilmAsked:
     triangles : int or None
     environment : Path or None
     environment_rotation : float
+    denoised : Kept or None
+        Which layers remain of pictures that are to be smoothed.
     """
 
     scene: str
@@ -106,6 +109,7 @@ class FilmAsked:
     triangles: int | None
     environment: Path | None
     environment_rotation: float
+    denoised: Kept | None
 
 
 def is_film(output: Path, frames: str | None) -> bool:
@@ -349,6 +353,8 @@ def _render(
         )
         for number, image in pictures:
             path = files.path(number)
+            if asked.denoised is not None:
+                image = asked.denoised.denoised(image)
             with refuse(OSError, where=str(path)):
                 image.save(path, exposure=asked.exposure, tone=asked.tone)
             files.made.append(path)

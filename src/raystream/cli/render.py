@@ -22,6 +22,7 @@ from raystream.cli.films import (
 )
 from raystream.cli.heatmaps import Maximum, What, check_heatmap, heatmap_figures
 from raystream.cli.keywords import machine_figures, tracer_options
+from raystream.cli.layers import Denoise, Kept, Layers
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 from raystream.cli.resuming import Paths, Resume, checkpoint_beside, keeping_samples
@@ -111,6 +112,8 @@ def render(
     ] = None,
     environment: Environment = None,
     environment_rotation: Rotation = None,
+    layers: Layers = None,
+    denoise: Denoise = False,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
     machine: options.Machine = None,
@@ -131,9 +134,11 @@ def render(
     chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
     kept = (resume or None) if not films else None
     asked = Asked(samples, seed, max_bounces, noise, time_limit, sampler, kept)
+    wanted = Kept.of(output, layers, denoise)
     check_environment(environment, environment_rotation)
     of_pictures = {
         **{"mode": mode, "exposure": exposure, "tone": tone, "environment": environment},
+        **{"layers": layers, "denoise": denoise or None},
         **asked.of_pictures(),
     }
     check_heatmap(heatmap, maximum, of_pictures, chosen)
@@ -149,6 +154,7 @@ def render(
     if heatmap is None:
         arguments = mode_arguments(mode, asked, chosen)
     if films:
+        arguments["layers"] = wanted.rendered
         refuse_beside_frames({"heatmap": heatmap, "maximum": maximum, "time": time})
         film = FilmAsked(
             scene,
@@ -168,6 +174,7 @@ def render(
             triangles,
             environment,
             environment_rotation or 0.0,
+            wanted if denoise else None,
         )
         render_film(film, json)
         return
@@ -194,7 +201,7 @@ def render(
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if heatmap is None:
                 paths = Paths(output, width * height, progress)
-                arguments |= {"checkpoint": checkpoint, "on_pass": save}
+                arguments |= {"checkpoint": checkpoint, "on_pass": save, "layers": wanted.rendered}
                 with refuse(OSError, where=str(checkpoint)):
                     image = renderers.render(tracer, mode, progress=paths, **arguments)
             else:
@@ -202,6 +209,9 @@ def render(
                     tracer, heatmap, maximum=maximum, progress=progress, **arguments
                 )
                 image = heat.image
+        if denoise:
+            with watch.measure("denoise"), bars.step("denoising"):
+                image = wanted.denoised(image)
         with watch.measure("save"), bars.step("saving"):
             save(image)
     triangle_count = len(tracer.structure.triangles)

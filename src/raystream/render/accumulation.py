@@ -103,12 +103,12 @@ class Accumulation:
 
         Parameters
         ----------
-        name : {"depth", "normal", "albedo", "prim_id"}
+        name : {"depth", "normal", "albedo", "prim_id", "emission"}
         first_pixel : int
             As in `add_samples`.
-        values : ndarray of shape (N,) or, of normals and albedo, (N, 3)
-            The layer is their mean over samples; of prim_id, the first. Of depth, normals
-            and albedo, values that are not finite (nothing was seen) are left out.
+        values : ndarray of shape (N,) or, of normals, albedo and emission, (N, 3)
+            The layer is their mean over samples; of prim_id, the first. Other values that are
+            not finite (nothing was seen) are left out.
 
         Raises
         ------
@@ -286,7 +286,7 @@ class _Layer:
             counts += 1
             return
         is_known = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
-        sums[is_known] += values[is_known]
+        np.add(sums, values, out=sums, where=is_known if values.ndim == 1 else is_known[:, None])
         counts += is_known
 
     def values(self) -> NDArray[Any]:

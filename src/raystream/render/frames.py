@@ -12,7 +12,6 @@ from raystream.jit.threads import Progress
 from raystream.render.arguments import check_samples, check_size
 from raystream.render.image import Image
 from raystream.render.picture import RENDERERS, render
-from raystream.render.sampled import SampledRenderer
 from raystream.scene.animation import FPS, Timeline
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion
@@ -142,10 +141,7 @@ def _split(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[
     for name in _OF_ONE_PICTURE:
         if name in options:
             raise TypeError(f"{name}: only for a single picture; render each frame for itself")
-    renderer = RENDERERS[mode]
-    own = set(inspect.signature(render).parameters)
-    if isinstance(renderer, SampledRenderer):
-        own |= set(renderer.options)
+    own = set(inspect.signature(render).parameters) | set(RENDERERS[mode].options)
     of_picture = {name: value for name, value in options.items() if name in own}
     return of_picture, {name: value for name, value in options.items() if name not in own}
 

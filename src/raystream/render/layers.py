@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LAYERS", "LayerKind", "channels_of", "check_layers", "layers_of"]
+__all__ = ["LAYERS", "LayerKind", "channels_of", "check_layers", "choose_layers", "layers_of"]
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,16 @@ class LayerKind:
         return () if self.width == 1 else (self.width,)
 
 
-#: The layers of renderers, by name. Depth is in scene units along the view, and infinite where
-#: nothing is seen; normals are in world space; albedo is linear RGB.
+#: The layers of renderers, by name: what a pixel's samples see first. Those that see nothing
+#: do not count, but for emission, which is the background's there. Depth is the distance along
+#: the ray in scene units; normals are in world space, and their means shorter than 1 where they
+#: differ; albedo and emission are linear RGB.
 LAYERS: dict[str, LayerKind] = {
     "depth": LayerKind(1, np.float32, "mean", np.inf),
     "normal": LayerKind(3, np.float32, "mean", 0.0),
     "albedo": LayerKind(3, np.float32, "mean", 0.0),
     "prim_id": LayerKind(1, np.int32, "first", -1.0),
+    "emission": LayerKind(3, np.float32, "mean", 0.0),
 }
 
 #: Channels of the normals.
@@ -52,6 +55,30 @@ _NORMAL = ("N.X", "N.Y", "N.Z")
 
 #: EXR allows 255 bytes for the name of a channel.
 _MAX_NAME = 240
+
+
+def choose_layers(names: str | Iterable[str] | None) -> tuple[str, ...]:
+    """Layers that are asked for, in the order of `LAYERS`.
+
+    Parameters
+    ----------
+    names : "all", iterable of str, or None
+        None is none.
+
+    Raises
+    ------
+    ValueError
+        If there is no layer of a name.
+    """
+    if names is None:
+        return ()
+    if isinstance(names, str) and names == "all":
+        return tuple(LAYERS)
+    chosen = [names] if isinstance(names, str) else list(names)
+    if isinstance(names, str) or not all(name in LAYERS for name in chosen):
+        known = ", ".join(repr(known) for known in LAYERS)
+        raise ValueError(f"layers: expected 'all' or a list of {known}, got {names!r}")
+    return tuple(name for name in LAYERS if name in chosen)
 
 
 def check_layers(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from os import PathLike
 from typing import Any
 
@@ -11,6 +11,7 @@ from raystream.render.ao import AO
 from raystream.render.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.render.image import Image
 from raystream.render.kajiya import KAJIYA
+from raystream.render.layers import choose_layers
 from raystream.render.path import PATH
 from raystream.render.progressive import Limits, render_samples
 from raystream.render.raycast import RAYCAST
@@ -47,6 +48,7 @@ def render(
     noise: float | None = None,
     time_limit: float | None = None,
     sampler: str = "sobol",
+    layers: str | Iterable[str] | None = None,
     checkpoint: str | PathLike[str] | None = None,
     on_pass: Callable[[Image], object] | None = None,
     progress: Progress | None = None,
@@ -82,6 +84,13 @@ def render(
         small, or so many seconds are over; see `progressive.Limits`.
     sampler : {"sobol", "stratified", "random"}
         Where the numbers of samples come from.
+    layers : list of {"depth", "normal", "albedo", "prim_id", "emission"}, or "all", optional
+        Layers that the image gets beside ``variance`` and ``samples``: what the pixels' samples
+        see first, their mean and, of ``prim_id``, the first sample's. Depth is the distance
+        from where the ray starts, inf where nothing is seen; normals are in world space and
+        face the eye; albedo is what part of light a surface sends on in any way; prim_id is -1
+        where nothing is seen; emission is the light that needs no further ray. The picture has
+        the same bits with them as without.
     checkpoint : path, optional
         A file that keeps the samples, and from which a picture that was broken off goes on;
         see `progressive.render_samples`.
@@ -93,7 +102,7 @@ def render(
     Returns
     -------
     Image
-        Linear RGB.
+        Linear RGB, with the layers ``variance`` and ``samples``, and those asked for.
 
     Raises
     ------
@@ -117,6 +126,7 @@ def render(
     width, height = check_size(size)
     samples = check_samples(samples)
     check_camera(camera)
+    wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
     limits = Limits(samples, noise, time_limit)
     own = {name: options.pop(name, usual) for name, usual in renderer.options.items()}
@@ -124,7 +134,7 @@ def render(
     numbers = Sampler.of(sampler, seed, samples)
     tracer = make_tracer(scene, structure, device, options)
     view = camera or tracer.scene.camera_for(width / height)
-    setting = make_setting(tracer, view, (width, height), numbers, chosen)
+    setting = make_setting(tracer, view, (width, height), numbers, chosen, wanted)
     return render_samples(
         renderer, setting, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
     )

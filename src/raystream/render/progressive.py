@@ -7,7 +7,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from os import PathLike
@@ -25,6 +25,7 @@ from raystream.render.environment import image_light, texels_of
 from raystream.render.image import Image
 from raystream.render.sampled import SampledRenderer, Setting
 from raystream.render.sampling.sampler import Sampler
+from raystream.render.shading.seen import SeenSurfaces
 from raystream.scene.scene import Scene
 
 __all__ = ["Limits", "checkpoint_seconds", "render_samples"]
@@ -99,7 +100,7 @@ def render_samples(
     Returns
     -------
     Image
-        With the layers ``variance`` and ``samples``.
+        With the setting's layers, ``variance`` and ``samples``.
 
     Raises
     ------
@@ -119,7 +120,8 @@ def render_samples(
     first = sample = int(sums.counts.min())
     started = shown = time.monotonic()
     if sample < limits.samples:  # compile on this thread, see `parallel_for`
-        renderer.trace(setting, range(1), sample)
+        seen = SeenSurfaces.empty(setting.width) if setting.layers else None
+        renderer.trace(setting, range(1), sample, seen)
     try:
         # Ctrl-C comes to this thread only. On another one, whose end the block waits for, sums
         # are not left with half of a sample.
@@ -139,8 +141,8 @@ def render_samples(
                         on_pass(sums.image())
                     shown = time.monotonic()
                 report = part_of(progress, sample * pixel_count, expected * pixel_count)
-                light = _next_sample(renderer, setting, sample, report)
-                adder.submit(sums.add_samples, 0, light).result()
+                light, seen = _next_sample(renderer, setting, sample, report)
+                adder.submit(_add, sums, setting.layers, light, seen).result()
                 sample += 1
     except KeyboardInterrupt:
         if checkpoint is not None and sums.counts.any():
@@ -208,8 +210,16 @@ def _expected_samples(
 
 def _next_sample(
     renderer: SampledRenderer, setting: Setting, sample: int, progress: Progress | None
-) -> NDArray[np.float32]:
-    """One more sample of every pixel: shape (H * W, 3), linear RGB."""
+) -> tuple[NDArray[np.float32], SeenSurfaces | None]:
+    """One more sample of every pixel.
+
+    Returns
+    -------
+    light : ndarray of shape (H * W, 3), float32
+        Linear RGB.
+    seen : SeenSurfaces or None
+        What it sees first, if layers are asked for.
+    """
     width, height = setting.width, setting.height
     share = -(-width * height // (4 * thread_count()))
     per_pixel = max(renderer.rays_per_pixel(setting), 1)
@@ -217,18 +227,33 @@ def _next_sample(
     rows_per_band = max(1, min(max(share, LEAST_BAND), most) // width)
     band_count = -(-height // rows_per_band)
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
+    seen = SeenSurfaces.empty(width * height) if setting.layers else None
 
     def trace(begin: int, end: int) -> None:
         for band in range(begin, end):
             rows = range(band * rows_per_band, min((band + 1) * rows_per_band, height))
-            light[rows.start * width : rows.stop * width] = renderer.trace(setting, rows, sample)
+            first, last = rows.start * width, rows.stop * width
+            part = None if seen is None else seen.part(first, last)
+            light[first:last] = renderer.trace(setting, rows, sample, part)
 
     report = None
     if progress is not None:
         whole = progress
         report = lambda done, steps: whole(width * height * done // steps, width * height)  # noqa: E731
     parallel_for(trace, band_count, 1, report)
-    return light
+    return light, seen
+
+
+def _add(
+    sums: Accumulation,
+    layers: Sequence[str],
+    light: NDArray[np.float32],
+    seen: SeenSurfaces | None,
+) -> None:
+    """Add a sample of every pixel to the sums."""
+    sums.add_samples(0, light)
+    for name in layers:
+        sums.set_layer(name, 0, getattr(seen, name))
 
 
 def identity(renderer: SampledRenderer, setting: Setting) -> str:
@@ -246,6 +271,7 @@ def identity(renderer: SampledRenderer, setting: Setting) -> str:
             "size": [setting.width, setting.height],
             "sampler": [sampler.kind, sampler.seed, counts],
             "camera": str(asdict(setting.camera)),
+            "layers": list(setting.layers),
             "scene": _digest(setting.tracer.scene),
         },
         sort_keys=True,

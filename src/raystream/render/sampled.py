@@ -22,6 +22,7 @@ from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.classic import ClassicLights, classic_lights_of
 from raystream.render.shading.eyes import begin_paths, view_of
 from raystream.render.shading.lights import LightTables, lights_of
+from raystream.render.shading.seen import SeenSurfaces, see_surfaces
 from raystream.render.shading.streams import LightRays, Paths, add_unblocked
 from raystream.render.shading.tables import SceneTables, tables_of
 from raystream.scene.camera import Camera
@@ -63,6 +64,8 @@ class Setting:
         The renderer's own, such as ``max_bounces``.
     kept : object
         What lies at the tables' addresses.
+    layers : sequence of str
+        Those of `LAYERS` that are asked for.
     """
 
     tracer: Tracer
@@ -75,6 +78,7 @@ class Setting:
     sampler: Sampler
     options: Mapping[str, Any]
     kept: object
+    layers: Sequence[str] = ()
 
 
 def make_setting(
@@ -83,13 +87,14 @@ def make_setting(
     size: tuple[int, int],
     sampler: Sampler,
     options: Mapping[str, Any],
+    layers: Sequence[str] = (),
 ) -> Setting:
     """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
     tables, kept_tables = tables_of(tracer.scene)
     lights, kept_lights = lights_of(tracer.scene)
     classic, kept_classic = classic_lights_of(tracer.scene, camera)
     kept = kept_tables, kept_lights, kept_classic
-    return Setting(tracer, camera, *size, tables, lights, classic, sampler, options, kept)
+    return Setting(tracer, camera, *size, tables, lights, classic, sampler, options, kept, layers)
 
 
 @dataclass(frozen=True)
@@ -164,16 +169,38 @@ class SampledRenderer:
     check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
     rays_per_pixel: Callable[[Setting], int] = lambda _: 1
 
-    def trace(self, setting: Setting, rows: range, sample: int) -> NDArray[np.float32]:
-        """One sample of each pixel of some rows: shape (rows * width, 3), linear RGB."""
+    def trace(
+        self, setting: Setting, rows: range, sample: int, seen: SeenSurfaces | None = None
+    ) -> NDArray[np.float32]:
+        """Take one sample of each pixel of some rows.
+
+        Parameters
+        ----------
+        setting : Setting
+        rows : range
+        sample : int
+        seen : SeenSurfaces, optional
+            Gets what the sample sees first, if layers are wanted.
+
+        Returns
+        -------
+        ndarray of shape (rows * width, 3), float32
+            Linear RGB.
+        """
         count = len(rows) * setting.width
         radiance = np.zeros((count, 3), np.float32)
         band = Band(setting, sample, rows.start * setting.width, radiance)
         size = setting.width, setting.height
         stream = PathStream(eye_paths(setting.camera, size, setting.sampler, rows, sample))
+        if seen is not None:
+            stream = find_surfaces(stream, band)
+            note_surfaces(stream, band, seen)
         while len(stream):
             for stage in self.stages:
                 stream = stage(stream, band)
+                if seen is not None and stage is not find_surfaces:
+                    seen.emission[:] = radiance  # without any further ray
+                    seen = None
         return radiance
 
 
@@ -225,10 +252,20 @@ def eye_paths(
 
 
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:
-    """Stage: trace the paths' rays."""
+    """Stage: trace the paths' rays, unless what they meet is known."""
+    if stream.hits is not None:
+        return stream
     paths = stream.paths
     hits = band.setting.tracer.first_hit(paths.origins, paths.directions)
     return replace(stream, hits=hits)
+
+
+def note_surfaces(stream: PathStream, band: Band, seen: SeenSurfaces) -> None:
+    """Write down what the paths meet, for layers."""
+    assert stream.hits is not None
+    hits, tables = stream.hits, band.setting.tables
+    rows = hits.t, hits.u, hits.v, hits.prim_id
+    see_surfaces(stream.paths, rows, tables, band.first_pixel, seen)
 
 
 def reach_lights(stream: PathStream, band: Band) -> PathStream:
