@@ -88,6 +88,21 @@ def test_step_of_one_guide_does_not_blur(guide):
     np.testing.assert_allclose(kept, pixels, atol=2e-3)
 
 
+def test_rim_of_a_lamp_is_left_as_it_is():
+    """Pixels that a lamp covers in part differ from sample to sample, but not by noise."""
+    rng = np.random.default_rng(5)
+    rim = rng.uniform(40, 41, (HEIGHT, 1))
+    covered = np.clip(COLUMNS - rim, 0, 1)[..., None] * np.array([20.0, 18.0, 15.0])
+    light = rng.exponential(0.5, (HEIGHT, WIDTH, 3))
+    pixels = (covered + light).astype(np.float32)
+    variance = np.full(pixels.shape, 0.25) + 0.2 * covered * (20.0 - covered).clip(0)
+    known = {"variance": variance, "samples": np.full((HEIGHT, WIDTH), 8)}
+    smooth = denoise(rs.Image(pixels, {**known, "emission": covered})).pixels - covered
+    assert rmse(smooth[:, 41], 0.5) < 0.1
+    blurred = denoise(rs.Image(pixels, known)).pixels - covered
+    assert rmse(blurred[:, 41], 0.5) > 1
+
+
 def test_slope_of_depth_is_no_edge():
     """A floor seen at a grazing angle is one surface."""
     rng = np.random.default_rng(5)

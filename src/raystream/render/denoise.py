@@ -49,9 +49,10 @@ def denoise(image: Image, *, passes: int = 5, strength: float = 4.0) -> Image:
     image : Image
         With these of its layers, whichever it has: ``"normal"``, ``"depth"`` and ``"albedo"``
         tell surfaces apart; what is seen is divided by albedo before and multiplied
-        afterwards, so that textures stay sharp; ``"variance"`` (of each pixel's mean, by
-        channel) says what is noise. Where there is none, it is not finite, or ``"samples"``
-        is below 4, it is estimated from 7 x 7 neighbours.
+        afterwards, so that textures stay sharp; ``"emission"`` has no noise, and is left as it
+        is; ``"variance"`` (of each pixel's mean, by channel) says what is noise. Where there
+        is none, it is not finite, ``"samples"`` is below 4, or there is emission, it is
+        estimated from 7 x 7 neighbours.
     passes : int
         Of the filter, 1 to 10; each doubles the reach. 5 reach 62 pixels to each side.
     strength : float
@@ -94,7 +95,8 @@ def denoise(image: Image, *, passes: int = 5, strength: float = 4.0) -> Image:
     check_memory(width * height * _BYTES_PER_PIXEL, f"to denoise {width}x{height} pixels would")
     pixels = np.clip(_finite(image.pixels), -_MOST_LIGHT, _MOST_LIGHT)
     albedo = np.clip(_finite(_layer(image, "albedo", 3, 1.0)), _LEAST_ALBEDO, None)
-    light = pixels / albedo
+    emission = np.clip(_finite(_layer(image, "emission", 3, 0.0)), -_MOST_LIGHT, _MOST_LIGHT)
+    light = (pixels - emission) / albedo
     guides = _make_guides(image, albedo)
     variance = _light_variance(image, albedo)
     parallel_for(lambda a, b: estimate_rows(a, b, guides, light, variance), height, _ROWS)
@@ -172,6 +174,8 @@ def _light_variance(image: Image, albedo: NDArray[np.float32]) -> NDArray[np.flo
     with np.errstate(over="ignore"):
         variance = np.asarray(luminance(deviation) ** 2)
     enough = _layer(image, "samples", 1, _LEAST_SAMPLES) >= _LEAST_SAMPLES
+    # At the rim of a lamp, samples differ because some see it.
+    enough &= ~_layer(image, "emission", 3, 0.0).any(axis=2)
     is_known = np.isfinite(given).all(axis=2) & np.isfinite(variance) & enough
     variance[~is_known] = np.inf
     return variance
