@@ -22,7 +22,7 @@ def show_facing(stream: PathStream, band: Band) -> PathStream:
         stream.paths,
         (hits.t, hits.u, hits.v, hits.prim_id),
         setting.tables,
-        setting.classic.background,
+        setting.classic,
         band.first_pixel,
         band.radiance,
     )

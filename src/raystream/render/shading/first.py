@@ -8,6 +8,7 @@ from raystream.jit.cpu import kernel
 from raystream.render.shading.bsdf import dot, emitted, lobes_at, reflected
 from raystream.render.shading.classic import arriving
 from raystream.render.shading.points import surface_point
+from raystream.render.shading.sky import sky_toward
 from raystream.render.shading.streams import add_light, direction_of
 
 __all__ = ["light_unblocked", "shade_by_view"]
@@ -26,10 +27,10 @@ def light_unblocked(paths, hits, tables, lights, first_pixel, radiance):
     _, us, vs, prim_ids = hits
     for i in range(np.uint64(len(paths.pixels))):
         pixel = np.uint64(paths.pixels[i] - first_pixel)
-        if prim_ids[i] < 0:
-            add_light(radiance, pixel, paths.weights, i, lights.background, 1.0)
-            continue
         dx, dy, dz, length = direction_of(paths, i)
+        if prim_ids[i] < 0:
+            add_light(radiance, pixel, paths.weights, i, sky_toward(lights, dx, dy, dz), 1.0)
+            continue
         back = -dx / length, -dy / length, -dz / length
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         lobes = lobes_at(tables, point)
@@ -49,23 +50,23 @@ def light_unblocked(paths, hits, tables, lights, first_pixel, radiance):
 
 
 @kernel
-def shade_by_view(paths, hits, tables, background, first_pixel, radiance):
+def shade_by_view(paths, hits, tables, lights, first_pixel, radiance):
     """Show the surfaces that rays meet in grey, by the cosine between normal and view.
 
     Parameters
     ----------
     paths, hits, tables, first_pixel, radiance
         See `paths.follow_paths`.
-    background : tuple of three float
-        What rays that miss see.
+    lights : ClassicLights
+        Their sky is what rays that miss see.
     """
     _, us, vs, prim_ids = hits
     for i in range(np.uint64(len(paths.pixels))):
         pixel = np.uint64(paths.pixels[i] - first_pixel)
-        if prim_ids[i] < 0:
-            add_light(radiance, pixel, paths.weights, i, background, 1.0)
-            continue
         dx, dy, dz, length = direction_of(paths, i)
+        if prim_ids[i] < 0:
+            add_light(radiance, pixel, paths.weights, i, sky_toward(lights, dx, dy, dz), 1.0)
+            continue
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         cosine = abs(dot((point.nx, point.ny, point.nz), (dx, dy, dz))) / length
         add_light(radiance, pixel, paths.weights, i, (cosine, cosine, cosine), 1.0)

@@ -138,15 +138,11 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
         shares /= total
     density *= shares[-1]
     patches[:, 15] *= shares[-1]
-    kept = (
-        points,
-        suns,
-        patches.astype(np.float32),
-        running_sums(powers),
-        density,
-        running_sums(shares),
+    rows = patches.astype(np.float32)
+    kept = points, suns, rows, running_sums(powers), density, running_sums(shares)
+    point_rows, sun_rows, patch_rows, prim_ends, densities, ends = (
+        place_of(array) for array in kept
     )
-    point_rows, sun_rows, patch_rows, prim_ends, densities, ends = map(place_of, kept)
     tables = LightTables(
         np.uint64(len(points)),
         np.uint64(len(suns)),

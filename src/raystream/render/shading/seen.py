@@ -26,8 +26,8 @@ class SeenSurfaces(NamedTuple):
     normal : ndarray of shape (P, 3), float32
         Unit shading normal in world space, on the side that is seen; NaN where nothing is met.
     albedo : ndarray of shape (P, 3), float32
-        What part of light is scattered, mirrored or let through, linear RGB; NaN where nothing
-        is met.
+        What part of light is scattered, evenly or as gloss, linear RGB; NaN where nothing is
+        met. What is mirrored or let through shows other surfaces' colours, not this one's.
     prim_id : ndarray of shape (P,), int32
         -1 where nothing is met.
     emission : ndarray of shape (P, 3), float32
@@ -84,5 +84,4 @@ def see_surfaces(paths, hits, tables, first_pixel, seen):
         seen.normal[pixel, 1] = np.float32(point.ny)
         seen.normal[pixel, 2] = np.float32(point.nz)
         for k in range(3):
-            share = lobes.diffuse[k] + lobes.specular[k] + lobes.reflection[k]
-            seen.albedo[pixel, k] = np.float32(min(share + lobes.transmission[k], 1.0))
+            seen.albedo[pixel, k] = np.float32(min(lobes.diffuse[k] + lobes.specular[k], 1.0))

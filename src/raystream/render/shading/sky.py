@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.memory import check_memory
-from raystream.jit.cpu import device, device_call, kernel
+from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     f32x16,
     first_bit,
@@ -41,7 +41,6 @@ __all__ = [
     "map_sample",
     "map_sample_lanes",
     "relative_pdf",
-    "seen_sky",
     "sky_of",
     "sky_pdf",
     "sky_pdf_lanes",
@@ -147,18 +146,6 @@ def background_of(scene: Scene) -> tuple[Sky, object]:
     """
     sky, _, kept = sky_of(scene.background, image_light(scene.lights), is_sampled=False)
     return sky, kept
-
-
-def seen_sky(scene: Scene, directions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Radiance of `background_of` along rays of shape (N, 3): of the same shape."""
-    if image_light(scene.lights) is None:
-        background: NDArray[np.float32] = np.asarray(scene.background, np.float32)
-        return np.broadcast_to(background, directions.shape)
-    sky, kept = background_of(scene)
-    seen = np.empty(directions.shape, np.float32)
-    _look(sky, np.ascontiguousarray(directions, np.float32), seen)
-    del kept
-    return seen
 
 
 def _shares(
@@ -445,13 +432,3 @@ def map_sample_lanes(sky, u, v, mask):
         _put(rows, i, toward)
         store(densities + i * _WORD, np.float32(density))
     return _rows(rows), load(f32x16, densities)
-
-
-@kernel
-def _look(sky, directions, seen):
-    """Radiance along rays: arrays of shape (N, 3), float32; for a sky with an image."""
-    for i in range(np.uint64(len(directions))):
-        x, y = np.float64(directions[i, 0]), np.float64(directions[i, 1])
-        color = _map_color(sky, x, y, np.float64(directions[i, 2]))
-        for k in range(3):
-            seen[i, k] = color[k]
