@@ -22,6 +22,7 @@ from raystream.jit.simd import (
     store,
     store_past_cache,
     store_records,
+    store_triples,
 )
 from raystream.jit.simd.types import VECTORS
 
@@ -194,3 +195,26 @@ def test_store_records():
     _copy_records(long, short, to)
     assert to[:128].tolist() == long.ravel().tolist()
     assert to[128:].view(np.float32).tolist() == short.ravel().tolist()
+
+
+@kernel
+def store_three(numbers, out):
+    x, y, z = load_triples(f32x8, address(numbers))
+    store_triples(address(out), z, x, y)
+
+
+@kernel
+def store_three_wide(numbers, out):
+    x, y, z = load_triples(f64x16, address(numbers))
+    store_triples(address(out), z, x, y)
+
+
+@pytest.mark.parametrize(
+    ("run", "dtype", "count"), [(store_three, np.float32, 8), (store_three_wide, np.float64, 16)]
+)
+def test_store_triples(run, dtype, count):
+    numbers = np.random.default_rng(3).random((count, 3)).astype(dtype)
+    out = np.zeros((count + 1, 3), dtype)
+    run(numbers, out)
+    np.testing.assert_array_equal(out[:count], np.roll(numbers, 1, axis=1))
+    np.testing.assert_array_equal(out[count], 0.0)

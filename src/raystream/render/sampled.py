@@ -241,14 +241,11 @@ def eye_paths(
     shape = len(rows), width
     places = x.reshape(shape), y.reshape(shape)
     origins, directions = camera.rays(*size, *places)
-    return Paths(
-        pixels,
-        # Copies: rays of one eye are repeated in place, and read-only.
-        np.array(origins, np.float64, order="C").reshape(-1, 3),
-        np.array(directions, np.float32, order="C").reshape(-1, 3),
-        np.ones((count, 3), np.float32),
-        np.full(count, np.inf, np.float32),
-    )
+    paths = Paths.empty(count)
+    paths.pixels[:], paths.weights[:], paths.pdfs[:] = pixels, 1.0, np.inf
+    paths.origins[:] = np.reshape(origins, (-1, 3))
+    paths.directions[:] = np.reshape(directions, (-1, 3))
+    return paths
 
 
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:

@@ -56,7 +56,7 @@ from raystream.jit.simd.lanes import (
 )
 from raystream.jit.simd.memory import address, load, prefetch, scratch, store
 from raystream.jit.simd.records import load_records, store_records
-from raystream.jit.simd.triples import load_triples, store_past_cache
+from raystream.jit.simd.triples import load_triples, store_past_cache, store_triples
 from raystream.jit.simd.types import (
     VectorType,
     f32x4,
@@ -139,6 +139,7 @@ __all__ = [
     "store",
     "store_past_cache",
     "store_records",
+    "store_triples",
     "turned",
     "u32x4",
     "u32x8",

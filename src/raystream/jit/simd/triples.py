@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import ELEMENTS, VectorClass, VectorType, llvm_type
 
-__all__ = ["load_triples", "store_past_cache"]
+__all__ = ["load_triples", "store_past_cache", "store_triples"]
 
 
 @intrinsic
@@ -40,6 +40,35 @@ def load_triples(typing_context: Any, type_: Any, at: Any) -> Any:
         return cgutils.pack_array(builder, axes)
 
     return result(type_, at), generate
+
+
+@intrinsic
+def store_triples(typing_context: Any, at: Any, x: Any, y: Any, z: Any) -> Any:
+    """Write as many (x, y, z) triples as three vectors have lanes, one after the other."""
+    if not isinstance(x, VectorType) or not x == y == z or at != types.uint64:
+        return None
+    if x.kind == "mask":
+        return None
+    count = x.lane_count
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        i32, element = ir.IntType(32), ELEMENTS[x.kind][1]
+
+        def shuffled(a: Any, b: Any, lanes: list[int]) -> Any:
+            places = ir.Constant(ir.VectorType(i32, len(lanes)), lanes)
+            return builder.shuffle_vector(a, b, places)
+
+        xs, ys, zs = arguments[1:]
+        undefined = ir.Constant(xs.type, ir.Undefined)
+        two = shuffled(xs, ys, list(range(2 * count)))
+        rest = shuffled(zs, undefined, list(range(2 * count)))
+        lanes = [axis * count + i for i in range(count) for axis in range(3)]
+        wide = shuffled(two, rest, lanes)
+        pointer = pointer_to(builder, arguments[0], ir.VectorType(element, 3 * count))
+        builder.store(wide, pointer).align = int(x.element.bitwidth) // 8
+        return context.get_dummy_value()
+
+    return types.void(at, x, y, z), generate
 
 
 @intrinsic

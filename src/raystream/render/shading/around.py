@@ -16,15 +16,19 @@ from raystream.jit.simd import (
     i64x16,
     lane_bits,
     lane_numbers,
-    ranks,
-    scatter,
     u32x16,
     widen,
 )
 from raystream.render.sampling.sampler import draw_pair_lanes
 from raystream.render.sampling.warp import basis, cosine_hemisphere
 from raystream.render.shading.points import surface_point, to_world
-from raystream.render.shading.streams import direction_of, put_vectors
+from raystream.render.shading.streams import (
+    append_numbers,
+    append_pixels,
+    append_places,
+    append_vectors,
+    direction_of,
+)
 
 __all__ = ["look_around"]
 
@@ -66,7 +70,7 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
     distance : float
         Their length, world space; inf for all of the scene.
     rays : LightRays
-        Room for `count` for each path; written. Each brings its share of white.
+        Room for `count` for each path, with slack; written. Each brings its share of white.
 
     Returns
     -------
@@ -74,7 +78,7 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
         Rays written.
     """
     _, us, vs, prim_ids = hits
-    row, reach = np.int32(0), f32x16(np.float32(distance))
+    row, reach = np.uint64(0), f32x16(np.float32(distance))
     for i in range(np.uint64(len(paths.pixels))):
         pixel_id = paths.pixels[i]
         if prim_ids[i] < 0:
@@ -107,12 +111,11 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
             # Those that a smooth normal sends below the triangle meet it at once.
             height = widen(x) * point.gx + widen(y) * point.gy + widen(z) * point.gz
             mask = (j < as_int32(count)) & (height > 0.0)
-            place = ranks(mask) + row
-            scatter(address(rays.pixels), place, i64x16(pixel_id), mask)
-            scatter(address(rays.t_max), place, reach, mask)
+            append_pixels(address(rays.pixels), row, i64x16(pixel_id), mask)
+            append_numbers(address(rays.t_max), row, reach, mask)
             start = f64x16(origin[0]), f64x16(origin[1]), f64x16(origin[2])
-            put_vectors(address(rays.origins), place, start, mask)
-            put_vectors(address(rays.directions), place, (x, y, z), mask)
-            put_vectors(address(rays.light), place, light, mask)
-            row = as_int32(row + as_int32(count_bits(lane_bits(mask))))
+            append_places(address(rays.origins), row, start, mask)
+            append_vectors(address(rays.directions), row, (x, y, z), mask)
+            append_vectors(address(rays.light), row, light, mask)
+            row += count_bits(lane_bits(mask))
     return np.int64(row)

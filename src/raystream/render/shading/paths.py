@@ -140,9 +140,10 @@ def follow_paths(
     radiance : ndarray of shape (P, 3), float32
         Found light is added.
     onward : Paths
-        Room for as many; those that go on are written. It may be `paths`.
+        Room for as many, with slack (`streams.SLACK`); those that go on are written. It may be
+        `paths`.
     rays : LightRays
-        Room for as many; rays to lights are written.
+        Room for as many, with slack; rays to lights are written.
 
     Returns
     -------
@@ -150,7 +151,7 @@ def follow_paths(
         Rows written.
     """
     ts, us, vs, prim_ids = hits
-    path_count, ray_count = np.int32(0), np.int32(0)
+    path_count, ray_count = np.uint64(0), np.uint64(0)
     dimension = _FIRST_DIMENSION + _DIMENSIONS * bounce
     samples = u32x16(as_uint32(sample))
     count = as_int32(len(paths.pixels))
@@ -196,7 +197,7 @@ def follow_paths(
                 tables, lights, sampler, numbers, point, lobes, back, weights, is_hit
             )
             put_light_rays(rays, ray_count, is_lit, pixels, tables, point, found, light)
-            ray_count = as_int32(ray_count + as_int32(count_bits(lane_bits(is_lit))))
+            ray_count += count_bits(lane_bits(is_lit))
 
         u, v = draw_pair_lanes(sampler, key, samples, dimension + 4)
         choice = draw_lanes(sampler, key, samples, dimension + 6)
@@ -210,5 +211,5 @@ def follow_paths(
             weights = scaled(weights, _WHOLE / chance)
         toward, going = ray.direction, goes_on
         put_paths(onward, path_count, going, pixels, tables, point, toward, weights, ray.pdf)
-        path_count = as_int32(path_count + as_int32(count_bits(lane_bits(going))))
+        path_count += count_bits(lane_bits(going))
     return np.int64(path_count), np.int64(ray_count)
