@@ -269,10 +269,10 @@ def _narrowed(a):
 
 @device
 def _toward(x, y, z):
-    """Unit vectors of float64 vectors, in float32, and their lengths, float64."""
+    """Unit vectors of float64 vectors, and their lengths, in float32."""
+    x, y, z = narrow(x), narrow(y), narrow(z)
     length = square_root(x * x + y * y + z * z)
-    inverse = 1.0 / length
-    return (narrow(x * inverse), narrow(y * inverse), narrow(z * inverse)), length
+    return scaled((x, y, z), _WHOLE / length), length
 
 
 @device
@@ -294,14 +294,15 @@ def _from_points(lights, number, point, share, found):
     target = _doubles(lights.points, row)
     toward, distance = _toward(target[0] - point.x, target[1] - point.y, target[2] - point.z)
     falls = gather(np.float64, lights.points, row + _6) != 0.0
-    factor = 1.0 / (share * select(falls, distance * distance, 1.0))
+    square = widen(distance) * widen(distance)
+    factor = 1.0 / (share * select(falls, square, 1.0))
     return LightSample(
         chosen(is_point, toward, found.toward),
         chosen(is_point, target, found.target),
         found.is_far & ~is_point,
         chosen(is_point, _narrowed(scaled(_doubles(lights.points, row + _3), factor)), found.color),
         select(is_point, _INF, found.pdf),
-        found.is_valid | (is_point & (distance > 0.0)),
+        found.is_valid | (is_point & (distance > _NULL)),
     )
 
 
@@ -326,7 +327,7 @@ def _from_suns(lights, number, share, found):
 @device_call
 def _from_triangles(tables, lights, is_area, point, within, u, v, found):
     """Area lights' share of samples: points spread evenly over triangles."""
-    number, _, _ = chosen_lanes(lights.prim_ends, lights.prim_count, within)
+    number, _, _ = chosen_lanes(lights.prim_ends, lights.prim_count, widen(within))
     row = number * _PATCH
     corner, normal = _floats(lights.patches, row), _floats(lights.patches, row + _9)
     first, second = triangle(u, v)
@@ -337,18 +338,18 @@ def _from_triangles(tables, lights, is_area, point, within, u, v, found):
     toward, distance = _toward(px - point.x, py - point.y, pz - point.z)
     cosine = -dot(toward, normal)
     density = gather(np.float32, lights.patches, row + _15)
-    pdf = narrow(widen(density / maximum(cosine, _TINY)) * distance * distance)
+    pdf = density * distance * distance / maximum(cosine, _TINY)
     # Off the light's own triangle, so that it does not block its light; also when the ray's
     # direction is rounded to float32. Twice the extent: for the edges' own rounding.
     extent = widen(gather(np.float32, lights.patches, row + _16))
     reach = largest(absolute(px), absolute(py), absolute(pz))
-    away = offset_at(tables, 2.0 * extent, reach) + 2.0 * UNIT * distance
+    away = offset_at(tables, 2.0 * extent, reach) + 2.0 * UNIT * widen(distance)
     target = (
         px + away * widen(normal[0]),
         py + away * widen(normal[1]),
         pz + away * widen(normal[2]),
     )
-    is_lit = is_area & (distance > 0.0) & (cosine > _NULL) & (pdf > _NULL) & (pdf < _INF)
+    is_lit = is_area & (distance > _NULL) & (cosine > _NULL) & (pdf > _NULL) & (pdf < _INF)
     color = scaled(_floats(lights.patches, row + _12), _WHOLE / pdf)
     return LightSample(
         chosen(is_area, toward, found.toward),

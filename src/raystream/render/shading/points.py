@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,20 +10,14 @@ from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WO
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
+    any_lane,
     as_int32,
-    f32x16,
-    first_bit,
     gather,
-    lane,
-    lane_bits,
-    load,
     maximum,
     minimum,
     narrow_lanes,
-    scratch,
     select,
     square_root,
-    store,
     widen,
     widen_number,
 )
@@ -55,10 +48,6 @@ _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
 _COLUMN_COUNT = np.int32(WIDTH)
 _NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
 _INF, _NAN = np.float32(np.inf), np.float32(np.nan)
-
-# Of 16 lanes: bytes of a number and of a vector.
-_WORD, _ROW = np.uint64(4), 64
-_BIT = np.uint64(1)
 
 
 class Point(NamedTuple):
@@ -276,25 +265,26 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
     point, smooth = _seen_point(tables, prim, u, v, dx, dy, dz)
     if tables.tangents == _NONE or not has_relief(tables, point.material):
         return point
-    x, y, z = _relief_at(tables, prim, u, v, point, smooth, (dx, dy, dz))
-    return _with_normal(point, x, y, z)
+    return _with_relief(tables, prim, (u, v), point, smooth, (dx, dy, dz))
 
 
 @device
-def _relief_at(tables, prim, u, v, point, smooth, direction):
+def _with_relief(tables, prim, weights, point, smooth, direction):
+    """The same points as if all had relief."""
     dx, dy, dz = direction
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    return relief_normal(
+    scale = -_WHOLE / square_root(dx * dx + dy * dy + dz * dz)
+    x, y, z = relief_normal(
         tables,
         prim,
         point.material,
-        (widen(u), widen(v)),
+        (widen_number(weights[0]), widen_number(weights[1])),
         (point.u, point.v),
         (point.gx, point.gy, point.gz),
         smooth,
         point.is_front,
-        (-dx / length, -dy / length, -dz / length),
+        (dx * scale, dy * scale, dz * scale),
     )
+    return _with_normal(point, x, y, z)
 
 
 @device_call
@@ -319,45 +309,16 @@ def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
     point, smooth = _seen_point(tables, prim_ids, u, v, dx, dy, dz)
     if tables.tangents == _NONE:
         return point
-    bits = lane_bits(has_relief(tables, point.material) & is_hit)
-    if bits == _NONE:
+    is_bent = has_relief(tables, point.material) & is_hit
+    if not any_lane(is_bent):
         return point
-    # One by one: relief is rare, and looks up more than it computes.
-    xs, ys, zs = scratch(_ROW), scratch(_ROW), scratch(_ROW)
-    store(xs, point.nx)
-    store(ys, point.ny)
-    store(zs, point.nz)
-    while bits != _NONE:
-        i = first_bit(bits)
-        bits &= bits - _BIT
-        one = Point(
-            lane(point.x, i),
-            lane(point.y, i),
-            lane(point.z, i),
-            widen(lane(point.gx, i)),
-            widen(lane(point.gy, i)),
-            widen(lane(point.gz, i)),
-            0.0,
-            0.0,
-            0.0,
-            lane(point.offset, i),
-            (lane_bits(point.is_front) >> i) & _BIT != _NONE,
-            widen(lane(point.u, i)),
-            widen(lane(point.v, i)),
-            1.0,
-            1.0,
-            1.0,
-            lane(point.material, i),
-        )
-        normal = widen(lane(smooth[0], i)), widen(lane(smooth[1], i)), widen(lane(smooth[2], i))
-        direction = widen(lane(dx, i)), widen(lane(dy, i)), widen(lane(dz, i))
-        x, y, z = _relief_at(
-            tables, lane(prim_ids, i), lane(u, i), lane(v, i), one, normal, direction
-        )
-        store(xs + i * _WORD, np.float32(x))
-        store(ys + i * _WORD, np.float32(y))
-        store(zs + i * _WORD, np.float32(z))
-    return _with_normal(point, load(f32x16, xs), load(f32x16, ys), load(f32x16, zs))
+    bent = _with_relief(tables, prim_ids, (u, v), point, smooth, (dx, dy, dz))
+    return _with_normal(
+        point,
+        select(is_bent, bent.nx, point.nx),
+        select(is_bent, bent.ny, point.ny),
+        select(is_bent, bent.nz, point.nz),
+    )
 
 
 @device

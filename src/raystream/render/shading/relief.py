@@ -12,12 +12,20 @@ mirror would look into the surface).
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import gather, maximum
+from raystream.jit.simd import (
+    absolute,
+    any_lane,
+    as_float32,
+    as_int32,
+    gather,
+    maximum,
+    select,
+    square_root,
+    widen_number,
+)
 from raystream.render.color import LUMINANCE
 from raystream.render.shading.textures import ROLES, texture_color, texture_of, texture_size
 from raystream.render.shading.vertices import attribute_pair, attribute_vector, vertices_of
@@ -26,14 +34,18 @@ __all__ = ["LEAST_COSINE", "has_relief", "relief_normal"]
 
 #: Between a normal and the view, or the triangle's normal: less would put it on the other side
 #: within float32's rounding.
-LEAST_COSINE = 1e-3
+LEAST_COSINE = np.float32(1e-3)
 
 _NORMAL = np.int32(ROLES.index("normal"))
 _BUMP = np.int32(ROLES.index("bump"))
-_RED, _GREEN, _BLUE = LUMINANCE
+_RED, _GREEN, _BLUE = map(np.float32, LUMINANCE)
 
+_NULL, _HALF, _WHOLE, _TWO = map(np.float32, (0.0, 0.5, 1.0, 2.0))
+_INF = np.float32(np.inf)
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
-_RELIEF = np.int32(3)
+
+#: Numbers in a row of `TextureTables.reliefs`; bytes of a row of tangents.
+_RELIEF, _TANGENT = np.int32(3), np.uint64(12)
 
 
 @device
@@ -55,15 +67,20 @@ def _sum(a, b, factor):
 
 
 @device
+def _chosen(mask, a, b):
+    return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
+
+
+@device
 def _unit(a):
-    length = math.sqrt(_dot(a, a))
-    return a[0] / length, a[1] / length, a[2] / length
+    scale = _WHOLE / square_root(_dot(a, a))
+    return a[0] * scale, a[1] * scale, a[2] * scale
 
 
 @device
 def _is_unit(a):
     """Whether `_unit` gave a direction: not of nothing, and not of what is too long."""
-    return abs(_dot(a, a) - 1.0) < 0.5
+    return absolute(_dot(a, a) - _WHOLE) < _HALF
 
 
 @device
@@ -72,22 +89,35 @@ def _height(textures, texture, s, t):
     return _RED * color[0] + _GREEN * color[1] + _BLUE * color[2]
 
 
+@device
+def _scale(textures, material, column):
+    at = as_int32(material * _RELIEF + column)
+    return widen_number(gather(np.float32, textures.reliefs, at))
+
+
 @device_call
 def _mapped(textures, material, s, t):
     """The normal in the surface's frame, of any length."""
-    row = material * _RELIEF
     texture = texture_of(textures, material, _NORMAL)
-    if texture >= 0:
-        scale = np.float64(gather(np.float32, textures.reliefs, row))
-        x, y, z = texture_color(textures, texture, s, t, textures.signed)
-        return scale * x, scale * y, np.float64(z)
+    is_mapped = texture >= _0
+    x, y, z = s * _NULL, s * _NULL, s * _NULL + _WHOLE
+    if any_lane(is_mapped):
+        scale = _scale(textures, material, _0)
+        found = texture_color(textures, maximum(texture, _0), s, t, textures.signed)
+        x, y, z = _chosen(is_mapped, (scale * found[0], scale * found[1], found[2]), (x, y, z))
     texture = texture_of(textures, material, _BUMP)
-    scale = 0.5 * np.float64(gather(np.float32, textures.reliefs, row + _1))
-    width, height = texture_size(textures, texture)
-    across, up = 1.0 / width, 1.0 / height
-    x = _height(textures, texture, s - across, t) - _height(textures, texture, s + across, t)
-    y = _height(textures, texture, s, t - up) - _height(textures, texture, s, t + up)
-    return scale * x, scale * y, 1.0
+    is_bumpy = (texture >= _0) ^ (is_mapped & (texture >= _0))
+    if any_lane(is_bumpy):
+        texture = maximum(texture, _0)
+        scale = _HALF * _scale(textures, material, _1)
+        width, height = texture_size(textures, texture)
+        across, up = _WHOLE / as_float32(width), _WHOLE / as_float32(height)
+        left, right = s - across, s + across
+        dx = _height(textures, texture, left, t) - _height(textures, texture, right, t)
+        below, above = t - up, t + up
+        dy = _height(textures, texture, s, below) - _height(textures, texture, s, above)
+        x, y = select(is_bumpy, scale * dx, x), select(is_bumpy, scale * dy, y)
+    return x, y, z
 
 
 @device
@@ -96,7 +126,14 @@ def _is_mirrored(tables, vertices):
     s, t = attribute_pair(tables.texcoords, vertices[0])
     s1, t1 = attribute_pair(tables.texcoords, vertices[1])
     s2, t2 = attribute_pair(tables.texcoords, vertices[2])
-    return (s1 - s) * (t2 - t) - (s2 - s) * (t1 - t) < 0.0
+    return (s1 - s) * (t2 - t) - (s2 - s) * (t1 - t) < _NULL
+
+
+@device
+def _at_least(cosine, normal, toward):
+    """Normals turned toward a direction, where their cosine to it is too small."""
+    turned = _unit(_sum(normal, toward, LEAST_COSINE - cosine))
+    return _chosen(cosine < LEAST_COSINE, turned, normal)
 
 
 @device
@@ -106,26 +143,19 @@ def _turned(normal, geometric, back, is_mirror):
     That of mirrors and gloss is turned until what they mirror is not below the triangle: there
     it would be lost, and the surface black.
     """
-    cosine = _dot(normal, geometric)
-    if cosine < LEAST_COSINE:
-        normal = _unit(_sum(normal, geometric, LEAST_COSINE - cosine))
-    cosine = _dot(normal, back)
-    if cosine < LEAST_COSINE:
-        normal = _unit(_sum(normal, back, LEAST_COSINE - cosine))
-    if not is_mirror:
-        return normal
-    along = 2.0 * _dot(normal, back)
+    normal = _at_least(_dot(normal, geometric), normal, geometric)
+    normal = _at_least(_dot(normal, back), normal, back)
+    along = _TWO * _dot(normal, back)
     toward = along * normal[0] - back[0], along * normal[1] - back[1], along * normal[2] - back[2]
     cosine = _dot(toward, geometric)
-    if cosine >= LEAST_COSINE:
-        return normal
     toward = _unit(_sum(toward, geometric, LEAST_COSINE - cosine))
-    return _unit(_sum(back, toward, 1.0))
+    is_lost = is_mirror & (cosine < LEAST_COSINE)
+    return _chosen(is_lost, _unit(_sum(back, toward, _WHOLE)), normal)
 
 
 @device_call
 def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, is_front, back):
-    """The shading normal of a surface with relief.
+    """The shading normal of a surface with relief, or of 16.
 
     Parameters
     ----------
@@ -147,27 +177,30 @@ def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, 
         where there are no texture coordinates, or none that span a surface.
     """
     s, t = texcoord
-    rows, hand = tables.tangents, 1.0
     vertices = vertices_of(tables, prim)
-    if _is_mirrored(tables, vertices):
-        rows, hand = tables.mirrored_tangents, -1.0
-    across = attribute_vector(rows, vertices, weights[0], weights[1])
+    is_mirrored = _is_mirrored(tables, vertices)
+    # Tangents of the two kinds follow each other in memory.
+    count = as_int32((tables.mirrored_tangents - tables.tangents) // _TANGENT)
+    first = select(is_mirrored, count, _0 * vertices[0])
+    rows = (
+        as_int32(vertices[0] + first),
+        as_int32(vertices[1] + first),
+        as_int32(vertices[2] + first),
+    )
+    across = attribute_vector(tables.tangents, rows, weights[0], weights[1])
     across = _unit(_sum(across, normal, -_dot(across, normal)))
-    if _is_unit(across) and abs(s) < np.inf and abs(t) < np.inf:
-        # The frame is the front's; its back has the opposite normal, as bumps are dents there.
-        if not is_front:
-            hand = -hand
-        up = (
-            hand * (normal[1] * across[2] - normal[2] * across[1]),
-            hand * (normal[2] * across[0] - normal[0] * across[2]),
-            hand * (normal[0] * across[1] - normal[1] * across[0]),
-        )
-        x, y, z = _mapped(tables.textures, material, s, t)
-        if not is_front:
-            x, y = -x, -y
-        bent = _sum(_sum(_sum((0.0, 0.0, 0.0), normal, z), across, x), up, y)
-        bent = _unit(bent)
-        if _is_unit(bent):
-            normal = bent
-    mirrors = gather(np.float32, tables.textures.reliefs, material * _RELIEF + _2)
-    return _turned(normal, geometric, back, mirrors > np.float32(0.0))
+    is_mapped = _is_unit(across) & (absolute(s) < _INF) & (absolute(t) < _INF)
+    # The frame is the front's; its back has the opposite normal, as bumps are dents there.
+    side = select(is_front, _WHOLE, s * _NULL - _WHOLE)
+    hand = select(is_mirrored, -side, side)
+    up = (
+        hand * (normal[1] * across[2] - normal[2] * across[1]),
+        hand * (normal[2] * across[0] - normal[0] * across[2]),
+        hand * (normal[0] * across[1] - normal[1] * across[0]),
+    )
+    x, y, z = _mapped(tables.textures, material, s, t)
+    x, y = side * x, side * y
+    bent = _sum(_sum((normal[0] * z, normal[1] * z, normal[2] * z), across, x), up, y)
+    bent = _unit(bent)
+    normal = _chosen(is_mapped & _is_unit(bent), bent, normal)
+    return _turned(normal, geometric, back, _scale(tables.textures, material, _2) > _NULL)

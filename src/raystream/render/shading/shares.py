@@ -14,6 +14,7 @@ from raystream.jit.simd import (
     load,
     maximum,
     minimum,
+    narrow,
     select,
 )
 
@@ -23,6 +24,7 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _LONG = np.uint64(8)
 _0, _1 = np.int32(0), np.int32(1)
+_NULL, _MOST = np.float32(0.0), np.float32(1.0 - 2.0**-24)
 
 
 def running_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -83,6 +85,12 @@ def chosen_lanes(ends, count, number):
         Of these.
     number : f64x16
         In [0, 1).
+
+    Returns
+    -------
+    index : i32x16
+    share : f64x16
+    within : f32x16
     """
     low, high = i32x16(_0), i32x16(as_int32(count))
     is_open = high - low > _1
@@ -94,5 +102,6 @@ def chosen_lanes(ends, count, number):
         is_open = high - low > _1
     start = select(low > _0, gather(np.float64, ends, maximum(low - _1, _0)), 0.0)
     share = gather(np.float64, ends, low) - start
-    within = select(share > 0.0, (number - start) / share, 0.0)
-    return low, share, minimum(maximum(within, 0.0), 1.0 - 2.0**-53)
+    within = narrow(number - start) / narrow(share)
+    # Also where a share is 0, of which there is nothing to be within.
+    return low, share, minimum(maximum(within, _NULL), _MOST)
