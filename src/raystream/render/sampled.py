@@ -21,7 +21,7 @@ from raystream.core.hits import Hits
 from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.classic import ClassicLights, classic_lights_of
 from raystream.render.shading.eyes import begin_paths, view_of
-from raystream.render.shading.lights import LightTables, lights_of
+from raystream.render.shading.light_tables import LightTables, lights_of
 from raystream.render.shading.seen import SeenSurfaces, see_surfaces
 from raystream.render.shading.streams import LightRays, Paths, add_unblocked
 from raystream.render.shading.tables import SceneTables, tables_of

@@ -41,7 +41,7 @@ from raystream.render.shading.bsdf import dot, emitted, lobes_at, reflected, sca
 from raystream.render.shading.lights import sample_light, triangle_pdf
 from raystream.render.shading.points import largest, surface_points
 from raystream.render.shading.scatter import reflection_pdf, scatter
-from raystream.render.shading.sky import sky_pdf_lanes, sky_toward_lanes
+from raystream.render.shading.sky_lanes import sky_pdf_lanes, sky_toward_lanes
 from raystream.render.shading.streams import add_lights, put_light_rays, put_paths, vector_at
 
 __all__ = ["PathRules", "follow_paths"]

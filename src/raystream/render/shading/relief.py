@@ -181,7 +181,7 @@ def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, 
     is_mirrored = _is_mirrored(tables, vertices)
     # Tangents of the two kinds follow each other in memory.
     count = as_int32((tables.mirrored_tangents - tables.tangents) // _TANGENT)
-    first = select(is_mirrored, count, _0 * vertices[0])
+    first = select(is_mirrored, count, as_int32(vertices[0] * _0))
     rows = (
         as_int32(vertices[0] + first),
         as_int32(vertices[1] + first),

@@ -18,16 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.memory import check_memory
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import (
-    f32x16,
-    first_bit,
-    lane,
-    lane_bits,
-    load,
-    scratch,
-    store,
-    widen,
-)
+from raystream.jit.simd import load
 from raystream.render.color import LUMINANCE
 from raystream.render.environment import axes_of, image_light, row_heights, texels_of
 from raystream.render.shading.shares import chosen, double
@@ -38,14 +29,12 @@ from raystream.scene.scene import Scene
 __all__ = [
     "Sky",
     "background_of",
+    "map_color",
     "map_sample",
-    "map_sample_lanes",
     "relative_pdf",
     "sky_of",
     "sky_pdf",
-    "sky_pdf_lanes",
     "sky_toward",
-    "sky_toward_lanes",
 ]
 
 _NONE = np.uint64(0)
@@ -56,9 +45,6 @@ _TWO = np.uint64(2)
 _WORD = np.uint64(4)
 _LONG = np.uint64(8)
 _TEXEL = np.uint64(12)
-
-# Bytes of a vector of 16, and of three.
-_ROW, _ROWS = np.uint64(64), 192
 
 # Places in `Sky.image`.
 _HEIGHT, _TEXELS, _ROW_ENDS, _COLUMN_ENDS, _TINT, _RIGHT, _UP, _MIDDLE = map(
@@ -218,7 +204,7 @@ def _mixed(a, b, share):
 
 
 @device_call
-def _map_color(sky, x, y, z):
+def map_color(sky, x, y, z):
     """The sky's radiance where it has an image."""
     image = sky.image
     width, height = np.int64(_long(image, _NONE)), np.int64(_long(image, _HEIGHT))
@@ -334,7 +320,7 @@ def sky_toward(lights, x, y, z):
     """
     if lights.sky.image == _NONE:
         return lights.sky.color
-    return _map_color(lights.sky, x, y, z)
+    return map_color(lights.sky, x, y, z)
 
 
 @device
@@ -350,85 +336,3 @@ def sky_pdf(lights, x, y, z):
     if lights.sky.image == _NONE:
         return lights.sky_density
     return lights.sky_density * relative_pdf(lights.sky, x, y, z)
-
-
-# Of 16 lanes. An image's texels lie far from each other, and what is computed between takes no
-# longer than to fetch them, so each lane is done by itself.
-
-
-@device
-def _colors(color):
-    """The same colour in all lanes."""
-    red, green, blue = color
-    return f32x16(np.float32(red)), f32x16(np.float32(green)), f32x16(np.float32(blue))
-
-
-@device
-def _wide(toward, i):
-    return widen(lane(toward[0], i)), widen(lane(toward[1], i)), widen(lane(toward[2], i))
-
-
-@device
-def _put(rows, i, vector):
-    """Write a vector's numbers to lane i of three rows in memory."""
-    at = rows + i * _WORD
-    store(at, np.float32(vector[0]))
-    store(at + _ROW, np.float32(vector[1]))
-    store(at + _ROW + _ROW, np.float32(vector[2]))
-
-
-@device
-def _rows(rows):
-    return load(f32x16, rows), load(f32x16, rows + _ROW), load(f32x16, rows + _ROW + _ROW)
-
-
-@device
-def sky_toward_lanes(lights, toward, mask):
-    """`sky_toward` for 16 directions, of `f32x16`; where a mask is not set, any colour."""
-    if lights.sky.image == _NONE:
-        return _colors(lights.sky.color)
-    return _map_colors(lights.sky, toward, mask)
-
-
-@device_call
-def _map_colors(sky, toward, mask):
-    rows, bits = scratch(_ROWS), lane_bits(mask)
-    while bits != _NONE:
-        i = first_bit(bits)
-        bits &= bits - _ONE
-        x, y, z = _wide(toward, i)
-        _put(rows, i, _map_color(sky, x, y, z))
-    return _rows(rows)
-
-
-@device
-def sky_pdf_lanes(lights, toward, mask):
-    """`sky_pdf` for 16 directions, of `f32x16`; where a mask is not set, any number."""
-    density = f32x16(np.float32(lights.sky_density))
-    if lights.sky.image == _NONE:
-        return density
-    return density * _relative_pdfs(lights.sky, toward, mask)
-
-
-@device_call
-def _relative_pdfs(sky, toward, mask):
-    row, bits = scratch(_ROWS), lane_bits(mask)
-    while bits != _NONE:
-        i = first_bit(bits)
-        bits &= bits - _ONE
-        x, y, z = _wide(toward, i)
-        store(row + i * _WORD, np.float32(relative_pdf(sky, x, y, z)))
-    return load(f32x16, row)
-
-
-@device_call
-def map_sample_lanes(sky, u, v, mask):
-    """`map_sample` for 16 pairs of numbers, `f32x16`; where a mask is not set, anything."""
-    rows, densities, bits = scratch(_ROWS), scratch(_ROWS), lane_bits(mask)
-    while bits != _NONE:
-        i = first_bit(bits)
-        bits &= bits - _ONE
-        toward, density = map_sample(sky, widen(lane(u, i)), widen(lane(v, i)))
-        _put(rows, i, toward)
-        store(densities + i * _WORD, np.float32(density))
-    return _rows(rows), load(f32x16, densities)
