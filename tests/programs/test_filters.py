@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 import raystream as rs
 from conftest import assert_same_bits
 from programs.layers import layers_rays, layers_scene, ranks, sums
-from raystream.programs import rounds
+from raystream.programs import Bound, rounds
+from raystream.programs.filters import Filter
 from strategies import scenes_and_rays
 
 
@@ -154,6 +155,28 @@ def test_a_filter_that_stops_keeps_its_hit():
     assert_same_bits(found.prim_id, many.prim_id[kept])
     counts = tracer.count_hits(*rays, on_hit=until_even)
     np.testing.assert_array_equal(counts, sums(many, np.ones(len(many.t)), kept))
+
+
+def with_constants(hit, constants):
+    divisor, (rest,) = constants
+    return hit.prim_id % divisor == rest
+
+
+def test_constants_of_a_filter_need_no_new_code():
+    tracer = rs.Tracer(layers_scene())
+    rays = layers_rays()
+    many = tracer.multi_hit(*rays)
+    for divisor, rest in ((7, 0), (5, 3)):
+        arguments = {"on_hit": Bound(with_constants, (divisor, (rest,)))}
+        kept = many.prim_id % divisor == rest
+        counts = tracer.count_hits(*rays, **arguments)
+        np.testing.assert_array_equal(counts, sums(many, np.ones(len(many.t)), kept))
+    filter_ = Filter.of(arguments["on_hit"], None, (), tracer.structure.triangles)
+    program = filter_.program("count", np.zeros(1, np.int64))
+    program.compile()
+    assert program.compiled_count <= 1
+    with pytest.raises(TypeError, match=r"expected \(hit, constants\)"):
+        tracer.count_hits(*rays, on_hit=Bound(of_one_mesh, (1,)))
 
 
 @settings(max_examples=40, deadline=None)

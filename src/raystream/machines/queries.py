@@ -14,7 +14,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import UNLIMITED
 from raystream.machines.programs import Traces, is_surfaces
-from raystream.programs.filters import count_filtered, filter_first, multi_filtered
+from raystream.programs.filters import Bound, count_filtered, filter_first, multi_filtered
 
 __all__ = ["Crossings", "Queries"]
 
@@ -31,7 +31,7 @@ class Queries(Traces):
         *,
         t_min: Any = 0.0,
         t_max: Any = np.inf,
-        on_hit: Callable[..., Any] | None = None,
+        on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> Hits:
@@ -45,7 +45,7 @@ class Queries(Traces):
         on_hit : callable, optional
             A filter: ``on_hit(hit)`` gets a `Hit` and returns whether it exists, as a boolean
             or as `CONTINUE` or `IGNORE`; `STOP` means that it does, and no later one. See
-            `trace` for what it may do.
+            `trace` for what it may do. A `Bound` hands it constants.
         skip_prim_ids : array_like of shape S or S + (k,), int, optional
             Triangles that do not exist for each ray, such as those that it starts on; -1 for
             none. The filter is not asked about them.
@@ -93,7 +93,7 @@ class Queries(Traces):
         *,
         t_min: Any = 0.0,
         t_max: Any = np.inf,
-        on_hit: Callable[..., Any] | None = None,
+        on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.bool_]:
@@ -132,7 +132,7 @@ class Queries(Traces):
         t_min: Any = 0.0,
         t_max: Any = np.inf,
         crossings: Crossings = "triangles",
-        on_hit: Callable[..., Any] | None = None,
+        on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> NDArray[np.int64]:
@@ -176,7 +176,7 @@ class Queries(Traces):
         t_max: Any = np.inf,
         max_hits: int | None = None,
         crossings: Crossings = "triangles",
-        on_hit: Callable[..., Any] | None = None,
+        on_hit: Callable[..., Any] | Bound | None = None,
         skip_prim_ids: Any = None,
         progress: Progress | None = None,
     ) -> MultiHits:

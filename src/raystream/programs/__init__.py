@@ -5,6 +5,7 @@ structure and machine alike.
 """
 
 from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
+from raystream.programs.filters import Bound
 from raystream.programs.hits import Hit
 
-__all__ = ["CONTINUE", "IGNORE", "STOP", "Decision", "Hit"]
+__all__ = ["CONTINUE", "IGNORE", "STOP", "Bound", "Decision", "Hit"]

@@ -18,13 +18,31 @@ from raystream.programs.rounds import AskHits, visit
 from raystream.programs.rows import SkipsAt, as_skips
 from raystream.structures.found import Collected, Found, cut
 
-__all__ = ["Filter", "count_filtered", "filter_first", "multi_filtered"]
+__all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
 
 
 def _keep_all(hit: Any) -> bool:
     """The filter of a query that only skips triangles: every hit exists."""
     exists: bool = hit.prim_id >= 0
     return exists
+
+
+class Bound(NamedTuple):
+    """A filter with numbers that it gets when it runs: others need no other code.
+
+    Attributes
+    ----------
+    function : callable
+        ``function(hit, constants)``.
+    constants : tuple
+        Numbers, and tuples of numbers.
+    kept : object
+        What lies at addresses among them.
+    """
+
+    function: Callable[..., Any]
+    constants: tuple[Any, ...]
+    kept: object = None
 
 
 class Filter(NamedTuple):
@@ -37,11 +55,14 @@ class Filter(NamedTuple):
     skipped : ndarray of shape (N, k), int32, or None
         Triangles that do not exist for each ray.
     triangles : Triangles
+    bound : Bound, optional
+        If the function has constants.
     """
 
     function: Callable[..., Any]
     skipped: NDArray[np.int32] | None
     triangles: Triangles
+    bound: Bound | None = None
 
     @classmethod
     def of(
@@ -53,12 +74,15 @@ class Filter(NamedTuple):
         skipped = None
         if skip_prim_ids is not None:
             skipped = as_skips(skip_prim_ids, shape, len(triangles))
+        if isinstance(on_hit, Bound):
+            return cls(on_hit.function, skipped, triangles, on_hit)
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
 
     def program(self, goal: Goal, *arguments: Any) -> Program:
         """The filter's loop."""
         skips = None if self.skipped is None else SkipsAt.of(self.skipped)
-        return Program(self.function, goal, skips, arguments, self.triangles)
+        constants = None if self.bound is None else self.bound.constants
+        return Program(self.function, goal, skips, arguments, self.triangles, constants)
 
 
 def filter_first(

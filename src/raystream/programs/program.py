@@ -64,12 +64,14 @@ _PARAMETERS = {
 _RECORDS = {0: "None", 1: "payload[ray]", 2: "row_of(payload, ray)"}
 
 
-def _text(goal: Goal, skips: bool, dimensions: int) -> str:
+def _text(goal: Goal, skips: bool, constants: bool, dimensions: int) -> str:
     """The loop over entries and their rows; it returns the number of rows that it looked at."""
     before, at_hit, after = _STATEMENTS[goal]
-    payload = f", {_RECORDS[dimensions]}" if goal == "trace" else ""
+    more = f", {_RECORDS[dimensions]}" if goal == "trace" else ""
+    more += ", constants" if constants else ""
     names = ["begin", "end", "rows", "rays", "scene", "open_rays"]
-    names += [*(["skips"] if skips else []), *_PARAMETERS[goal]]
+    names += [*(["skips"] if skips else []), *(["constants"] if constants else [])]
+    names += _PARAMETERS[goal]
     skipped = ["        if is_skipped(skips, ray, rows, row):", "            row += one"]
     lines = [
         f"def loop({', '.join(names)}):",
@@ -85,7 +87,7 @@ def _text(goal: Goal, skips: bool, dimensions: int) -> str:
         "        while row != row_end:",
         *([f"    {line}" for line in [*skipped, "            continue"]] if skips else []),
         "            hit = hit_at(rows, row, rays, position, ray, scene)",
-        f"            decision = accept(function(hit{payload}))",
+        f"            decision = accept(function(hit{more}))",
         *([] if goal == "trace" else ["            if decision != ignore:"]),
         *(f"                {line}" for line in at_hit),
         "            row += one",
@@ -124,7 +126,7 @@ class Program:
     Parameters
     ----------
     function : callable
-        Takes a `Hit`, and with the goal ``"trace"`` a payload record.
+        Takes a `Hit`, with the goal ``"trace"`` a payload record, and constants if there are any.
     goal : {"trace", "first", "count", "multi"}
     skips : SkipsAt, optional
         Triangles that do not exist for a ray.
@@ -133,6 +135,8 @@ class Program:
         rays of the batch; for ``"multi"`` the hits found so far and the most.
     triangles : Triangles
         What is hit; the program keeps it.
+    constants : tuple, optional
+        Handed to the function as its last argument.
 
     Raises
     ------
@@ -147,15 +151,18 @@ class Program:
         skips: SkipsAt | None,
         arguments: tuple[Any, ...],
         triangles: Triangles,
+        constants: tuple[Any, ...] | None = None,
     ) -> None:
         self.name = getattr(function, "__name__", type(function).__name__)
-        expected = ("hit", "payload") if goal == "trace" else ("hit",)
+        expected = ["hit", *(["payload"] if goal == "trace" else [])]
+        expected += [] if constants is None else ["constants"]
         _check_arguments(self.name, function, expected)
         payload = arguments[0] if goal == "trace" else None
         dimensions = 0 if payload is None else payload.ndim
-        text = _text(goal, skips is not None, dimensions)
+        text = _text(goal, skips is not None, constants is not None, dimensions)
         self._loop: Loop = compile_loop(text, function, _names(goal), __name__)
-        self._arguments = (*(() if skips is None else (skips,)), *arguments)
+        own = [value for value in (skips, constants) if value is not None]
+        self._arguments = (*own, *arguments)
         self._triangles = triangles
         self._scene = SceneAt.of(triangles)
 
@@ -218,7 +225,7 @@ class Program:
             raise RuntimeError(f"{self.name}: raised {type(error).__name__}{reason}") from error
 
 
-def _check_arguments(name: str, function: Callable[..., Any], expected: tuple[str, ...]) -> None:
+def _check_arguments(name: str, function: Callable[..., Any], expected: list[str]) -> None:
     code = getattr(getattr(function, "py_func", function), "__code__", None)
     if code is None:
         raise TypeError(f"on_hit: expected a Python function, got {type(function).__name__}")
