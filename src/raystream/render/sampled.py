@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
+from raystream.programs.filters import Bound
+from raystream.render.opacity import Opacity, filter_of
 from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.classic import ClassicLights, classic_lights_of
 from raystream.render.shading.eyes import begin_paths, view_of
@@ -60,6 +62,8 @@ class Setting:
     classic : ClassicLights
         The same for modes that take each as one place.
     sampler : Sampler
+    opacity : Opacity, optional
+        What of the scene is not there for every ray.
     options : mapping
         The renderer's own, such as ``max_bounces``.
     kept : object
@@ -76,9 +80,14 @@ class Setting:
     lights: LightTables
     classic: ClassicLights
     sampler: Sampler
+    opacity: Opacity | None
     options: Mapping[str, Any]
     kept: object
     layers: Sequence[str] = ()
+
+    def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
+        """What the tracer's queries take as ``on_hit`` for rays of shape (N, 3)."""
+        return filter_of(self.opacity, origins, directions)
 
 
 def make_setting(
@@ -94,7 +103,10 @@ def make_setting(
     lights, kept_lights = lights_of(tracer.scene)
     classic, kept_classic = classic_lights_of(tracer.scene, camera)
     kept = kept_tables, kept_lights, kept_classic
-    return Setting(tracer, camera, *size, tables, lights, classic, sampler, options, kept, layers)
+    opacity = Opacity.of(tracer.scene, sampler.seed)
+    return Setting(
+        tracer, camera, *size, tables, lights, classic, sampler, opacity, options, kept, layers
+    )
 
 
 @dataclass(frozen=True)
@@ -252,8 +264,8 @@ def find_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: trace the paths' rays, unless what they meet is known."""
     if stream.hits is not None:
         return stream
-    paths = stream.paths
-    hits = band.setting.tracer.first_hit(paths.origins, paths.directions)
+    setting, rays = band.setting, (stream.paths.origins, stream.paths.directions)
+    hits = setting.tracer.first_hit(*rays, on_hit=setting.filter(*rays))
     return replace(stream, hits=hits)
 
 
@@ -270,6 +282,7 @@ def reach_lights(stream: PathStream, band: Band) -> PathStream:
     rays = stream.rays
     assert rays is not None
     if len(rays.pixels):
-        blocked = band.setting.tracer.any_hit(rays.origins, rays.directions, t_max=rays.t_max)
+        setting, asked = band.setting, (rays.origins, rays.directions)
+        blocked = setting.tracer.any_hit(*asked, t_max=rays.t_max, on_hit=setting.filter(*asked))
         add_unblocked(rays, blocked, band.first_pixel, band.radiance)
     return replace(stream, rays=None)

@@ -28,7 +28,7 @@ def look_along(stream: PathStream, band: Band) -> PathStream:
     if setting.options["absorption"] is None:
         # At an edge a surface is met once, not once for each of its triangles.
         rays = paths.origins, paths.directions
-        hits = setting.tracer.multi_hit(*rays, crossings="surfaces")
+        hits = setting.tracer.multi_hit(*rays, crossings="surfaces", on_hit=setting.filter(*rays))
         look_through(
             paths,
             hits.ray_splits,

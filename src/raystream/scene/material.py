@@ -38,20 +38,25 @@ class Material:
     emission : Color
         Radiance that the front side emits (MTL ``Ke``); non-zero makes area lights.
     opacity : float
-        1 is solid, 0 is invisible (MTL ``d``, glTF alpha).
+        1 is solid, 0 is invisible (MTL ``d``, glTF alpha); times the texture ``"opacity"``. It
+        is the share of rays for which there is a surface at all.
     roughness, metallic : float or None
         glTF's parameters; None where the file gave none.
     double_sided : bool
         False when only the front is to be seen (glTF); tracing hits both sides.
     textures : mapping of str to Texture
         By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
-        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``. Occlusion is not used:
-        what is in the way of light, rays find out.
+        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``. Of one for opacity the alpha
+        channel counts, or how light it is if it has none, or one that is 1 everywhere.
+        Occlusion is not used: what is in the way of light, rays find out.
     normal_scale : float
         Factor of a normal map's x and y: 0 is flat, negative ones swap bumps and dents.
     bump_scale : float
         Height of white over black in a bump map, in texels: 1 is as steep as 45 degrees where
         white is beside black. Negative ones swap bumps and dents.
+    alpha_cutoff : float, optional
+        Where the opacity is at least this, the surface is solid, and elsewhere there is none
+        (glTF's ``MASK``); without, it may be partly clear.
     """
 
     name: str = ""
@@ -69,6 +74,7 @@ class Material:
     textures: Mapping[str, Texture] = field(default_factory=dict)
     normal_scale: float = 1.0
     bump_scale: float = 1.0
+    alpha_cutoff: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("diffuse", "specular", "reflection", "transmission", "emission"):
@@ -76,11 +82,18 @@ class Material:
             if len(color) != 3 or not all(math.isfinite(c) and c >= 0.0 for c in color):
                 raise ValueError(f"{name}: expected three finite numbers >= 0, got {color}")
             object.__setattr__(self, name, color)
-        for name in ("shininess", "ior", "opacity", "normal_scale", "bump_scale"):
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError(f"{name}: expected a finite number, got {getattr(self, name)}")
+        for name in ("shininess", "ior", "opacity", "normal_scale", "bump_scale", "alpha_cutoff"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) if value is not None else name == "alpha_cutoff"):
+                raise ValueError(f"{name}: expected a finite number, got {value}")
 
     @property
     def emits(self) -> bool:
         """Whether triangles of this material are lights."""
         return any(c > 0.0 for c in self.emission)
+
+    @property
+    def is_opaque(self) -> bool:
+        """Whether every ray that meets the surface finds it there."""
+        least = 1.0 if self.alpha_cutoff is None else self.alpha_cutoff
+        return "opacity" not in self.textures and self.opacity >= least

@@ -336,15 +336,15 @@ class Scene:
     def area_lights(self) -> list[AreaLight]:
         """The emissive triangles, one entry for each mesh and emissive material.
 
-        Materials whose emission is a texture glow, but do not count: such textures are
-        mostly black.
+        Materials whose emission is a texture, and those that are not opaque, glow, but do not
+        count: such textures are mostly black, and what is cut out sends no light.
         """
         lights = []
         first = 0
         emissive = {
             index: material.emission
             for index, material in enumerate(self.materials)
-            if material.emits and "emission" not in material.textures
+            if material.emits and material.is_opaque and "emission" not in material.textures
         }
         for mesh_id, mesh in enumerate(self.meshes):
             for material_id, radiance in emissive.items():

@@ -45,6 +45,7 @@ class Texture:
         self.wrap = wrap
         self._encoded = source if isinstance(source, bytes) else None
         self._pixels = source if isinstance(source, np.ndarray) else None
+        self._whole: Texture | None = None
 
     def pixels(self) -> NDArray[np.uint8]:
         """Decode the image, once.
@@ -63,8 +64,23 @@ class Texture:
             self._pixels = self._decode()
         return self._pixels
 
+    def alpha(self) -> Texture:
+        """Its alpha channel alone, of shape (H, W, 1); 255 everywhere if it has none.
+
+        The image is read when the channel is asked for.
+        """
+        channel = Texture(b"", name=self.name, wrap=self.wrap)
+        channel._whole = self
+        return channel
+
     def _decode(self) -> NDArray[np.uint8]:
         from PIL import Image
+
+        if self._whole is not None:
+            whole = self._whole.pixels()
+            if whole.shape[2] == 4:
+                return whole[:, :, 3:]
+            return np.full((*whole.shape[:2], 1), 255, np.uint8)
 
         label = str(self.path) if self.path else self.name or "embedded image"
         try:

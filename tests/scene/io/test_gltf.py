@@ -205,6 +205,31 @@ def test_materials_and_images(tmp_path: Path) -> None:
     assert scene.meshes[0].material_ids.tolist() == [0] * 4
 
 
+@pytest.mark.parametrize("mode", ["OPAQUE", "MASK", "BLEND", None, "bent"])
+def test_alpha(tmp_path: Path, mode: str | None) -> None:
+    """The base colour's alpha is the opacity where the mode says that it counts."""
+    pixels = np.array([[[9, 9, 9, 0], [9, 9, 9, 255]]], np.uint8)
+    Image.fromarray(pixels, "RGBA").save(tmp_path / "a.png")
+    surface = {"baseColorFactor": [1, 1, 1, 0.75], "baseColorTexture": {"index": 0}}
+    material: dict[str, Any] = {"pbrMetallicRoughness": surface}
+    material |= {} if mode is None else {"alphaMode": mode}
+    document = tiny.gltf_document()
+    document |= {"materials": [material, material | {"alphaCutoff": 0.25}]}
+    document |= {"textures": [{"source": 0}], "images": [{"uri": "a.png"}]}
+    document["meshes"][0]["primitives"][0]["material"] = 0
+    first, second = read(tmp_path, document).materials[:2]
+    if mode in ("MASK", "BLEND"):
+        assert first.opacity == 0.75
+        assert first.textures["opacity"].pixels().tolist() == [[[0], [255]]]
+        assert first.textures["opacity"] is second.textures["opacity"]
+    else:
+        assert first.is_opaque
+        assert second.is_opaque
+    is_mask = mode == "MASK"
+    cutoffs = (first.alpha_cutoff, second.alpha_cutoff)
+    assert cutoffs == ((0.5, 0.25) if is_mask else (None, None))
+
+
 def test_missing_and_remote_images_warn_once(tmp_path: Path) -> None:
     document = tiny.gltf_document()
     document |= {

@@ -158,6 +158,22 @@ def test_materials_by_triangle(tmp_path: Path) -> None:
     assert mirror.emits
 
 
+def test_opacity(tmp_path: Path) -> None:
+    Image.new("L", (2, 2), 51).save(tmp_path / "leaf.png")
+    path = tmp_path / "a.mtl"
+    path.write_text(
+        "newmtl leaf\nd .5\nmap_d -clamp on -imfchan m leaf.png\n"
+        "newmtl glass\nillum 7\nd .1\nmap_d leaf.png\nnewmtl plain\nd 1\nTr 0.5\n"
+    )
+    found = read_mtl(path)
+    leaf, glass = found["leaf"], found["glass"]
+    assert (leaf.opacity, leaf.alpha_cutoff, leaf.is_opaque) == (0.5, None, False)
+    assert leaf.textures["opacity"].pixels().tolist() == [[[51]] * 2] * 2
+    assert leaf.textures["opacity"].wrap == "clamp"
+    assert (glass.opacity, glass.is_opaque) == (1.0, False)
+    assert found["plain"].is_opaque
+
+
 def test_refraction_and_options(tmp_path: Path) -> None:
     (tmp_path / "a b.png").touch()
     path = tmp_path / "a.mtl"

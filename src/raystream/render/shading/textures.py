@@ -26,6 +26,7 @@ from raystream.scene.material import Material
 from raystream.scene.texture import Texture
 
 __all__ = [
+    "MAX_TEXELS",
     "ROLES",
     "TextureTables",
     "pack_textures",

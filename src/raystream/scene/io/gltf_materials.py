@@ -21,9 +21,10 @@ def read_materials(file: GltfFile) -> list[Material]:
     """Read all materials, and after them the default one for primitives that name none.
 
     The base colour becomes `diffuse`, whatever the metallic factor is; `roughness`, `metallic`
-    and ``KHR_materials_`` `emissive_strength`, `ior` and `transmission` are kept. Factors
-    are to be multiplied with the textures of the same role. Of a normal map the `scale` is
-    kept. Strengths of occlusion are not read: no renderer here uses it.
+    and ``KHR_materials_`` `emissive_strength`, `ior` and `transmission` are kept. The base
+    colour's alpha is the opacity, unless ``alphaMode`` is ``OPAQUE``; ``MASK`` has its
+    cut-off. Factors are to be multiplied with the textures of the same role. Of a normal map
+    the `scale` is kept. Strengths of occlusion are not read: no renderer here uses it.
 
     Parameters
     ----------
@@ -70,7 +71,8 @@ def _material(file: GltfFile, entry: Node, reader: _TextureReader) -> Material:
     refraction = file.extension(entry, "KHR_materials_ior") or {}
     glass = file.extension(entry, "KHR_materials_transmission") or {}
     through = min(1.0, max(0.0, file.number(glass, "transmissionFactor", 0.0)))
-    solid = entry.get("alphaMode", "OPAQUE") == "OPAQUE"
+    mode = entry.get("alphaMode", "OPAQUE")
+    is_solid, is_mask = mode not in ("MASK", "BLEND"), mode == "MASK"
     roles = {
         "diffuse": file.child(surface, "baseColorTexture"),
         "metallic_roughness": file.child(surface, "metallicRoughnessTexture"),
@@ -78,19 +80,23 @@ def _material(file: GltfFile, entry: Node, reader: _TextureReader) -> Material:
         "occlusion": file.child(entry, "occlusionTexture"),
         "emission": file.child(entry, "emissiveTexture"),
     }
-    textures = {role: reader.texture(use) for role, use in roles.items() if use}
+    found = {role: reader.texture(use) for role, use in roles.items() if use}
+    textures = {role: texture for role, texture in found.items() if texture is not None}
+    if "diffuse" in textures and not is_solid:
+        textures["opacity"] = reader.alpha(textures["diffuse"])
     return Material(
         name=str(entry.get("name", "")),
         diffuse=base,
         transmission=(through * base[0], through * base[1], through * base[2]),
         ior=max(0.0, file.number(refraction, "ior", 1.5)),
         emission=(emission[0] * strength, emission[1] * strength, emission[2] * strength),
-        opacity=1.0 if solid else min(1.0, max(0.0, alpha)),
+        opacity=1.0 if is_solid else min(1.0, max(0.0, alpha)),
         roughness=file.number(surface, "roughnessFactor", 1.0),
         metallic=file.number(surface, "metallicFactor", 1.0),
         double_sided=entry.get("doubleSided", False) is True,
-        textures={r: t for r, t in textures.items() if t is not None},
+        textures=textures,
         normal_scale=min(max(-_MOST, file.number(roles["normal"], "scale", 1.0)), _MOST),
+        alpha_cutoff=max(0.0, file.number(entry, "alphaCutoff", 0.5)) if is_mask else None,
     )
 
 
@@ -106,6 +112,7 @@ class _TextureReader:
         self.file = file
         self.missing: list[str] = []
         self._made: dict[tuple[int, bool], Texture | None] = {}
+        self._alphas: dict[int, Texture] = {}
 
     def texture(self, use: Node) -> Texture | None:
         """Make the texture that a material's ``...Texture`` entry names."""
@@ -125,6 +132,12 @@ class _TextureReader:
         if key not in self._made:
             self._made[key] = self._image(image, clamp)
         return self._made[key]
+
+    def alpha(self, texture: Texture) -> Texture:
+        """The alpha channel of a texture that was made here, once for each."""
+        if id(texture) not in self._alphas:
+            self._alphas[id(texture)] = texture.alpha()
+        return self._alphas[id(texture)]
 
     def _image(self, index: int, clamp: bool) -> Texture | None:
         file = self.file

@@ -53,7 +53,8 @@ def read_mtl(path: Path) -> dict[str, Material]:
 
     Colours are taken as linear numbers. The ambient colour is not used: `Ka` repeats `Kd` in
     practice. Models 3 to 7 reflect with `Ks`; of the refracting models 4, 6, 7 and 9 the
-    transmittance is `Tf`, and a `d` below 1 belongs to the refraction there. Numbers that
+    transmittance is `Tf`, and a `d` below 1 belongs to the refraction there; ``map_d`` does
+    not. Numbers that
     make no sense are left at their defaults. Of textures' options ``-clamp`` is read, and
     ``-bm`` of bump and normal maps.
 
