@@ -12,6 +12,8 @@ __all__ = ["Color", "Material"]
 
 Color = tuple[float, float, float]
 
+_COLORS = ("diffuse", "specular", "reflection", "transmission", "emission")
+
 
 @dataclass(frozen=True)
 class Material:
@@ -57,6 +59,10 @@ class Material:
     alpha_cutoff : float, optional
         Where the opacity is at least this, the surface is solid, and elsewhere there is none
         (glTF's ``MASK``); without, it may be partly clear.
+    absorption : Color
+        What rays lose behind the surface: of a world length d, exp(-absorption d) is left
+        (law of Beer and Lambert). It counts where a ray meets the surface from its back, so
+        meshes should be closed.
     """
 
     name: str = ""
@@ -75,9 +81,10 @@ class Material:
     normal_scale: float = 1.0
     bump_scale: float = 1.0
     alpha_cutoff: float | None = None
+    absorption: Color = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name in ("diffuse", "specular", "reflection", "transmission", "emission"):
+        for name in (*_COLORS, "absorption"):
             color = tuple(float(c) for c in getattr(self, name))
             if len(color) != 3 or not all(math.isfinite(c) and c >= 0.0 for c in color):
                 raise ValueError(f"{name}: expected three finite numbers >= 0, got {color}")

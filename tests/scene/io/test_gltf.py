@@ -230,6 +230,26 @@ def test_alpha(tmp_path: Path, mode: str | None) -> None:
     assert cutoffs == ((0.5, 0.25) if is_mask else (None, None))
 
 
+def test_volumes_absorb(tmp_path: Path) -> None:
+    def glass(**volume: Any) -> dict[str, Any]:
+        through = {"transmissionFactor": volume.pop("through", 1)}
+        extensions = {"KHR_materials_transmission": through, "KHR_materials_volume": volume}
+        return {"extensions": extensions}
+
+    color = {"attenuationDistance": 2, "attenuationColor": [1, 0.25, 0]}
+    document = tiny.gltf_document()
+    document["materials"] = [
+        glass(**color, thicknessFactor=1),
+        glass(**color),  # thin
+        glass(**color, thicknessFactor=1, through=0),
+        glass(thicknessFactor=1),
+        glass(**color | {"attenuationDistance": 0}, thicknessFactor=1),
+    ]
+    found = [material.absorption for material in read(tmp_path, document).materials]
+    np.testing.assert_allclose(np.exp(-2 * np.array(found[0])), [1, 0.25, 0], atol=1e-15)
+    assert found[1:5] == [(0, 0, 0)] * 4
+
+
 def test_missing_and_remote_images_warn_once(tmp_path: Path) -> None:
     document = tiny.gltf_document()
     document |= {

@@ -37,6 +37,7 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.render.sampling.sampler import draw_lanes, draw_pair_lanes
+from raystream.render.shading.absorption import left_of
 from raystream.render.shading.bsdf import dot, emitted, lobes_at, reflected, scaled, times
 from raystream.render.shading.lights import sample_light, triangle_pdf
 from raystream.render.shading.points import largest, surface_points
@@ -182,6 +183,8 @@ def follow_paths(
         length = square_root(dx * dx + dy * dy + dz * dz)
         back = -dx / length, -dy / length, -dz / length
         t = gather(np.float32, address(ts), row)
+        if tables.absorbs and any_lane(is_hit & ~point.is_front):
+            weights = times(weights, left_of(tables, point, t * length))
         light, is_lit = _light_found(
             tables, lights, rules, point, back, t, length, pdf, weights, is_hit
         )

@@ -41,10 +41,11 @@ class Column(NamedTuple):
     ior: int
     roughness: int
     metallic: int
+    absorption: int
 
 
-COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18)
-WIDTH = 19
+COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18, 19)
+WIDTH = 22
 
 
 #: Bits of `SceneTables.kinds`: what some material does. What none does is not looked up.
@@ -82,11 +83,13 @@ class SceneTables(NamedTuple):
     material_ids : uint64
         Of shape (F,), int32.
     materials : uint64
-        Of shape (M, 19), float32. See `Column`; colours are three numbers. Roughness and
+        Of shape (M, 22), float32. See `Column`; colours are three numbers. Roughness and
         metallic are -1 where a material has none.
     kinds : int
         Bits: what some material does.
     textures : TextureTables
+    absorbs : bool
+        Whether any material has an absorption.
     """
 
     corners: np.uint64
@@ -104,6 +107,7 @@ class SceneTables(NamedTuple):
     materials: np.uint64
     kinds: int
     textures: TextureTables
+    absorbs: bool
 
 
 def tables_of(scene: Scene) -> tuple[SceneTables, object]:
@@ -139,6 +143,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         place_of(materials),
         _kinds_of(scene.materials),
         textures,
+        any(any(material.absorption) for material in scene.materials),
     )
     return tables, (corners, vertices, tangents, material_ids, materials, kept_textures)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
+from raystream.render.shading.absorption import left_of
 from raystream.render.shading.bsdf import (
     dot,
     emitted,
@@ -54,7 +55,8 @@ def light_surfaces(
     Parameters
     ----------
     paths, hits, tables, first_pixel, radiance
-        See `paths.follow_paths`. What surfaces emit, and ambient light, is added at once.
+        See `paths.follow_paths`. What surfaces emit, and ambient light, is added at once. The
+        paths' weights become less where their rays were inside of what absorbs.
     lights : ClassicLights
     goes_on : bool
         Whether mirrors and glass send rays on.
@@ -70,7 +72,7 @@ def light_surfaces(
     path_count, ray_count : int
         Rows written.
     """
-    _, us, vs, prim_ids = hits
+    ts, us, vs, prim_ids = hits
     path_count, ray_count = np.uint64(0), np.uint64(0)
     for i in range(np.uint64(len(paths.pixels))):
         pixel_id = paths.pixels[i]
@@ -83,6 +85,10 @@ def light_surfaces(
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         if point.is_front:
             add_light(radiance, pixel, paths.weights, i, emitted(tables, point), 1.0)
+        elif tables.absorbs:
+            left = left_of(tables, point, ts[i] * length)
+            for k in range(3):
+                paths.weights[i, k] *= np.float32(left[k])
         lobes = lobes_at(tables, point)
         matte, ambient = lobes.diffuse, lights.ambient
         light = matte[0] * ambient[0], matte[1] * ambient[1], matte[2] * ambient[2]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from raystream.scene.io.gltf_file import GltfFile, Node
 from raystream.scene.io.partial import warn_partial
 from raystream.scene.io.text import shown
@@ -16,15 +18,19 @@ _REPEAT = 10497
 #: Larger numbers are cut: float32 holds squares of no more than about 1e38.
 _MOST = 1e30
 
+#: Of an attenuation colour: black absorbs without end.
+_LEAST = 1e-30
+
 
 def read_materials(file: GltfFile) -> list[Material]:
     """Read all materials, and after them the default one for primitives that name none.
 
     The base colour becomes `diffuse`, whatever the metallic factor is; `roughness`, `metallic`
-    and ``KHR_materials_`` `emissive_strength`, `ior` and `transmission` are kept. The base
-    colour's alpha is the opacity, unless ``alphaMode`` is ``OPAQUE``; ``MASK`` has its
-    cut-off. Factors are to be multiplied with the textures of the same role. Of a normal map
-    the `scale` is kept. Strengths of occlusion are not read: no renderer here uses it.
+    and ``KHR_materials_`` `emissive_strength`, `ior`, `transmission` and, of what is not thin
+    and lets light through, the attenuation of `volume` are kept. The base colour's alpha is the
+    opacity, unless ``alphaMode`` is ``OPAQUE``; ``MASK`` has its cut-off. Factors
+    are to be multiplied with the textures of the same role. Of a normal map the `scale` is
+    kept. Strengths of occlusion are not read: no renderer here uses it.
 
     Parameters
     ----------
@@ -97,7 +103,19 @@ def _material(file: GltfFile, entry: Node, reader: _TextureReader) -> Material:
         textures=textures,
         normal_scale=min(max(-_MOST, file.number(roles["normal"], "scale", 1.0)), _MOST),
         alpha_cutoff=max(0.0, file.number(entry, "alphaCutoff", 0.5)) if is_mask else None,
+        absorption=_absorption(file, entry) if through > 0.0 else (0.0, 0.0, 0.0),
     )
+
+
+def _absorption(file: GltfFile, entry: Node) -> Color:
+    """``KHR_materials_volume``: of white light, `color` is left after `distance`."""
+    volume = file.extension(entry, "KHR_materials_volume") or {}
+    distance = file.number(volume, "attenuationDistance", 0.0)  # none is infinite
+    if not (distance > 0.0 and file.number(volume, "thicknessFactor", 0.0) > 0.0):
+        return 0.0, 0.0, 0.0
+    color = file.numbers(volume, "attenuationColor", (1.0, 1.0, 1.0))
+    left = (min(max(_LEAST, part), 1.0) for part in color)
+    return _positive(tuple(-math.log(part) / distance for part in left))
 
 
 def _positive(values: tuple[float, ...]) -> Color:
