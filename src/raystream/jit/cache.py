@@ -3,7 +3,8 @@
 Numba's own cache watches only the file that defines a kernel: edit a function that the
 kernel calls, and the old code still runs. This cache lives in a folder named by a hash of
 every raystream source, so any change misses. The folder is in the user's cache folder (or
-``RAYSTREAM_CACHE_DIR``), never beside the sources.
+``RAYSTREAM_CACHE_DIR``), never beside the sources. Of several processes that need a kernel
+which is not there yet, one compiles it and the others wait.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from numba.core.caching import (
 from numba.core.dispatcher import Dispatcher
 
 from raystream.core.cache_folder import cache_folder
+from raystream.jit.turns import Turns
 
-__all__ = ["KernelCache", "cache_folder", "source_hash"]
+__all__ = ["KernelCache", "cache_folder", "keep_on_disk", "source_hash"]
 
 #: Folders of this many source versions stay; the least recently used go.
 KEPT_VERSIONS = 4
@@ -60,6 +62,11 @@ def _kernel_folder() -> str:
     except OSError:
         pass  # read-only or raced: numba finds out whether the folder can be used
     return str(folder)
+
+
+@cache
+def _turns(folder: str) -> Turns:
+    return Turns(Path(folder))
 
 
 class _Locator(_CacheLocator):
@@ -140,6 +147,20 @@ class KernelCache(FunctionCache):
             filename_base=self._impl.filename_base,
             source_stamp=self._impl.locator.get_source_stamp(),
         )
+        self._turns_taken: dict[Any, str] = {}  # names of turns, by signature
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Read a compiled kernel; None leaves the caller, and no other process, to compile it."""
+        found = super().load_overload(sig, target_context)
+        if found is None and self._enabled:
+            key = self._index_key(sig, target_context.codegen())
+            name = self._cache_file._name_of(key)
+            if _turns(self._cache_path).take(name):
+                self._turns_taken[sig] = name
+                found = super().load_overload(sig, target_context)  # written in the meantime?
+                if found is not None:
+                    self.end_turn(sig)
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write a compiled kernel, if there is a folder that can be written."""
@@ -147,11 +168,35 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
         except OSError:
             self.disable()  # no folder to write to: compile in every process
+        finally:
+            self.end_turn(sig)
+
+    def end_turn(self, sig: Any) -> None:
+        """Let other processes compile the kernel, if it was this one's turn."""
+        name = self._turns_taken.pop(sig, None)
+        if name is not None:
+            _turns(self._cache_path).give(name)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         closure = self._py_func.__closure__ or ()
         names = tuple(_name_of_cell(cell.cell_contents) for cell in closure)
         return (str(sig), codegen.magic_tuple(), self._py_func.__qualname__, names)
+
+
+def keep_on_disk(dispatcher: Any) -> None:
+    """Give a function that Numba compiles this cache."""
+    kernel_cache = KernelCache(dispatcher.py_func)
+    compile_or_load = dispatcher.compile
+
+    def compile_in_turn(sig: Any) -> Any:
+        try:
+            return compile_or_load(sig)
+        except BaseException:  # Numba saves nothing, and does not tell the cache
+            kernel_cache.end_turn(sig)
+            raise
+
+    dispatcher._cache = kernel_cache
+    dispatcher.compile = compile_in_turn
 
 
 def _name_of_cell(value: object) -> str:

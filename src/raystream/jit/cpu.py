@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numba
 
-from raystream.jit.cache import KernelCache
+from raystream.jit.cache import keep_on_disk
 
 __all__ = ["FLAGS", "device", "device_call", "kernel"]
 
@@ -34,7 +34,7 @@ def kernel(function: Function) -> Function:
     It runs without the interpreter lock, so that threads run it in parallel.
     """
     dispatcher = numba.njit(**FLAGS)(function)
-    dispatcher._cache = KernelCache(function)
+    keep_on_disk(dispatcher)
     return dispatcher
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numba
 from numba.core.errors import NumbaError
 
-from raystream.jit.cache import KernelCache
+from raystream.jit.cache import keep_on_disk
 from raystream.jit.cpu import FLAGS, device
 from raystream.jit.fingerprint import fingerprint
 
@@ -113,7 +113,7 @@ def _new_loop(
     exec(compile(text, file, "exec"), namespace)
     dispatcher = numba.njit(**FLAGS)(namespace[own])
     if key is not None:
-        dispatcher._cache = KernelCache(namespace[own])
+        keep_on_disk(dispatcher)
     return Loop(dispatcher, name, key is not None)
 
 
