@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -137,6 +138,15 @@ def scenes_folder() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("needs public models: set RAYSTREAM_SCENES to their folder")
     return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def few_objects():
+    """For tests of what collects garbage before each measurement: it need not look at all that
+    other tests and the compiler have left."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 def child_environment(**changes: str) -> dict[str, str]:

@@ -16,6 +16,8 @@ from raystream.bench.report import make_notes, make_tables, write_result
 from raystream.bench.runner import Bench, Plan, geometry_of
 from raystream.jit.threads import set_thread_count
 
+pytestmark = pytest.mark.usefixtures("few_objects")
+
 CALLS: list[str] = []
 
 
@@ -61,7 +63,7 @@ def peers(monkeypatch):
     monkeypatch.setattr(
         contenders.importlib,
         "import_module",
-        lambda name: module if name == "bench_peers" else find(name),
+        lambda name, *more: module if name == "bench_peers" else find(name, *more),
     )
     CALLS.clear()
     yield

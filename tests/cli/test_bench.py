@@ -13,6 +13,8 @@ from raystream.bench.runner import Bench
 from raystream.cli import options
 from raystream.cli.bench import DEFAULT_SCENES, bench
 
+pytestmark = pytest.mark.usefixtures("few_objects")
+
 QUICK = ("--width", 8, "--height", 6, "--repeats", 1, "--no-memory")
 
 
