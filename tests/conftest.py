@@ -106,6 +106,8 @@ TRACERS = {
         "intersection_cost": 12.0,
         **MULTIPASS,
         "scheduler": "double",
+        "traversal_steps": 8,
+        "intersections": 4,
         "compaction": True,
     },
     "kdtree, backtrack, multipass": {
