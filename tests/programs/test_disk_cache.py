@@ -23,7 +23,7 @@ def not_the_first(hit):
 
 STEP = 1.0
 vertices = np.array([[x, y, z] for z in (1, 2, 3) for x, y in ((0, 0), (4, 0), (0, 4))], float)
-tracer = rs.Tracer(rs.Scene.from_arrays(vertices, np.arange(9).reshape(3, 3)))
+tracer = rs.Tracer(rs.Scene.from_arrays(vertices, np.arange(9).reshape(3, 3)), "brute")
 ray = [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]
 record = tracer.trace(*ray, on_hit=add_up, payload=RECORD)
 first = tracer.first_hit(*ray, on_hit=not_the_first)

@@ -285,7 +285,7 @@ class TestGraphlog:
     def test_damaged_ones_are_refused(self):
         _, _, text = self.dumped(cube())
         lines = text.splitlines(keepends=True)
-        for i in [*range(0, len(lines), 31), len(lines) - 1]:
+        for i in [*range(0, len(lines), 61), len(lines) - 1]:
             with pytest.raises(ValueError, match=r"expected|fit"):
                 load_graph(io.StringIO("".join(lines[:i] + lines[i + 1 :])))
             words = lines[i].split()
