@@ -1,8 +1,10 @@
-"""The Cornell box by two path tracers: do they agree, and what does a sample take?
+"""A scene by two path tracers: do they agree, and what does a sample take?
 
     python benchmarks/render_accuracy.py --samples 1024 --bounces 4
+    python benchmarks/render_accuracy.py sponza.obj.gz --samples 256 --parts 8
 
-Renders it here and with Mitsuba 3 (``pip install mitsuba``), which traces paths with samples of
+Renders the Cornell box, or another scene whose surfaces are made matte, with their textures of
+colour and, where it has no light of its own, under a white sky; here and with Mitsuba 3 (``pip install mitsuba``), which traces paths with samples of
 the lights too, to the same depth: Mitsuba's ``max_depth`` counts a path's edges from the eye to
 the light, one more than the surfaces between. Both spread their samples evenly over each pixel
 (a box filter), with independent numbers, and take turns, a part of the samples each. Error is
@@ -23,8 +25,10 @@ import time
 import drjit
 import mitsuba
 import numpy as np
+from render_speed import view_of
 
 import raystream as rs
+from raystream.render.color import decode_srgb
 
 
 class Ours:
@@ -49,11 +53,15 @@ class Mitsuba:
             "integrator": {"type": "path", "max_depth": bounces + 1, "rr_depth": 4},
             "sensor": _sensor(scene.camera, size),
         }
+        for light in scene.lights:
+            radiance = {"type": "rgb", "value": light.radiance}
+            made["sky"] = {"type": "constant", "radiance": radiance}
+        bitmaps = {}
         for index, mesh in enumerate(scene.meshes):
             for material_id in np.unique(mesh.material_ids):
                 faces = mesh.faces[mesh.material_ids == material_id]
                 material = scene.materials[material_id]
-                made[f"mesh_{index}_{material_id}"] = _mesh(mesh.vertices, faces, material)
+                made[f"mesh_{index}_{material_id}"] = _mesh(mesh, faces, material, bitmaps)
         self.scene = mitsuba.load_dict(made)
 
     def render(self, samples, seed):
@@ -75,7 +83,7 @@ def _sensor(camera, size):
         "type": "perspective",
         "fov": camera.fov,
         "fov_axis": "y",
-        "near_clip": 1.0,
+        "near_clip": 1e-2,
         "far_clip": 1e5,
         "to_world": look,
         "film": film,
@@ -83,19 +91,63 @@ def _sensor(camera, size):
     }
 
 
-def _mesh(vertices, faces, material):
-    matte = {"type": "diffuse", "reflectance": {"type": "rgb", "value": material.diffuse}}
+def _reflectance(material, bitmaps):
+    """A colour, or a bitmap times it."""
+    texture = material.textures.get("diffuse")
+    if texture is None:
+        return {"type": "rgb", "value": material.diffuse}
+    key = id(texture), material.diffuse
+    if key not in bitmaps:
+        pixels = texture.pixels()
+        pixels = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels[:, :, :3]
+        light = decode_srgb(np.ascontiguousarray(pixels)) * np.float32(material.diffuse)
+        bitmaps[key] = mitsuba.Bitmap(light)
+    return {"type": "bitmap", "bitmap": bitmaps[key], "raw": True, "wrap_mode": texture.wrap}
+
+
+def _mesh(mesh, faces, material, bitmaps):
+    reflectance = _reflectance(material, bitmaps)
+    matte = {"type": "diffuse", "reflectance": reflectance}
     properties = mitsuba.Properties()
     properties["bsdf"] = mitsuba.load_dict({"type": "twosided", "bsdf": matte})
     if material.emits:
         radiance = {"type": "rgb", "value": material.emission}
         properties["emitter"] = mitsuba.load_dict({"type": "area", "radiance": radiance})
-    mesh = mitsuba.Mesh("mesh", len(vertices), len(faces), props=properties)
-    parameters = mitsuba.traverse(mesh)
-    parameters["vertex_positions"] = np.asarray(vertices, np.float32).ravel()
-    parameters["faces"] = faces.astype(np.uint32).ravel()
+    # Only its own vertices: a mesh of the file has those of all materials.
+    used, places = np.unique(faces, return_inverse=True)
+    has_texture = reflectance["type"] == "bitmap" and mesh.texcoords is not None
+    made = mitsuba.Mesh(
+        "mesh", len(used), len(faces), props=properties, has_vertex_texcoords=has_texture
+    )
+    parameters = mitsuba.traverse(made)
+    parameters["vertex_positions"] = np.asarray(mesh.vertices[used], np.float32).ravel()
+    parameters["faces"] = places.astype(np.uint32).ravel()
+    if has_texture:
+        upward = mesh.texcoords[used] * [1, -1] + [0, 1]
+        parameters["vertex_texcoords"] = upward.astype(np.float32).ravel()
     parameters.update()
-    return mesh
+    return made
+
+
+def matte(name):
+    """A scene whose surfaces only scatter evenly, on both sides, with a light and a camera."""
+    scene = rs.load(name)
+    materials = [
+        rs.Material(
+            diffuse=material.diffuse,
+            emission=material.emission,
+            textures={k: t for k, t in material.textures.items() if k == "diffuse"},
+        )
+        for material in scene.materials
+    ]
+    meshes = [
+        rs.Mesh(m.vertices, m.faces, texcoords=m.texcoords, material_ids=m.material_ids)
+        for m in scene.meshes
+    ]
+    lit = any(material.emits for material in materials)
+    lights = [] if lit else [rs.EnvironmentLight((1.0, 1.0, 1.0))]
+    camera = view_of(name, scene, 1.0)
+    return rs.Scene(meshes, materials=materials, lights=lights, camera=camera)
 
 
 def in_blocks(pixels, side):
@@ -122,6 +174,7 @@ def expected_error(parts, side):
 
 def main():
     parser = argparse.ArgumentParser()
+    parser.add_argument("scene", nargs="?", default="cornell")
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--samples", type=int, default=1024)
     parser.add_argument("--parts", type=int, default=16)
@@ -133,7 +186,7 @@ def main():
     mitsuba.set_variant(arguments.variant)
     drjit.set_thread_count(arguments.threads)
 
-    scene = rs.load("cornell")
+    scene = matte(arguments.scene)
     samples = arguments.samples // arguments.parts
     renderers = [make(scene, arguments.size, arguments.bounces) for make in (Ours, Mitsuba)]
     for renderer in renderers:  # compile
@@ -148,8 +201,9 @@ def main():
     ours, theirs = (np.mean(pictures, axis=0) for pictures in parts)
     size, threads = arguments.size, arguments.threads
     print(
-        f"cornell, {size}x{size}, max_bounces={arguments.bounces}, {arguments.parts} parts of "
-        f"{samples} samples, {threads} threads, mitsuba {mitsuba.__version__} {arguments.variant}"
+        f"{arguments.scene}, {size}x{size}, max_bounces={arguments.bounces}, "
+        f"{arguments.parts} parts of {samples} samples, {threads} threads, "
+        f"mitsuba {mitsuba.__version__} {arguments.variant}"
     )
     print(f"{'blocks':>8s} {'error':>8s} {'of noise':>9s}")
     for side in (1, 4, 16, size):
