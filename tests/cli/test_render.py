@@ -214,7 +214,7 @@ def test_bad_option_is_refused_in_one_line(run, tmp_path, arguments, named):
 
 def test_output_is_checked_before_the_work(run):
     """The scene is bad as well, and would be found first otherwise."""
-    assert run("render", "nosuch.obj", "-o", "out.gif").complaint.startswith("out.gif: ")
+    assert run("render", "nosuch.obj", "-o", "out.bmp").complaint.startswith("out.bmp: ")
 
 
 def test_folder_that_is_not_writable(run, tmp_path, monkeypatch):
