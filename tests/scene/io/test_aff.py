@@ -73,6 +73,20 @@ def test_missing_textures_do_not_count_as_materials(tmp_path: Path) -> None:
     assert not scene.materials[0].textures
 
 
+def test_what_only_ambient_light_shows_glows(tmp_path: Path) -> None:
+    """As the garden behind the kitchen's windows; chrome, which mirrors, does not glow."""
+    (tmp_path / "t.ppm").write_bytes(b"P6 1 1 255\n\xff\0\0")
+    picture = "tt t.ppm\n0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n"
+    black, chrome = "fm 0.4 0.2 0 0 0 0 0 0 0 0 0 1\n", "fm 0.4 0.4 0.4 0 0 0 1 1 1 9 0 1\n"
+    scene = read(tmp_path, "am 2.5 1 1\n" + black + picture + TRIANGLE + chrome + TRIANGLE)
+    textured, plain, mirror = scene.materials
+    assert textured.emission == plain.emission == pytest.approx((1.0, 0.2, 0.0))
+    assert list(textured.textures) == ["emission"]
+    assert not plain.textures
+    assert mirror.emission == (0.0, 0.0, 0.0)
+    assert not read(tmp_path, black + TRIANGLE).materials[0].emits  # without ambient light
+
+
 def test_transforms_nest(tmp_path: Path) -> None:
     text = (
         "xs 1 1 1 0 0 1 90 0 0 0 { xs 1 1 1 1 0 0 0 5 0 0 {"

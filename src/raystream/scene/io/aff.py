@@ -46,9 +46,11 @@ def read_aff(path: Path, *, time: float = 0.0) -> Scene:
         in BART; T becomes the same transmission in all colours. Lights do not weaken with
         distance. Ambient light ``am`` becomes an `EnvironmentLight` that adds to the
         scene's triangles, on average, what the ambient term would have added where
-        nothing blocks it. The keyframes ``camera`` win over the view block ``v``; the
-        camera is the one at `time`, and its track has all times. If anything moves, the
-        animation has all of it, with the times and the frame rate of the statement ``a``.
+        nothing blocks it. A material that only ambient light shows emits that: such are
+        pictures of what lies outside. The keyframes ``camera`` win over the view block
+        ``v``; the camera is the one at `time`, and its track has all times. If anything
+        moves, the animation has all of it, with the times and the frame rate of the
+        statement ``a``.
 
     Raises
     ------

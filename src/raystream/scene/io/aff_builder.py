@@ -34,6 +34,8 @@ __all__ = ["AffBuilder", "color"]
 #: Includes within includes; BART needs 4.
 MAX_DEPTH = 32
 
+_NONE: Color = (0.0, 0.0, 0.0)
+
 #: Statements carried out, counting each inclusion of a file; BART needs 10,000.
 MAX_STATEMENTS = 1 << 19
 
@@ -150,13 +152,13 @@ class AffBuilder:
         key = (self._material, texture_name)
         if key not in self._places:
             self._places[key] = len(self.materials)
-            material = _material(self._material)
+            material = _material(self._material, self.files.ambient or _NONE)
             texture = self._texture(texture_name) if texture_name else None
             if texture is not None:
-                textures = {"diffuse": texture}
-                material = replace(material, textures=textures)
+                role = "emission" if material.emits else "diffuse"
+                material = replace(material, textures={role: texture})
             self.materials.append(material)
-            self._ambients.append(self._material.ambient)
+            self._ambients.append(_NONE if material.emits else self._material.ambient)
         return self._places[key]
 
     def _texture(self, name: str) -> Texture | None:
@@ -206,16 +208,22 @@ class AffBuilder:
         return EnvironmentLight(radiance) if any(radiance) else None  # type: ignore[arg-type]
 
 
-def _material(source: AffMaterial) -> Material:
-    specular = color(source.specular)
+def _material(source: AffMaterial, ambient: tuple[float, ...]) -> Material:
+    """The material; one that ambient light alone shows, as a picture outside, shines by itself."""
+    diffuse, specular = color(source.diffuse), color(source.specular)
     through = color((source.transmittance,) * 3)
+    glow = _NONE
+    if not any((*diffuse, *specular, *through)):
+        shares = zip(color(source.ambient), color(ambient), strict=True)
+        glow = color(tuple(min(a * b, 1e30) for a, b in shares))
     return Material(
-        diffuse=color(source.diffuse),
+        diffuse=diffuse,
         specular=specular,
         shininess=color((source.shininess,) * 3)[0],
         reflection=specular,
         transmission=through,
         ior=source.ior if math.isfinite(source.ior) and source.ior > 0.0 else 1.0,
+        emission=glow,
     )
 
 
