@@ -219,6 +219,8 @@ def test_solids_absorb_by_their_thickness():
         ("xray", {"absorption": -1.0}, "absorption: expected"),
         ("path", {"max_bounces": 2.5}, "max_bounces: expected an integer, got 2.5"),
         ("path", {"light_samples": "no"}, "light_samples: expected True or False"),
+        ("path", {"clamp": 0.0}, "clamp: expected a number above 0"),
+        ("kajiya", {"clamp": None}, "clamp: expected a number, got None"),
         ("ao", {"distance": "far"}, "distance: expected a number, got 'far'"),
         ("path", {"noise": 0.0}, "noise: expected a number above 0"),
         ("path", {"time_limit": float("inf")}, "time_limit: expected a number above 0"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from conftest import assert_same_bits
 from meshes import cube, icosphere
 from z_test import assert_at_most, assert_mean
 
@@ -284,3 +285,31 @@ def test_light_from_below_does_not_reach_the_floor():
     lights = [rs.PointLight((0, -1, 0), (9, 9, 9)), rs.DirectionalLight((0, 1, 0), (9, 9, 9))]
     lamp = RECTANGLE - [0, 4, 0], [[2, 1, 0], [3, 2, 0]]
     assert not path(on_the_floor(lights, [lamp]), 4).pixels.any()
+
+
+def test_a_clamp_bounds_what_comes_over_further_surfaces():
+    """Inside a furnace all light after the first surface's is the same for every sample."""
+    scene = furnace(cube(), rs.Material(diffuse=WHITE, emission=WHITE))
+    for bounces in range(4):
+        image = path(scene, 4, max_bounces=bounces, light_samples=False, clamp=0.25)
+        # Emission seen, and found by the next ray; then 0.25 for each bounce.
+        assert_mean(image, min(bounces + 1, 2) + 0.25 * max(bounces - 1, 0))
+
+
+def test_a_clamp_leaves_direct_light_and_hues():
+    """The floor's point is lit by the sun, and by a wall that it lights; that is clamped."""
+    sun = [rs.DirectionalLight((1, -3, 0), (3, 2, 1))]
+    direct = ALBEDO / math.pi * received_from(sun[0])
+    floor = on_the_floor(sun)
+    wall = rs.Mesh([[1.5, 0, -3], [1.5, 0, 3], [1.5, 3, 3], [1.5, 3, -3.0]], DOWNWARD)
+    scene = rs.Scene([*floor.meshes, wall], materials=floor.materials, lights=sun, camera=AIMED)
+    options = {"max_bounces": 2, "size": (16, 16)}
+    free = path(scene, 16, clamp=math.inf, **options)
+    assert_same_bits(free.pixels, path(scene, 16, **options).pixels)
+    clamped = path(scene, 16, clamp=0.01, **options)
+    added = clamped.pixels.mean(axis=(0, 1)) - direct
+    assert 0.0 < added.max() <= 0.01
+    assert free.pixels.mean(axis=(0, 1)).max() > direct.max() + 0.02
+    # The hue of light that went over two surfaces: sun, floor and wall.
+    hue = ALBEDO**2 * (3, 2, 1)
+    np.testing.assert_allclose(added / added.max(), hue / hue.max(), rtol=1e-3)

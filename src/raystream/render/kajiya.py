@@ -5,6 +5,8 @@ The poster's benchmark of diffuse light: `path` of a fixed length.
 
 from __future__ import annotations
 
+import math
+
 from raystream.render.path import PATH_STAGES, check_path
 from raystream.render.sampled import SampledRenderer
 
@@ -14,6 +16,6 @@ KAJIYA = SampledRenderer(
     "kajiya",
     "the first surface and two bounces, a shadow ray at each (Rayforce 2013)",
     PATH_STAGES,
-    {"max_bounces": 3},
+    {"max_bounces": 3, "clamp": math.inf},
     check_path,
 )

@@ -6,10 +6,13 @@ rendering equation's (Kajiya 1986), with samples of the lights at each surface.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
-from raystream.render.arguments import check_whole
+import numpy as np
+
+from raystream.render.arguments import check_number, check_whole
 from raystream.render.sampled import (
     MAX_BOUNCES,
     Band,
@@ -50,12 +53,17 @@ def meet_surfaces(stream: PathStream, band: Band) -> PathStream:
 
 
 def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The rules of paths, of the options ``max_bounces`` and, if it is there, ``light_samples``."""
+    """The rules of paths, of their options; ``light_samples`` need not be there."""
     bounces = check_whole("max_bounces", options["max_bounces"], 0, MAX_BOUNCES)
     samples_lights = options.get("light_samples", True)
     if not isinstance(samples_lights, bool):
         raise ValueError(f"light_samples: expected True or False, got {samples_lights!r:.40}")
-    return {"rules": PathRules(bounces, samples_lights, ROULETTE_BOUNCE)}
+    clamp = check_number("clamp", options["clamp"])
+    if not clamp > 0.0:
+        raise ValueError(f"clamp: expected a number above 0, got {clamp}")
+    with np.errstate(over="ignore", under="ignore"):
+        most = np.float32(clamp)
+    return {"rules": PathRules(bounces, samples_lights, ROULETTE_BOUNCE, most)}
 
 
 PATH_STAGES = (find_surfaces, meet_surfaces, reach_lights)
@@ -64,6 +72,6 @@ PATH = SampledRenderer(
     "path",
     "light by any way, one path for each sample (Kajiya 1986, Purcell 2002)",
     PATH_STAGES,
-    {"max_bounces": 8, "light_samples": True},
+    {"max_bounces": 8, "light_samples": True, "clamp": math.inf},
     check_path,
 )

@@ -72,9 +72,10 @@ def render(
         The renderer's own: ``max_bounces``, surfaces that may scatter light on its way
         (``"path"`` and ``"whitted"``: 8, ``"kajiya"``: 3); ``min_weight``, below which rays end
         (``"whitted"``: 1/512); ``light_samples=False`` finds lights by chance only
-        (``"path"``); ``rays``, from each point, and their length ``distance`` (``"ao"``: 32,
-        inf); ``opacity`` of a sheet, or ``absorption`` of solids for each world length
-        (``"xray"``: 0.2, None). Others are for the tracer.
+        (``"path"``); ``clamp``, the most that light over two surfaces or more may add to a
+        sample at once (``"path"`` and ``"kajiya"``: inf); ``rays``, from each point, and their
+        length ``distance`` (``"ao"``: 32, inf); ``opacity`` of a sheet, or ``absorption`` of
+        solids for each world length (``"xray"``: 0.2, None). Others are for the tracer.
     camera : Camera, optional
         The view; without it, the scene's, or one that frames it.
     seed : int

@@ -73,11 +73,15 @@ class PathRules(NamedTuple):
         Whether lights are sampled at each surface; else they are found by chance only.
     roulette_bounce : int
         From so many bounces on, dim paths end by chance.
+    clamp : float32
+        The most that a path may bring to a channel at once of light that reaches the first
+        surface from others; inf for no bound.
     """
 
     max_bounces: int
     samples_lights: bool
     roulette_bounce: int
+    clamp: np.float32 = _INF
 
 
 @device
@@ -86,6 +90,13 @@ def _balance(pdf, other):
     ratio = other / pdf
     share = _WHOLE / (_WHOLE + ratio * ratio)
     return select((other == _NULL) | (pdf == _INF), _WHOLE, share)
+
+
+@device
+def _at_most(light, most):
+    """Light with its hue, and no channel above a bound."""
+    brightest = largest(light[0], light[1], light[2])
+    return scaled(light, select(brightest > most, most / brightest, _WHOLE))
 
 
 @device
@@ -155,6 +166,9 @@ def follow_paths(
     path_count, ray_count = np.uint64(0), np.uint64(0)
     dimension = _FIRST_DIMENSION + _DIMENSIONS * bounce
     samples = u32x16(as_uint32(sample))
+    # The light of the first surface is that which it emits, samples, or finds by the next ray.
+    most_found = rules.clamp if bounce > _1 else _INF
+    most_sampled = rules.clamp if bounce > _0 else _INF
     count = as_int32(len(paths.pixels))
     for first in range(0, count, _LANES):
         row = lane_numbers(i32x16) + as_int32(first)
@@ -174,7 +188,7 @@ def follow_paths(
                 share = _balance(pdf, sky_pdf_lanes(lights, (dx, dy, dz), is_missed))
             color = sky_toward_lanes(lights, (dx, dy, dz), is_missed)
             color = scaled(times(weights, color), share)
-            add_lights(radiance, pixel, color, is_missed)
+            add_lights(radiance, pixel, _at_most(color, most_found), is_missed)
         if not any_lane(is_hit):
             continue
 
@@ -189,7 +203,7 @@ def follow_paths(
             tables, lights, rules, point, back, t, length, pdf, weights, is_hit
         )
         if any_lane(is_lit):
-            add_lights(radiance, pixel, light, is_lit)
+            add_lights(radiance, pixel, _at_most(light, most_found), is_lit)
         if bounce >= rules.max_bounces:
             continue
 
@@ -199,6 +213,7 @@ def follow_paths(
             found, light, is_lit = _light_sampled(
                 tables, lights, sampler, numbers, point, lobes, back, weights, is_hit
             )
+            light = _at_most(light, most_sampled)
             put_light_rays(rays, ray_count, is_lit, pixels, tables, point, found, light)
             ray_count += count_bits(lane_bits(is_lit))
 
