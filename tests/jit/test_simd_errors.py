@@ -71,7 +71,7 @@ ERRORS = {
     "minimum(x, 1.0)": "minimum takes vectors or numbers of one type",
     "maximum(x < x, x < x)": "maximum takes vectors or numbers of one type",
     "absolute(i32x8(1))": "absolute takes a float vector or number, not i32x8",
-    "copy_sign(x, number)": "copy_sign takes two float vectors or numbers of one type, not f32x8, float32",
+    "copy_sign(x, number)": "copy_sign takes two float vectors or numbers of one type",
     "select(x, x, x)": "select takes a mask and two operands of as many lanes",
     "select(mask4(True), x, x)": "select takes a mask and two operands of as many lanes",
     "select(x < x, x, 1.0)": "select takes a mask and two operands of as many lanes",

@@ -230,3 +230,35 @@ def test_a_forked_child_has_threads_of_its_own():
         check=False,
     )
     assert run.returncode == 0
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_loops_in_a_loop_that_keeps_all_threads_busy_stay_on_their_threads():
+    """Then, and only then: the last part's loops have both threads again."""
+    used, both_inside = {}, threading.Barrier(2, timeout=10)
+
+    def inner(part):
+        def run(begin, end):
+            if begin < end:
+                used.setdefault(part, set()).add(threading.get_ident())
+                time.sleep(0.02)
+
+        return run
+
+    def outer(begin, end):
+        for part in range(begin, end):
+            if part < 2:
+                both_inside.wait()
+            if part == 2:
+                time.sleep(0.2)  # the other thread finds nothing left to do
+            parallel_for(inner(part), 10, 1)
+
+    parallel_for(outer, 3, 1)
+    assert [len(used[part]) for part in range(3)] == [1, 1, 2]
+
+
+@pytest.fixture
+def two_threads():
+    set_thread_count(2)
+    yield
+    set_thread_count(None)
