@@ -2,7 +2,7 @@
 
     python benchmarks/render_speed.py cornell sibenik.obj.gz --size 1024x768
 
-Renders a sample of each pixel by ``ao``, ``kajiya`` and ``path``, and keeps all rays that the
+Renders 8 samples of each pixel by ``ao``, ``kajiya`` and ``path``, and keeps all rays of one that the
 tracer is asked about. Then it asks a tracer about the same rays again, all of a kind and bounce
 at once, as a user would: that is the time of the rays alone. The two take turns; the ratio's
 median says what shading and bookkeeping add. ``--threads 1`` also tells the parts of the
@@ -20,6 +20,9 @@ import numpy as np
 import raystream as rs
 from raystream.render import ao, path, sampled
 from raystream.render.picture import RENDERERS
+
+#: Of a picture; its time is that of one.
+SAMPLES = 8
 
 MODES = {"ao": {}, "kajiya": {}, "path": {"max_bounces": 8}}
 
@@ -164,7 +167,7 @@ def main():
             ask(tracer, rays)
             asking = partial(ask, tracer, rays)
             pairs = [
-                (seconds(partial(render, samples=3)) / 3, seconds(asking))
+                (seconds(partial(render, samples=SAMPLES)) / SAMPLES, seconds(asking))
                 for _ in range(arguments.rounds)
             ]
             ratios = [picture / alone for picture, alone in pairs]

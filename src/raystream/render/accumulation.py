@@ -18,6 +18,7 @@ from raystream.render.arguments import check_size
 from raystream.render.checkpoints import Checkpoint, identity_bytes
 from raystream.render.image import Image
 from raystream.render.layers import LAYERS, LayerKind
+from raystream.render.sums import add_light
 
 __all__ = ["Accumulation"]
 
@@ -88,15 +89,11 @@ class Accumulation:
         if radiance.ndim != 2 or radiance.shape[1] != 3:
             raise ValueError(f"radiance: expected shape (N, 3), got {radiance.shape}")
         pixels = self._pixels(first_pixel, len(radiance))
-        light = radiance.astype(np.float64)
-        is_finite = np.isfinite(light).all(axis=1)
-        if not is_finite.all():
-            light[~is_finite] = 0.0
+        light = np.ascontiguousarray(radiance, np.float32)
+        dropped = add_light(light, self._sum[pixels], self._squares[pixels], self.counts[pixels])
+        if dropped:
             with self._lock:
-                self.dropped += int(np.count_nonzero(~is_finite))
-        self._sum[pixels] += light
-        self._squares[pixels] += light * light
-        self.counts[pixels] += 1
+                self.dropped += dropped
 
     def set_layer(self, name: str, first_pixel: int, values: NDArray[Any]) -> None:
         """Add one sample of a layer to each pixel of a row of them.
