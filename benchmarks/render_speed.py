@@ -2,11 +2,11 @@
 
     python benchmarks/render_speed.py cornell sibenik.obj.gz --size 1024x768
 
-Renders 8 samples of each pixel by ``ao``, ``kajiya`` and ``path``, and keeps all rays of one that the
-tracer is asked about. Then it asks a tracer about the same rays again, all of a kind and bounce
-at once, as a user would: that is the time of the rays alone. The two take turns; the ratio's
-median says what shading and bookkeeping add. ``--threads 1`` also tells the parts of the
-rendering by stage, in seconds of the processor.
+Renders 8 samples of each pixel by ``ao``, ``kajiya`` and ``path``, and keeps all rays of one
+sample that the tracer is asked about. Then it asks a tracer about the same rays again, all of a
+kind and bounce at once, as a user would: that is the time of the rays alone. The two take turns;
+the ratio's median says what shading and bookkeeping add. ``--threads 1`` also tells the parts
+of the rendering by stage, in seconds of the processor.
 """
 
 import argparse
