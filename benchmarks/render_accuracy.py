@@ -4,10 +4,11 @@
     python benchmarks/render_accuracy.py sponza.obj.gz --samples 256 --parts 8
 
 Renders the Cornell box, or another scene whose surfaces are made matte, with their textures of
-colour and, where it has no light of its own, under a white sky; here and with Mitsuba 3 (``pip install mitsuba``), which traces paths with samples of
-the lights too, to the same depth: Mitsuba's ``max_depth`` counts a path's edges from the eye to
-the light, one more than the surfaces between. Both spread their samples evenly over each pixel
-(a box filter), with independent numbers, and take turns, a part of the samples each. Error is
+colour and, where it has no light of its own, under a white sky; here and with Mitsuba 3 (``pip
+install mitsuba``), which traces paths with samples of the lights too, to the same depth:
+Mitsuba's ``max_depth`` counts a path's edges from the eye to the light, one more than the
+surfaces between. Both spread their samples evenly over each pixel (a box filter), with
+independent numbers, and take turns, a part of the samples each. Error is
 
     mean(|ours - theirs|) / mean(theirs)
 
