@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,7 @@ def test_videos_go_on_after_an_interrupt(run, moving, monkeypatch) -> None:
     film = ("render", moving, "-o", "film.gif", "--size", "64x48")
     real, calls = render_frames_room.render, []
 
+    @functools.wraps(real)
     def interrupted(*arguments, **options):
         calls.append(1)
         if len(calls) == 4:
