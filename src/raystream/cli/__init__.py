@@ -15,6 +15,7 @@ from raystream._version import __version__
 from raystream.cli.bench import bench
 from raystream.cli.compare import compare
 from raystream.cli.info import info
+from raystream.cli.lab import lab
 from raystream.cli.messages import (
     BrokenOffError,
     one_line,
@@ -46,6 +47,7 @@ app.command()(info)
 app.command()(query)
 app.command()(compare)
 app.command()(bench)
+app.command()(lab)
 
 
 @dataclass

@@ -23,6 +23,7 @@ __all__ = [
     "HEATMAPS",
     "MACHINES",
     "MODES",
+    "PAPERS",
     "PEERS",
     "RAY_SETS",
     "SAMPLERS",
@@ -66,6 +67,7 @@ MACHINES = ("branching", "multipass")
 SCHEDULERS = ("threshold", "naive", "most-work", "double")
 DEVICES = ("cpu",)
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
+PAPERS = ("purcell", "foley", "rayforce", "christen")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
 
 CAMERA_PARTS = {

@@ -1,0 +1,181 @@
+"""``raystream lab``: the papers' experiments, re-run beside what they published."""
+
+from __future__ import annotations
+
+import datetime as dt
+import shlex
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from raystream._version import __version__
+from raystream.cli import options
+from raystream.cli.bars import Bars
+from raystream.cli.messages import (
+    BrokenOffError,
+    refuse,
+    write_json,
+    write_line,
+    write_note,
+)
+from raystream.cli.opening import choose_threads
+from raystream.cli.tables import set_table
+
+if TYPE_CHECKING:
+    from raystream.lab.experiments import Outcome
+    from raystream.lab.report import About
+
+__all__ = ["lab"]
+
+#: Where a report goes, unless told otherwise.
+_FOLDER = Path("raystream-lab")
+
+
+def lab(
+    papers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[PAPER]...",
+            help=f"{', '.join(options.PAPERS)} or all.",
+            autocompletion=options.complete((*options.PAPERS, "all")),
+            show_default=False,
+        ),
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Only this experiment; can be repeated. See --list.",
+            show_default=False,
+        ),
+    ] = None,
+    show_list: Annotated[
+        bool, typer.Option("--list", help="Say which experiments there are, and end.")
+    ] = False,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FOLDER", help="Where the report goes."),
+    ] = _FOLDER,
+    size: Annotated[
+        int | None,
+        typer.Option(
+            min=16,
+            max=4096,
+            metavar="N",
+            show_default=False,
+            help="Width and height of pictures, instead of each paper's own.",
+        ),
+    ] = None,
+    quick: Annotated[
+        bool,
+        typer.Option(help="Small pictures, scenes and sweeps: to see that everything works."),
+    ] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(help="Go on with the measurements that a run before left in the folder."),
+    ] = False,
+    threads: options.Threads = None,
+    json: options.Json = False,
+) -> None:
+    """Re-run the experiments of four papers, and show ours beside theirs."""
+    from raystream.lab.experiments import choose
+
+    with refuse(ValueError):
+        experiments = choose(papers or ["all"], only or [])
+    if show_list:
+        rows = [[one.name, one.title] for one in experiments]
+        write_json(dict(rows)) if json else write_line(set_table(["", ""], rows))
+        return
+    choose_threads(threads)
+    with refuse(OSError, where=str(output)):
+        (output / "pictures").mkdir(parents=True, exist_ok=True)
+    from raystream.lab import Laboratory, Store, run_all, write_report
+    from raystream.lab.store import FILE_NAME
+
+    store = Store(output / FILE_NAME, {"quick": quick, "size": size}, _source())
+    if resume:
+        store.read()
+    with Bars() as bars:
+        laboratory = Laboratory(
+            output / "pictures", store, size=size, quick=quick, watch=_watch(bars)
+        )
+        try:
+            outcomes = run_all(laboratory, experiments)
+        except KeyboardInterrupt:
+            raise BrokenOffError(
+                f"{len(store.values)} measurements are kept in {output}; --resume goes on"
+            ) from None
+    about = _about(papers or ["all"], only or [], output, size, quick, store.foreign_count)
+    with refuse(OSError, where=str(output)):
+        files = write_report(output, outcomes, about)
+    _show(outcomes, about, json)
+    write_note(f"wrote {', '.join(map(str, files))}")
+
+
+def _source() -> str:
+    from raystream.jit.cache import source_hash
+
+    return source_hash()
+
+
+def _watch(bars: Bars) -> Any:
+    """Each measurement is a step of the bars."""
+
+    def begin(title: str) -> AbstractContextManager[Any]:
+        return bars.step(title)
+
+    return begin
+
+
+def _about(
+    papers: list[str],
+    only: list[str],
+    output: Path,
+    size: int | None,
+    quick: bool,
+    foreign_count: int,
+) -> About:
+    from raystream.bench.machine import describe_machine
+    from raystream.jit.threads import thread_count
+    from raystream.lab.report import About
+
+    words = ["raystream", "lab", *papers]
+    words += [word for name in only for word in ("--only", name)]
+    words += ["--size", str(size)] if size is not None else []
+    words += ["--quick"] if quick else []
+    words += ["-o", str(output)] if output != _FOLDER else []
+    return About(
+        shlex.join(words),
+        describe_machine(thread_count()),
+        __version__,
+        _source(),
+        dt.date.today().isoformat(),
+        foreign_count,
+        quick,
+    )
+
+
+def _show(outcomes: list[Outcome], about: About, json: bool) -> None:
+    """Print what was found: every table, and the verdicts."""
+    from raystream.lab.report.cells import cell_text, is_number
+    from raystream.lab.report.write import as_json
+
+    if json:
+        write_json(as_json(outcomes, about))
+        return
+    for experiment, result in outcomes:
+        write_line(f"\n== {experiment.name}: {experiment.title}")
+        for table in result.tables:
+            write_line(f"\n{table.title}")
+            right = [
+                k for k in range(len(table.columns)) if any(is_number(row[k]) for row in table.rows)
+            ]
+            rows = [[cell_text(cell) for cell in row] for row in table.rows]
+            if rows:
+                write_line(set_table(table.columns, rows, right))
+        for claim in result.claims:
+            write_line(f"\n{claim.verdict}: {claim.text} ({claim.source}); {claim.evidence}")
+        for note in result.notes:
+            write_note(note)

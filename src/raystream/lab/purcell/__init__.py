@@ -1,0 +1,1 @@
+"""Purcell 2002: ray casting as a stream computation, re-run."""

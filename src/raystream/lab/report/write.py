@@ -1,0 +1,64 @@
+"""Writing a report: a page, Markdown, JSON, plots and pictures in one folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from raystream.core.whole_file import replacing
+from raystream.lab.experiments import Outcome
+from raystream.lab.report.about import About
+from raystream.lab.report.page import as_html
+from raystream.lab.report.plain import as_markdown
+from raystream.lab.report.plots import can_draw, draw
+
+__all__ = ["as_json", "write_report"]
+
+
+def as_json(outcomes: Sequence[Outcome], about: About) -> dict[str, Any]:
+    """Everything that was found, for programs."""
+    return {
+        "about": about._asdict(),
+        "experiments": {one.experiment.name: one.result.as_json() for one in outcomes},
+    }
+
+
+def write_report(folder: Path, outcomes: Sequence[Outcome], about: About) -> list[Path]:
+    """Write a report.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    outcomes : sequence of Outcome
+    about : About
+
+    Returns
+    -------
+    list of Path
+        ``report.html``, which needs nothing else; ``report.md``, beside its ``plots`` and
+        ``pictures``; ``report.json``.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    drawn: dict[str, Path] = {}
+    if can_draw():
+        (folder / "plots").mkdir(exist_ok=True)
+        for one in outcomes:
+            for plot in one.result.plots:
+                drawn[plot.name] = folder / "plots" / f"{plot.name}.png"
+                draw(plot, drawn[plot.name])
+    texts = {
+        "report.html": as_html(outcomes, about, drawn),
+        "report.md": as_markdown(outcomes, about, list(drawn)),
+        "report.json": json.dumps(as_json(outcomes, about), indent=1, allow_nan=False) + "\n",
+    }
+    for name, text in texts.items():
+        with replacing(folder / name) as part:
+            part.write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]

@@ -1,0 +1,111 @@
+"""Store: measurements on disk, each as soon as it is made, so that a long run can go on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from raystream.core.errors import FileFormatError
+from raystream.core.whole_file import replacing
+
+__all__ = ["FILE_NAME", "Store"]
+
+FILE_NAME = "measurements.json"
+
+#: Number of the file's layout.
+_LAYOUT = 1
+
+#: A file of measurements is some hundred kilobytes; one that is larger is something else.
+_MAX_BYTES = 1 << 28
+
+
+class Store:
+    """Measurements by name, in a file that is replaced whole after each of them.
+
+    Parameters
+    ----------
+    path : Path
+    settings : mapping
+        What all measurements have in common; those made under others are not used.
+
+    Attributes
+    ----------
+    values : dict of str to JSON values
+    foreign_count : int
+        How many of the measurements read were made by another source of raystream.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, Any], source: str) -> None:
+        self.path = path
+        self.values: dict[str, Any] = {}
+        self.foreign_count = 0
+        self._settings = json.loads(json.dumps(dict(settings)))
+        self._source = source
+        self._sources: dict[str, str] = {}
+
+    def read(self) -> None:
+        """Take over what the file holds, if there is one.
+
+        Raises
+        ------
+        FileFormatError
+            If it is no file of measurements, or was made with other settings.
+        """
+        try:
+            if self.path.stat().st_size > _MAX_BYTES:
+                raise FileFormatError(self.path, "too large for measurements; remove it")
+            content = json.loads(self.path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return
+        except (ValueError, RecursionError) as error:
+            reason = "holds no measurements; remove it, or run without --resume"
+            raise FileFormatError(self.path, reason) from error
+        if not _is_ours(content):
+            raise FileFormatError(
+                self.path, "holds no measurements; remove it, or run without --resume"
+            )
+        if content["settings"] != self._settings:
+            raise FileFormatError(
+                self.path,
+                f"was measured with {_listed(content['settings'])}, not with "
+                f"{_listed(self._settings)}; use the same options, another folder, or run "
+                "without --resume",
+            )
+        for name, entry in content["measurements"].items():
+            self.values[name] = entry["value"]
+            self._sources[name] = entry["source"]
+        self.foreign_count = sum(one != self._source for one in self._sources.values())
+
+    def keep(self, name: str, value: Any) -> None:
+        """Keep a measurement, in memory and in the file."""
+        self.values[name] = value
+        self._sources[name] = self._source
+        content = {
+            "layout": _LAYOUT,
+            "settings": self._settings,
+            "measurements": {
+                one: {"source": self._sources[one], "value": kept}
+                for one, kept in self.values.items()
+            },
+        }
+        with replacing(self.path) as part:
+            part.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+
+
+def _is_ours(content: Any) -> bool:
+    return (
+        isinstance(content, dict)
+        and content.get("layout") == _LAYOUT
+        and isinstance(content.get("settings"), dict)
+        and isinstance(content.get("measurements"), dict)
+        and all(
+            isinstance(entry, dict) and "value" in entry and isinstance(entry.get("source"), str)
+            for entry in content["measurements"].values()
+        )
+    )
+
+
+def _listed(settings: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in settings.items())
