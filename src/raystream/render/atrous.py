@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
+from raystream.render.color import LUMINANCE
 
 __all__ = ["Guides", "estimate_rows", "filter_rows"]
 
@@ -44,7 +45,7 @@ _NORMAL_SQUARINGS = 7
 _ESTIMATE_REACH = 3
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
-_RED, _GREEN, _BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+_RED, _GREEN, _BLUE = map(np.float32, LUMINANCE)
 
 
 class Guides(NamedTuple):

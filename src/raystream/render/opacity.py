@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.programs.filters import Bound
 from raystream.render.attributes import VertexAttributes, material_ids_of
+from raystream.render.color import LUMINANCE
 from raystream.render.shading.opacity import (
     MASKED,
     OPAQUE,
@@ -30,9 +31,6 @@ from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
 
 __all__ = ["Opacity", "filter_of"]
-
-#: Of the three colours, in how light a texture is (ITU-R BT.709).
-_LIGHTNESS = np.array([0.2126, 0.7152, 0.0722])
 
 
 class Opacity:
@@ -148,5 +146,5 @@ def _opacity_of(texture: Texture) -> NDArray[np.uint8] | None:
         return pixels[:, :, 0]
     if pixels.shape[2] == 4 and not (pixels[:, :, 3] == 255).all():
         return pixels[:, :, 3]
-    grey: NDArray[np.uint8] = np.rint(pixels[:, :, :3] @ _LIGHTNESS).astype(np.uint8)
+    grey: NDArray[np.uint8] = np.rint(pixels[:, :, :3] @ np.array(LUMINANCE)).astype(np.uint8)
     return grey

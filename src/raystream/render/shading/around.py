@@ -20,8 +20,8 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.render.sampling.sampler import draw_pair_lanes
-from raystream.render.sampling.warp import basis, cosine_hemisphere
-from raystream.render.shading.points import surface_point, to_world
+from raystream.render.sampling.warp import cosine_hemisphere, to_world
+from raystream.render.shading.points import surface_point, world_place
 from raystream.render.shading.streams import (
     append_numbers,
     append_pixels,
@@ -43,18 +43,6 @@ _LANES = 16
 def _spread(a):
     """A vector of three float64 in all lanes, float32."""
     return f32x16(np.float32(a[0])), f32x16(np.float32(a[1])), f32x16(np.float32(a[2]))
-
-
-@device
-def _directions(u, v, normal):
-    """Directions about a normal, by their cosine."""
-    tx, ty, tz, bx, by, bz = basis(normal[0], normal[1], normal[2])
-    x, y, z = cosine_hemisphere(u, v)
-    return (
-        x * tx + y * bx + z * normal[0],
-        x * ty + y * by + z * normal[1],
-        x * tz + y * bz + z * normal[2],
-    )
 
 
 @kernel
@@ -97,7 +85,7 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
         )
         normal = _spread((point.nx, point.ny, point.nz))
         # All leave on the side of the view, from one place.
-        origin = to_world(
+        origin = world_place(
             tables,
             point.x + point.offset * point.gx,
             point.y + point.offset * point.gy,
@@ -107,7 +95,7 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
             j = lane_numbers(i32x16) + as_int32(first)
             samples = as_uint32(j) + as_uint32(sample * count)
             u, v = draw_pair_lanes(sampler, u32x16(as_uint32(pixel_id)), samples, _DIMENSION)
-            x, y, z = _directions(u, v, normal)
+            x, y, z = to_world(*cosine_hemisphere(u, v), *normal)
             # Those that a smooth normal sends below the triangle meet it at once.
             height = widen(x) * point.gx + widen(y) * point.gy + widen(z) * point.gz
             mask = (j < as_int32(count)) & (height > 0.0)

@@ -21,7 +21,7 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
 from raystream.render.shading.microfacet import LEAST_ALPHA, PLASTIC, rough_reflected
-from raystream.render.shading.points import largest, material_color, material_number
+from raystream.render.shading.points import material_color, material_number
 from raystream.render.shading.tables import (
     COLUMNS,
     EMITS,
@@ -32,20 +32,16 @@ from raystream.render.shading.tables import (
     IS_TEXTURED,
 )
 from raystream.render.shading.textures import ROLES, texture_color, texture_of
+from raystream.render.shading.vectors import chosen, dot, largest, mirrored, scaled, times
 
 __all__ = [
     "Bounce",
     "Lobes",
-    "chosen",
-    "dot",
     "emitted",
     "fresnel",
     "lobes_at",
-    "mirrored",
     "reflected",
     "refracted",
-    "scaled",
-    "times",
 ]
 
 _NULL, _WHOLE, _TWO, _HALF = map(np.float32, (0.0, 1.0, 2.0, 0.5))
@@ -114,30 +110,6 @@ class Bounce(NamedTuple):
     weight: Vector
     pdf: float
     is_valid: bool
-
-
-@device
-def dot(a, b):
-    """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@device
-def times(a, b):
-    """Product of two colours."""
-    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
-
-
-@device
-def scaled(a, factor):
-    """A colour or vector times a number."""
-    return a[0] * factor, a[1] * factor, a[2] * factor
-
-
-@device
-def chosen(mask, a, b):
-    """A colour or vector where a mask, or a bool, is set, and another elsewhere."""
-    return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
 
 
 @device
@@ -251,17 +223,6 @@ def lobes_at(tables, point):
 def _sum(diffuse, specular, is_rough):
     """What two lobes scatter at most; small faces take their share of what the rest would."""
     return select(is_rough, maximum(diffuse, specular), diffuse + specular)
-
-
-@device
-def mirrored(back, normal):
-    """The direction in which a mirror sends a ray."""
-    along = _TWO * dot(back, normal)
-    return (
-        along * normal[0] - back[0],
-        along * normal[1] - back[1],
-        along * normal[2] - back[2],
-    )
 
 
 @device

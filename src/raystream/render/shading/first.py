@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import kernel
-from raystream.render.shading.bsdf import dot, emitted, lobes_at, reflected
+from raystream.render.shading.bsdf import emitted, lobes_at, reflected
 from raystream.render.shading.classic import arriving
 from raystream.render.shading.points import surface_point
 from raystream.render.shading.sky import sky_toward
 from raystream.render.shading.streams import add_light, direction_of
+from raystream.render.shading.vectors import dot, times
 
 __all__ = ["light_unblocked", "shade_by_view"]
 
@@ -34,8 +35,7 @@ def light_unblocked(paths, hits, tables, lights, first_pixel, radiance):
         back = -dx / length, -dy / length, -dz / length
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         lobes = lobes_at(tables, point)
-        matte, ambient = lobes.diffuse, lights.ambient
-        red, green, blue = matte[0] * ambient[0], matte[1] * ambient[1], matte[2] * ambient[2]
+        red, green, blue = times(lobes.diffuse, lights.ambient)
         if point.is_front:
             glow = emitted(tables, point)
             red, green, blue = red + glow[0], green + glow[1], blue + glow[2]

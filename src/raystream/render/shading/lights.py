@@ -29,10 +29,10 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.render.sampling.warp import sphere, triangle
-from raystream.render.shading.bsdf import chosen, dot, scaled
-from raystream.render.shading.points import largest, offset_at
+from raystream.render.shading.points import offset_at
 from raystream.render.shading.shares import chosen_lanes
 from raystream.render.shading.sky_lanes import map_sample_lanes, sky_toward_lanes
+from raystream.render.shading.vectors import chosen, dot, largest, scaled
 
 __all__ = ["LightSample", "sample_light", "triangle_pdf"]
 

@@ -20,6 +20,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import as_float32, maximum, minimum, select, square_root
 from raystream.render.sampling.ggx import visible_normal
 from raystream.render.sampling.warp import basis
+from raystream.render.shading.vectors import dot, mirrored
 
 __all__ = ["LEAST_ALPHA", "PLASTIC", "mirrored_share", "rough_direction", "rough_reflected"]
 
@@ -30,13 +31,8 @@ PLASTIC = np.float32(0.04)
 LEAST_ALPHA = np.float32(1e-3)
 
 _LEAST_COSINE = np.float32(1e-4)
-_NULL, _WHOLE, _TWO, _HALF = map(np.float32, (0.0, 1.0, 2.0, 0.5))
+_NULL, _WHOLE, _HALF = map(np.float32, (0.0, 1.0, 0.5))
 _PI, _INV_PI = np.float32(math.pi), np.float32(1.0 / math.pi)
-
-
-@device
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @device
@@ -75,17 +71,17 @@ def rough_reflected(diffuse, mirror, alpha, normal, back, toward):
     length = square_root(x * x + y * y + z * z)
     is_sound = length > _NULL
     length = select(is_sound, length, _WHOLE)
-    cosine = maximum(_dot(normal, toward), _NULL)
+    cosine = maximum(dot(normal, toward), _NULL)
     half = x / length, y / length, z / length
-    view = maximum(_dot(normal, back), _LEAST_COSINE)
-    height = _dot(normal, half)
+    view = maximum(dot(normal, back), _LEAST_COSINE)
+    height = dot(normal, half)
     square = alpha * alpha
     spread = height * height * (square - _WHOLE) + _WHOLE
     density = select(is_sound, square / (_PI * spread * spread), _NULL)
     view_length = square_root(view * view * (_WHOLE - square) + square)
     light_length = square_root(cosine * cosine * (_WHOLE - square) + square)
     faces = density * cosine * _HALF / (view * light_length + cosine * view_length)
-    share = mirrored_share(mirror, _dot(back, half))
+    share = mirrored_share(mirror, dot(back, half))
     even = select(is_sound, cosine * _INV_PI, _NULL)
     color = (
         share[0] * faces + (_WHOLE - share[0]) * diffuse[0] * even,
@@ -105,9 +101,9 @@ def rough_direction(alpha, normal, back, u, v):
     x, y, z = visible_normal(
         u,
         v,
-        as_float32(_dot(across, back)),
-        as_float32(_dot(up, back)),
-        as_float32(maximum(_dot(normal, back), _LEAST_COSINE)),
+        as_float32(dot(across, back)),
+        as_float32(dot(up, back)),
+        as_float32(maximum(dot(normal, back), _LEAST_COSINE)),
         as_float32(alpha),
         as_float32(alpha),
     )
@@ -116,9 +112,4 @@ def rough_direction(alpha, normal, back, u, v):
         x * across[1] + y * up[1] + z * normal[1],
         x * across[2] + y * up[2] + z * normal[2],
     )
-    along = _TWO * _dot(back, half)
-    return (
-        along * half[0] - back[0],
-        along * half[1] - back[1],
-        along * half[2] - back[2],
-    )
+    return mirrored(back, half)

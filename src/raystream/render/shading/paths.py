@@ -38,12 +38,14 @@ from raystream.jit.simd import (
 )
 from raystream.render.sampling.sampler import draw_lanes, draw_pair_lanes
 from raystream.render.shading.absorption import left_of
-from raystream.render.shading.bsdf import dot, emitted, lobes_at, reflected, scaled, times
+from raystream.render.shading.bsdf import emitted, lobes_at, reflected
 from raystream.render.shading.lights import sample_light, triangle_pdf
-from raystream.render.shading.points import largest, surface_points
+from raystream.render.shading.points import surface_points
 from raystream.render.shading.scatter import reflection_pdf, scatter
 from raystream.render.shading.sky_lanes import sky_pdf_lanes, sky_toward_lanes
 from raystream.render.shading.streams import add_lights, put_light_rays, put_paths, vector_at
+from raystream.render.shading.tables import ABSORBS
+from raystream.render.shading.vectors import dot, largest, scaled, times
 
 __all__ = ["PathRules", "follow_paths"]
 
@@ -197,7 +199,7 @@ def follow_paths(
         length = square_root(dx * dx + dy * dy + dz * dz)
         back = -dx / length, -dy / length, -dz / length
         t = gather(np.float32, address(ts), row)
-        if tables.absorbs and any_lane(is_hit & ~point.is_front):
+        if tables.kinds & ABSORBS and any_lane(is_hit & ~point.is_front):
             weights = times(weights, left_of(tables, point, t * length))
         light, is_lit = _light_found(
             tables, lights, rules, point, back, t, length, pdf, weights, is_hit
@@ -227,7 +229,8 @@ def follow_paths(
             chance = minimum(brightest, _MOST_CHANCE)
             goes_on &= draw_lanes(sampler, key, samples, dimension + 7) < chance
             weights = scaled(weights, _WHOLE / chance)
-        toward, going = ray.direction, goes_on
-        put_paths(onward, path_count, going, pixels, tables, point, toward, weights, ray.pdf)
-        path_count += count_bits(lane_bits(going))
+        put_paths(
+            onward, path_count, goes_on, pixels, tables, point, ray.direction, weights, ray.pdf
+        )
+        path_count += count_bits(lane_bits(goes_on))
     return np.int64(path_count), np.int64(ray_count)

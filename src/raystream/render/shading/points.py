@@ -13,7 +13,6 @@ from raystream.jit.simd import (
     any_lane,
     as_int32,
     gather,
-    maximum,
     minimum,
     narrow_lanes,
     select,
@@ -23,6 +22,7 @@ from raystream.jit.simd import (
 )
 from raystream.render.shading.relief import has_relief, relief_normal
 from raystream.render.shading.tables import WIDTH
+from raystream.render.shading.vectors import largest
 from raystream.render.shading.vertices import (
     attribute_number,
     attribute_vector,
@@ -32,7 +32,6 @@ from raystream.render.shading.vertices import (
 
 __all__ = [
     "Point",
-    "largest",
     "material_color",
     "material_number",
     "material_of",
@@ -40,7 +39,7 @@ __all__ = [
     "spawned",
     "surface_point",
     "surface_points",
-    "to_world",
+    "world_place",
 ]
 
 _NONE = np.uint64(0)
@@ -134,12 +133,6 @@ def offset_at(tables, extent, reach):
         EXTENT_UNITS * extent + REACH_UNITS * reach, MOST_UNITS * (tables.extreme + reach)
     )
     return offset + WORLD_UNIT * tables.world_reach
-
-
-@device
-def largest(a, b, c):
-    """The largest of three."""
-    return maximum(maximum(a, b), c)
 
 
 @device
@@ -322,7 +315,7 @@ def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
 
 
 @device
-def to_world(tables, x, y, z):
+def world_place(tables, x, y, z):
     """A point of the local frame in world space."""
     scale, center = tables.inverse_scale, tables.center
     return x * scale + center[0], y * scale + center[1], z * scale + center[2]
@@ -333,7 +326,7 @@ def spawned(tables, point, toward):
     """The origin of a ray that leaves a point in a direction, world space; see `Hits.spawn`."""
     is_below = point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < _NULL
     away = select(is_below, -point.offset, point.offset)
-    return to_world(
+    return world_place(
         tables,
         point.x + away * widen(point.gx),
         point.y + away * widen(point.gy),

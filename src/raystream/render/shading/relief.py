@@ -28,6 +28,7 @@ from raystream.jit.simd import (
 )
 from raystream.render.color import LUMINANCE
 from raystream.render.shading.textures import ROLES, texture_color, texture_of, texture_size
+from raystream.render.shading.vectors import added, chosen, dot, mirrored, scaled
 from raystream.render.shading.vertices import attribute_pair, attribute_vector, vertices_of
 
 __all__ = ["LEAST_COSINE", "has_relief", "relief_normal"]
@@ -40,7 +41,7 @@ _NORMAL = np.int32(ROLES.index("normal"))
 _BUMP = np.int32(ROLES.index("bump"))
 _RED, _GREEN, _BLUE = map(np.float32, LUMINANCE)
 
-_NULL, _HALF, _WHOLE, _TWO = map(np.float32, (0.0, 0.5, 1.0, 2.0))
+_NULL, _HALF, _WHOLE = map(np.float32, (0.0, 0.5, 1.0))
 _INF = np.float32(np.inf)
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
 
@@ -57,30 +58,14 @@ def has_relief(tables, material):
 
 
 @device
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@device
-def _sum(a, b, factor):
-    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
-
-
-@device
-def _chosen(mask, a, b):
-    return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
-
-
-@device
 def _unit(a):
-    scale = _WHOLE / square_root(_dot(a, a))
-    return a[0] * scale, a[1] * scale, a[2] * scale
+    return scaled(a, _WHOLE / square_root(dot(a, a)))
 
 
 @device
 def _is_unit(a):
     """Whether `_unit` gave a direction: not of nothing, and not of what is too long."""
-    return absolute(_dot(a, a) - _WHOLE) < _HALF
+    return absolute(dot(a, a) - _WHOLE) < _HALF
 
 
 @device
@@ -104,7 +89,7 @@ def _mapped(textures, material, s, t):
     if any_lane(is_mapped):
         scale = _scale(textures, material, _0)
         found = texture_color(textures, maximum(texture, _0), s, t, textures.signed)
-        x, y, z = _chosen(is_mapped, (scale * found[0], scale * found[1], found[2]), (x, y, z))
+        x, y, z = chosen(is_mapped, (scale * found[0], scale * found[1], found[2]), (x, y, z))
     texture = texture_of(textures, material, _BUMP)
     is_bumpy = (texture >= _0) ^ (is_mapped & (texture >= _0))
     if any_lane(is_bumpy):
@@ -132,8 +117,8 @@ def _is_mirrored(tables, vertices):
 @device
 def _at_least(cosine, normal, toward):
     """Normals turned toward a direction, where their cosine to it is too small."""
-    turned = _unit(_sum(normal, toward, LEAST_COSINE - cosine))
-    return _chosen(cosine < LEAST_COSINE, turned, normal)
+    turned = _unit(added(normal, toward, LEAST_COSINE - cosine))
+    return chosen(cosine < LEAST_COSINE, turned, normal)
 
 
 @device
@@ -143,14 +128,13 @@ def _turned(normal, geometric, back, is_mirror):
     That of mirrors and gloss is turned until what they mirror is not below the triangle: there
     it would be lost, and the surface black.
     """
-    normal = _at_least(_dot(normal, geometric), normal, geometric)
-    normal = _at_least(_dot(normal, back), normal, back)
-    along = _TWO * _dot(normal, back)
-    toward = along * normal[0] - back[0], along * normal[1] - back[1], along * normal[2] - back[2]
-    cosine = _dot(toward, geometric)
-    toward = _unit(_sum(toward, geometric, LEAST_COSINE - cosine))
+    normal = _at_least(dot(normal, geometric), normal, geometric)
+    normal = _at_least(dot(normal, back), normal, back)
+    toward = mirrored(back, normal)
+    cosine = dot(toward, geometric)
+    toward = _unit(added(toward, geometric, LEAST_COSINE - cosine))
     is_lost = is_mirror & (cosine < LEAST_COSINE)
-    return _chosen(is_lost, _unit(_sum(back, toward, _WHOLE)), normal)
+    return chosen(is_lost, _unit(added(back, toward, _WHOLE)), normal)
 
 
 @device_call
@@ -188,7 +172,7 @@ def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, 
         as_int32(vertices[2] + first),
     )
     across = attribute_vector(tables.tangents, rows, weights[0], weights[1])
-    across = _unit(_sum(across, normal, -_dot(across, normal)))
+    across = _unit(added(across, normal, -dot(across, normal)))
     is_mapped = _is_unit(across) & (absolute(s) < _INF) & (absolute(t) < _INF)
     # The frame is the front's; its back has the opposite normal, as bumps are dents there.
     side = select(is_front, _WHOLE, s * _NULL - _WHOLE)
@@ -200,7 +184,6 @@ def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, 
     )
     x, y, z = _mapped(tables.textures, material, s, t)
     x, y = side * x, side * y
-    bent = _sum(_sum((normal[0] * z, normal[1] * z, normal[2] * z), across, x), up, y)
-    bent = _unit(bent)
-    normal = _chosen(is_mapped & _is_unit(bent), bent, normal)
+    bent = _unit(added(added(scaled(normal, z), across, x), up, y))
+    normal = chosen(is_mapped & _is_unit(bent), bent, normal)
     return _turned(normal, geometric, back, _scale(tables.textures, material, _2) > _NULL)

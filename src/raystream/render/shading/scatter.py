@@ -6,18 +6,10 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import any_lane, minimum, select
-from raystream.render.sampling.warp import basis, cosine_hemisphere, power_cosine
-from raystream.render.shading.bsdf import (
-    Bounce,
-    chosen,
-    dot,
-    fresnel,
-    mirrored,
-    reflected,
-    refracted,
-    scaled,
-)
+from raystream.render.sampling.warp import cosine_hemisphere, power_cosine, to_world
+from raystream.render.shading.bsdf import Bounce, fresnel, reflected, refracted
 from raystream.render.shading.microfacet import mirrored_share, rough_direction
+from raystream.render.shading.vectors import added, chosen, dot, mirrored, scaled
 
 __all__ = ["reflection_pdf", "scatter"]
 
@@ -66,17 +58,6 @@ def reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf):
 
 
 @device
-def _turned(x, y, z, normal):
-    """A direction about +z as one about a normal."""
-    tx, ty, tz, bx, by, bz = basis(normal[0], normal[1], normal[2])
-    return (
-        x * tx + y * bx + z * normal[0],
-        x * ty + y * by + z * normal[1],
-        x * tz + y * bz + z * normal[2],
-    )
-
-
-@device
 def _shining(toward, is_specular, lobes, normal, back, u, v):
     """Directions of gloss, where that was chosen."""
     is_rough = is_specular & (lobes.alpha > _NULL)
@@ -85,7 +66,7 @@ def _shining(toward, is_specular, lobes, normal, back, u, v):
     is_glossy = is_specular & (lobes.alpha <= _NULL)
     if any_lane(is_glossy):
         x, y, z = power_cosine(u, v, lobes.shininess)
-        toward = chosen(is_glossy, _turned(x, y, z, mirrored(back, normal)), toward)
+        toward = chosen(is_glossy, to_world(x, y, z, *mirrored(back, normal)), toward)
     return toward
 
 
@@ -116,7 +97,7 @@ def scatter(lobes, point, back, choice, u, v):
     diffuse, specular, mirror, through, clear = _shares(lobes, back, normal)
     scattered = diffuse + specular
     x, y, z = cosine_hemisphere(u, v)
-    toward = _turned(x, y, z, normal)
+    toward = to_world(x, y, z, *normal)
     is_specular = (choice >= diffuse) & (choice < scattered)
     if any_lane(is_specular):
         toward = _shining(toward, is_specular, lobes, normal, back, u, v)
@@ -129,11 +110,7 @@ def scatter(lobes, point, back, choice, u, v):
     if any_lane(is_mirrored):
         direction = mirrored(back, normal)
         is_mirrored &= dot(triangle, direction) > _NULL
-        light = (
-            lobes.reflection[0] + clear * lobes.transmission[0],
-            lobes.reflection[1] + clear * lobes.transmission[1],
-            lobes.reflection[2] + clear * lobes.transmission[2],
-        )
+        light = added(lobes.reflection, lobes.transmission, clear)
         toward = chosen(is_mirrored, direction, toward)
         weight = chosen(is_mirrored, scaled(light, _WHOLE / mirror), weight)
         pdf = select(is_mirrored, _INF, pdf)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from raystream.jit.simd import (
     store,
     store_triples,
 )
-from raystream.render.shading.points import spawned, to_world
+from raystream.render.shading.points import spawned, world_place
 
 __all__ = [
     "SLACK",
@@ -86,15 +86,11 @@ class Paths(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> Paths:
         """Room for so many, with slack."""
-        rows = count + SLACK
-        directions, weights = (np.empty((rows, 3), np.float32) for _ in range(2))
-        pixels, origins = np.empty(rows, np.int64), np.empty((rows, 3))
-        room = cls(pixels, origins, directions, weights, np.empty(rows, np.float32))
-        return room.first(count)
+        return cls._make(_room(count))
 
     def first(self, count: int) -> Paths:
         """The first `count` of them."""
-        return self._replace(**{name: array[:count] for name, array in self._asdict().items()})
+        return Paths._make(array[:count] for array in self)
 
 
 class LightRays(NamedTuple):
@@ -119,15 +115,20 @@ class LightRays(NamedTuple):
     @classmethod
     def empty(cls, count: int) -> LightRays:
         """Room for so many, with slack."""
-        rows = count + SLACK
-        directions, light = (np.empty((rows, 3), np.float32) for _ in range(2))
-        pixels, origins = np.empty(rows, np.int64), np.empty((rows, 3))
-        room = cls(pixels, origins, directions, light, np.empty(rows, np.float32))
-        return room.first(count)
+        return cls._make(_room(count))
 
     def first(self, count: int) -> LightRays:
         """The first `count` of them."""
-        return self._replace(**{name: array[:count] for name, array in self._asdict().items()})
+        return LightRays._make(array[:count] for array in self)
+
+
+def _room(count: int) -> list[NDArray[Any]]:
+    """Arrays of either kind of stream for so many rows, with slack behind them."""
+    rows = count + SLACK
+    pixels, origins = np.empty(rows, np.int64), np.empty((rows, 3))
+    directions, colors = (np.empty((rows, 3), np.float32) for _ in range(2))
+    numbers = np.empty(rows, np.float32)
+    return [array[:count] for array in (pixels, origins, directions, colors, numbers)]
 
 
 @device
@@ -181,7 +182,7 @@ def aimed(tables, point, found):
     x, y, z = spawned(tables, point, found.toward)
     if found.is_far:
         return (x, y, z), found.toward, _INF
-    px, py, pz = to_world(tables, found.target[0], found.target[1], found.target[2])
+    px, py, pz = world_place(tables, found.target[0], found.target[1], found.target[2])
     return (x, y, z), (px - x, py - y, pz - z), _ONE
 
 
@@ -234,7 +235,7 @@ def put_vectors(base, row, vector, mask):
 
 
 # Of 16 rows those that a mask has are written one after the other, and what else is in the
-# vectors behind them: a third of the time of writing each row to its place.
+# vectors behind them: about two thirds of the time of writing each row to its place.
 
 
 @device
@@ -318,7 +319,7 @@ def put_light_rays(rays, first, mask, pixels, tables, point, found, light):
         What they bring.
     """
     x, y, z = spawned(tables, point, found.toward)
-    px, py, pz = to_world(tables, found.target[0], found.target[1], found.target[2])
+    px, py, pz = world_place(tables, found.target[0], found.target[1], found.target[2])
     toward = (
         select(found.is_far, found.toward[0], narrow(px - x)),
         select(found.is_far, found.toward[1], narrow(py - y)),

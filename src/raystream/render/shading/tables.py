@@ -15,6 +15,7 @@ from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 
 __all__ = [
+    "ABSORBS",
     "COLUMNS",
     "EMITS",
     "HAS_REFLECTION",
@@ -49,8 +50,8 @@ WIDTH = 22
 
 
 #: Bits of `SceneTables.kinds`: what some material does. What none does is not looked up.
-HAS_SPECULAR, HAS_REFLECTION, HAS_TRANSMISSION, IS_ROUGH, EMITS, IS_TEXTURED = (
-    1 << k for k in range(6)
+HAS_SPECULAR, HAS_REFLECTION, HAS_TRANSMISSION, IS_ROUGH, EMITS, IS_TEXTURED, ABSORBS = (
+    1 << k for k in range(7)
 )
 
 
@@ -88,8 +89,6 @@ class SceneTables(NamedTuple):
     kinds : int
         Bits: what some material does.
     textures : TextureTables
-    absorbs : bool
-        Whether any material has an absorption.
     """
 
     corners: np.uint64
@@ -107,7 +106,6 @@ class SceneTables(NamedTuple):
     materials: np.uint64
     kinds: int
     textures: TextureTables
-    absorbs: bool
 
 
 def tables_of(scene: Scene) -> tuple[SceneTables, object]:
@@ -143,7 +141,6 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         place_of(materials),
         _kinds_of(scene.materials),
         textures,
-        any(any(material.absorption) for material in scene.materials),
     )
     return tables, (corners, vertices, tangents, material_ids, materials, kept_textures)
 
@@ -159,6 +156,7 @@ def _kinds_of(materials: Sequence[Material]) -> int:
             (IS_ROUGH, any(m.roughness is not None for m in materials)),
             (EMITS, any(m.emits for m in materials)),
             (IS_TEXTURED, any(m.textures for m in materials)),
+            (ABSORBS, any(any(m.absorption) for m in materials)),
         )
         if does
     )

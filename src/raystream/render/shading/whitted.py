@@ -13,19 +13,13 @@ import numpy as np
 
 from raystream.jit.cpu import device, kernel
 from raystream.render.shading.absorption import left_of
-from raystream.render.shading.bsdf import (
-    dot,
-    emitted,
-    fresnel,
-    lobes_at,
-    mirrored,
-    reflected,
-    refracted,
-)
+from raystream.render.shading.bsdf import emitted, fresnel, lobes_at, reflected, refracted
 from raystream.render.shading.classic import arriving
 from raystream.render.shading.points import surface_point
 from raystream.render.shading.sky import sky_toward
 from raystream.render.shading.streams import add_light, aimed, direction_of, put_path, put_ray
+from raystream.render.shading.tables import ABSORBS
+from raystream.render.shading.vectors import added, dot, mirrored, scaled, times
 
 __all__ = ["light_surfaces"]
 
@@ -85,13 +79,12 @@ def light_surfaces(
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         if point.is_front:
             add_light(radiance, pixel, paths.weights, i, emitted(tables, point), 1.0)
-        elif tables.absorbs:
+        elif tables.kinds & ABSORBS:
             left = left_of(tables, point, ts[i] * length)
             for k in range(3):
                 paths.weights[i, k] *= np.float32(left[k])
         lobes = lobes_at(tables, point)
-        matte, ambient = lobes.diffuse, lights.ambient
-        light = matte[0] * ambient[0], matte[1] * ambient[1], matte[2] * ambient[2]
+        light = times(lobes.diffuse, lights.ambient)
         add_light(radiance, pixel, paths.weights, i, light, 1.0)
         for number in range(lights.light_count):
             found = arriving(tables, lights, number, point)
@@ -119,8 +112,7 @@ def light_surfaces(
                 clear = fresnel(min(dot(back, normal), 1.0), lobes.ior)
             toward = refracted(back, normal, lobes.ior)
             if clear < 1.0 and dot((point.gx, point.gy, point.gz), toward) < 0.0:
-                rest = 1.0 - clear
-                color = through[0] * rest, through[1] * rest, through[2] * rest
+                color = scaled(through, 1.0 - clear)
                 path_count = _go_on(
                     onward,
                     path_count,
@@ -133,12 +125,7 @@ def light_surfaces(
                     color,
                     min_weight,
                 )
-        mirror = lobes.reflection
-        color = (
-            mirror[0] + clear * through[0],
-            mirror[1] + clear * through[1],
-            mirror[2] + clear * through[2],
-        )
+        color = added(lobes.reflection, through, clear)
         toward = mirrored(back, normal)
         if dot((point.gx, point.gy, point.gz), toward) > 0.0:
             path_count = _go_on(
