@@ -10,7 +10,33 @@ from numpy.typing import NDArray
 
 from raystream.scene.scene import Scene
 
-__all__ = ["VertexAttributes", "material_ids_of"]
+__all__ = ["MAX_NUMBERS", "VertexAttributes", "check_rows", "material_ids_of"]
+
+#: Of a table: kernels count them in int32.
+MAX_NUMBERS = 2**31 - 1
+
+
+def check_rows(count: int, width: int, what: str) -> None:
+    """Check that kernels can count the numbers of a table.
+
+    Parameters
+    ----------
+    count, width : int
+        Rows, and numbers in each.
+    what : str
+        What rows stand for.
+
+    Raises
+    ------
+    ValueError
+        If they are more than `MAX_NUMBERS`.
+    """
+    most = MAX_NUMBERS // width
+    if count > most:
+        raise ValueError(
+            f"scene: {count:,} {what} are more than the {most:,} that can be shaded; "
+            "leave meshes out, or simplify them"
+        )
 
 
 class VertexAttributes(NamedTuple):
@@ -35,13 +61,20 @@ class VertexAttributes(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> VertexAttributes:
-        """Those of a scene."""
+        """Those of a scene.
+
+        Raises
+        ------
+        ValueError
+            If kernels cannot count them, see `check_rows`.
+        """
         normals = _joined([mesh.normals for mesh in scene.meshes], scene, 3, np.nan)
         texcoords = _joined([mesh.texcoords for mesh in scene.meshes], scene, 2, np.nan)
         colors = _joined([mesh.colors for mesh in scene.meshes], scene, 3, 1.0)
         faces = np.empty((0, 3), np.int32)
         if not (normals is None and texcoords is None and colors is None):
             counts = [len(mesh.vertices) for mesh in scene.meshes]
+            check_rows(sum(counts), 3, "vertices with attributes")
             firsts = np.cumsum([0, *counts[:-1]])
             parts = [m.faces + first for m, first in zip(scene.meshes, firsts, strict=True)]
             faces = np.concatenate(parts).astype(np.int32)

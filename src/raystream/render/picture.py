@@ -108,7 +108,8 @@ def render(
     Raises
     ------
     ValueError
-        If a name is unknown or a number out of range.
+        If a name is unknown or a number out of range, or if the scene has more triangles or
+        vertices than can be shaded.
     TypeError
         If `scene` is neither a scene nor a tracer, or `camera` no camera.
     MemoryError

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.render.attributes import material_ids_of
+from raystream.render.attributes import check_rows, material_ids_of
 from raystream.render.color import LUMINANCE
 from raystream.render.environment import image_light
 from raystream.render.shading.shares import running_sums
@@ -78,13 +78,14 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     Raises
     ------
     ValueError, FileFormatError, ImportError
-        See `environment.image_light` and `environment.texels_of`.
+        See `environment.image_light`, `environment.texels_of` and `check_rows`.
     """
     points, suns, color = _far_lights(scene)
     prims = np.concatenate(
         [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
     )
     prims = np.intersect1d(prims, scene.triangles.prim_ids).astype(np.int32)
+    check_rows(len(prims), 17, "triangles that emit light")
     if not (scene.lights or len(prims) or color.any()):
         color = np.ones(3)
     sky, sky_luminance, kept_sky = sky_of(color, image_light(scene.lights))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.render.attributes import VertexAttributes, material_ids_of
+from raystream.render.attributes import VertexAttributes, check_rows, material_ids_of
 from raystream.render.shading.tangents import vertex_tangents
 from raystream.render.shading.textures import TextureTables, pack_textures, place_of
 from raystream.scene.material import Material
@@ -115,8 +115,14 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     -----
     RaystreamWarning
         See `pack_textures`.
+
+    Raises
+    ------
+    ValueError
+        If kernels cannot count the scene's triangles or vertices, see `check_rows`.
     """
     triangles = scene.triangles
+    check_rows(len(triangles.corners), 9, "triangles")
     vertices = VertexAttributes.of(scene)
     material_ids = material_ids_of(scene)
     materials = _material_rows(scene.materials)
@@ -172,6 +178,7 @@ def _tangents(
     has_relief = np.array([not {"normal", "bump"}.isdisjoint(m.textures) for m in scene.materials])
     if vertices.texcoords is None or not has_relief[material_ids].any():
         return None
+    check_rows(len(vertices.texcoords), 6, "vertices with relief")
     return vertex_tangents(corners, vertices, has_relief[material_ids])
 
 
