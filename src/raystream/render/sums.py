@@ -13,7 +13,7 @@ __all__ = ["add_light"]
 
 @kernel
 def add_light(light, sums, squares, counts):
-    """Add a sample to each of some pixels; a tenth of the time that NumPy takes for it.
+    """Add a sample to each of some pixels; an eighth of the time that NumPy takes for it.
 
     Parameters
     ----------
