@@ -7,7 +7,13 @@ import pytest
 from numba.core.errors import TypingError
 
 from raystream.jit.cpu import kernel
-from raystream.jit.intrinsics import corners_at, row_address
+from raystream.jit.intrinsics import (
+    bits_above,
+    corners_at,
+    high_product,
+    row_address,
+    sum_above,
+)
 from raystream.jit.simd import address
 
 
@@ -53,3 +59,30 @@ def test_a_row_has_an_address_and_none_has_none():
     for wrong in (np.zeros(5), 3):
         with pytest.raises(TypingError):
             is_none(wrong, 1)
+
+
+def test_high_product_is_the_upper_half(rng):
+    @kernel
+    def product(a, b):
+        return high_product(a, b)
+
+    numbers = [0, 1, 48, 2**32, 2**63, 2**64 - 1, *rng.integers(0, 2**63, 20).tolist()]
+    for a in numbers:
+        for b in numbers:
+            assert product(np.uint64(a), np.uint64(b)) == (a * b) >> 64
+    with pytest.raises(TypingError):
+        product(np.uint64(1), 1.0)
+
+
+def test_sums_above_a_place(rng):
+    @kernel
+    def sums(array, k):
+        return sum_above(address(array), k), bits_above(address(array), k)
+
+    array = rng.integers(0, 2**63, 65).astype(np.uint64)[1:]  # of a vector's alignment or not
+    for k in range(64):
+        above = array[k + 1 :]
+        expected = int(above.sum(dtype=np.uint64)), int(np.bitwise_count(above).sum())
+        assert sums(array, np.uint64(k)) == expected
+    with pytest.raises(TypingError):
+        sums(array, 1.0)

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["corners_at", "row_address", "stay_out_of_line"]
+__all__ = [
+    "bits_above",
+    "corners_at",
+    "high_product",
+    "row_address",
+    "stay_out_of_line",
+    "sum_above",
+]
 
 
 @intrinsic
@@ -78,3 +86,68 @@ def row_address(typing_context: Any, array: Any, row: Any) -> Any:
         return builder.add(builder.ptrtoint(rows.data, offset.type), offset)
 
     return types.uint64(array, row), generate
+
+
+@intrinsic
+def high_product(typing_context: Any, a: Any, b: Any) -> Any:
+    """The upper 64 bits of the product of two uint64 numbers."""
+    if a != types.uint64 or b != types.uint64:
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        wide = ir.IntType(128)
+        factors = [builder.zext(argument, wide) for argument in arguments]
+        return builder.trunc(
+            builder.lshr(builder.mul(*factors), ir.Constant(wide, 64)), ir.IntType(64)
+        )
+
+    return types.uint64(a, b), generate
+
+
+def _reduce_above(at: Any, k: Any, counts_bits: bool) -> Any:
+    """Add up those of 64 numbers at an address whose place is above k, or their bits."""
+    if at != types.uint64 or k != types.uint64:
+        return None
+    number = ir.IntType(64)
+    vector = ir.VectorType(number, 64)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        values = builder.load(builder.inttoptr(arguments[0], vector.as_pointer()))
+        values.align = 8
+        if counts_bits:
+            count = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(vector, [vector]), "llvm.ctpop.v64i64"
+            )
+            values = builder.call(count, [values])
+        one = builder.insert_element(
+            ir.Constant(vector, None), arguments[1], ir.Constant(number, 0)
+        )
+        limits = builder.shuffle_vector(
+            one, one, ir.Constant(ir.VectorType(ir.IntType(32), 64), None)
+        )
+        above = builder.icmp_unsigned(">", ir.Constant(vector, list(range(64))), limits)
+        kept = builder.select(above, values, ir.Constant(vector, None))
+        add = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(number, [vector]), "llvm.vector.reduce.add.v64i64"
+        )
+        return builder.call(add, [kept])
+
+    return types.uint64(at, k), generate
+
+
+@intrinsic
+def sum_above(typing_context: Any, at: Any, k: Any) -> Any:
+    """Sum of those of 64 uint64 at an address that come after number k of them.
+
+    All are read, in vectors: there is no branch that the machine would have to foresee.
+    """
+    return _reduce_above(at, k, counts_bits=False)
+
+
+@intrinsic
+def bits_above(typing_context: Any, at: Any, k: Any) -> Any:
+    """How many bits are set in those of 64 uint64 at an address that come after number k of them.
+
+    All are read, as for `sum_above`.
+    """
+    return _reduce_above(at, k, counts_bits=True)
