@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from raystream.machines.counters import RayCounters
     from raystream.machines.counting import Counting
     from raystream.machines.multipass import Multipass
+    from raystream.machines.observing import Observer, Shown
     from raystream.machines.passes import Passes
     from raystream.machines.schedulers import Queues, Scheduler
 
@@ -21,10 +22,12 @@ __all__ = [
     "MULTIPASS_OPTIONS",
     "Counting",
     "Multipass",
+    "Observer",
     "Passes",
     "Queues",
     "RayCounters",
     "Scheduler",
+    "Shown",
     "make_machine",
     "own_options",
 ]
@@ -39,10 +42,12 @@ MULTIPASS_OPTIONS = ("scheduler", "threshold", "traversal_steps", "intersections
 _HOMES = {
     "Counting": "counting",
     "Multipass": "multipass",
+    "Observer": "observing",
     "Passes": "passes",
     "Queues": "schedulers",
     "RayCounters": "counters",
     "Scheduler": "schedulers",
+    "Shown": "observing",
 }
 
 

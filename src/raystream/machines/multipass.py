@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import operator
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,13 @@ from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import UNLIMITED, LocalRays
 from raystream.kernels.tally import new_tallies
+from raystream.machines.observing import Observer, Shown
 from raystream.machines.passes import Passes
 from raystream.machines.ray_streams import RayStreams
 from raystream.machines.records import Query
-from raystream.machines.schedulers import USUAL_THRESHOLD, Queues, Scheduler, make_scheduler
+from raystream.machines.schedulers import USUAL_THRESHOLD, Scheduler, make_scheduler
 from raystream.machines.steps import Steps, steps_of
+from raystream.machines.steps.base import StepKernel
 from raystream.machines.task import Task, Wish
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
@@ -31,9 +33,6 @@ MAX_BYTES = 1 << 29
 
 #: Bytes of a ray besides its place and its stack, with counters.
 _RAY_BYTES = 160
-
-#: Rays are moved together when at most this share of them is active.
-_COMPACTION = 0.5
 
 
 class Multipass(BatchQueries):
@@ -80,12 +79,26 @@ class Multipass(BatchQueries):
         self.intersections = _at_least_one("intersections", intersections)
         self.compaction = bool(compaction)
         self.passes: Passes | None = None
+        self.observer: Observer | None = None
         steps_of(structure)  # raises for a structure that has none
 
     def recording(self, passes: Passes) -> Multipass:
         """The same machine, which adds its passes to a record."""
         machine = copy.copy(self)
         machine.passes = passes
+        return machine
+
+    def shown_to(self, observer: Observer) -> Multipass:
+        """The same machine, which shows its rays before the first pass and after each one.
+
+        Parameters
+        ----------
+        observer : callable
+            Gets a `Shown`. Rays that are traced in parts, for want of memory or because they
+            need more of it, begin anew with each part.
+        """
+        machine = copy.copy(self)
+        machine.observer = observer
         return machine
 
     @property
@@ -186,7 +199,10 @@ class Multipass(BatchQueries):
             np.uint64(self.intersections),
         )
         streams = RayStreams(steps, query, task)
-        self._run(streams, steps, progress)
+        if self.observer is not None:
+            streams.on_run = self._shower(self.observer, streams, stacks, wish, task)
+            streams.on_run(None)
+        self._run(streams, progress)
         if self.passes is not None and runs is not None:
             at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
             self.passes.add_bound(steps.kernels, runs, at_once)
@@ -201,32 +217,30 @@ class Multipass(BatchQueries):
                 task.tallies[overflown] = again.tallies
         return streams.counts
 
-    def _run(self, streams: RayStreams, steps: Steps, progress: Progress | None) -> None:
+    @staticmethod
+    def _shower(
+        observer: Observer,
+        streams: RayStreams,
+        stacks: NDArray[np.uint8],
+        wish: Wish,
+        task: Task,
+    ) -> Callable[[StepKernel | None], None]:
+        """Tells the observer which kernel ran, and shows what it left."""
+
+        def show(kernel: StepKernel | None) -> None:
+            arrays = {name: stream.array for name, stream in streams.streams.items()}
+            observer(Shown(kernel, arrays, stacks, wish.out, task.tallies))
+
+        return show
+
+    def _run(self, streams: RayStreams, progress: Progress | None) -> None:
         """Pass after pass, until no ray is active."""
-        kernels, count = steps.kernels, len(streams)
-        shading = len(kernels) - 1
+        count = len(streams)
         counters = None if self.passes is None else self.passes.counters
-        latest: int | None = None
-        waiting = streams.waiting()
-        while any(waiting):
-            searching = sum(waiting[:shading])
-            if self.compaction and searching <= _COMPACTION * len(streams):
-                if waiting[shading]:
-                    streams.run(shading, counters)
-                streams.drop_ended()
-                waiting = streams.waiting()
-                if not searching:
-                    break
-            latest = self.scheduler.choose(Queues(kernels, waiting, latest))
-            if latest not in range(len(kernels)) or not waiting[latest]:
-                chosen = dict(enumerate(one.name for one in kernels)).get(latest, latest)
-                raise ValueError(
-                    f"scheduler: {self.scheduler!r} chose {chosen!r}, for which no ray waits"
-                )
-            streams.run(latest, counters)
-            waiting = streams.waiting()
+        for kernel, waiting in streams.schedule(self.scheduler, self.compaction, counters):
             if progress:
                 progress(count - sum(waiting), count)
+            streams.run(kernel, counters)
         if progress:
             progress(count, count)
 

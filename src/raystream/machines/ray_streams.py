@@ -3,17 +3,51 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.machines.records import FOUND, RAY, WANTED, Query, RayState
+from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel, Steps
 from raystream.machines.task import Task
 from raystream.streams import Counters, Kernel, Stream
 
-__all__ = ["RayStreams"]
+__all__ = ["RayStreams", "declared_as"]
+
+#: Rays are moved together when at most this share of them is active.
+_COMPACTION = 0.5
+
+
+def declared_as(
+    steps: Steps,
+    query: Query,
+    number: int,
+    read: Mapping[str, Stream],
+    written: Mapping[str, Stream],
+) -> dict[str, Any]:
+    """What a kernel of a traversal reads and writes, as `streams.Kernel` takes it.
+
+    Parameters
+    ----------
+    steps : Steps
+    query : Query
+    number : int
+        Which of its kernels.
+    read, written : mapping of str to Stream
+        The streams by name; with ``state`` among those that are written.
+    """
+    one = steps.kernels[number]
+    names = inspect.signature(one.function).parameters
+    known = {"tree": steps.tree, "query": query, "kernel": np.uint64(number)}
+    outputs = [*(written[name] for name in one.outputs), written["state"]]
+    return {
+        "inputs": {name: read[name] for name in names if name in read},
+        "outputs": outputs if one.outputs else outputs[0],
+        "constants": {name: known[name] for name in names if name in known},
+    }
 
 
 class RayStreams:
@@ -29,6 +63,8 @@ class RayStreams:
     ----------
     counts : ndarray of shape (N,), uint32
         Hits of the rays that have ended.
+    on_run : callable or None
+        Called with each `StepKernel` that has run.
     """
 
     def __init__(self, steps: Steps, query: Query, task: Task) -> None:
@@ -36,6 +72,7 @@ class RayStreams:
         self._steps = steps
         self._query = query
         self.counts = np.zeros(count, np.uint32)
+        self.on_run: Callable[[StepKernel | None], None] | None = None
         # Comparing an array with an IntEnum takes NumPy 4 microseconds longer.
         self._waited_for = [np.uint8(one.state) for one in steps.kernels]
         ray, wanted = np.empty(count, RAY), np.empty(count, WANTED)
@@ -60,25 +97,21 @@ class RayStreams:
         ]
 
     def _kernel(self, number: int, one: StepKernel) -> Kernel:
-        names = inspect.signature(one.function).parameters
-        known = {
-            "tree": self._steps.tree,
-            "query": self._query,
-            "kernel": np.uint64(number),
-        }
         state = self._streams["state"]
-        written = [self._streams[name] for name in one.outputs]
         return Kernel(
             one.function,
-            inputs={name: self._streams[name] for name in names if name in self._streams},
-            outputs=[*written, state] if written else state,
-            constants={name: known[name] for name in names if name in known},
+            **declared_as(self._steps, self._query, number, self._streams, self._streams),
             where=state == int(one.state),
             name=one.name,
         )
 
     def __len__(self) -> int:
         return len(self._streams["state"])
+
+    @property
+    def streams(self) -> Mapping[str, Stream]:
+        """The streams by name, until rays are dropped."""
+        return self._streams
 
     def waiting(self) -> list[int]:
         """How many rays wait for each kernel."""
@@ -87,7 +120,58 @@ class RayStreams:
 
     def run(self, kernel: int, counters: Counters | None) -> int:
         """Run a kernel on the rays that wait for it; returns how many there were."""
-        return self._kernels[kernel].execute(counters=counters)
+        count = self._kernels[kernel].execute(counters=counters)
+        if self.on_run is not None:
+            self.on_run(self._steps.kernels[kernel])
+        return count
+
+    def schedule(
+        self, scheduler: Scheduler, compaction: bool = False, counters: Counters | None = None
+    ) -> Iterator[tuple[int, list[int]]]:
+        """Choose kernels until no ray is active; whoever gets one is to `run` it.
+
+        Parameters
+        ----------
+        scheduler : Scheduler
+        compaction : bool
+            Shade the rays whose search has ended, and drop them, whenever they are half of
+            those that are left.
+        counters : Counters, optional
+            Gets the passes that this takes.
+
+        Yields
+        ------
+        kernel : int
+            Its number.
+        waiting : list of int
+            How many rays wait for each kernel.
+
+        Raises
+        ------
+        ValueError
+            If the scheduler chooses a kernel for which no ray waits.
+        """
+        kernels = self._steps.kernels
+        shading = len(kernels) - 1
+        latest: int | None = None
+        waiting = self.waiting()
+        while any(waiting):
+            searching = sum(waiting[:shading])
+            if compaction and searching <= _COMPACTION * len(self):
+                if waiting[shading]:
+                    self.run(shading, counters)
+                self.drop_ended()
+                waiting = self.waiting()
+                if not searching:
+                    break
+            latest = scheduler.choose(Queues(kernels, waiting, latest))
+            if latest not in range(len(kernels)) or not waiting[latest]:
+                chosen = dict(enumerate(one.name for one in kernels)).get(latest, latest)
+                raise ValueError(
+                    f"scheduler: {scheduler!r} chose {chosen!r}, for which no ray waits"
+                )
+            yield latest, waiting
+            waiting = self.waiting()
 
     def drop_ended(self) -> None:
         """Keep the rays that have not ended, in their order."""
