@@ -8,6 +8,7 @@ from cases import CASES
 from conftest import assert_same_bits
 from meshes import dented_sphere, grid_floor, soup
 from raystream.core.npz import read_npz, write_npz
+from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import scratch
 from raystream.kernels.queries import LocalRays
@@ -296,6 +297,25 @@ def test_an_update_builds_it_anew(rng):
     assert tracer.update(vertices * [1, 2, 3]).rebuilt
     assert tracer.structure.options["layout"] == "foley"
     assert not np.isnan(tracer.structure.report.seconds)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_one_tree_is_searched_in_three_ways(layout, rng):
+    rays = rng.uniform(-2, 2, (2, 500, 3))
+    built = build(*soup(300, 1), layout=layout).structure
+    for traversal in TRAVERSALS:
+        other = built.with_traversal(traversal)
+        expected = build(*soup(300, 1), layout=layout, traversal=traversal)
+        assert other.options == expected.structure.options
+        assert other.tree is built.tree
+        hits = [
+            one.first_hit_batch(RayBatch(*rays, 0.0, np.inf), np.zeros(len(rays[0]), np.uint8))
+            for one in (other, expected.structure)
+        ]
+        assert all(np.array_equal(a, b) for a, b in zip(*hits, strict=True))
+    assert built.options["traversal"] == "stack"
+    with pytest.raises(ValueError, match="traversal: expected one of"):
+        built.with_traversal("ropes")
 
 
 @pytest.mark.parametrize("prim_id", [2**31 - 1, -2])

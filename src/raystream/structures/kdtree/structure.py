@@ -151,6 +151,25 @@ class KdTree(Structure):
         """Where the tree is; the structure keeps it."""
         return self._addresses
 
+    def with_traversal(self, traversal: str) -> KdTree:
+        """The same tree, searched in another way; it is not built again.
+
+        Parameters
+        ----------
+        traversal : {"stack", "restart", "backtrack"}
+
+        Raises
+        ------
+        ValueError
+            If it is none of them.
+        """
+        started = time.perf_counter()
+        options = {**self.options, "traversal": traversal}
+        _check(options)
+        other = KdTree.__new__(KdTree)
+        other._set(self.triangles, self.tree, options, started)
+        return other
+
     def quality(self) -> dict[str, float]:
         """Counts, depth, bytes, and what a random line through the bounds meets.
 
