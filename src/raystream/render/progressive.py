@@ -28,7 +28,7 @@ from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.seen import SeenSurfaces
 from raystream.scene.scene import Scene
 
-__all__ = ["Limits", "checkpoint_seconds", "render_samples"]
+__all__ = ["Limits", "checkpoint_seconds", "render_samples", "trace_sample"]
 
 #: Pixels that go through the stages together: enough for streams of rays to be worth sorting,
 #: few enough for the threads to finish together. Memory is about 300 bytes for each.
@@ -141,7 +141,7 @@ def render_samples(
                         on_pass(sums.image())
                     shown = time.monotonic()
                 report = part_of(progress, sample * pixel_count, expected * pixel_count)
-                light, seen = _next_sample(renderer, setting, sample, report)
+                light, seen = trace_sample(renderer, setting, sample, report)
                 adder.submit(_add, sums, setting.layers, light, seen).result()
                 sample += 1
     except KeyboardInterrupt:
@@ -208,10 +208,19 @@ def _expected_samples(
     return min(limits.samples, max(math.ceil(expected), sample + 1))
 
 
-def _next_sample(
-    renderer: SampledRenderer, setting: Setting, sample: int, progress: Progress | None
+def trace_sample(
+    renderer: SampledRenderer, setting: Setting, sample: int, progress: Progress | None = None
 ) -> tuple[NDArray[np.float32], SeenSurfaces | None]:
-    """One more sample of every pixel.
+    """Take one more sample of every pixel, on all threads.
+
+    Parameters
+    ----------
+    renderer : SampledRenderer
+    setting : Setting
+    sample : int
+        Its number.
+    progress : callable, optional
+        Called with (pixels done, pixels).
 
     Returns
     -------
