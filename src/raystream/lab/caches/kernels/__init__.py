@@ -1,0 +1,1 @@
+"""Kernels that take a trace through a cache, one reference after the other."""
