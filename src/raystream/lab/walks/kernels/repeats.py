@@ -1,0 +1,59 @@
+"""Tests that a ray did before."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import kernel
+
+__all__ = ["count_repeats"]
+
+_ONE = np.uint64(1)
+_EMPTY = np.int32(-1)
+
+
+@kernel
+def count_repeats(begin, end, walks, lists, roles, stamps, boxes, counts):
+    """Count the tests of the rays begin to end, and those that repeat one.
+
+    Parameters
+    ----------
+    walks : tuple of ndarray
+        ``run_splits``, ``run_kernels``, ``run_lengths``, ``visit_splits``, ``visits`` of `Walks`.
+    lists : GridArrays
+    roles : ndarray of shape (K,), uint8
+        See `fetches`: 1 looks at a cell, 2 tests a triangle.
+    stamps : ndarray of shape (F,), int64
+        -1, for each triangle; the ray that tested it last is written.
+    boxes : tuple of ndarray, int32
+        Mailboxes of a ray, each of a power of two of entries.
+    counts : ndarray of shape (2 + B,), int64
+        Tests, those of a triangle that the ray had tested, and those that each mailbox knew,
+        are added.
+    """
+    run_splits, run_kernels, run_lengths, visit_splits, visits = walks
+    splits, references = lists.splits, lists.references
+    for i in range(np.uint64(begin), np.uint64(end)):
+        for box in boxes:
+            box[:] = _EMPTY
+        visit, cell = np.uint64(visit_splits[i]), np.uint64(0)
+        for run in range(np.uint64(run_splits[i]), np.uint64(run_splits[i + _ONE])):
+            role, length = roles[np.uint64(run_kernels[run])], np.uint64(run_lengths[run])
+            if role == 1:
+                visit += length
+                cell = np.uint64(visits[visit - _ONE])
+            if role != 2:
+                continue
+            counts[0] += np.int64(length)
+            first = np.uint64(splits[cell])
+            for row in range(first, first + length):
+                triangle = np.uint64(references[row])
+                if stamps[triangle] == np.int64(i):
+                    counts[1] += 1
+                stamps[triangle] = np.int64(i)
+                for k in range(len(boxes)):
+                    box = boxes[k]
+                    place = triangle & (np.uint64(len(box)) - _ONE)
+                    if box[place] == np.int32(triangle):
+                        counts[2 + k] += 1
+                    box[place] = np.int32(triangle)

@@ -1,0 +1,271 @@
+"""Replaying: the passes that any schedule takes for recorded walks, without tracing again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.memory import check_memory
+from raystream.jit.threads import Progress, parallel_for
+from raystream.lab.walks.kernels.schedule import (
+    CHOSEN,
+    DOUBLE,
+    END,
+    MOST_WORK,
+    NAIVE,
+    THRESHOLD,
+    Queued,
+    run_passes,
+)
+from raystream.lab.walks.walks import Walks
+from raystream.machines.multipass import Multipass
+from raystream.machines.records import RayState
+from raystream.machines.schedulers import (
+    USUAL_THRESHOLD,
+    Double,
+    MostWork,
+    Naive,
+    Queues,
+    Scheduler,
+    Threshold,
+)
+
+__all__ = ["Replay", "ReplayedPass", "replay", "sweep"]
+
+#: Room for the passes of one call of the compiled loop.
+_PASSES_PER_CALL = 1 << 14
+
+_RULES: dict[type, int] = {
+    Naive: NAIVE,
+    Threshold: THRESHOLD,
+    MostWork: MOST_WORK,
+    Double: DOUBLE,
+}
+
+
+class ReplayedPass(NamedTuple):
+    """One pass.
+
+    Attributes
+    ----------
+    kernel : str
+    run_count : int
+        Rays that it ran on.
+    """
+
+    kernel: str
+    run_count: int
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The passes of a schedule, in their order.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The kernels, in the order of a ray's way.
+    at_once : tuple of int
+        Steps of each in a pass.
+    ray_count : int
+        Rays that are there in each pass.
+    kernels : ndarray of shape (P,), uint8
+        Position in `names` of each pass's kernel.
+    run_counts : ndarray of shape (P,), uint32
+        Rays that it ran on.
+    optimal_count : int
+        No schedule has fewer passes; see `machines.Passes`.
+    """
+
+    names: tuple[str, ...]
+    at_once: tuple[int, ...]
+    ray_count: int
+    kernels: NDArray[np.uint8]
+    run_counts: NDArray[np.uint32]
+    optimal_count: int
+
+    def __len__(self) -> int:
+        return len(self.kernels)
+
+    def __iter__(self) -> Iterator[ReplayedPass]:
+        for kernel, count in zip(self.kernels.tolist(), self.run_counts.tolist(), strict=True):
+            yield ReplayedPass(self.names[kernel], count)
+
+    @property
+    def passes(self) -> dict[str, int]:
+        """Passes of each kernel."""
+        counts = np.bincount(self.kernels, minlength=len(self.names))
+        return dict(zip(self.names, counts.tolist(), strict=True))
+
+    @property
+    def runs(self) -> dict[str, int]:
+        """How many rays each kernel ran on, in all of its passes together."""
+        sums = np.zeros(len(self.names), np.int64)
+        np.add.at(sums, self.kernels, self.run_counts.astype(np.int64))
+        return dict(zip(self.names, sums.tolist(), strict=True))
+
+    @property
+    def efficiency(self) -> float:
+        """SIMD efficiency: the mean share of all rays that a pass ran on; nan without passes."""
+        if not len(self):
+            return float("nan")
+        return float(self.run_counts.mean(dtype=np.float64) / self.ray_count)
+
+
+def replay(
+    walks: Walks,
+    *,
+    scheduler: str | Scheduler = "threshold",
+    threshold: float = USUAL_THRESHOLD,
+    traversal_steps: int = 1,
+    intersections: int = 1,
+) -> Replay:
+    """Find the passes that a multipass machine takes for these rays, all traced together.
+
+    Parameters
+    ----------
+    walks : Walks
+    scheduler, threshold, traversal_steps, intersections
+        See `raystream.machines.Multipass`. The machine's `compaction` is not replayed.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an option is out of range, or a scheduler chose a kernel that no ray waits for.
+
+    Notes
+    -----
+    A ray that begins a run of n steps leaves its kernel after n passes of that kernel, or n / k if
+    a pass has k steps. So rays are kept in buckets by that pass, and those that walk alike are
+    one: time is proportional to the runs of distinct walks, and to the passes.
+    """
+    machine = Multipass(
+        walks.structure,
+        scheduler=scheduler,
+        threshold=threshold,
+        traversal_steps=traversal_steps,
+        intersections=intersections,
+    )
+    limits = {"steps": machine.traversal_steps, "tests": machine.intersections, "": 1}
+    at_once = tuple(limits[one.limit] for one in walks.kernels)
+    kernels, counts = _Replaying(walks, at_once).run(machine.scheduler)
+    return Replay(
+        names=walks.names,
+        at_once=at_once,
+        ray_count=len(walks),
+        kernels=kernels,
+        run_counts=counts,
+        optimal_count=sum(-(-n // k) for n, k in zip(walks.most_runs, at_once, strict=True)),
+    )
+
+
+def sweep(
+    walks: Walks,
+    thresholds: Sequence[float],
+    *,
+    traversal_steps: int = 1,
+    intersections: int = 1,
+    progress: Progress | None = None,
+) -> list[Replay]:
+    """Replay one schedule for each threshold, on all threads; see `replay`."""
+    _ = walks.distinct, walks.most_runs  # found once, and not on several threads
+    replays: list[Replay | None] = [None] * len(thresholds)
+
+    def fill(begin: int, end: int) -> None:
+        for row in range(begin, end):
+            replays[row] = replay(
+                walks,
+                threshold=thresholds[row],
+                traversal_steps=traversal_steps,
+                intersections=intersections,
+            )
+
+    parallel_for(fill, len(thresholds), 1, progress)
+    return [one for one in replays if one is not None]
+
+
+class _Replaying:
+    """Rays on their way through a schedule."""
+
+    def __init__(self, walks: Walks, at_once: Sequence[int]) -> None:
+        check_memory(28 * len(walks), f"queues of {len(walks):,} rays would", "replay fewer rays")
+        self.walks = walks
+        self.at_once = np.minimum(at_once, np.iinfo(np.uint32).max).astype(np.uint32)
+        self.is_tests = np.array([one.state is RayState.INTERSECTING for one in walks.kernels])
+        self.queued = _queued(walks, self.at_once)
+
+    def run(self, scheduler: Scheduler) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
+        """Kernel and rays of each pass."""
+        rule = _RULES.get(type(scheduler), CHOSEN)
+        if rule == CHOSEN:
+            return self._ask(scheduler)
+        share = scheduler.share if isinstance(scheduler, Threshold) else 0.0
+        parts = [self._run(rule, share, -1, _PASSES_PER_CALL)]
+        while len(parts[-1][0]) == _PASSES_PER_CALL:
+            parts.append(self._run(rule, share, -1, _PASSES_PER_CALL))
+        return _joined(parts)
+
+    def _ask(self, scheduler: Scheduler) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
+        """The same, as somebody's own scheduler chooses."""
+        kernels = self.walks.kernels
+        parts = [self._run(CHOSEN, 0.0, -1, 0)]
+        latest: int | None = None
+        while any(waiting := self.queued.waiting.tolist()):
+            latest = scheduler.choose(Queues(kernels, waiting, latest))
+            if latest not in range(len(kernels)) or not waiting[latest]:
+                raise ValueError(f"scheduler: {scheduler!r} chose {latest}, for which no ray waits")
+            parts.append(self._run(CHOSEN, 0.0, latest, 1))
+        return _joined(parts)
+
+    def _run(
+        self, rule: int, share: float, chosen: int, room: int
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
+        out = np.empty(room, np.uint8), np.empty(room, np.uint32)
+        count = run_passes(
+            self.walks.distinct,
+            self.at_once,
+            self.is_tests,
+            rule,
+            share,
+            chosen,
+            self.queued,
+            out,
+        )
+        return out[0][:count], out[1][:count]
+
+
+def _joined(
+    parts: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint32]]],
+) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
+    kernels, counts = zip(*parts, strict=True)
+    return np.concatenate(kernels), np.concatenate(counts)
+
+
+def _queued(walks: Walks, at_once: NDArray[np.uint32]) -> Queued:
+    """All rays, those that walk alike as one, about to begin their first runs."""
+    splits, kernel_count = walks.distinct.run_splits, len(walks.kernels)
+    count = len(splits) - 1
+    # No run is longer than all steps of its kernel on its ray.
+    longest = [-(-n // k) for n, k in zip(walks.most_runs, at_once.tolist(), strict=True)]
+    sizes = [1 << n.bit_length() for n in longest]
+    links = np.arange(1, count + 1, dtype=np.uint32)
+    links[-1:] = END
+    return Queued(
+        waiting=np.zeros(kernel_count, np.int64),
+        clocks=np.zeros(kernel_count, np.uint64),
+        offsets=(np.cumsum(sizes) - sizes).astype(np.uint64),
+        masks=(np.array(sizes) - 1).astype(np.uint64),
+        heads=np.full(sum(sizes), END, np.uint32),
+        links=links,
+        cursors=splits[:-1].copy(),
+        latest=np.full(1, -1, np.int64),
+        leaving=np.array([0 if count else END], np.uint32),
+    )

@@ -1,0 +1,124 @@
+"""Walks: what rays did, step by step, kept to be looked at again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.lab.walks.distinct import DistinctWalks, distinct_walks
+from raystream.machines.counters import RayCounters
+from raystream.machines.steps.base import StepKernel
+from raystream.structures import Structure
+
+__all__ = ["Run", "Walks"]
+
+
+class Run(NamedTuple):
+    """A kernel that runs on a ray several times on end.
+
+    Attributes
+    ----------
+    kernel : str
+    length : int
+        Steps: of one pass each, unless several are done in one.
+    """
+
+    kernel: str
+    length: int
+
+
+@dataclass(frozen=True)
+class Walks:
+    """The kernel runs of each ray, in their order: those of the multipass machine.
+
+    Attributes
+    ----------
+    structure : Structure
+        Kept, as places are numbers of its parts.
+    kernels : tuple of StepKernel
+        Of the structure; the one that begins first, shading last.
+    shape : tuple of int
+        Of the rays: S, with N of them.
+    is_any_hit : bool
+        Whether rays look for any hit; else for the first.
+    run_splits : ndarray of shape (N + 1,), int64
+        Ray i has runs run_splits[i] to run_splits[i + 1].
+    run_kernels : ndarray of shape (M,), uint8
+        Position in `kernels`. Neighbours on a ray differ.
+    run_lengths : ndarray of shape (M,), uint32
+        How many steps.
+    runs : ndarray of shape (N, K), uint32
+        Steps of each kernel on each ray.
+    prim_ids : ndarray of shape (N,), int32
+        First hits; -1 for a miss, and throughout for any hits.
+    counters : RayCounters
+        What each ray met.
+    visit_splits : ndarray of shape (N + 1,), int64, or None
+        Ray i looked at the places visit_splits[i] to visit_splits[i + 1].
+    visits : ndarray of shape (V,), uint32, or None
+        In a grid, the cell of each step of `traverse`: cell (i, j, k) is i + nx (j + ny k), and
+        cells within cells follow, as in `FineArrays.lists`. In a kd-tree, the node at which
+        each step of `down`, `leaf` and `up` began. None if they were not asked for.
+    """
+
+    structure: Structure
+    kernels: tuple[StepKernel, ...]
+    shape: tuple[int, ...]
+    is_any_hit: bool
+    run_splits: NDArray[np.int64]
+    run_kernels: NDArray[np.uint8]
+    run_lengths: NDArray[np.uint32]
+    runs: NDArray[np.uint32]
+    prim_ids: NDArray[np.int32]
+    counters: RayCounters
+    visit_splits: NDArray[np.int64] | None = None
+    visits: NDArray[np.uint32] | None = None
+
+    def __len__(self) -> int:
+        return len(self.run_splits) - 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The kernels' names."""
+        return tuple(one.name for one in self.kernels)
+
+    @property
+    def byte_count(self) -> int:
+        """Memory of all arrays but the counters."""
+        arrays = (self.run_splits, self.run_kernels, self.run_lengths, self.runs, self.prim_ids)
+        own = sum(array.nbytes for array in arrays)
+        return own + sum(a.nbytes for a in (self.visit_splits, self.visits) if a is not None)
+
+    @cached_property
+    def distinct(self) -> DistinctWalks:
+        """Each walk once, and how many rays walk like it."""
+        return distinct_walks(self.run_splits, self.run_kernels, self.run_lengths)
+
+    @cached_property
+    def most_runs(self) -> tuple[int, ...]:
+        """For each kernel, the most steps on any ray."""
+        return tuple(self.runs.max(axis=0, initial=0).tolist())
+
+    def runs_of(self, ray: int) -> Iterator[Run]:
+        """The runs of one ray, in their order."""
+        rows = slice(*self.run_splits[ray : ray + 2].tolist())
+        names = self.names
+        for k, n in zip(self.run_kernels[rows], self.run_lengths[rows], strict=True):
+            yield Run(names[k], int(n))
+
+    def visits_of(self, ray: int) -> NDArray[np.uint32]:
+        """The places that one ray looked at.
+
+        Raises
+        ------
+        ValueError
+            If places were not recorded.
+        """
+        if self.visits is None or self.visit_splits is None:
+            raise ValueError("visits: not recorded; record with visits=True")
+        return self.visits[slice(*self.visit_splits[ray : ray + 2].tolist())]
