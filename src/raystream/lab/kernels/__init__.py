@@ -1,0 +1,1 @@
+"""Kernels: what each step of a traversal costs, counted in its compiled code and measured."""

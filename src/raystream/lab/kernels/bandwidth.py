@@ -1,0 +1,193 @@
+"""Achieved bandwidth of the key kernels, and whether bandwidth or computing binds them.
+
+Foley 2005, section 4.2: each kernel is run again and again on the rays of a scene, without
+masking or scheduling, and so is a version of it that fetches and stores the same and computes
+next to nothing. "Where the fetch-only versions exhibited the same performance as the full
+versions, we concluded that the full versions were bandwidth-bound or near the crossover point."
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from raystream.jit.threads import parallel_for, thread_count
+from raystream.kernels.queries import LocalRays
+from raystream.lab.kernels.costs import stream_words, words_fetched
+from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only
+from raystream.lab.kernels.fetches import accesses
+from raystream.lab.kernels.record import compile_steps
+from raystream.lab.kernels.search import Search, Snapshot, busiest, snapshots
+from raystream.streams import Kernel
+from raystream.structures import Structure
+
+__all__ = ["RUNS", "KernelSpeed", "copy_bandwidth", "kernel_speeds", "measure_speed"]
+
+#: Foley's number of runs.
+RUNS = 500
+
+#: Passes of brute force that are looked at: all rays take part in each.
+_BRUTE_PASSES = 8
+
+
+@dataclass(frozen=True)
+class KernelSpeed:
+    """How fast a kernel and its fetch-only version run on the same rays.
+
+    Attributes
+    ----------
+    structure, kernel : str
+    ray_count : int
+        Rays in each run: all that waited for the kernel in its busiest pass.
+    words_in, words_fetched, words_out : int
+        Words of 4 bytes for each ray: loaded from streams, read of the structure (each word
+        once), and stored. Counted in the code of the fetch-only version, which has no
+        branches that leave any of them out.
+    seconds, fetch_seconds : ndarray of shape (runs,)
+        Of each run of the kernel, and of its fetch-only version, taken in turns.
+    thread_count : int
+        Threads that each run was spread over.
+    """
+
+    structure: str
+    kernel: str
+    ray_count: int
+    words_in: int
+    words_fetched: int
+    words_out: int
+    seconds: np.ndarray
+    fetch_seconds: np.ndarray
+    thread_count: int
+
+    @property
+    def byte_count(self) -> int:
+        """Bytes that a run reads and writes."""
+        return 4 * self.ray_count * (self.words_in + self.words_fetched + self.words_out)
+
+    @property
+    def bandwidth(self) -> float:
+        """Bytes a second, in the run of median time."""
+        return self.byte_count / float(np.median(self.seconds))
+
+    @property
+    def fetch_bandwidth(self) -> float:
+        """The same of the fetch-only version."""
+        return self.byte_count / float(np.median(self.fetch_seconds))
+
+    @property
+    def ratio(self) -> float:
+        """Median time of the kernel, in that of its fetch-only version."""
+        return float(np.median(self.seconds) / np.median(self.fetch_seconds))
+
+    def is_bandwidth_bound(self, slack: float = 0.25) -> bool:
+        """Foley's rule: whether it takes as long as its fetch-only version, but for a share.
+
+        Parameters
+        ----------
+        slack : float
+            Ours: Foley gives no number for "the same performance".
+        """
+        return self.ratio <= 1.0 + slack
+
+
+def kernel_speeds(
+    structure: Structure, rays: LocalRays, *, runs: int = RUNS, scheduler: str = "threshold"
+) -> list[KernelSpeed]:
+    """Measure the key kernels of a structure on rays in the middle of their search.
+
+    The search is run to find the pass of each kernel in which most rays take part, and once
+    more to take their states there.
+
+    Parameters
+    ----------
+    structure : Structure
+        Brute force, a grid of one level, or a kd-tree.
+    rays : LocalRays
+        From `search.local_rays`.
+    runs : int
+        Of each kernel and of its fetch-only version.
+    scheduler : str
+        Of the search.
+
+    Returns
+    -------
+    list of KernelSpeed
+        In the order of `FETCH_ONLY`; without kernels that did not run.
+
+    Raises
+    ------
+    ValueError
+        If the structure has none, or is a grid of two levels.
+    """
+    names = [kernel for name, kernel in FETCH_ONLY if name == structure.name]
+    if not names:
+        known = ", ".join(dict.fromkeys(name for name, _ in FETCH_ONLY))
+        raise ValueError(f"structure: {structure.name!r} has no key kernels; choose of {known}")
+    limit = _BRUTE_PASSES if structure.name == "brute" else None
+    search = Search(structure, rays, scheduler)
+    if getattr(search.steps.tree, "children", 0):
+        raise ValueError("structure: key kernels are measured in a grid of one level")
+    passes = busiest(search, names, limit)
+    taken = snapshots(Search(structure, rays, scheduler), passes)
+    return [measure_speed(structure.name, taken[name], runs) for name in names if name in taken]
+
+
+def measure_speed(structure: str, snapshot: Snapshot, runs: int = RUNS) -> KernelSpeed:
+    """Measure a kernel on the rays of a snapshot.
+
+    Parameters
+    ----------
+    structure : str
+        Its name.
+    snapshot : Snapshot
+    runs : int
+    """
+    fetching = fetch_only(structure, snapshot.steps, snapshot.number)
+    kernels = snapshot.kernel()[0], snapshot.kernel(fetching)[0]
+    record = compile_steps(fetching, snapshot.number, is_in_place=False)
+    found = accesses(record.code.instructions)
+    for kernel in kernels:  # compiles
+        _time(kernel)
+    times = np.array([[_time(kernel) for kernel in kernels] for _ in range(runs)])
+    return KernelSpeed(
+        structure,
+        kernels[0].name,
+        len(snapshot),
+        sum(stream_words(record, found, "load").values()),
+        sum(one.words for one in words_fetched(record, found).values()),
+        sum(stream_words(record, found, "store").values()),
+        times[:, 0],
+        times[:, 1],
+        thread_count(),
+    )
+
+
+def copy_bandwidth(byte_count: int = 1 << 26, runs: int = 20) -> float:
+    """Bytes a second that are read and written when an array is copied, on all threads.
+
+    Parameters
+    ----------
+    byte_count : int
+        Of the array: more than fits into caches measures the memory.
+    runs : int
+        The median counts.
+    """
+    source, target = np.ones(byte_count, np.uint8), np.empty(byte_count, np.uint8)
+
+    def copy(begin: int, end: int) -> None:
+        target[begin:end] = source[begin:end]
+
+    seconds = []
+    for _ in range(runs):
+        started = time.perf_counter()
+        parallel_for(copy, byte_count, 1 << 20)
+        seconds.append(time.perf_counter() - started)
+    return 2 * byte_count / float(np.median(seconds))
+
+
+def _time(kernel: Kernel) -> float:
+    started = time.perf_counter()
+    kernel.execute()
+    return time.perf_counter() - started

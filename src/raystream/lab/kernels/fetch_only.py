@@ -1,0 +1,207 @@
+"""Kernels that fetch and store what the key kernels do, and compute next to nothing.
+
+Foley 2005, section 4.2: "stripped down to perform the same number of fetches and writes, but
+only enough math to prevent the driver from eliminating the fetches". Each returns records like
+the kernel that it stands for. It reads all fields of a ray's records that this reads, and each
+word of the structure once; at the same addresses, but for the order of a triangle's corners,
+and for the child of a split, of which it takes the one below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import f32x4, lane_bits, load
+from raystream.machines.records import RayState
+from raystream.machines.steps import Steps
+from raystream.structures.bvh.wide import BLOCK, SECOND, THIRD
+
+__all__ = ["FETCH_ONLY", "fetch_only"]
+
+_TRAVERSING = np.uint8(RayState.TRAVERSING)
+_INTERSECTING = np.uint8(RayState.INTERSECTING)
+_CLIMBING = np.uint8(RayState.CLIMBING)
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_ZERO = np.float32(0.0)
+_WORD = np.uint64(4)
+_NODE = np.uint64(8)
+_CORNERS = np.uint64(36)
+_AXIS = np.uint64(16)
+
+# Foley's layout of a kd-tree; see `structures.kdtree.packed`.
+_LEAF = np.uint64(1 << 31)
+_ROW = np.uint64((1 << 30) - 1)
+_RECORD = np.uint64(12)
+_EXTENDED = np.uint64(32)
+_HIGH = np.uint64(12)
+_LINK = np.uint64(24)
+
+
+@device
+def _sum_of_ray(ray):
+    o, d = ray.origin, ray.direction
+    return ((o[0] + o[1]) + (o[2] + d[0])) + (d[1] + d[2])
+
+
+@device
+def _triple(v):
+    return (v[0] + v[1]) + v[2]
+
+
+@device
+def _word(at):
+    return np.uint64(load(np.uint32, at))
+
+
+@device
+def _sum_of_corners(tree, row):
+    """A reference, and the nine numbers of its triangle."""
+    at = tree.corners + np.uint64(load(np.int32, tree.references + row * _WORD)) * _CORNERS
+    total = load(np.float32, at)
+    for k in range(_ONE, np.uint64(9)):
+        total += load(np.float32, at + k * _WORD)
+    return total
+
+
+@device
+def _found(wanted, found, more):
+    """A record of hits that follows from all that was read."""
+    count = found.count ^ np.uint32(wanted.capacity ^ wanted.first)
+    return np.uint32(count), found.t_far + more
+
+
+@device
+def brute_intersect(ray, wanted, found, place, tree):
+    """For `machines.steps.brute.intersect`."""
+    row = np.uint64(place.row)
+    total = (_sum_of_ray(ray) + ray.t_min) + _sum_of_corners(tree, row)
+    return _found(wanted, found, total), (np.uint32(row + _ONE),), _INTERSECTING
+
+
+@device
+def _same_place(place, t_in, row, end):
+    return (
+        place.cell,
+        place.outer,
+        place.t_next,
+        place.plane,
+        place.t_after,
+        t_in,
+        place.t_end,
+        np.uint32(row),
+        np.uint32(end),
+    )
+
+
+@device
+def grid_traverse(ray, found, place, tree):
+    """For `machines.steps.grid.traverse`, in a grid of one level."""
+    at = tree.splits + np.uint64(place.cell) * _WORD
+    row = found.count ^ place.row ^ np.uint32(_word(at))
+    end = place.end ^ np.uint32(_word(at + _WORD))
+    t_in = place.t_in + (_sum_of_ray(ray) + found.t_far)
+    return _same_place(place, t_in, row, end), _TRAVERSING
+
+
+@device
+def grid_intersect(ray, wanted, found, place, tree):
+    """For `machines.steps.grid.intersect`, in a grid of one level."""
+    total = _sum_of_ray(ray) + _sum_of_corners(tree, np.uint64(place.row))
+    place = _same_place(place, place.t_in, place.row, place.end)
+    return _found(wanted, found, total), place, _INTERSECTING
+
+
+@device
+def _same_search(place, node, t_in, t_out, left):
+    return np.uint32(node), t_in, t_out, place.t_end, place.top, _NONE, np.uint32(left)
+
+
+@device
+def kdtree_down(ray, place, tree):
+    """For `machines.steps.kdtree.go_down`."""
+    node = np.uint64(place.node)
+    if tree.leaves != _NONE:
+        at = tree.nodes + node * _RECORD
+        position, node = load(np.float32, at), _word(at + _WORD) ^ _word(at + _NODE)
+    else:
+        at = tree.nodes + node * _NODE
+        child = _word(at + _WORD) >> _TWO
+        position, node = load(np.float32, at), _word(tree.nodes + child * _NODE + _WORD)
+    total = _sum_of_ray(ray) + position
+    return _same_search(place, node, place.t_in, place.t_out + total, 0), _TRAVERSING
+
+
+@device
+def kdtree_up(ray, place, tree):
+    """For `machines.steps.kdtree.climb`."""
+    node = np.uint64(place.node)
+    o, d = ray.origin, ray.direction
+    if tree.leaves != _NONE:
+        is_leaf = node >= _LEAF
+        leaf = tree.leaves + (node & _ROW) * _RECORD + _NODE
+        node = _word(leaf if is_leaf else tree.extended + node * _EXTENDED + _LINK)
+        row = tree.extended + node * _EXTENDED
+    else:
+        row = tree.extended + ((node - _ONE) >> _ONE) * _EXTENDED
+        node = _word(row + _LINK)
+        node ^= _word(tree.nodes + node * _NODE + _WORD)
+    high = row + _HIGH
+    x = load(np.float32, high if d[0] > _ZERO else row)
+    y = load(np.float32, (high if d[1] > _ZERO else row) + _WORD)
+    z = load(np.float32, (high if d[2] > _ZERO else row) + _NODE)
+    t_out = ((o[0] + x) + (o[1] + y)) + ((o[2] + z) + (d[0] + (d[1] + d[2])))
+    return _same_search(place, node, place.t_in, t_out, 0), _CLIMBING
+
+
+@device
+def _corner_lanes(at):
+    return load(f32x4, at) + load(f32x4, at + _AXIS) + load(f32x4, at + _AXIS + _AXIS)
+
+
+@device
+def kdtree_intersect(ray, wanted, found, place):
+    """For `machines.steps.kdtree.intersect`; of a block, the triangles without their numbers."""
+    block = place.block
+    total = _corner_lanes(block) + _corner_lanes(block + SECOND) + _corner_lanes(block + THIRD)
+    bits = np.uint32(lane_bits(total > f32x4(_ZERO)))
+    place = (
+        place.node,
+        place.t_in,
+        place.t_out,
+        place.t_end,
+        place.top,
+        block + BLOCK,
+        np.uint32(place.left ^ bits),
+    )
+    return _found(wanted, found, _sum_of_ray(ray)), place, _INTERSECTING
+
+
+#: By the structure and the kernel that each stands for.
+FETCH_ONLY: dict[tuple[str, str], Callable[..., Any]] = {
+    ("brute", "intersect"): brute_intersect,
+    ("grid", "traverse"): grid_traverse,
+    ("grid", "intersect"): grid_intersect,
+    ("kdtree", "down"): kdtree_down,
+    ("kdtree", "up"): kdtree_up,
+    ("kdtree", "intersect"): kdtree_intersect,
+}
+
+
+def fetch_only(structure: str, steps: Steps, number: int) -> Steps:
+    """The steps of a traversal with one kernel replaced by its fetch-only version.
+
+    Raises
+    ------
+    KeyError
+        If there is none; see `FETCH_ONLY`.
+    """
+    kernels = list(steps.kernels)
+    function = FETCH_ONLY[structure, kernels[number].name]
+    kernels[number] = kernels[number]._replace(function=function)
+    return steps._replace(kernels=tuple(kernels))

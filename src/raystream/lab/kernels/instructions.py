@@ -1,0 +1,167 @@
+"""Counting instructions of compiled code by what they do."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from raystream.jit.inspect import Instruction
+from raystream.lab.kernels.blocks import Blocks
+
+__all__ = ["InstructionCounts", "bookkeeping", "class_of", "count_instructions", "count_loop"]
+
+_CLASSES = {
+    "floating": "fadd fsub fmul fdiv frem fneg",
+    "integer": "add sub mul udiv sdiv urem srem shl lshr ashr and or xor",
+    "conversions": "fpext fptrunc sitofp uitofp fptosi fptoui sext zext trunc",
+    "comparisons": "icmp fcmp select",
+    "addresses": "getelementptr",
+    "lanes": "extractelement insertelement shufflevector",
+    "loads": "load",
+    "stores": "store",
+    "branches": "switch",
+}
+_CLASS_OF = {opcode: name for name, opcodes in _CLASSES.items() for opcode in opcodes.split()}
+
+#: LLVM's functions for operations on whole numbers; its others compute with floats.
+_INTEGER_CALLS = (
+    *("abs", "ctlz", "ctpop", "cttz", "fshl", "fshr", "sadd", "smax", "smin", "ssub"),
+    *("uadd", "umax", "umin", "usub", "vector.reduce.and", "vector.reduce.or"),
+)
+
+#: They tell the compiler something and become no code.
+_REMARKS = ("assume", "lifetime", "dbg", "experimental.noalias", "invariant")
+
+#: They count the users of arrays: once for each call of a loop, not for each record.
+_ARRAY_OWNERS = ("NRT_incref", "NRT_decref")
+
+
+@dataclass(frozen=True)
+class InstructionCounts:
+    """Instructions of LLVM's, after optimisation, by what they do.
+
+    Each stands for about one instruction of a machine. Not counted are those that become none:
+    jumps that are always taken, phis, changes of type without change of bits, remarks to the
+    compiler; and what a function does once for a whole loop over records.
+
+    Attributes
+    ----------
+    floating : int
+        Arithmetic of floats, with minimum, absolute value and the like.
+    integer : int
+        Arithmetic and bits of integers.
+    conversions : int
+        Between types of numbers.
+    comparisons : int
+        Comparisons and selections.
+    addresses : int
+        Sums that make addresses. Machines do many of them as part of a load or store.
+    lanes : int
+        Moves between lanes of vectors.
+    loads, stores : int
+    branches : int
+        Jumps that depend on something.
+    calls : int
+        Calls of functions that are not copied into this one.
+    vectors : int
+        How many of all these work on vectors.
+    """
+
+    floating: int = 0
+    integer: int = 0
+    conversions: int = 0
+    comparisons: int = 0
+    addresses: int = 0
+    lanes: int = 0
+    loads: int = 0
+    stores: int = 0
+    branches: int = 0
+    calls: int = 0
+    vectors: int = 0
+
+    @property
+    def total(self) -> int:
+        """All instructions, each once."""
+        arithmetic = self.floating + self.integer + self.conversions + self.comparisons
+        memory = self.addresses + self.lanes + self.loads + self.stores
+        return arithmetic + memory + self.branches + self.calls
+
+
+def class_of(one: Instruction) -> str | None:
+    """The field of `InstructionCounts` for an instruction; None if it is not counted."""
+    if one.opcode == "br":
+        return "branches" if len(one.blocks) > 1 else None
+    if one.opcode != "call":
+        return _CLASS_OF.get(one.opcode)
+    if not one.callee.startswith("llvm."):
+        return None if one.callee in _ARRAY_OWNERS else "calls"
+    name = one.callee.removeprefix("llvm.")
+    if name.startswith(_REMARKS):
+        return None
+    if name.startswith(("masked.load", "masked.gather")):
+        return "loads"
+    if name.startswith(("masked.store", "masked.scatter", "memcpy", "memset")):
+        return "stores"
+    return "integer" if name.startswith(_INTEGER_CALLS) else "floating"
+
+
+def bookkeeping(instructions: Sequence[Instruction]) -> set[int]:
+    """Instructions that serve remarks to the compiler alone; and stores of what is returned."""
+    users: list[list[int]] = [[] for _ in instructions]
+    for k, one in enumerate(instructions):
+        for operand in one.operands:
+            if isinstance(operand, int):
+                users[operand].append(k)
+    remarks = {
+        k
+        for k, one in enumerate(instructions)
+        if one.opcode == "call" and one.callee.startswith("llvm.assume")
+    }
+    waiting = [x for k in remarks for x in instructions[k].operands if isinstance(x, int)]
+    while waiting:
+        k = waiting.pop()
+        if k not in remarks and remarks.issuperset(users[k]):
+            remarks.add(k)
+            waiting += [x for x in instructions[k].operands if isinstance(x, int)]
+    # What a function returns goes to %retptr. Pointers are stored for exceptions alone.
+    return remarks | {
+        k
+        for k, one in enumerate(instructions)
+        if one.opcode == "store" and (one.type == "ptr" or one.operands[-1] == "%retptr")
+    }
+
+
+def count_instructions(
+    instructions: Sequence[Instruction], among: Iterable[int] | None = None
+) -> InstructionCounts:
+    """Count the instructions of a function.
+
+    Parameters
+    ----------
+    instructions : sequence of Instruction
+    among : iterable of int, optional
+        The blocks to look at; all without it.
+    """
+    blocks = None if among is None else set(among)
+    skipped = bookkeeping(instructions)
+    counts: Counter[str] = Counter()
+    for k, one in enumerate(instructions):
+        name = class_of(one)
+        if name is None or k in skipped or (blocks is not None and one.block not in blocks):
+            continue
+        counts[name] += 1
+        counts["vectors"] += _is_vector(one, instructions)
+    return InstructionCounts(**counts)
+
+
+def count_loop(instructions: Sequence[Instruction]) -> InstructionCounts | None:
+    """Count the instructions of the longest loop, of those in no other; None without loops."""
+    loops = Blocks(instructions).loops()
+    counts = [count_instructions(instructions, loop) for loop in loops]
+    return max(counts, key=lambda one: one.total, default=None)
+
+
+def _is_vector(one: Instruction, instructions: Sequence[Instruction]) -> bool:
+    own = [instructions[x].type for x in one.operands if isinstance(x, int)]
+    return any(shown.startswith("<") for shown in (one.type, *own))

@@ -1,0 +1,279 @@
+"""What it costs to keep rays in memory between passes, and to pass over idle ones.
+
+Foley 2005, section 5, sees two issues that limit a streaming ray tracer: "the inefficiency of
+load balancing and the costs of data recirculation". Both are measured here: the same rays take
+the same steps, by the same device functions, on the multipass and on the branching machine;
+and a pass takes time for rays that do not wait for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.threads import thread_count
+from raystream.kernels.collect import HitArrays
+from raystream.kernels.queries import LocalRays
+from raystream.lab.kernels.search import Search
+from raystream.structures import Structure
+
+__all__ = [
+    "OccupancyBin",
+    "PassTime",
+    "Recirculation",
+    "by_occupancy",
+    "measure_recirculation",
+]
+
+#: Structures whose branching machine traces rays one by one, as `kernels.queries` does.
+_ONE_BY_ONE = ("brute", "grid", "kdtree", "graph")
+
+#: Timed passes without any ray in their kernel's state.
+_IDLE_RUNS = 20
+
+
+class PassTime(NamedTuple):
+    """One pass.
+
+    Attributes
+    ----------
+    kernel : str
+    run_count : int
+        Rays that it ran on.
+    record_count : int
+        Rays whose state it looked at.
+    seconds : float
+    """
+
+    kernel: str
+    run_count: int
+    record_count: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Recirculation:
+    """The same search on both machines.
+
+    Attributes
+    ----------
+    structure : str
+    ray_count : int
+    compaction : bool
+        Whether the multipass machine dropped rays that had ended.
+    passes : list of PassTime
+        Without those that hand hits over before rays are dropped.
+    scheduling_seconds : float
+        Multipass, between passes: counting states, choosing, and dropping rays.
+    launch_seconds : dict of str to float
+        By the kernel: what a pass over one ray takes that does not wait for it. The calls
+        around the loop.
+    idle_seconds : dict of str to float
+        By the kernel: what a pass takes more for each ray that it looks at and does not run on,
+        measured on streams in which no ray waits. Without the first kernel, which all run.
+    branching_seconds : float
+        Of the same search on the branching machine: the median of three.
+    thread_count : int
+    """
+
+    structure: str
+    ray_count: int
+    compaction: bool
+    passes: list[PassTime]
+    scheduling_seconds: float
+    launch_seconds: Mapping[str, float]
+    idle_seconds: Mapping[str, float]
+    branching_seconds: float
+    thread_count: int
+
+    @property
+    def step_count(self) -> int:
+        """Runs of kernels on rays, set-up and shading included: the same on both machines."""
+        return sum(one.run_count for one in self.passes)
+
+    @property
+    def multipass_seconds(self) -> float:
+        """Of all passes, without what is between them."""
+        return sum(one.seconds for one in self.passes)
+
+    @property
+    def seconds_per_step(self) -> float:
+        """Multipass, passes alone."""
+        return self.multipass_seconds / self.step_count
+
+    @property
+    def branching_seconds_per_step(self) -> float:
+        """Branching."""
+        return self.branching_seconds / self.step_count
+
+    @property
+    def busy_seconds_per_step(self) -> float:
+        """Multipass: what loading a ray, a step and storing it take, without the shares below."""
+        return self.seconds_per_step * max(0.0, 1.0 - self.idle_share - self.launch_share)
+
+    @property
+    def idle_share(self) -> float:
+        """Share of the passes' time that goes to idle rays, at `idle_seconds` for each."""
+        lost = [
+            (one.record_count - one.run_count) * self.idle_seconds.get(one.kernel, 0.0)
+            for one in self.passes
+        ]
+        return sum(lost) / self.multipass_seconds
+
+    @property
+    def launch_share(self) -> float:
+        """Share of the passes' time that goes to starting them, at `launch_seconds` for each."""
+        lost = [self.launch_seconds.get(one.kernel, 0.0) for one in self.passes]
+        return sum(lost) / self.multipass_seconds
+
+    @property
+    def sparse_share(self) -> float:
+        """Share of the passes' time that full ones would save.
+
+        What passes take longer than as many runs do at the rate of the kernel's fullest ones
+        (those at least half as full as its fullest): for idle rays, and because the others lie
+        scattered among them in memory. Can be below 0 where full passes are no faster.
+        """
+        return 1.0 - sum(map(_full_seconds, self._by_kernel())) / self.multipass_seconds
+
+    def _by_kernel(self) -> list[list[PassTime]]:
+        names = dict.fromkeys(one.kernel for one in self.passes)
+        return [[one for one in self.passes if one.kernel == name] for name in names]
+
+    @property
+    def efficiency(self) -> float:
+        """Mean share of rays that a pass ran on (Purcell 2002, Table 2)."""
+        return float(np.mean([one.run_count / one.record_count for one in self.passes]))
+
+
+class OccupancyBin(NamedTuple):
+    """Passes in which a similar share of rays took part.
+
+    Attributes
+    ----------
+    low, high : float
+        Of the share: low <= share < high; 1 is in the last one.
+    pass_count, run_count : int
+    seconds : float
+    """
+
+    low: float
+    high: float
+    pass_count: int
+    run_count: int
+    seconds: float
+
+
+def measure_recirculation(
+    structure: Structure,
+    rays: LocalRays,
+    *,
+    scheduler: str = "threshold",
+    compaction: bool = False,
+) -> Recirculation:
+    """Time each pass of a search for first hits, and the same search on the branching machine.
+
+    Parameters
+    ----------
+    structure : Structure
+        Not a BVH: its branching machine traces rays together, by other functions.
+    rays : LocalRays
+        From `search.local_rays`.
+    scheduler : str
+    compaction : bool
+
+    Raises
+    ------
+    ValueError
+        If the structure is a BVH.
+    """
+    if structure.name not in _ONE_BY_ONE:
+        known = ", ".join(_ONE_BY_ONE)
+        raise ValueError(
+            f"structure: {structure.name!r} traces rays together on the branching machine, by "
+            f"other functions than on the multipass machine; choose of {known}"
+        )
+    few = LocalRays(*(column[:1] for column in rays))
+    Search(structure, few, scheduler).run()  # compiles
+    search = Search(structure, rays, scheduler, compaction)
+    launch = _time_idle(Search(structure, few, scheduler))
+    whole = _time_idle(search)
+    extra = max(1, len(rays.t_min) - 1)
+    idle = {name: max(0.0, whole[name] - launch[name]) / extra for name in whole}
+    passes: list[PassTime] = []
+    started = time.perf_counter()
+    for kernel, waiting in search.schedule():
+        count, begin = len(search.streams), time.perf_counter()
+        search.streams.run(kernel, None)
+        name, seconds = search.steps.kernels[kernel].name, time.perf_counter() - begin
+        passes.append(PassTime(name, waiting[kernel], count, seconds))
+    between = time.perf_counter() - started - sum(one.seconds for one in passes)
+    return Recirculation(
+        structure.name,
+        len(rays.t_min),
+        compaction,
+        passes,
+        between,
+        launch,
+        idle,
+        _time_branching(structure, rays),
+        thread_count(),
+    )
+
+
+def by_occupancy(
+    passes: Sequence[PassTime], edges: Sequence[float] = (0.0, 0.01, 0.1, 0.25, 0.5, 0.75, 1.0)
+) -> list[OccupancyBin]:
+    """Sort passes by the share of rays that they ran on.
+
+    Parameters
+    ----------
+    passes : sequence of PassTime
+    edges : sequence of float
+        Where bins begin and end, increasing, from 0 to 1.
+    """
+    shares = np.array([one.run_count / one.record_count for one in passes])
+    bins = np.clip(np.searchsorted(edges, shares, side="right") - 1, 0, len(edges) - 2)
+    result = []
+    for k in range(len(edges) - 1):
+        own = [one for one, number in zip(passes, bins.tolist(), strict=True) if number == k]
+        runs = sum(one.run_count for one in own)
+        seconds = sum(one.seconds for one in own)
+        result.append(OccupancyBin(edges[k], edges[k + 1], len(own), runs, seconds))
+    return result
+
+
+def _full_seconds(passes: list[PassTime]) -> float:
+    """What all runs in a kernel's passes take at the rate of its fullest ones."""
+    shares = [one.run_count / one.record_count for one in passes]
+    full = [p for p, share in zip(passes, shares, strict=True) if 2 * share >= max(shares)]
+    rate = sum(one.seconds for one in full) / sum(one.run_count for one in full)
+    return rate * sum(one.run_count for one in passes)
+
+
+def _time_idle(search: Search) -> dict[str, float]:
+    """Seconds of a pass of each kernel but the first, on rays that all wait for the first."""
+    result = {}
+    for kernel, one in enumerate(search.steps.kernels[1:], 1):
+        seconds = []
+        for _ in range(_IDLE_RUNS):
+            started = time.perf_counter()
+            search.streams.run(kernel, None)
+            seconds.append(time.perf_counter() - started)
+        result[one.name] = float(np.median(seconds))
+    return result
+
+
+def _time_branching(structure: Structure, rays: LocalRays) -> float:
+    out = HitArrays.empty(len(rays.t_min))
+    structure.first_hit(LocalRays(*(column[:1] for column in rays)), out.part(slice(1)))
+    seconds = []
+    for _ in range(3):
+        started = time.perf_counter()
+        structure.first_hit(rays, out)
+        seconds.append(time.perf_counter() - started)
+    return float(np.median(seconds))
