@@ -1,0 +1,18 @@
+"""The stepper: one ray's walk through a structure, kernel by kernel, and a page that plays it."""
+
+from raystream.lab.stepper.flat import FlatScene, Outline, prisms, teaching_scene
+from raystream.lab.stepper.page import page, write_page
+from raystream.lab.stepper.walk import Spot, Step, Walk, walk
+
+__all__ = [
+    "FlatScene",
+    "Outline",
+    "Spot",
+    "Step",
+    "Walk",
+    "page",
+    "prisms",
+    "teaching_scene",
+    "walk",
+    "write_page",
+]

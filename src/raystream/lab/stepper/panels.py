@@ -1,0 +1,84 @@
+"""Panels: the structures that the page shows, with what it draws of each."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from raystream.lab.stepper.flat import FlatScene
+from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap, StructureMap, map_of
+from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.tracer import Tracer
+
+__all__ = ["Panel", "make_panels"]
+
+#: Prices that give small plans trees that are worth a look: cells down to a wall or two.
+_TREE = {"traversal_cost": 2.0, "max_depth": 11, "max_leaf_size": 2}
+_GRAPH = {"crossing_cost": 2.0, "link_cost": 1.0, "max_depth": 11, "max_leaf_size": 2}
+
+#: Cells of the grid along the longer side of the plan.
+_CELLS = 16
+
+
+class Panel(NamedTuple):
+    """A structure and traversal.
+
+    Attributes
+    ----------
+    key : str
+        In links to the page.
+    title : str
+    tracer : Tracer
+        With ``counters=True``.
+    chart : StructureMap
+    """
+
+    key: str
+    title: str
+    tracer: Tracer
+    chart: StructureMap
+
+    def drawing(self) -> dict[str, Any]:
+        """What the page draws of the structure, in the plan."""
+        chart = self.chart
+        boxes = [[_short(n) for n in box[:, :2].ravel().tolist()] for box in chart.boxes]
+        sizes = [chart.list_size(number) for number in range(len(boxes))]
+        drawn: dict[str, Any] = {"boxes": boxes, "sizes": sizes}
+        if isinstance(chart, GridMap):
+            drawn["counts"] = list(chart.counts)
+        if isinstance(chart, KdMap):
+            drawn["axes"] = chart.axes.tolist()
+            is_leaf = chart.axes == LEAF_AXIS
+            drawn["children"] = [
+                0 if leaf else child
+                for leaf, child in zip(is_leaf.tolist(), chart.children.tolist(), strict=True)
+            ]
+            drawn["planes"] = [_short(n) for n in chart.planes.tolist()]
+        if isinstance(chart, GraphMap):
+            drawn["links"] = [
+                sorted({one for face in faces for one in face}) for faces in chart.neighbors
+            ]
+        return drawn
+
+
+def make_panels(plan: FlatScene) -> list[Panel]:
+    """Build the five of the page: the grid, the kd-tree in three traversals, the graph."""
+    width, depth = (plan.walls.max(axis=(0, 1)) - plan.walls.min(axis=(0, 1))).tolist()
+    side = max(width, depth) / _CELLS
+    counts = max(1, round(width / side)), max(1, round(depth / side)), 1
+    chosen: list[tuple[str, str, str, dict[str, Any]]] = [
+        ("grid", "Grid", "grid", {"resolution": counts}),
+        *(
+            (f"kdtree-{name}", f"kd-tree, {name}", "kdtree", {"traversal": name, **_TREE})
+            for name in ("stack", "restart", "backtrack")
+        ),
+        ("graph", "Sector graph", "graph", _GRAPH),
+    ]
+    panels = []
+    for key, title, structure, options in chosen:
+        tracer = Tracer(plan.scene, structure, counters=True, **options)
+        panels.append(Panel(key, title, tracer, map_of(tracer.structure)))
+    return panels
+
+
+def _short(number: float) -> float:
+    return round(number, 4)

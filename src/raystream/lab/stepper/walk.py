@@ -1,0 +1,254 @@
+"""walk: what the multipass machine does with one ray, kernel by kernel."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.kernels.collect import HitArrays
+from raystream.kernels.tally import COLUMNS, new_tallies
+from raystream.lab.stepper.maps import LocalSpot, StructureMap, map_of
+from raystream.machines import Multipass, Shown
+from raystream.machines.records import RayState
+from raystream.structures.ray_block import RayBlock, blocks
+from raystream.tracer import Tracer
+
+__all__ = ["Spot", "Step", "Walk", "walk"]
+
+
+class Spot(NamedTuple):
+    """A cell, node or sector, and the part of the ray in it.
+
+    Attributes
+    ----------
+    number : int
+        In a grid the cell's number (those of a second level come after all of the first); in a
+        kd-tree the node's row; in a graph the sector's number.
+    kind : str
+        ``"cell"``, ``"split"``, ``"leaf"`` or ``"sector"``.
+    low, high : tuple of three float
+        Its box, world space.
+    t_in, t_out : float
+        In direction lengths. A ray that backtracks, or begins anew at the root, has an interval
+        that ends where its search does. The last cell of a grid along an axis reaches on without
+        end: its t_out may lie far behind its box, and be inf.
+    """
+
+    number: int
+    kind: str
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    t_in: float
+    t_out: float
+
+
+class Step(NamedTuple):
+    """One run of a kernel on the ray.
+
+    Attributes
+    ----------
+    kernel : str
+        Its name; see `raystream.machines`.
+    before, after : RayState
+        What the ray waited for, and waits for now.
+    at : Spot or None
+        Where it was: what the kernel looked at. None for the kernel that sets a ray up.
+    to : Spot or None
+        Where it is now. None where a ray that misses the scene's box has ended.
+    face : str or None
+        In a graph, the face through which it left its sector by a link.
+    tested : tuple of int
+        The triangles that were tested.
+    t : float
+    prim_id : int
+        The nearest hit so far: inf and -1 before there is one.
+    stack : tuple of Spot
+        What has been put aside, the next one first.
+    counts : dict of str to int
+        What this step added to the ray's counts, by the names of `RayCounters`.
+    """
+
+    kernel: str
+    before: RayState
+    after: RayState
+    at: Spot | None
+    to: Spot | None
+    face: str | None
+    tested: tuple[int, ...]
+    t: float
+    prim_id: int
+    stack: tuple[Spot, ...]
+    counts: dict[str, int]
+
+
+class Walk(NamedTuple):
+    """A ray's way through a structure.
+
+    Attributes
+    ----------
+    structure : str
+        ``"grid"``, ``"kdtree"`` or ``"graph"``.
+    traversal : str or None
+        Of a kd-tree.
+    origin, direction : tuple of three float
+        World space.
+    steps : tuple of Step
+    counts : dict of str to int
+        The machine's counts of the ray; see `RayCounters`.
+    t : float
+    prim_id : int
+        The hit; inf and -1 for a miss.
+    """
+
+    structure: str
+    traversal: str | None
+    origin: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    steps: tuple[Step, ...]
+    counts: dict[str, int]
+    t: float
+    prim_id: int
+
+    @property
+    def cells(self) -> list[int]:
+        """The cells, leaves or sectors that the ray looked at, in order."""
+        looks = ("leaf",) if self.structure == "kdtree" else ("traverse",)
+        return [
+            step.at.number for step in self.steps if step.kernel in looks and step.at is not None
+        ]
+
+
+def walk(tracer: Tracer, origin: ArrayLike, direction: ArrayLike) -> Walk:
+    """Follow one ray to its nearest hit.
+
+    The ray is traced by the multipass machine, a step in each pass, and its streams are read
+    after each: what is recorded is what the machine does.
+
+    Parameters
+    ----------
+    tracer : Tracer
+        Of a grid, a kd-tree or a graph, on the CPU; its machine does not matter.
+    origin, direction : array_like of shape (3,), real
+        World space, scene units.
+
+    Returns
+    -------
+    Walk
+
+    Raises
+    ------
+    ValueError
+        If the structure is another one, there is more than one ray, or it is invalid: a
+        direction of zero, or a number that is not finite.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> from raystream.lab.stepper import walk
+    >>> tracer = rs.Tracer(rs.load("cornell"), "grid", resolution=4)
+    >>> way = walk(tracer, [278, 273, -800], [0, 0, 1])
+    >>> [step.kernel for step in way.steps][:2]
+    ['set up', 'traverse']
+    >>> tracer.first_hit([278, 273, -800], [0, 0, 1]).t.item() == way.t
+    True
+    """
+    structure = tracer.structure
+    chart = map_of(structure)
+    batch = RayBatch(origin, direction, 0.0, np.inf)
+    if len(batch) != 1:
+        raise ValueError(f"walk: expected one ray, got {len(batch):,}")
+    status, hits, tallies = np.zeros(1, np.uint8), HitArrays.empty(1), new_tallies(1)
+    (block,) = blocks(batch, structure.frame, status, None)
+    if status[0]:
+        raise ValueError(f"walk: the ray from {origin!r} in direction {direction!r} is invalid")
+    recorder = _Recorder(chart, block)
+    Multipass(structure).shown_to(recorder.note).first_hit(block.rays, hits, None, tallies)
+    start, way = (np.asarray(array, np.float64).reshape(3) for array in (origin, direction))
+    return Walk(
+        structure.name,
+        structure.options["traversal"] if structure.name == "kdtree" else None,
+        _triple(start),
+        _triple(way),
+        tuple(recorder.steps),
+        dict(zip(COLUMNS, tallies[0].tolist(), strict=True)),
+        recorder.world_t(float(hits.t[0])),
+        int(hits.prim_id[0]),
+    )
+
+
+class _Recorder:
+    """Turns what a machine shows of one ray into steps."""
+
+    def __init__(self, chart: StructureMap, block: RayBlock) -> None:
+        self.steps: list[Step] = []
+        self._chart = chart
+        self._block = block
+        self._direction = block.rays.directions[0].astype(np.float64)
+        self._place: Any = None
+        self._state = RayState.STARTING
+        self._spot: Spot | None = None
+        self._counts = dict.fromkeys(COLUMNS, 0)
+
+    def note(self, shown: Shown) -> None:
+        """Take down a pass, as a `machines.Observer`."""
+        assert shown.hits is not None
+        assert shown.tallies is not None
+        ray, place, state = (shown.streams[name][0].copy() for name in ("ray", "place", "state"))
+        counts = dict(zip(COLUMNS, shown.tallies[0].tolist(), strict=True))
+        if shown.kernel is not None:
+            added = {name: n - self._counts[name] for name, n in counts.items()}
+            after, at = RayState(int(state)), self._spot
+            # A ray that never entered is nowhere, and one that has ended stays where it was.
+            if at is None and after in (RayState.DONE, RayState.SHADING):
+                to = None
+            else:
+                to = self._world(self._chart.spot(ray, place))
+            face = None
+            if at is not None and to is not None and at.number != to.number:
+                face = self._chart.way(at.number, to.number, self._direction)
+            tested = self._chart.tested(self._place, added["tests"]) if added["tests"] else ()
+            stack = () if to is None else self._chart.stack(place, shown.stacks[0])
+            step = Step(
+                shown.kernel.name,
+                self._state,
+                after,
+                at,
+                to,
+                face,
+                tested,
+                self.world_t(float(shown.hits.t[0])),
+                int(shown.hits.prim_id[0]),
+                tuple(self._world(spot) for spot in stack),
+                {name: n for name, n in added.items() if n},
+            )
+            self.steps.append(step)
+            self._spot, self._state = to, after
+        self._place, self._counts = place, counts
+
+    def world_t(self, t: float) -> float:
+        """A local distance in world direction lengths, as a query reports it."""
+        if not math.isfinite(t):
+            return t
+        array = np.array([t], np.float32)
+        self._block.to_world(array, np.array([0, 1]))
+        return float(array[0])
+
+    def _world(self, spot: LocalSpot) -> Spot:
+        low, high = self._chart.boxes[spot.number]
+        return Spot(
+            spot.number,
+            self._chart.kind(spot.number),
+            _triple(low),
+            _triple(high),
+            self.world_t(spot.t_in),
+            self.world_t(spot.t_out),
+        )
+
+
+def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = numbers.tolist()
+    return x, y, z
