@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import shlex
+import sys
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,7 +26,7 @@ from raystream.cli.opening import choose_threads
 from raystream.cli.tables import set_table
 
 if TYPE_CHECKING:
-    from raystream.lab.experiments import Outcome
+    from raystream.lab.experiments import Experiment, Outcome
     from raystream.lab.report import About
 
 __all__ = ["lab"]
@@ -92,6 +94,7 @@ def lab(
     with refuse(OSError, where=str(output)):
         (output / "pictures").mkdir(parents=True, exist_ok=True)
     from raystream.lab import Laboratory, Store, run_all, write_report
+    from raystream.lab.stepper import write_page
     from raystream.lab.store import FILE_NAME
 
     store = Store(output / FILE_NAME, {"quick": quick, "size": size}, _source())
@@ -102,14 +105,18 @@ def lab(
             output / "pictures", store, size=size, quick=quick, watch=_watch(bars)
         )
         try:
-            outcomes = run_all(laboratory, experiments)
+            outcomes = run_all(laboratory, experiments, _progress(experiments))
         except KeyboardInterrupt:
             raise BrokenOffError(
                 f"{len(store.values)} measurements are kept in {output}; --resume goes on"
             ) from None
     about = _about(papers or ["all"], only or [], output, size, quick, store.foreign_count)
     with refuse(OSError, where=str(output)):
-        files = write_report(output, outcomes, about)
+        walk = None
+        if len(experiments) == len(choose(["all"])):
+            walk = output / "walk.html"
+            write_page(walk)
+        files = write_report(output, outcomes, about, walk)
     _show(outcomes, about, json)
     write_note(f"wrote {', '.join(map(str, files))}")
 
@@ -127,6 +134,13 @@ def _watch(bars: Bars) -> Any:
         return bars.step(title)
 
     return begin
+
+
+def _progress(experiments: list[Experiment]) -> Callable[[int, int], None] | None:
+    """A line for each experiment, where there are no bars: for logs."""
+    if sys.stderr.isatty():
+        return None
+    return lambda done, total: write_note(f"{done} of {total}: {experiments[done - 1].name}")
 
 
 def _about(
@@ -165,7 +179,7 @@ def _show(outcomes: list[Outcome], about: About, json: bool) -> None:
     if json:
         write_json(as_json(outcomes, about))
         return
-    for experiment, result in outcomes:
+    for experiment, result, _ in outcomes:
         write_line(f"\n== {experiment.name}: {experiment.title}")
         for table in result.tables:
             write_line(f"\n{table.title}")

@@ -8,6 +8,7 @@ from functools import partial
 from importlib import import_module
 from typing import NamedTuple
 
+from raystream.core.errors import RaystreamError
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.results import Result
 
@@ -49,10 +50,11 @@ class Experiment:
 
 
 class Outcome(NamedTuple):
-    """An experiment with what it found."""
+    """An experiment with what it found, and how many seconds its measurements took."""
 
     experiment: Experiment
     result: Result
+    seconds: float = 0.0
 
 
 EXPERIMENTS = (
@@ -60,6 +62,92 @@ EXPERIMENTS = (
         "purcell-statistics",
         "What a ray meets: v, t and s",
         "purcell.statistics.scene_statistics",
+    ),
+    Experiment(
+        "purcell-resolution",
+        "Grids from coarse to fine: steps against tests",
+        "purcell.resolution.grid_resolution",
+    ),
+    Experiment("purcell-passes", "Passes and schedulers", "purcell.schedules.schedules"),
+    Experiment("purcell-costs", "Compute and bandwidth", "purcell.costs.picture_costs"),
+    Experiment("purcell-speed", "Triangle tests a second", "purcell.speed.tests_per_second"),
+    Experiment("purcell-unrolling", "Several steps in a pass", "purcell.unrolling.loop_unrolling"),
+    Experiment(
+        "purcell-cache",
+        "The texture cache over the machines' own references",
+        "purcell.caches.texture_cache",
+    ),
+    Experiment("purcell-mailbox", "What a mailbox would save", "purcell.mailbox.mailbox"),
+    Experiment("purcell-memory", "Geometry in a small memory", "purcell.memory.small_memory"),
+    Experiment("purcell-zbuffer", "Ray tracing against the Z-buffer", "purcell.zbuffer.zbuffer"),
+    Experiment("purcell-kernels", "Our own kernels, compiled", "purcell.compiled.compiled_kernels"),
+    Experiment(
+        "purcell-extensions",
+        "Shadows, mirrors and paths",
+        "purcell.extensions.extension_costs",
+    ),
+    Experiment(
+        "foley-times",
+        "Brute force, grid and kd-trees: times",
+        "foley.times.structure_times",
+    ),
+    Experiment(
+        "foley-counts",
+        "What having no stack costs: states of rays",
+        "foley.counts.state_counts",
+    ),
+    Experiment(
+        "foley-kernels", "What the key kernels read and wait for", "foley.table3.key_kernels"
+    ),
+    Experiment(
+        "foley-costs",
+        "A step is 8 times a test: the costs of the tree",
+        "foley.costs.cost_sweep",
+    ),
+    Experiment(
+        "foley-schedule",
+        "When to switch kernels: schedulers",
+        "foley.schedule.schedules",
+    ),
+    Experiment(
+        "foley-recirculation",
+        "What carrying rays from pass to pass costs",
+        "foley.recirculation.recirculation",
+    ),
+    Experiment(
+        "foley-secondary",
+        "Coherence of secondary rays",
+        "foley.secondary.coherence",
+    ),
+    Experiment(
+        "rayforce-modes",
+        "Four kinds of pictures in three scenes",
+        "rayforce.modes.modes",
+    ),
+    Experiment(
+        "rayforce-layers",
+        "Multi-hit against the number of layers",
+        "rayforce.layers.layers",
+    ),
+    Experiment(
+        "rayforce-hidden",
+        "What a ray pays for",
+        "rayforce.hidden.hidden",
+    ),
+    Experiment(
+        "rayforce-graph",
+        "The graph beside the other structures",
+        "rayforce.sectors.graph",
+    ),
+    Experiment(
+        "christen-times",
+        "Time against grid size and bounces",
+        "christen.times.times",
+    ),
+    Experiment(
+        "christen-calls",
+        "Kernel calls, and rays that are masked out",
+        "christen.calls.calls",
     ),
 )
 
@@ -109,10 +197,18 @@ def run_all(
     experiments : sequence of Experiment
     progress : callable, optional
         Called with (experiments done, experiments).
+
+    Notes
+    -----
+    One that lacks a model, or memory, says so in its notes; the others run.
     """
     outcomes = []
     for number, one in enumerate(experiments):
-        outcomes.append(Outcome(one, lab.run(one.name, partial(_call, one))))
+        try:
+            result = lab.run(one.name, partial(_call, one))
+        except (RaystreamError, MemoryError) as error:
+            result = Result(notes=[f"{one.name} was not measured: {error}"])
+        outcomes.append(Outcome(one, result, lab.seconds))
         if progress:
             progress(number + 1, len(experiments))
     return outcomes

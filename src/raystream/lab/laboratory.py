@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,7 @@ class Laboratory:
         self._size = size
         self._watch = watch or _nobody
         self._experiment = ""
+        self._used: set[str] = set()
         self._views: dict[str, View] = {}
         self._tracers: dict[str, Tracer] = {}
 
@@ -68,6 +70,7 @@ class Laboratory:
         Scenes and structures of the one before are forgotten.
         """
         self._experiment = name
+        self._used.clear()
         self._views.clear()
         self._tracers.clear()
         return experiment(self)
@@ -84,7 +87,7 @@ class Laboratory:
             return self._size
         return max(usual // 8, 64) if self.quick else usual
 
-    def measure(self, name: str, function: Callable[[], Any]) -> Any:
+    def measure(self, name: str, function: Callable[[], Any], *, shared: bool = False) -> Any:
         """Measure something, unless it is known already.
 
         Parameters
@@ -93,17 +96,22 @@ class Laboratory:
             What it is; unique within an experiment, parameters included.
         function : callable
             Returns numbers, texts, lists and dicts of them.
+        shared : bool
+            Whether the other experiments of the paper ask for it by this name, too.
 
         Returns
         -------
         JSON value
         """
-        key = f"{self._experiment}: {name}"
+        owner = self._experiment.partition("-")[0] if shared else self._experiment
+        key = f"{owner}: {name}"
         if key not in self._store.values:
+            started = time.perf_counter()
             with self._watch(key) as self.progress:
                 value = function()
             self.progress = None
-            self._store.keep(key, value)
+            self._store.keep(key, value, time.perf_counter() - started)
+        self._used.add(key)
         return self._store.values[key]
 
     def view(self, name: str) -> View:
@@ -134,9 +142,10 @@ class Laboratory:
             self._tracers[key] = Tracer(view.scene, structure, progress=self.progress, **options)
         return self._tracers[key]
 
-    def known(self) -> Mapping[str, Any]:
-        """All measurements, by experiment and name."""
-        return self._store.values
+    @property
+    def seconds(self) -> float:
+        """How long the measurements took that the latest experiment asked for, once."""
+        return sum(self._store.seconds[key] for key in self._used)
 
 
 @contextlib.contextmanager

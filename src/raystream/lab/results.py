@@ -64,8 +64,10 @@ class Table:
         Raises
         ------
         ValueError
-            If a row has not as many cells as there are columns.
+            If a row has not as many cells as there are columns, or two columns have one name.
         """
+        if len(set(columns)) != len(columns):
+            raise ValueError(f"{name}: columns must differ, got {', '.join(columns)}")
         kept = tuple(tuple(row) for row in rows)
         for row in kept:
             if len(row) != len(columns):

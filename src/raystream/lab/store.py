@@ -33,6 +33,8 @@ class Store:
     Attributes
     ----------
     values : dict of str to JSON values
+    seconds : dict of str to float
+        How long each took.
     foreign_count : int
         How many of the measurements read were made by another source of raystream.
     """
@@ -44,6 +46,7 @@ class Store:
         self._settings = json.loads(json.dumps(dict(settings)))
         self._source = source
         self._sources: dict[str, str] = {}
+        self.seconds: dict[str, float] = {}
 
     def read(self) -> None:
         """Take over what the file holds, if there is one.
@@ -75,18 +78,20 @@ class Store:
             )
         for name, entry in content["measurements"].items():
             self.values[name] = entry["value"]
+            self.seconds[name] = entry["seconds"]
             self._sources[name] = entry["source"]
         self.foreign_count = sum(one != self._source for one in self._sources.values())
 
-    def keep(self, name: str, value: Any) -> None:
-        """Keep a measurement, in memory and in the file."""
+    def keep(self, name: str, value: Any, seconds: float = 0.0) -> None:
+        """Keep a measurement, in memory and in the file, and how long it took."""
         self.values[name] = value
+        self.seconds[name] = seconds
         self._sources[name] = self._source
         content = {
             "layout": _LAYOUT,
             "settings": self._settings,
             "measurements": {
-                one: {"source": self._sources[one], "value": kept}
+                one: {"source": self._sources[one], "seconds": self.seconds[one], "value": kept}
                 for one, kept in self.values.items()
             },
         }
@@ -101,7 +106,10 @@ def _is_ours(content: Any) -> bool:
         and isinstance(content.get("settings"), dict)
         and isinstance(content.get("measurements"), dict)
         and all(
-            isinstance(entry, dict) and "value" in entry and isinstance(entry.get("source"), str)
+            isinstance(entry, dict)
+            and "value" in entry
+            and isinstance(entry.get("source"), str)
+            and isinstance(entry.get("seconds"), int | float)
             for entry in content["measurements"].values()
         )
     )

@@ -17,7 +17,7 @@ from raystream.scene.procedural import building as _building
 from raystream.scene.procedural import forest as _forest
 from raystream.scene.scene import Scene
 
-__all__ = ["PURCELL_VIEWS", "VIEWS", "View", "on_floor", "view"]
+__all__ = ["PURCELL_VIEWS", "VIEWS", "View", "on_floor", "view", "without_lawn"]
 
 #: With ``quick``, generated scenes get so many triangles.
 QUICK_TRIANGLES = 30_000
@@ -94,8 +94,8 @@ def _building_scene(quick: bool) -> Scene:
     return _building.building(QUICK_TRIANGLES if quick else _building.DEFAULT_TRIANGLES)
 
 
-def _without_lawn(scene: Scene) -> Scene:
-    """Soda Hall had none, or rays would not have missed its box."""
+def without_lawn(scene: Scene) -> Scene:
+    """The building alone: Soda Hall had no lawn, or rays would not have missed its box."""
     return Scene(
         scene.meshes[1:],
         materials=scene.materials,
@@ -112,7 +112,7 @@ def _building_outside(name: str, quick: bool) -> View:
         "A generated office building stands in for Soda Hall, of which no public copy is known. "
         "Its lawn is left out: on it, 128 cells of the building's height would be a billion."
     )
-    return View(name, "building", _without_lawn(scene), scene.camera_for(1.0), about)
+    return View(name, "building", without_lawn(scene), scene.camera_for(1.0), about)
 
 
 def _building_inside(name: str, quick: bool) -> View:
@@ -120,7 +120,7 @@ def _building_inside(name: str, quick: bool) -> View:
     return View(
         name,
         "building",
-        _without_lawn(scene),
+        without_lawn(scene),
         _building.inside_camera(scene),
         "The same building, along a corridor.",
     )

@@ -48,7 +48,12 @@ div.pictures { display: flex; flex-wrap: wrap; gap: 1rem } div.pictures figure {
 _VERDICT_CLASSES = {"holds": "holds", "holds in part": "part", "does not hold": "not"}
 
 
-def as_html(outcomes: Sequence[Outcome], about: About, plots: Mapping[str, Path]) -> str:
+def as_html(
+    outcomes: Sequence[Outcome],
+    about: About,
+    plots: Mapping[str, Path],
+    walk: str | None = None,
+) -> str:
     """Lay results out as a page that needs nothing else.
 
     Parameters
@@ -57,6 +62,8 @@ def as_html(outcomes: Sequence[Outcome], about: About, plots: Mapping[str, Path]
     about : About
     plots : mapping of str to Path
         The plots that are drawn, by name.
+    walk : str, optional
+        A page beside it that shows a ray's walk.
 
     Returns
     -------
@@ -66,15 +73,19 @@ def as_html(outcomes: Sequence[Outcome], about: About, plots: Mapping[str, Path]
     claims = [claim for one in outcomes for claim in one.result.claims]
     body = [f"<h1>{escape(title)}</h1>"]
     body += [f'<p class="about">{_inline(line)}</p>' for line in about.lines()]
+    if walk is not None:
+        link = f'<a href="{escape(walk)}">One ray, step by step</a>'
+        body.append(f"<p>{link}: through a grid, kd-trees and a graph of sectors.</p>")
     body.append(_contents(outcomes, bool(claims)))
     if claims:
         body += ['<h2 id="claims">What the papers say, and what is so here</h2>', _claims(claims)]
-    for experiment, result in outcomes:
+    for experiment, result, seconds in outcomes:
         paper = paper_name(experiment.paper)
         body.append(
             f'<h2 id="{escape(experiment.name)}">{escape(paper)}: {escape(experiment.title)}</h2>'
         )
-        body.append(f"<p><code>{escape(about.command_for(experiment.name))}</code></p>")
+        command = escape(about.command_for(experiment.name))
+        body.append(f"<p><code>{command}</code> ({seconds:.0f} s)</p>")
         if result.pictures:
             body.append(f'<div class="pictures">{"".join(map(_picture, result.pictures))}</div>')
         body += map(_table, result.tables)
@@ -102,7 +113,7 @@ def _contents(outcomes: Sequence[Outcome], has_claims: bool) -> str:
     items += [
         f'<li><a href="#{escape(one.name)}">{escape(paper_name(one.paper))}: '
         f"{escape(one.title)}</a></li>"
-        for one, _ in outcomes
+        for one, *_ in outcomes
     ]
     return f'<nav aria-label="Contents"><ul>{"".join(items)}</ul></nav>'
 
@@ -130,9 +141,13 @@ def _table(table: Table) -> str:
     )
 
 
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
 def _claims(claims: Sequence[Claim]) -> str:
     rows = "".join(
-        f"<tr><td>{_inline(one.text)}</td><td>{escape(one.source)}</td>"
+        f"<tr><td>{_inline(_sentence(one.text))}</td><td>{escape(one.source)}</td>"
         f'<td class="{_VERDICT_CLASSES.get(one.verdict, "")}"><b>{escape(one.verdict)}</b></td>'
         f"<td>{_inline(one.evidence)}</td></tr>\n"
         for one in claims

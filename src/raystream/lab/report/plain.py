@@ -26,14 +26,14 @@ def as_markdown(outcomes: Sequence[Outcome], about: About, plots: Sequence[str] 
     claims = [claim for one in outcomes for claim in one.result.claims]
     if claims:
         parts += ["## What the papers say", _claim_table(claims)]
-    for experiment, result in outcomes:
+    for experiment, result, seconds in outcomes:
         parts.append(f"## {experiment.title}")
         parts += [f"![{one.title}](pictures/{one.path.name})" for one in result.pictures]
         for table in result.tables:
             parts += [f"**{table.title}**", table_text(table), *table.notes]
         parts += [_plot_text(one) for one in result.plots if one.name in plots]
         parts += result.notes
-        parts.append(f"`{about.command_for(experiment.name)}`")
+        parts.append(f"`{about.command_for(experiment.name)}` ({seconds:.0f} s)")
     return "\n\n".join(parts) + "\n"
 
 
@@ -56,9 +56,13 @@ def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
 def _claim_table(claims: Sequence[Claim]) -> str:
     lines = [_line(("claim", "source", "verdict", "evidence")), "| --- | --- | --- | --- |"]
-    lines += [_line((one.text, one.source, one.verdict, one.evidence)) for one in claims]
+    lines += [_line((_sentence(one.text), one.source, one.verdict, one.evidence)) for one in claims]
     return "\n".join(lines)
 
 

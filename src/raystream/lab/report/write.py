@@ -25,7 +25,9 @@ def as_json(outcomes: Sequence[Outcome], about: About) -> dict[str, Any]:
     }
 
 
-def write_report(folder: Path, outcomes: Sequence[Outcome], about: About) -> list[Path]:
+def write_report(
+    folder: Path, outcomes: Sequence[Outcome], about: About, walk: Path | None = None
+) -> list[Path]:
     """Write a report.
 
     Parameters
@@ -34,6 +36,8 @@ def write_report(folder: Path, outcomes: Sequence[Outcome], about: About) -> lis
         Exists.
     outcomes : sequence of Outcome
     about : About
+    walk : Path, optional
+        A page in the folder that shows a ray's walk.
 
     Returns
     -------
@@ -54,7 +58,7 @@ def write_report(folder: Path, outcomes: Sequence[Outcome], about: About) -> lis
                 drawn[plot.name] = folder / "plots" / f"{plot.name}.png"
                 draw(plot, drawn[plot.name])
     texts = {
-        "report.html": as_html(outcomes, about, drawn),
+        "report.html": as_html(outcomes, about, drawn, walk.name if walk else None),
         "report.md": as_markdown(outcomes, about, list(drawn)),
         "report.json": json.dumps(as_json(outcomes, about), indent=1, allow_nan=False) + "\n",
     }

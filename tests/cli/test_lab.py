@@ -1,0 +1,80 @@
+"""``raystream lab``: choosing experiments, writing reports, going on after a break."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from raystream.cli import options
+from raystream.lab import EXPERIMENTS, PAPERS
+
+
+def test_names_are_those_of_the_library():
+    assert options.PAPERS == PAPERS
+    assert {one.paper for one in EXPERIMENTS} <= set(PAPERS)
+    assert len({one.name for one in EXPERIMENTS}) == len(EXPERIMENTS)
+
+
+def test_every_experiment_can_be_imported():
+    for one in EXPERIMENTS:
+        assert callable(one.function()), one.name
+
+
+def test_list_names_all_experiments(run):
+    found = run("lab", "--list")
+    assert found.code == 0
+    assert all(one.name in found.out for one in EXPERIMENTS)
+    assert list(run("lab", "purcell", "--list", "--json").figures) == [
+        one.name for one in EXPERIMENTS if one.paper == "purcell"
+    ]
+
+
+def test_unknown_names_are_refused(run):
+    assert "expected purcell" in run("lab", "newton").complaint
+    assert "no experiment 'apples'" in run("lab", "purcell", "--only", "apples").complaint
+
+
+def test_folder_that_is_a_file_is_refused(run, tmp_path):
+    (tmp_path / "taken").write_text("x")
+    assert "taken" in run("lab", "purcell", "--only", "unrolling", "-o", "taken").complaint
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Purcell's experiments with only the built-in scenes, in a small part."""
+    views = ("forest top",)
+    for module in ("statistics", "schedules", "unrolling", "costs"):
+        monkeypatch.setattr(f"raystream.lab.purcell.{module}.PURCELL_VIEWS", views)
+
+
+def test_report_is_written_and_a_run_goes_on(run, tmp_path, small):
+    arguments = ("lab", "purcell", "--only", "unrolling", "--quick", "--size", "32", "-o", "out")
+    first = run(*arguments, "--json")
+    assert first.code == 0
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"report.html", "report.md", "report.json", "measurements.json"} <= names
+    table = first.figures["experiments"]["purcell-unrolling"]["tables"][0]
+    assert [row["view"] for row in table["rows"]] == ["the paper", "forest top"]
+    # What is measured is not measured again: a changed figure stays as it is.
+    path = tmp_path / "out" / "measurements.json"
+    content = json.loads(path.read_text())
+    (name,) = [key for key in content["measurements"] if "schedules" in key]
+    content["measurements"][name]["value"]["passes"] = 123456
+    path.write_text(json.dumps(content))
+    again = run(*arguments, "--resume")
+    assert again.code == 0
+    assert "123,456" in again.out
+    assert "123,456" not in run(*arguments).out
+    other = run(*arguments[:-4], "--size", "48", "-o", "out", "--resume")
+    assert "size 32" in other.complaint
+
+
+def test_break_says_how_to_go_on(run, monkeypatch, small):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("raystream.lab.purcell.unrolling.compare", stop)
+    found = run("lab", "purcell", "--only", "unrolling", "--quick", "--size", "32", "-o", "out")
+    assert found.code == 130
+    assert "measurements are kept in out; --resume goes on" in found.err
