@@ -1,0 +1,290 @@
+"""What shadows, mirrors and paths cost beside the ray caster (Purcell 2002, section 4.3).
+
+Each scene on the uniform grid and the branching machine, as Purcell's simulator had it, with one
+light, and every surface a mirror of a quarter: his shading sends a reflected ray from each hit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import time
+from collections import Counter
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from raystream.core.errors import RaystreamError
+from raystream.core.hits import Hits
+from raystream.lab.cost_model import prices
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.purcell.pictures import SIZE
+from raystream.lab.results import Cell, Claim, Result, Table, comparison
+from raystream.lab.views import View
+from raystream.machines import RayCounters
+from raystream.render.picture import RENDERERS, render
+from raystream.render.sampled import SampledRenderer, make_setting
+from raystream.render.sampling.sampler import Sampler
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = ["extension_costs"]
+
+#: Scenes, and options of their grids: Purcell's, of section 4.1, where he has the scene. In one
+#: level, all robots share a few cells, and 60,000 triangles are tested for a ray.
+_SCENES: Mapping[str, dict[str, Any]] = MappingProxyType(
+    {
+        "cornell": {},
+        "bunny on a floor": {"min_resolution": 64},
+        "robots": {"min_resolution": 24, "levels": 2},
+        "forest top": {"min_resolution": 128},
+        "building outside": {"min_resolution": 32},
+    }
+)
+
+_QUICK_SCENES = ("cornell", "bunny on a floor")
+
+
+class _Row(NamedTuple):
+    """An extension: the renderer that stands for it, and its name in the paper."""
+
+    mode: str
+    options: dict[str, Any]
+    paper: str | None
+
+
+_ROWS: Mapping[str, _Row] = MappingProxyType(
+    {
+        "shadow rays": _Row("shadow", {}, "shadow"),
+        "shadow": _Row("shadow", {}, None),
+        "whitted, 1 bounce": _Row("whitted", {"max_bounces": 1}, "whitted"),
+        "whitted, 2 bounces": _Row("whitted", {"max_bounces": 2}, "whitted"),
+        "path, by chance": _Row("path", {"max_bounces": 2, "light_samples": False}, "path"),
+        "path, to lights": _Row("path", {"max_bounces": 2}, "path"),
+    }
+)
+
+#: Share of light that every surface mirrors.
+_SHARE = 0.25
+
+#: Pixels along a side of path-traced pictures, and samples of each; the paper has 64.
+_PATH_SIZE, _PATH_SAMPLES = 256, 16
+
+#: Rounds in which modes take turns, and the share of the size of pictures that are timed: at
+#: full size, the forest's alone take three minutes.
+_ROUNDS, _TIMED_SHARE = 3, 2
+
+#: Rays from the eye that are counted together.
+_BAND = 1 << 16
+
+Sums = dict[str, Counter[str]]
+
+
+class _CountingTracer(Tracer):
+    """A tracer that adds up what it was asked, for each of the two queries."""
+
+    def __init__(self, scene: Scene, **options: Any) -> None:
+        super().__init__(scene, "grid", counters=True, **options)
+        self.sums: Sums = {"first_hit": Counter(), "any_hit": Counter()}
+
+    def first_hit(self, *rays: Any, **options: Any) -> Hits:
+        """Ask, and count."""
+        hits = super().first_hit(*rays, **options)
+        self._count("first_hit")["hits"] += int(hits.is_hit.sum())
+        return hits
+
+    def any_hit(self, *rays: Any, **options: Any) -> Any:
+        """Ask, and count."""
+        answer = super().any_hit(*rays, **options)
+        self._count("any_hit")
+        return answer
+
+    def _count(self, query: str) -> Counter[str]:
+        sums, counters = self.sums[query], self.counters
+        assert isinstance(counters, RayCounters)
+        sums["rays"] += counters.steps.size
+        sums["steps"] += counters.total["steps"]
+        sums["tests"] += counters.total["tests"]
+        return sums
+
+
+def extension_costs(lab: Laboratory) -> Result:
+    """The table of section 4.3, by counts and by time."""
+    result = Result()
+    rows: list[list[Cell]] = []
+    compared: list[tuple[str, Cell, Cell, str]] = []
+    near: dict[str, bool] = {}
+    for name, options in _SCENES.items():
+        if lab.quick and name not in _QUICK_SCENES:
+            continue
+        try:
+            view = lab.view(name)
+        except RaystreamError as error:
+            result.notes.append(f"{name} is left out: {error}")
+            continue
+        found = _measure(lab, _with_mirrors(view), options)
+        base = found["raycast"]
+        for row, ours in found.items():
+            ratios = base if row == "raycast" else {key: n / base[key] for key, n in ours.items()}
+            rows.append([name, row, *(ratios.get(key) for key in (*_COUNTED, "time"))])
+            paper = _ROWS[row].paper if row in _ROWS else None
+            if paper is not None and name.startswith("bunny"):
+                theirs = published("purcell", "extensions").values[paper]
+                for key, own in (("instructions", "instructions"), ("bandwidth", "words")):
+                    sent = f"{ours['rays']:.2f} rays for each from the eye"
+                    compared.append((f"{row}: {key}", theirs[key], ratios[own], sent))
+                    near[f"{row}: {key}"] = abs(ratios[own] / theirs[key] - 1.0) <= 0.25
+    source = published("purcell", "extensions").source
+    result.tables = [
+        comparison(
+            "purcell-extensions",
+            f"Extensions over the ray caster, the bunny on a floor: {source}",
+            compared,
+            "Shadow rays: those of the paper's hybrid, which finds visible surfaces by "
+            "rasterising. Paths of two bounces find lights by chance, or by a ray to one at each "
+            "surface too; the paper does not say which.",
+        ),
+        Table.of(
+            "purcell-extensions-all",
+            "Counts a ray from the eye: the ray caster's, and ratios to them",
+            ["scene", "mode", *_COUNTED, "time"],
+            rows,
+            "The ray caster's time is in microseconds a ray. Times are of whole pictures, medians "
+            "of rounds in which the modes take turns; instructions and words by Table 1, "
+            "branching.",
+        ),
+    ]
+    result.claims = [
+        Claim.judged(
+            "Costs of shadows, mirrors and paths over the ray caster's are the paper's within a "
+            "quarter",
+            source,
+            near,
+            "; ".join(f"not {case}" for case, held in near.items() if not held) or "all",
+        )
+    ]
+    return result
+
+
+_COUNTED = ("rays", "steps", "tests", "instructions", "words")
+
+
+def _with_mirrors(view: View) -> View:
+    """One light, on surfaces that mirror."""
+    scene = view.scene
+    polished = [
+        dataclasses.replace(
+            material,
+            diffuse=_scaled(material.diffuse, 1.0 - _SHARE),
+            reflection=(_SHARE,) * 3,
+            transmission=(0.0,) * 3,
+        )
+        for material in scene.materials
+    ]
+    made = Scene(scene.meshes, materials=polished, lights=scene.lights[:1], camera=view.camera)
+    return view._replace(scene=made)
+
+
+def _scaled(color: tuple[float, float, float], share: float) -> tuple[float, float, float]:
+    red, green, blue = color
+    return share * red, share * green, share * blue
+
+
+def _measure(lab: Laboratory, view: View, options: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Costs of each row for each ray from the eye, by name."""
+    tracer: _CountingTracer | None = None
+    found = {}
+    for row in ("raycast", *_ROWS):
+        size, samples = _size_of(lab, row)
+
+        def measure(row: str = row, size: int = size, samples: int = samples) -> dict[str, float]:
+            nonlocal tracer
+            tracer = tracer or _CountingTracer(view.scene, **options)
+            sums = _count(tracer, row, size, samples)
+            return _cost(row, sums, size * size * samples)
+
+        found[row] = lab.measure(f"{view.name}, {row}, {size} x {size} x {samples}", measure)
+    rounds = 1 if lab.quick else _ROUNDS
+    size = max(lab.size(SIZE) // _TIMED_SHARE, 16)
+    times = lab.measure(
+        f"{view.name}, times, {size} x {size}, {rounds} rounds",
+        lambda: _times(lab, Tracer(view.scene, "grid", **options), rounds),
+    )
+    for row, seconds in times.items():
+        found[row]["time"] = seconds * 1e6
+    return found
+
+
+def _size_of(lab: Laboratory, row: str) -> tuple[int, int]:
+    """Pixels along a side, and samples of each."""
+    if row.startswith("path"):
+        return lab.size(_PATH_SIZE), 4 if lab.quick else _PATH_SAMPLES
+    return lab.size(SIZE), 1
+
+
+def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
+    """Sums of both queries for a picture."""
+    tracer.sums = {"first_hit": Counter(), "any_hit": Counter()}
+    camera = tracer.scene.camera
+    if row == "raycast":
+        tracer.first_hit(*camera.rays(size, size))
+        return tracer.sums
+    renderer = RENDERERS[_ROWS[row].mode]
+    assert isinstance(renderer, SampledRenderer)
+    options = renderer.check({**renderer.options, **_ROWS[row].options})
+    setting = make_setting(tracer, camera, (size, size), Sampler.of("sobol", 0, samples), options)
+    step = max(_BAND // size, 1)
+    for sample in range(samples):
+        for first in range(0, size, step):
+            renderer.trace(setting, range(first, min(first + step, size)), sample)
+    return tracer.sums
+
+
+def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
+    """Rays, steps, tests, instructions and words for each ray from the eye."""
+    near, lit = sums["first_hit"], sums["any_hit"]
+    traced = {key: near[key] + lit[key] for key in ("rays", "steps", "tests", "hits")}
+    sent = near["rays"] - eye_count
+    runs = {
+        "generate eye ray": eye_count,
+        "set up": traced["rays"],
+        "step": traced["steps"],
+        "intersect": traced["tests"],
+        "color": traced["hits"],
+        "shadow": lit["rays"],
+        "path" if row.startswith("path") else "reflected": sent,
+    }
+    if row == "shadow rays":  # hits are found, and eye rays made, by rasterising
+        traced = {key: lit[key] for key in traced}
+        runs = {
+            "set up": lit["rays"],
+            "step": lit["steps"],
+            "intersect": lit["tests"],
+            "color": near["hits"],
+            "shadow": lit["rays"],
+        }
+    table = prices("branching")
+    words = {name: one.read + one.written + one.memory for name, one in table.items()}
+    return {
+        **{key: traced[key] / eye_count for key in ("rays", "steps", "tests")},
+        "instructions": sum(table[name].instructions * n for name, n in runs.items()) / eye_count,
+        "words": sum(words[name] * n for name, n in runs.items()) / eye_count,
+    }
+
+
+def _times(lab: Laboratory, tracer: Tracer, rounds: int) -> dict[str, float]:
+    """Median seconds of each row's picture, for each ray from the eye."""
+    rows = ("raycast", *(row for row in _ROWS if row != "shadow rays"))
+    seconds: dict[str, list[float]] = {row: [] for row in rows}
+    for number in range(rounds + 1):  # the first one compiles
+        for row in rows:
+            mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]
+            size, samples = _size_of(lab, row)
+            size = max(size // _TIMED_SHARE, 16)
+            started = time.perf_counter()
+            render(tracer, mode, size=(size, size), samples=samples, **own)
+            if number:
+                taken = (time.perf_counter() - started) / (size * size * samples)
+                seconds[row].append(taken)
+    return {row: statistics.median(values) for row, values in seconds.items()}

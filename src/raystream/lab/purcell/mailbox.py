@@ -1,0 +1,56 @@
+"""What a mailbox would save (Purcell 2002, section 3.1.3, which does without)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from raystream.core.errors import RaystreamError
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.purcell.pictures import SIZE
+from raystream.lab.purcell.schedules import recorded
+from raystream.lab.results import Cell, Result, Table
+from raystream.lab.views import PURCELL_VIEWS
+from raystream.lab.walks import repeated_tests
+
+__all__ = ["mailbox"]
+
+
+def mailbox(lab: Laboratory) -> Result:
+    """Tests of a triangle that the same ray has tested before, in another cell."""
+    result = Result()
+    rows: list[list[Cell]] = []
+    entries: list[int] = []
+    size = lab.size(SIZE)
+    for name in PURCELL_VIEWS:
+
+        def measure(name: str = name) -> dict[str, Any]:
+            found = repeated_tests(recorded(lab, name, visits=True))
+            saved = [[size, count] for size, count in found.saved.items()]
+            return {"tests": found.tests, "repeats": found.repeats, "saved": saved}
+
+        try:
+            found = lab.measure(f"{name}, {size} x {size}", measure)
+        except RaystreamError as error:
+            result.notes.append(f"{name} is left out: {error}")
+            continue
+        tests = max(found["tests"], 1)
+        entries = [count for count, _ in found["saved"]]
+        shares = [saved / tests for _, saved in found["saved"]]
+        rows.append([name, found["tests"] / size**2, found["repeats"] / tests, *shares])
+    result.tables = [
+        Table.of(
+            "purcell-mailbox",
+            f"Tests that a ray repeats, as shares of all tests, {size} x {size}",
+            [
+                "view",
+                "tests a ray (t)",
+                "any mailbox could save",
+                *(f"{count} entries save" for count in entries),
+            ],
+            rows,
+            "A triangle in several cells is tested in each that the ray visits, unless it "
+            "remembers. Entries: of a mailbox for each ray, addressed by the triangle's number "
+            "modulo their count.",
+        )
+    ]
+    return result

@@ -1,0 +1,129 @@
+"""Geometry in a small memory: what a cache of pages would have to load (Purcell 2002, 5.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from raystream.core.errors import RaystreamError
+from raystream.lab.bounces import bounce_rays
+from raystream.lab.caches import ReuseDistances
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.purcell.caches import KIND_NAMES
+from raystream.lab.purcell.pictures import SIZE, grid_of, grid_tracer
+from raystream.lab.results import Cell, Plot, Result, Series, Table
+from raystream.lab.views import View
+from raystream.lab.walks import ReferenceChunk, Textures, Walks, branching_references, record
+
+__all__ = ["small_memory"]
+
+_VIEWS = ("forest inside", "building inside")
+
+_SIZE = 512
+
+#: Bytes that are loaded together.
+_PAGE = 4096
+
+#: Megabytes of the card.
+_MEGABYTES = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
+
+#: How rays come: of a picture, row by row or in tiles; and diffuse bounces of the same rays.
+_ORDERS = ("rows", "tiles", "bounces")
+
+
+def small_memory(lab: Laboratory) -> Result:
+    """Pages loaded, by memory, for coherent and for secondary rays."""
+    result = Result()
+    rows: list[list[Cell]] = []
+    size = min(lab.size(SIZE), _SIZE)
+    for name in _VIEWS:
+        try:
+            found = {order: _measure(lab, name, order, size) for order in _ORDERS}
+        except RaystreamError as error:
+            result.notes.append(f"{name} is left out: {error}")
+            continue
+        for order, one in found.items():
+            at = dict(zip(_MEGABYTES, one["loaded"], strict=True))
+            board = published("purcell", "memory").values["board_megabytes"]
+            rows.append(
+                [
+                    name,
+                    order,
+                    one["rays"],
+                    one["scene"] / 2**20,
+                    one["touched"] / 2**20,
+                    *(at[megabytes] / one["rays"] for megabytes in (4, 16, board, 256)),
+                ]
+            )
+        result.plots.append(_plot(name, found))
+    place = published("purcell", "memory")
+    result.tables = [
+        Table.of(
+            "purcell-memory",
+            f"Geometry in a small memory: {place.source}; up to {_SIZE} x {_SIZE} rays",
+            [
+                "view",
+                "rays",
+                "count",
+                "scene, MB",
+                "touched, MB",
+                *(f"bytes a ray, {megabytes} MB" for megabytes in (4, 16, 64, 256)),
+            ],
+            rows,
+            "The scene's textures (grid, lists, corners, shading data) lie in a large memory; a "
+            "smaller one keeps the pages of 4096 bytes that were used last. Bytes a ray: what is "
+            "loaded, first loads included. Touched: pages that any of the rays needs.",
+            "The paper's largest scenes take 200 to 300 MB, and its card has 64.",
+        )
+    ]
+    return result
+
+
+def _measure(lab: Laboratory, name: str, order: str, size: int) -> dict[str, Any]:
+    def measure() -> dict[str, Any]:
+        view = lab.view(name)
+        walks = _walks(lab, view, order, size)
+        pages = ReuseDistances(_PAGE, kinds=KIND_NAMES)
+        for chunk in _references(walks, order):
+            pages.access(chunk.addresses, chunk.kinds, chunk.words * np.uint8(4))
+        misses = pages.misses([megabytes << 20 for megabytes in _MEGABYTES])
+        return {
+            "rays": len(walks),
+            "scene": Textures.of(grid_of(grid_tracer(lab, view)), 0).byte_count,
+            "touched": pages.line_count * _PAGE,
+            "loaded": [int(count) * _PAGE for count in misses],
+        }
+
+    found: dict[str, Any] = lab.measure(f"{name}, {order}, {size} x {size}", measure)
+    return found
+
+
+def _walks(lab: Laboratory, view: View, order: str, size: int) -> Walks:
+    tracer = grid_tracer(lab, view)
+    origins, directions = view.rays(size)
+    if order == "bounces":
+        hits = tracer.first_hit(origins, directions)
+        origins, directions = bounce_rays(hits, directions)
+    return record(tracer, origins, directions, visits=True, progress=lab.progress)
+
+
+def _references(walks: Walks, order: str) -> Iterator[ReferenceChunk]:
+    return branching_references(walks, order="tiles" if order == "tiles" else "rows")
+
+
+def _plot(name: str, found: dict[str, dict[str, Any]]) -> Plot:
+    return Plot(
+        f"purcell-memory-{name.replace(' ', '-')}",
+        f"{name}: what a memory of some size loads, pages of 4096 bytes",
+        "memory, MB",
+        "bytes loaded a ray",
+        [
+            Series(order, list(_MEGABYTES), [loaded / one["rays"] for loaded in one["loaded"]])
+            for order, one in found.items()
+        ],
+        log_x=True,
+        log_y=True,
+    )

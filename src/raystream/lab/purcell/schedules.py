@@ -1,0 +1,268 @@
+"""Passes of the multipass machine, whoever schedules them (Purcell 2002, Table 2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from raystream.core.errors import RaystreamError
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.purcell.pictures import SIZE, grid_tracer
+from raystream.lab.purcell.statistics import (
+    TOLERANCE,
+    camera_sweep,
+    paper_view,
+    picture_statistics,
+)
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, comparison
+from raystream.lab.views import PURCELL_VIEWS
+from raystream.lab.walks import Replay, Walks, record, replay, sweep
+from raystream.machines.schedulers import SCHEDULERS
+
+__all__ = ["picture_schedule", "recorded", "schedules"]
+
+#: Percent.
+_THRESHOLDS = (
+    *(1, 2, 3, 5, 7, 10, 12, 15, 18, 20, 22, 25, 28, 30),
+    *range(35, 91, 5),
+)
+_QUICK_THRESHOLDS = (1, 5, 10, 20, 30, 50, 70, 90)
+
+#: The grid's kernels that loop.
+_TRAVERSE, _INTERSECT = "traverse", "intersect"
+
+
+def recorded(lab: Laboratory, name: str, *, visits: bool = False) -> Walks:
+    """The walks of a view's rays on Purcell's grid."""
+    view = lab.view(name)
+    tracer = grid_tracer(lab, view)
+    return record(tracer, *view.rays(lab.size(SIZE)), visits=visits, progress=lab.progress)
+
+
+def picture_schedule(lab: Laboratory, name: str) -> dict[str, Any]:
+    """Passes of each scheduler for a view; recorded once, replayed for each.
+
+    Returns
+    -------
+    dict
+        ``passes``, ``traverse``, ``intersect``, ``other``, ``efficiency`` of the paper's
+        schedule; ``optimal``, the paper's bound; ``most_steps`` and ``most_tests``;
+        ``schedulers``, all passes by name; ``sweep``, pairs of a threshold in percent and all
+        passes; ``unrolled``, passes and runs of each kernel with several steps in a pass.
+    """
+    size = lab.size(SIZE)
+
+    def measure() -> dict[str, Any]:
+        walks = recorded(lab, name)
+        usual = replay(walks)
+        unroll = published("purcell", "unrolling").values
+        steps, tests = unroll["traversal_steps"], unroll["intersections"]
+        percents = _QUICK_THRESHOLDS if lab.quick else _THRESHOLDS
+        replays = sweep(walks, [one / 100 for one in percents])
+        counters = walks.counters
+        return {
+            **_summary(usual),
+            "efficiency": usual.efficiency,
+            "optimal": usual.optimal_count,
+            "most_steps": int(counters.steps.max()),
+            "most_tests": int(counters.tests.max()),
+            "schedulers": {one: len(replay(walks, scheduler=one)) for one in SCHEDULERS},
+            "sweep": [[x, len(one)] for x, one in zip(percents, replays, strict=True)],
+            "unrolled": {
+                "passes": len(more := replay(walks, traversal_steps=steps, intersections=tests)),
+                "runs": more.runs,
+                "once": usual.runs,
+            },
+        }
+
+    found: dict[str, Any] = lab.measure(f"{name}, schedules, {size} x {size}", measure, shared=True)
+    return found
+
+
+def _summary(found: Replay) -> dict[str, Any]:
+    passes = found.passes
+    search = passes[_TRAVERSE] + passes[_INTERSECT]
+    return {
+        "passes": len(found),
+        "traverse": passes[_TRAVERSE],
+        "intersect": passes[_INTERSECT],
+        "other": len(found) - search,
+    }
+
+
+def schedules(lab: Laboratory) -> Result:
+    """Table 2, schedulers, and the sweep of the threshold."""
+    result = Result()
+    found: dict[str, dict[str, Any]] = {}
+    for name in PURCELL_VIEWS:
+        try:
+            found[name] = picture_schedule(lab, name)
+        except RaystreamError as error:
+            result.notes.append(f"{name} is left out: {error}")
+    size = lab.size(SIZE)
+    result.tables = [_table_2(lab, found, size), _schedulers(found, size), _thresholds(found)]
+    result.plots = [_plot(found)]
+    result.claims = _claims(found)
+    return result
+
+
+def _table_2(lab: Laboratory, found: dict[str, dict[str, Any]], size: int) -> Table:
+    rows: list[tuple[str, Cell, Cell, str]] = []
+    for name, ours in found.items():
+        theirs = published("purcell", "table 2").values[paper_view(name)]
+        reasons = _reasons(lab, name, ours, theirs)
+        rows += [
+            (f"{name}: {what}", theirs[key], ours[own], reasons.get(own, ""))
+            for what, key, own in (
+                ("passes", "total", "passes"),
+                ("traversal passes", "traversal", "traverse"),
+                ("intersection passes", "intersection", "intersect"),
+                ("other passes", "other", "other"),
+                ("most steps of a ray", "most_steps", "most_steps"),
+                ("most tests of a ray", "most_tests", "most_tests"),
+                ("SIMD efficiency", "efficiency", "efficiency"),
+            )
+        ]
+    source = published("purcell", "table 2").source
+    return comparison("purcell-table-2", f"Passes: {source}; threshold 20 %, {size} x {size}", rows)
+
+
+def _reasons(
+    lab: Laboratory, name: str, ours: dict[str, Any], theirs: dict[str, float]
+) -> dict[str, str]:
+    """Why figures of Table 2 differ, from what was measured; by the figure."""
+    bounds = ours["most_steps"] + ours["most_tests"], theirs["most_steps"] + theirs["most_tests"]
+    over = [
+        count / bound
+        for count, bound in zip((ours["passes"], theirs["total"]), bounds, strict=True)
+    ]
+    reasons = {
+        "passes": f"longest rays: {bounds[0]:,} steps and tests, the paper's {bounds[1]:,}; "
+        f"passes over that {over[0]:.2f}, the paper's {over[1]:.2f}"
+    }
+    sweep = camera_sweep(lab, lab.view(name)).values()
+    for key in ("most_steps", "most_tests"):
+        among = sorted(int(one[key]) for one in sweep)
+        if abs(ours[key] / theirs[key] - 1.0) > TOLERANCE:
+            reasons[key] = f"from other cameras {among[0]:,} to {among[-1]:,}, at fewer rays"
+    values, figure = picture_statistics(lab, name), published("purcell", "figure 6").values
+    paper = figure[paper_view(name)]
+    work = values["v"] + values["t"], paper["v"] + paper["t"]
+    reasons["efficiency"] = (
+        f"(v + t) / passes is {work[0] / ours['passes']:.3f}, "
+        f"the paper's {work[1] / theirs['total']:.3f}"
+    )
+    return reasons
+
+
+def _schedulers(found: dict[str, dict[str, Any]], size: int) -> Table:
+    rows: list[list[Cell]] = []
+    for name, ours in found.items():
+        passes = ours["schedulers"]
+        best = min(passes.values())
+        rows.append(
+            [
+                name,
+                ours["optimal"],
+                *(passes[one] for one in SCHEDULERS),
+                passes["threshold"] / ours["optimal"],
+                passes["naive"] / passes["threshold"],
+                min((one for one in SCHEDULERS if passes[one] == best), default=""),
+            ]
+        )
+    return Table.of(
+        "purcell-schedulers",
+        f"Passes by scheduler, {size} x {size}",
+        [
+            "view",
+            "optimal",
+            *SCHEDULERS,
+            "threshold / optimal",
+            "naive / threshold",
+            "fewest",
+        ],
+        rows,
+        "Optimal: for each kernel the most runs on any ray, added up; no schedule takes fewer, and "
+        "none may reach it. Naive intersects as soon as any ray waits for it.",
+    )
+
+
+def _thresholds(found: dict[str, dict[str, Any]]) -> Table:
+    rows: list[list[Cell]] = []
+    usual = published("purcell", "schedule").values["threshold"]
+    for name, ours in found.items():
+        best_percent, best = min(ours["sweep"], key=lambda one: one[1])
+        near = [percent for percent, passes in ours["sweep"] if passes <= 1.1 * best]
+        within = f"{near[0]} to {near[-1]}"
+        at_usual = dict(map(tuple, ours["sweep"]))[round(100 * usual)]
+        rows.append([name, best_percent, best, at_usual, at_usual / best, within])
+    return Table.of(
+        "purcell-thresholds",
+        "The threshold that needs the fewest passes",
+        ["view", "best threshold, %", "its passes", "passes at 20 %", "ratio", "within 10 %, %"],
+        rows,
+        "Replays of the recorded steps of each ray, for thresholds from 1 to 90 %.",
+    )
+
+
+def _plot(found: dict[str, dict[str, Any]]) -> Plot:
+    usual = published("purcell", "schedule").values["threshold"]
+    return Plot(
+        "purcell-thresholds",
+        f"Passes by threshold, over those at {usual:.0%}",
+        "threshold: share of active rays that wait for an intersection, %",
+        "passes",
+        [
+            Series(
+                name,
+                [percent for percent, _ in ours["sweep"]],
+                [passes / ours["passes"] for _, passes in ours["sweep"]],
+            )
+            for name, ours in found.items()
+        ],
+        marks={f"at {usual:.0%}": 1.0},
+    )
+
+
+def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
+    schedule = published("purcell", "schedule")
+    factor = schedule.values["naive_over_threshold"]
+    low, high = schedule.values["best_over_optimal"]
+    naive, optimal, usual, total = {}, {}, {}, {}
+    for name, ours in found.items():
+        passes = ours["schedulers"]
+        naive[name] = passes["naive"] / passes["threshold"]
+        optimal[name] = passes["threshold"] / ours["optimal"]
+        usual[name] = ours["passes"] / min(one for _, one in ours["sweep"])
+        total[name] = ours["passes"]
+    place = schedule.source
+    return [
+        Claim.judged(
+            f"The naive schedule takes at least {factor} times as many passes",
+            place,
+            {name: ratio >= factor for name, ratio in naive.items()},
+            _listed(naive),
+        ),
+        Claim.judged(
+            f"The threshold comes within {low} to {high} times the optimal count",
+            place,
+            {name: ratio <= high for name, ratio in optimal.items()},
+            _listed(optimal),
+        ),
+        Claim.judged(
+            "A threshold of 20 % gives the fewest passes (here: within a tenth of the best one)",
+            place,
+            {name: ratio <= 1.1 for name, ratio in usual.items()},
+            "passes at 20 % over the best: " + _listed(usual),
+        ),
+        Claim.judged(
+            "A picture takes 1000 to 3000 passes",
+            "Purcell 2002, section 4.2",
+            {name: 1000 <= count <= 3000 for name, count in total.items()},
+            ", ".join(f"{name} {count:,}" for name, count in total.items()),
+        ),
+    ]
+
+
+def _listed(ratios: dict[str, float]) -> str:
+    return ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())

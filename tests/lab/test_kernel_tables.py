@@ -1,0 +1,44 @@
+"""Tables of kernels: which of ours stands beside which row of the papers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from raystream.lab import Laboratory, Store, published
+from raystream.lab.purcell import compiled
+
+FIGURES = {
+    "code": 100,
+    "vectors": 0,
+    "loop": 40,
+    "machine": 120,
+    "in": 30,
+    "loaded": 20,
+    "out": 15,
+    "fetched": 2,
+    "dependent": 2,
+    "depth": 1,
+}
+
+
+def test_kernels_stand_beside_their_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def figures(lab: Laboratory, structure: str) -> list[dict[str, Any]]:
+        names = ("set up", "traverse", "intersect", "shade")
+        return [{"kernel": name, **FIGURES} for name in names]
+
+    monkeypatch.setattr(compiled, "cost_figures", figures)
+    lab = Laboratory(tmp_path, Store(tmp_path / "measurements.json", {}, ""), quick=True)
+    (table,) = compiled.compiled_kernels(lab).tables
+    rows = {row["kernel"]: row for row in table.records()}
+    paper = published("purcell", "table 1").values
+    assert rows["grid: traverse"]["Table 1"] == paper["multipass"]["step"]["instructions"]
+    assert (
+        rows["grid: traverse"]["Table 1, branching"] == paper["branching"]["step"]["instructions"]
+    )
+    assert rows["grid: traverse"]["a further step"] == 40
+    assert rows["grid: intersect"]["M"] == paper["multipass"]["intersect"]["memory"]
+    assert rows["grid: set up"]["W"] == paper["multipass"]["set up"]["written"]
+    assert rows["grid: shade"]["Table 1"] is None

@@ -1,0 +1,154 @@
+"""Purcell's experiments on small pictures: what must be exact, and that all of them run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import raystream as rs
+from raystream.lab import EXPERIMENTS, Laboratory, Result, Store
+from raystream.lab.cost_model import prices
+from raystream.lab.purcell.pictures import grid_options, grid_tracer, measured
+from raystream.lab.purcell.schedules import picture_schedule
+from raystream.lab.purcell.unrolling import compare
+from raystream.lab.purcell.zbuffer import _crossing
+
+SIZE = 32
+
+#: Only what is built in, with a name for each part that has its own list of views.
+VIEWS = ("forest top", "forest inside")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("lab")
+
+
+@pytest.fixture
+def lab(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Laboratory:
+    """Measurements are shared by the tests of this file."""
+    for module in ("statistics", "resolution", "schedules", "unrolling", "costs", "caches"):
+        monkeypatch.setattr(f"raystream.lab.purcell.{module}.PURCELL_VIEWS", VIEWS)
+    monkeypatch.setattr("raystream.lab.purcell.mailbox.PURCELL_VIEWS", VIEWS)
+    monkeypatch.setattr("raystream.lab.purcell.memory._VIEWS", VIEWS[1:])
+    monkeypatch.setattr("raystream.lab.purcell.caches._VARIED", VIEWS[1:])
+    store = Store(folder / "measurements.json", {}, "test")
+    store.read()
+    return Laboratory(folder, store, size=SIZE, quick=True)
+
+
+def run(lab: Laboratory, name: str) -> Result:
+    (experiment,) = [one for one in EXPERIMENTS if one.name == f"purcell-{name}"]
+    return lab.run(experiment.name, experiment.function())
+
+
+def test_statistics_are_those_of_counters(lab: Laboratory) -> None:
+    result = run(lab, "statistics")
+    table = {row["quantity"]: row["ours"] for row in result.tables[0].records()}
+    view = lab.view("forest top")
+    tracer = rs.Tracer(view.scene, "grid", counters=True, **grid_options(view, quick=True))
+    hits = tracer.first_hit(*view.rays(SIZE))
+    assert table["forest top: cells a ray (v)"] == tracer.counters.steps.mean()
+    assert table["forest top: triangles a ray (t)"] == tracer.counters.tests.mean()
+    assert table["forest top: share of rays that hit (s)"] == hits.is_hit.mean()
+    assert [one.path.stat().st_size > 1000 for one in result.pictures] == [True, True]
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_replayed_passes_are_the_machines(lab: Laboratory, name: str) -> None:
+    # Identity: what the report says of passes is what the multipass machine runs.
+    run(lab, "passes")
+    found = picture_schedule(lab, name)
+    view = lab.view(name)
+    options = {"machine": "multipass", "counters": True, **grid_options(view, quick=True)}
+    tracer = rs.Tracer(view.scene, "grid", **options)
+    tracer.first_hit(*view.rays(SIZE))
+    passes = tracer.counters.passes
+    assert passes is not None
+    assert found["passes"] == found["schedulers"]["threshold"] == len(passes)
+    assert found["traverse"] == passes.of("traverse")
+    assert found["intersect"] == passes.of("intersect")
+    assert found["efficiency"] == pytest.approx(passes.efficiency)
+    assert found["optimal"] == passes.optimal_count
+    assert dict(map(tuple, found["sweep"]))[20] == len(passes)
+    unrolled = rs.Tracer(view.scene, "grid", traversal_steps=4, intersections=2, **options)
+    unrolled.first_hit(*view.rays(SIZE))
+    assert found["unrolled"]["passes"] == len(unrolled.counters.passes)
+
+
+def test_shares_of_costs_add_up(lab: Laboratory) -> None:
+    by_kernel, by_kind = run(lab, "costs").tables
+    sums: dict[tuple[object, object], list[float]] = {}
+    for row in by_kernel.rows:
+        view, architecture, part, instructions, _, moved, _ = row
+        if part != "all, a ray":
+            one = sums.setdefault((view, architecture), [0.0, 0.0])
+            one[0] += float(instructions or 0.0)
+            one[1] += float(moved or 0.0)
+    assert len(sums) == 2 * len(VIEWS)
+    assert all(one == pytest.approx([1.0, 1.0]) for one in sums.values())
+    for row in by_kind.rows:
+        assert sum(float(row[k] or 0.0) for k in (2, 4, 6)) == pytest.approx(1.0)
+    rate = run(lab, "speed").tables[0]
+    assert [row["ratio"] for row in rate.records()] == pytest.approx([1.0, 1.0], rel=0.01)
+
+
+def test_unrolling_by_hand() -> None:
+    # One ray, 8 steps in a row and 2 tests; 4 steps and 2 tests in a pass: 2 + 1 runs.
+    schedule = {
+        "passes": 12,
+        "unrolled": {
+            "passes": 5,
+            "once": {"traverse": 8, "intersect": 2},
+            "runs": {"traverse": 2, "intersect": 1},
+        },
+    }
+    found = compare(schedule, 1, {"traversal_steps": 4, "intersections": 2})
+    step, test = prices("multipass")["step"], prices("multipass")["intersect"]
+    before = 8 * (4 * (14 + 9 + 1) + 1) + 2 * (4 * (14 + 5 + 10) + 1) + 12
+    after = 2 * (4 * (14 + 9 + 4) + 1) + (4 * (14 + 5 + 20) + 1) + 5
+    assert found["saved"] == pytest.approx(1 - after / before)
+    assert found["suppressed"] == pytest.approx(found["saved"])  # no step was in vain
+    bare = prices("branching")["step"].instructions, prices("branching")["intersect"].instructions
+    once = 8 * step.instructions + 2 * test.instructions
+    around = step.instructions - bare[0], test.instructions - bare[1]
+    more = 2 * (around[0] + 4 * bare[0]) + around[1] + 2 * bare[1]
+    assert found["added"] == pytest.approx(more / once - 1)
+
+
+def test_cache_sees_every_reference(lab: Laboratory) -> None:
+    result = run(lab, "cache")
+    rates = next(one for one in result.tables if one.name == "purcell-hit-rates").records()
+    assert len(rates) == 2 * len(VIEWS)
+    for name in VIEWS:
+        view = lab.view(name)
+        values = measured(grid_tracer(lab, view), view, SIZE)
+        steps, tests, hits = (values["rays"] * values[key] for key in ("v", "t", "s"))
+        multipass, branching = (row["references"] for row in rates if row["view"] == name)
+        assert multipass == branching
+        # A step reads a word, a test an entry and three corners, a hit seven texels.
+        assert branching == pytest.approx(steps + 4 * tests + 7 * hits)
+    misses = result.plots[0].series[0].y
+    assert misses == sorted(misses, key=float, reverse=True)
+
+
+@pytest.mark.parametrize("name", ["resolution", "unrolling", "mailbox", "memory"])
+def test_experiment_runs(lab: Laboratory, name: str) -> None:
+    result = run(lab, name)
+    assert result.notes == []
+    assert all(table.rows for table in result.tables)
+    assert all(one.verdict != "not measured" for one in result.claims)
+
+
+@pytest.mark.parametrize(
+    ("traced", "expected"),
+    [([4, 4, 4, 4], 4.0), ([0.5] * 4, 1.0), ([100] * 4, None), ([4, 5.6568542, 8, 11.3137085], 16)],
+)
+def test_crossings_of_known_lines(traced: list[float], expected: float | None) -> None:
+    # Against a line that is the depth itself, at depths of 1, 4, 16 and 64... on logarithms.
+    depths = [1.0, 4.0, 16.0, 64.0]
+    if expected == 16:
+        traced = [4.0 * depth**0.5 for depth in depths]
+    found = _crossing(depths, list(map(float, traced)), depths)
+    assert found == (None if expected is None else pytest.approx(expected))
