@@ -1,0 +1,1 @@
+"""Foley and Sugerman's experiments: kd-trees without a stack."""

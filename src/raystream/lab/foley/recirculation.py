@@ -1,0 +1,152 @@
+"""What carrying rays from pass to pass costs, and lanes that idle (Foley 2005, section 5)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from raystream.core.errors import RaystreamError
+from raystream.lab.kernels.recirculation import by_occupancy, measure_recirculation
+from raystream.lab.kernels.search import local_rays
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+
+__all__ = ["recirculation"]
+
+_SIZE = 512
+
+_STRUCTURES: dict[str, dict[str, Any]] = {
+    "grid": {"resolution": 50},
+    "kdtree": {"traversal": "backtrack", "layout": "foley", "traversal_cost": 8.0},
+    "graph": {},
+}
+
+
+def recirculation(lab: Laboratory) -> Result:
+    """Time the same steps on both machines, and passes by the share of rays that take part."""
+    result = Result()
+    size = lab.size(_SIZE)
+    found: dict[tuple[str, bool], dict[str, Any]] = {}
+    for structure, options in _STRUCTURES.items():
+        for compaction in (False, True):
+
+            def measure(
+                structure: str = structure,
+                options: dict[str, Any] = options,
+                compaction: bool = compaction,
+            ) -> dict[str, Any]:
+                view = lab.view("kitchen")
+                built = lab.tracer(view, structure, **options).structure
+                rays = local_rays(built, *view.rays(size))
+                return _figures(measure_recirculation(built, rays, compaction=compaction))
+
+            name = f"{structure}, {'compaction' if compaction else 'masks'}, {size} x {size}"
+            try:
+                found[structure, compaction] = lab.measure(name, measure)
+            except RaystreamError as error:
+                result.notes.append(f"the kitchen is left out: {error}")
+                return result
+    rows: list[list[Cell]] = [
+        [
+            structure,
+            "dropped" if compaction else "masked",
+            one["steps"],
+            one["efficiency"],
+            one["multipass"],
+            one["branching"],
+            one["multipass"] / one["branching"],
+            one["full"],
+            one["idle"],
+            one["sparse"],
+        ]
+        for (structure, compaction), one in found.items()
+    ]
+    slowdown = published("foley", "claims").values["slowdown_of_idle_lanes"]
+    ratios = {name: 1.0 / one["efficiency"] for (name, gone), one in found.items() if not gone}
+    lost = {
+        name: 1.0 / max(1e-9, 1.0 - one["sparse"])
+        for (name, gone), one in found.items()
+        if not gone
+    }
+    result.tables = [
+        Table.of(
+            "foley-recirculation",
+            f"The same steps on both machines: the kitchen, {size} x {size}",
+            [
+                "structure",
+                "ended rays",
+                "steps",
+                "mean share of rays in a pass",
+                "multipass, ns a step",
+                "branching, ns a step",
+                "ratio",
+                "passes nearly full, ns a step",
+                "time for idle rays",
+                "time that full passes would save",
+            ],
+            rows,
+            "Both machines run the same functions on the same rays. Nearly full: passes in which "
+            "three quarters of the rays take part or more; what they take beyond the branching "
+            "machine is loading and storing rays. Idle: looking at the state of rays that a "
+            "pass does not run on.",
+        )
+    ]
+    result.plots = [
+        Plot(
+            "foley-occupancy",
+            "Time of a step by the share of rays that take part in the pass (masked)",
+            "least share of rays in the pass",
+            "ns a step",
+            [
+                Series(name, [low for low, _ in one["bins"]], [ns for _, ns in one["bins"]])
+                for (name, gone), one in found.items()
+                if not gone
+            ],
+            log_y=True,
+        )
+    ]
+    source = "Foley 2005, section 5"
+    result.claims = [
+        Claim.judged(
+            f"Idle lanes cost more than a factor of {slowdown}: lanes that a wide SIMD machine "
+            "would leave idle",
+            source,
+            {name: ratio > slowdown for name, ratio in ratios.items()},
+            "rays over those that take part: "
+            + ", ".join(f"{name} {ratio:.1f}" for name, ratio in ratios.items())
+            + "; on this machine, which skips them, full passes would be faster by "
+            + ", ".join(f"{name} {ratio:.1f}" for name, ratio in lost.items()),
+        ),
+        Claim.judged(
+            "Carrying a ray's state from pass to pass costs much (here: full passes take twice the "
+            "branching machine's time a step, or more)",
+            source,
+            {
+                name: one["full"] >= 2.0 * one["branching"]
+                for (name, gone), one in found.items()
+                if not gone and one["full"] is not None
+            },
+            ", ".join(
+                f"{name} {one['full'] / one['branching']:.1f}"
+                for (name, gone), one in found.items()
+                if not gone and one["full"] is not None
+            ),
+        ),
+    ]
+    return result
+
+
+def _figures(one: Any) -> dict[str, Any]:
+    bins = by_occupancy(one.passes)
+    kept = [[bin_.low, bin_.seconds / bin_.run_count * 1e9] for bin_ in bins if bin_.run_count]
+    full = bins[-1]
+    return {
+        "steps": one.step_count,
+        "efficiency": one.efficiency,
+        "multipass": one.seconds_per_step * 1e9,
+        "branching": one.branching_seconds_per_step * 1e9,
+        "full": full.seconds / full.run_count * 1e9 if full.run_count else None,
+        "idle": one.idle_share,
+        "sparse": one.sparse_share,
+        "bins": kept,
+    }

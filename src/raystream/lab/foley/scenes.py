@@ -1,0 +1,161 @@
+"""Foley's four scenes, and the trees and counts that the experiments share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import RaystreamError
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.results import Result
+from raystream.lab.views import View
+from raystream.machines import Counting, Multipass, RayCounters
+from raystream.scene.scene import Scene
+from raystream.structures import Structure
+from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree.structure import TRAVERSALS
+
+__all__ = [
+    "SCENES",
+    "SIZE",
+    "counted",
+    "figures_of",
+    "foley_tree",
+    "foley_trees",
+    "known_views",
+    "published_figures",
+    "states",
+]
+
+#: Width and height of Foley's pictures, section 4.
+SIZE = 512
+
+#: The paper's scenes by the name under which its figures are kept: what `load` calls them.
+SCENES = MappingProxyType(
+    {"cornell": "cornell", "bunny": "bunny", "robots": "bart_robots", "kitchen": "kitchen"}
+)
+
+#: Sums over all rays, of each traversal.
+States = dict[str, dict[str, int]]
+
+
+def known_views(
+    lab: Laboratory, names: Sequence[str], result: Result
+) -> Iterator[tuple[str, View]]:
+    """The scenes that are here, one after another; a note for each that is not."""
+    for name in names:
+        try:
+            view = lab.view(SCENES[name])
+        except RaystreamError as error:
+            result.notes.append(f"{name} is left out: {error}")
+            continue
+        yield name, view
+
+
+def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTree:
+    """A tree as Foley 2005, section 3.2, has it: packed nodes, and a step 8 times a test's price.
+
+    Parameters
+    ----------
+    scene : Scene
+    progress : callable, optional
+        Called with (triangles placed, triangles).
+    **options
+        As for ``"kdtree"``, instead of Foley's or raystream's own.
+    """
+    cost = float(published("foley", "claims").values["traversal_cost"])
+    chosen = {"layout": "foley", "traversal": "backtrack", "traversal_cost": cost, **options}
+    return KdTree(scene.triangles, progress=progress, **chosen)
+
+
+def foley_trees(
+    scene: Scene, progress: Progress | None = None, **options: Any
+) -> dict[str, KdTree]:
+    """One tree, searched with a stack, by restarts, and by backtracking."""
+    tree = foley_tree(scene, progress, **options)
+    return {traversal: tree.with_traversal(traversal) for traversal in TRAVERSALS}
+
+
+def counted(
+    machine: Structure | Multipass,
+    origins: Any,
+    directions: Any,
+    *,
+    t_max: Any = np.inf,
+    any_hit: bool = False,
+    progress: Progress | None = None,
+) -> RayCounters:
+    """What rays meet on their way to their first hits, or to any."""
+    counting = Counting(machine)
+    batch = RayBatch(origins, directions, 0.0, t_max)
+    status: NDArray[np.uint8] = np.zeros(len(batch), np.uint8)
+    query = counting.any_hit_batch if any_hit else counting.first_hit_batch
+    query(batch, status, progress)
+    assert counting.latest is not None
+    return counting.latest
+
+
+def states(trees: dict[str, KdTree], origins: Any, directions: Any) -> States:
+    """How often rays were in each state of each traversal (Foley 2005, Table 2).
+
+    Returns
+    -------
+    dict of str to dict of str to int
+        By traversal, `RayCounters.total`; and how many ``rays``.
+    """
+    found: States = {}
+    for traversal, tree in trees.items():
+        counters = counted(tree, origins, directions)
+        found[traversal] = {"rays": counters.steps.size, **counters.total}
+    return found
+
+
+def figures_of(found: States) -> dict[str, float]:
+    """The figures of Table 2, in millions for a picture of Foley's size.
+
+    Parameters
+    ----------
+    found : dict
+        Of `states`.
+
+    Returns
+    -------
+    dict of str to float
+        ``down``: of the stack, and of backtrack as Foley counts; ``up``; ``restart down``;
+        ``intersect``; ``transitions``: leaves.
+
+    Notes
+    -----
+    After a climb, our backtrack runs Down once more, on the split whose far side comes next.
+    Foley's does not, or counts it as Up: his Down "is exactly the number of search steps that
+    the stack-based approach would have required". Here these runs are left out.
+    """
+    restart, backtrack = found["restart"], found["backtrack"]
+    share = SIZE**2 / backtrack["rays"] / 1e6
+    return {
+        "down": share * (backtrack["steps"] - backtrack["backtracks"]),
+        "up": share * backtrack["backtrack_steps"],
+        "restart down": share * restart["steps"],
+        "intersect": share * backtrack["tests"],
+        "transitions": share * backtrack["leaves"],
+    }
+
+
+def published_figures(name: str) -> dict[str, float]:
+    """The same five from Table 2, for a scene's name."""
+    table = published("foley", "table 2").values
+    restart, backtrack = table[f"{name} restart"], table[f"{name} backtrack"]
+    return {
+        "down": backtrack["down"],
+        "up": backtrack["up"],
+        "restart down": restart["down"],
+        "intersect": backtrack["intersect"],
+        "transitions": backtrack["transitions"],
+    }

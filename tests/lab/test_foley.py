@@ -1,0 +1,246 @@
+"""Foley's experiments: identities that must be exact, and what the experiments make of them."""
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from meshes import dented_sphere, soup
+from raystream.lab.experiments import EXPERIMENTS
+from raystream.lab.foley.rays import first_hits, ray_kinds
+from raystream.lab.foley.scenes import (
+    SIZE,
+    counted,
+    figures_of,
+    foley_tree,
+    foley_trees,
+    published_figures,
+    states,
+)
+from raystream.lab.foley.schedule import Ratio, Watched
+from raystream.lab.foley.settings import PBRT_BONUS, settings_of
+from raystream.lab.foley.sweep import Tried, is_near, nearest, why_differs
+from raystream.lab.foley.timing import timed_in_turn
+from raystream.lab.foley.visits import Walker, distinct_share
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.results import Result
+from raystream.lab.store import Store
+from raystream.lab.views import View
+from raystream.machines import Multipass
+from raystream.scene.camera import Camera
+
+SIDE = 32
+
+
+def make_view(name="robots"):
+    """A dented sphere in a cloud of triangles, from outside, with a light."""
+    parts = [dented_sphere(3), soup(400, 2)]
+    meshes = [rs.Mesh(vertices, faces) for vertices, faces in parts]
+    light = rs.PointLight((3.0, 4.0, 5.0))
+    camera = Camera((0.4, 0.3, 3.0), (0.0, 0.0, 0.0), fov=40.0)
+    return View(name, name, rs.Scene(meshes, lights=[light], camera=camera), camera, "")
+
+
+@pytest.fixture(scope="module")
+def view():
+    return make_view()
+
+
+class SmallLaboratory(Laboratory):
+    """Has a small scene in the place of each sample."""
+
+    def view(self, name):
+        return self._views.setdefault(name, make_view(name))
+
+
+@pytest.fixture
+def laboratory(tmp_path):
+    return SmallLaboratory(tmp_path, Store(tmp_path / "m.json", {}, "x"), size=SIDE, quick=True)
+
+
+@pytest.mark.parametrize("bonus", [0.0, PBRT_BONUS])
+def test_traversals_visit_the_same_leaves_and_triangles(view, bonus):
+    found = states(foley_trees(view.scene, empty_bonus=bonus), *view.rays(SIDE))
+    stack, restart, backtrack = (found[name] for name in ("stack", "restart", "backtrack"))
+    assert stack["leaves"] == restart["leaves"] == backtrack["leaves"] > SIDE**2
+    assert stack["tests"] == restart["tests"] == backtrack["tests"]
+    assert restart["restarts"] == backtrack["backtracks"] > 0
+    assert stack["steps"] == backtrack["steps"] - backtrack["backtracks"]
+    assert restart["steps"] > stack["steps"]
+    # "A given node will be visited at most two times by the backtracking step."
+    assert backtrack["backtrack_steps"] <= 2 * stack["steps"]
+
+
+def test_figures_are_of_foley_s_pictures():
+    each = {"rays": 256, "steps": 0, "backtracks": 0, "backtrack_steps": 0, "tests": 7, "leaves": 5}
+    found = {
+        "restart": each | {"steps": 100},
+        "backtrack": each | {"steps": 60, "backtracks": 10, "backtrack_steps": 20},
+    }
+    scale = SIZE**2 / 256 / 1e6
+    figures = figures_of(found)
+    assert figures == pytest.approx(
+        {
+            "down": 50 * scale,
+            "up": 20 * scale,
+            "restart down": 100 * scale,
+            "intersect": 7 * scale,
+            "transitions": 5 * scale,
+        }
+    )
+    assert list(figures) == list(published_figures("robots"))
+
+
+def test_settings_change_one_thing_and_have_names_of_their_own(view):
+    settings = list(settings_of("kitchen", view.scene, 128))
+    names = [one.name for one in settings]
+    assert len(set(names)) == len(names)
+    assert settings[0].options == {}
+    for one in settings:
+        changed = [one.options != {}, one.camera is not None, one.size is not None]
+        assert sum(changed) <= 1
+    shape = next(one.size for one in settings if "shape" in one.group)
+    assert shape[0] / shape[1] == pytest.approx(4 / 3, rel=0.02)
+    assert shape[0] * shape[1] == pytest.approx(128**2, rel=0.02)
+
+
+def test_settings_follow_a_camera_s_way(view):
+    track = rs.CameraTrack(view.camera, positions=[[0, 0, 0, 3], [2, 1, 0, 3]])
+    scene = rs.Scene(view.scene.meshes, camera_track=track)
+    times = [one.time for one in settings_of("robots", scene, 64) if one.group == "frame"]
+    assert (times[0], times[-1]) == (0.0, 2.0)
+
+
+def test_the_reason_names_what_was_measured():
+    theirs = published_figures("robots")
+    as_is = Tried("as we have it", "", 0.0, {}, {key: 0.5 * value for key, value in theirs.items()})
+    deep = Tried("depth", "9", 0.0, {}, {key: 0.9 * value for key, value in theirs.items()})
+    tried = [as_is, deep, deep._replace(group="costs", figures=as_is.figures)]
+    assert nearest(tried, "robots") is deep
+    up = theirs["up"]
+    assert why_differs("up", 0.5 * up, up, tried) == f"depth: 9 gives {0.9 * up:.3g}"
+    assert why_differs("up", 0.5 * up, up, [as_is]) == "nothing that was tried reaches it"
+    assert why_differs("up", 0.8 * up, up, tried) == ""
+    assert not is_near(1.26, 1.0)
+
+
+def passes_of(tree, rays, scheduler):
+    counters = counted(Multipass(tree, scheduler=scheduler), *rays)
+    return [(one.kernel, one.run_count) for one in counters.passes]
+
+
+def test_a_ratio_of_two_is_foley_s_rule(view):
+    tree, rays = foley_tree(view.scene), view.rays(16)
+    watched = Watched(Ratio(2.0))
+    expected = passes_of(tree, rays, "double")
+    assert passes_of(tree, rays, watched) == expected
+    assert len(watched.active_counts) == len(expected)
+    assert watched.active_counts[0] == 16**2
+    switches = [
+        sum(a != b for (a, _), (b, _) in pairwise(ran))
+        for ran in (expected, passes_of(tree, rays, Ratio(8.0)))
+    ]
+    assert switches[1] < switches[0]
+
+
+def test_followed_rays_take_the_engine_s_steps(view):
+    tree = foley_tree(view.scene)
+    walker = Walker(tree)
+    for rays in ray_kinds(view, tree, SIDE):
+        counters = counted(
+            tree, rays.origins, rays.directions, t_max=rays.t_max, any_hit=rays.any_hit
+        )
+        distances = first_hits(tree, rays).t
+        visits = [
+            walker.walk(o, d, rays.t_max, t)
+            for o, d, t in zip(
+                rays.origins.tolist(), rays.directions.tolist(), distances.tolist(), strict=True
+            )
+        ]
+        for counts, own in (
+            (counters.steps, [len(one.down) for one in visits]),
+            (counters.backtrack_steps, [len(one.up) for one in visits]),
+            (counters.leaves, [len(one.leaves) for one in visits]),
+        ):
+            assert np.mean(counts == own) > 0.98
+
+
+def test_secondary_rays_leave_what_is_seen(view):
+    tree = foley_tree(view.scene)
+    primary, shadow, diffuse = ray_kinds(view, tree, SIDE)
+    seen = first_hits(tree, primary)
+    assert np.array_equal(shadow.pixels, np.flatnonzero(seen.is_hit))
+    positions = seen[shadow.pixels].positions
+    for rays in (shadow, diffuse):
+        np.testing.assert_allclose(rays.origins, positions, atol=1e-4)
+    np.testing.assert_allclose(
+        shadow.origins + shadow.directions, np.broadcast_to((3, 4, 5), positions.shape), atol=1e-3
+    )
+    normals = seen[diffuse.pixels].normals
+    away = np.sum(normals * diffuse.directions, axis=1)
+    toward_eye = -np.sum(normals * primary.directions[diffuse.pixels], axis=1)
+    assert np.all(away * toward_eye >= 0.0)
+
+
+def test_distinct_shares():
+    assert distinct_share([[[1, 2], [3]]]) == 1.0
+    assert distinct_share([[[1, 2, 1], [2, 1]], [[5], [5]]]) == 0.5
+    assert math.isnan(distinct_share([[[], []]]))
+
+
+def test_slow_calls_have_one_turn(monkeypatch):
+    monkeypatch.setattr("raystream.lab.foley.timing.PATIENCE", -1.0)
+    asked = []
+    found = timed_in_turn({"a": lambda: asked.append("a")}, 3)
+    assert asked == ["a"]
+    assert found["a"]["rounds"] == 1
+    monkeypatch.undo()
+    found = timed_in_turn({name: lambda name=name: asked.append(name) for name in "bc"}, 2)
+    assert asked == ["a", "b", "c", "b", "c"]
+    assert found["c"]["best"] <= found["c"]["median"]
+
+
+@pytest.mark.parametrize(
+    "name", [one.name for one in EXPERIMENTS if one.paper == "foley" and "kernel" not in one.name]
+)
+def test_experiments_run_and_resume(name, laboratory, monkeypatch):
+    function = next(one.function() for one in EXPERIMENTS if one.name == name)
+    result = laboratory.run(name, function)
+    assert result.tables
+    assert result.claims
+    json.dumps(result.as_json(), allow_nan=False)
+    for table in result.tables:
+        assert len(set(table.columns)) == len(table.columns)
+
+    def refuse(*_):
+        raise AssertionError("measured again")
+
+    monkeypatch.setattr(laboratory._store, "keep", refuse)
+    assert laboratory.run(name, function).as_json() == result.as_json()
+
+
+def test_missing_scenes_are_noted(laboratory, monkeypatch):
+    def refuse(name):
+        raise rs.FileFormatError(name, "is not here")
+
+    monkeypatch.setattr(laboratory, "view", refuse)
+    for one in EXPERIMENTS:
+        if one.paper == "foley" and "kernel" not in one.name:
+            result: Result = laboratory.run(one.name, one.function())
+            assert not result.tables
+            assert "left out" in result.notes[0]
+
+
+def test_published_ratios_are_those_of_the_text():
+    """Less than threefold for restart, less than twofold for backtrack (section 4.1)."""
+    limits = published("foley", "claims").values
+    for name, restart, backtrack in (("robots", 2.35, 1.73), ("kitchen", 2.01, 1.72)):
+        theirs = published_figures(name)
+        assert theirs["restart down"] / theirs["down"] == pytest.approx(restart, abs=0.005)
+        assert 1.0 + theirs["up"] / theirs["down"] == pytest.approx(backtrack, abs=0.005)
+        assert restart < limits["restart_over_stack"]
+        assert backtrack < limits["backtrack_over_stack"]
