@@ -1,0 +1,155 @@
+"""Scenes A, B and C, and the rays of each bounce in them (Christen 2005, sections 5.2 and 6.2)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.lab.asked import AskedTracer
+from raystream.lab.frames import setting_of
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.render.picture import RENDERERS
+from raystream.render.sampled import Band, PathStream, Setting, eye_paths
+from raystream.scene.load import load
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = [
+    "MATTE_WALLS",
+    "SCENES",
+    "Bounce",
+    "bounces_of",
+    "christen_scene",
+    "picture_size",
+    "timed_iterations",
+]
+
+#: His scenes: ours, and what we know of the difference.
+SCENES = {
+    "A": (
+        "cornell_mirrors",
+        (
+            "his are three boxes; ours is the Cornell box with two blocks, whose walls mirror 0.3 "
+            "and whose blocks mirror 0.8 of the light"
+        ),
+    ),
+    "B": (
+        "spheres",
+        (
+            "his are cubes in a room; ours are cubes and spheres in a room, one material of which "
+            "is a mirror and some of which mirror 0.08"
+        ),
+    ),
+    "C": (
+        "boxes",
+        (
+            "his are objects of many and of few triangles; ours are rounded boxes of 4,800 "
+            "triangles among plain ones, some of steel that mirrors 0.7"
+        ),
+    ),
+}
+
+#: Scene A, but only its blocks mirror: what mirrors in his is not known.
+MATTE_WALLS = "A, matte walls"
+
+#: Materials that mirror less are those of scene A's walls.
+_BLOCKS_MIRROR = 0.5
+
+
+class Bounce(NamedTuple):
+    """Rays that are traced together.
+
+    Attributes
+    ----------
+    iteration : int
+        Christen's word: 1 for rays from the eye, 2 for those that the first surfaces mirror.
+    origins, directions : ndarray of shape (N, 3)
+    light_ray_count : int
+        Rays to lights from what these meet; he has none.
+    """
+
+    iteration: int
+    origins: Any
+    directions: Any
+    light_ray_count: int
+
+
+def christen_scene(letter: str) -> Scene:
+    """A, B, C or `MATTE_WALLS`; without refraction, since his renderer has none."""
+    name, _ = SCENES["A" if letter == MATTE_WALLS else letter]
+    scene = load(name)
+    opaque = [replace(one, transmission=(0.0, 0.0, 0.0)) for one in scene.materials]
+    if letter == MATTE_WALLS:
+        opaque = [
+            one if max(one.reflection) >= _BLOCKS_MIRROR else replace(one, reflection=(0.0,) * 3)
+            for one in opaque
+        ]
+    return Scene(
+        scene.meshes,
+        materials=opaque,
+        lights=scene.lights,
+        camera=scene.camera,
+        background=scene.background,
+        name=scene.name,
+    )
+
+
+def picture_size(lab: Laboratory) -> int:
+    """Width and height of his pictures, 256, or as much smaller as is wanted."""
+    return lab.size(published("christen", "settings").values["size"])
+
+
+def timed_iterations(
+    setting: Setting, tracer: Tracer, size: int, iterations: int
+) -> tuple[list[float], float]:
+    """Draw a picture with ``whitted``, all pixels together, and read the clock at each bounce.
+
+    Parameters
+    ----------
+    setting : Setting
+        Of the tracer's scene.
+    tracer : Tracer
+    size : int
+        Width and height.
+    iterations : int
+        Surfaces on a ray's way, at most.
+
+    Returns
+    -------
+    seconds : list of float
+        From the start to the end of each iteration; the last one repeated where no ray is left.
+    light : float
+        Mean radiance of the picture, to tell whether two agree.
+    """
+    renderer = RENDERERS["whitted"]
+    options = renderer.check({"max_bounces": iterations - 1, "min_weight": 0.0})
+    own = replace(setting, tracer=tracer, width=size, height=size, options=options)
+    radiance = np.zeros((size * size, 3), np.float32)
+    band = Band(own, 0, 0, radiance)
+    seconds: list[float] = []
+    started = time.perf_counter()
+    stream = PathStream(eye_paths(own.camera, (size, size), own.sampler, range(size), 0))
+    while len(stream):
+        for stage in renderer.stages:
+            stream = stage(stream, band)
+        seconds.append(time.perf_counter() - started)
+    seconds += [seconds[-1]] * (iterations - len(seconds))
+    return seconds, float(radiance.mean(dtype=np.float64))
+
+
+def bounces_of(scene: Scene, size: int, iterations: int) -> list[Bounce]:
+    """The rays that ``whitted`` traces for a picture, by bounce."""
+    tracer = AskedTracer(scene, keeps_rays=True)
+    timed_iterations(setting_of(tracer, (size, size)), tracer, size, iterations)
+    found: list[Bounce] = []
+    for one in tracer.asked:
+        if one.query == "first_hit":
+            found.append(Bounce(len(found) + 1, one.origins, one.directions, 0))
+        else:
+            count = found[-1].light_ray_count + one.ray_count
+            found[-1] = found[-1]._replace(light_ray_count=count)
+    return found

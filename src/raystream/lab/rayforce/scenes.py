@@ -1,0 +1,98 @@
+"""Scenes and structures for the poster's measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from raystream.core.errors import RaystreamError
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.results import Result
+from raystream.lab.views import View
+from raystream.scene.lights import PointLight
+from raystream.scene.material import Material
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = ["REFERENCE", "SCENES", "STAND_INS", "STRUCTURES", "diagonal", "prepared", "scenes"]
+
+#: Which scenes the poster measured is lost with its figure. These are rooms seen from inside,
+#: as usual in papers of its time: offices, a church, a kitchen with details of many sizes.
+SCENES = ("conference", "sibenik", "kitchen")
+
+#: Built in, for those that are not here, and smaller.
+STAND_INS = ("boxes", "spheres", "forest:30000")
+
+#: The poster's structure, in our reading.
+REFERENCE = "graph"
+
+#: All but brute force; the first one is what others are compared with.
+STRUCTURES = (REFERENCE, "bvh", "kdtree", "grid")
+
+#: Where a scene has no light: this far from the eye, of the median distance of what is seen, and
+#: at most half-way to what is there.
+_LIGHT_SHIFT = 0.25
+
+#: Its intensity, for a distance of 1.
+_BRIGHTNESS = 4.0
+
+
+def diagonal(scene: Scene) -> float:
+    """Of a scene's box."""
+    low, high = scene.bounds
+    return float(np.linalg.norm(high - low))
+
+
+def prepared(scene: Scene) -> Scene:
+    """The scene as it is timed: opaque, and with a light.
+
+    Where surfaces are there for some rays only, a filter would be timed and not a structure.
+    Rooms without a light are black, since nothing of the sky comes in; they get one above the
+    eye and to its right.
+    """
+    is_lit = scene.lights or any(max(one.emission) > 0.0 for one in scene.materials)
+    return Scene(
+        scene.meshes,
+        materials=[_opaque(one) for one in scene.materials],
+        lights=scene.lights if is_lit else [_light(scene)],
+        camera=scene.camera,
+        background=scene.background,
+        name=scene.name,
+    )
+
+
+def _opaque(material: Material) -> Material:
+    textures = {role: one for role, one in material.textures.items() if role != "opacity"}
+    return replace(material, opacity=1.0, alpha_cutoff=None, textures=textures)
+
+
+def _light(scene: Scene) -> PointLight:
+    camera = scene.camera_for(1.0)
+    tracer = Tracer(scene)
+    hits = tracer.first_hit(*camera.rays(32, 32))
+    middle = float(np.median(hits.t[hits.is_hit])) if hits.is_hit.any() else 1.0
+    right, up, _ = camera.basis()
+    eye, away = np.asarray(camera.eye), (right + up) / np.sqrt(2.0)
+    free = float(tracer.first_hit(eye, away).t)
+    x, y, z = (eye + min(_LIGHT_SHIFT * middle, 0.5 * free) * away).tolist()
+    return PointLight((x, y, z), (_BRIGHTNESS * middle**2,) * 3)
+
+
+def scenes(lab: Laboratory, result: Result) -> Iterator[View]:
+    """Three scenes with cameras, one after the other; notes say which are missing.
+
+    With ``quick`` the built-in ones.
+    """
+    wanted: int = published("rayforce", "figure 3").values["scenes"]
+    for name, other in zip(SCENES[:wanted], STAND_INS, strict=True):
+        if lab.quick:
+            yield lab.view(other)
+            continue
+        try:
+            yield lab.view(name)
+        except RaystreamError as error:
+            result.notes.append(f"{other} stands in for {name}: {error}")
+            yield lab.view(other)

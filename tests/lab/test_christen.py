@@ -1,0 +1,117 @@
+"""Christen's experiments: bounces are those of the renderer, and passes add up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from raystream.lab import Laboratory, Store
+from raystream.lab.christen import calls, scenes, times
+from raystream.lab.frames import setting_of
+from raystream.lab.published import published
+
+
+@pytest.fixture
+def lab(tmp_path):
+    store = Store(tmp_path / "measurements.json", {}, "test")
+    return Laboratory(tmp_path, store, size=16, quick=True)
+
+
+def test_scenes_have_as_many_triangles_as_his():
+    theirs = published("christen", "table 6.1").values
+    for letter, count in theirs.items():
+        scene = scenes.christen_scene(letter)
+        assert scene.triangle_count == count
+        assert all(max(material.transmission) == 0.0 for material in scene.materials)
+
+
+def test_with_matte_walls_fewer_rays_go_on():
+    counts = {
+        name: [len(one.directions) for one in scenes.bounces_of(scene, 32, 3)]
+        for name in ("A", scenes.MATTE_WALLS)
+        for scene in [scenes.christen_scene(name)]
+    }
+    assert counts["A"][0] == counts[scenes.MATTE_WALLS][0]
+    assert 0 < counts[scenes.MATTE_WALLS][1] < counts["A"][1] / 2
+
+
+def test_bounces_are_mirrored_rays():
+    scene = scenes.christen_scene("A")
+    first, second, third = scenes.bounces_of(scene, 16, 3)
+    assert [one.iteration for one in (first, second, third)] == [1, 2, 3]
+    _, directions = scene.camera_for(1.0).rays(16, 16)
+    np.testing.assert_allclose(first.directions, directions.reshape(-1, 3), atol=1e-6)
+    hits = rs.Tracer(scene).first_hit(first.origins, first.directions)
+    # Every surface but the lamp mirrors.
+    mirrors = hits.is_hit
+    assert len(second.directions) <= mirrors.sum()
+    assert len(third.directions) <= len(second.directions)
+    starts = hits.positions[mirrors]
+    for origin in second.origins[::17]:
+        assert np.linalg.norm(starts - origin, axis=1).min() < 0.01  # millimetres
+    assert first.light_ray_count > 0
+
+
+def test_iterations_are_those_of_the_renderer():
+    scene = scenes.christen_scene("B")
+    tracer = rs.Tracer(scene, "grid", resolution=5)
+    seconds, light = scenes.timed_iterations(setting_of(tracer, (12, 12)), tracer, 12, 4)
+    assert len(seconds) == 4
+    assert seconds == sorted(seconds)
+    image = rs.render(scene, "whitted", (12, 12), max_bounces=3, min_weight=0.0)
+    assert light == pytest.approx(float(image.pixels.mean(dtype=np.float64)), rel=1e-6)
+
+
+def test_passes_run_on_all_that_rays_meet():
+    scene = scenes.christen_scene("B")
+    (bounce, *_) = scenes.bounces_of(scene, 16, 1)
+    found = calls.passes_of(scene, bounce, 0.2, 5)
+    counting = rs.Tracer(scene, "grid", resolution=5, counters=True)
+    counting.first_hit(bounce.origins, bounce.directions)
+    total = counting.counters.total
+    kernels = found["kernels"]
+    assert kernels["intersect"][1] == total["tests"]
+    assert kernels["set up"][:2] == [1, found["rays"]]
+    assert sum(count for count, _, _ in kernels.values()) == found["passes"] >= found["optimal"]
+    for count, runs, masked in kernels.values():
+        assert runs + masked == count * found["rays"]
+
+
+def test_calls_have_rows_for_every_bounce(lab, monkeypatch):
+    monkeypatch.setattr(calls, "SCENES", {})  # leaves the one with matte walls
+    result = calls.calls(lab)
+    (table, kernels, sweep) = result.tables
+    rows = table.records()
+    assert [row["iteration"] for row in rows] == list(range(1, len(rows) + 1))
+    assert sum(row["of all rays"] for row in rows) == pytest.approx(1.0)
+    assert sum(row["of all passes"] for row in rows) == pytest.approx(1.0)
+    for row in rows:
+        own = [one for one in kernels.records() if one["iteration"] == row["iteration"]]
+        assert sum(one["passes"] for one in own) == row["passes"]
+        assert sum(one["rejected, of all pixels"] for one in own) == row["rejected early"]
+    assert len(sweep.columns) == 1 + len(calls._QUICK_THRESHOLDS)
+    assert len(result.claims) == 4
+
+
+def test_times_are_cumulative(lab, monkeypatch):
+    monkeypatch.setattr(times, "SCENES", {"A": scenes.SCENES["A"]})
+    result = times.times(lab)
+    table = result.tables[1].records()
+    assert {row["machine"] for row in table} == {"branching", "multipass"}
+    for row in table:
+        numbers = [row[str(k)] for k in range(1, times.ITERATIONS + 1)]
+        assert numbers == sorted(numbers)
+    assert [plot.name for plot in result.plots] == [
+        "christen-grids-1",
+        f"christen-grids-{times.ITERATIONS}",
+        "christen-iterations",
+    ]
+
+
+def test_a_crowded_grid_is_left_out_with_its_reason(lab, monkeypatch):
+    monkeypatch.setattr(times, "_MOST_TESTS", 1)
+    scene = scenes.christen_scene("A")
+    value = lab.run("x", lambda lab: times._multipass(lab, scene, "A", 20))
+    assert value["most_tests"] > 1
+    assert "seconds" not in value

@@ -1,0 +1,175 @@
+"""The poster's experiments: scenes that are what they say, and tables that agree with queries."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from raystream.lab import Laboratory, Store
+from raystream.lab.asked import AskedTracer
+from raystream.lab.frames import affordable, frame_seconds, setting_of
+from raystream.lab.rayforce import hidden, layers, modes, scenes, sectors
+from raystream.lab.results import Result
+from raystream.lab.views import view
+
+
+@pytest.fixture
+def lab(tmp_path):
+    store = Store(tmp_path / "measurements.json", {}, "test")
+    return Laboratory(tmp_path, store, size=16, quick=True)
+
+
+def rows_of(result, name):
+    (table,) = (one for one in result.tables if one.name == name)
+    return table.records()
+
+
+def test_every_ray_meets_every_layer_once():
+    scene = layers.layered_scene(5)
+    origins, directions = scene.camera_for(1.0).rays(32, 32)
+    found = rs.Tracer(scene, "brute").multi_hit(origins, directions)
+    assert (np.diff(found.ray_splits) == 5).all()
+    sheet = found.prim_id.reshape(-1, 5) // (2 * layers.CELLS**2)
+    np.testing.assert_array_equal(sheet, np.tile(np.arange(5), (1024, 1)))
+
+
+@pytest.mark.parametrize("place", hidden.PLACES)
+def test_what_is_added_is_not_seen(place):
+    bare, more = (hidden.scene_with_more(place, factor) for factor in (0, 3))
+    added = 3 * rs.load(hidden.VISIBLE).triangle_count
+    assert more.triangle_count == bare.triangle_count + added
+    rays = bare.camera_for(1.0).rays(24, 24)
+    one, other = (rs.Tracer(scene).first_hit(*rays) for scene in (bare, more))
+    np.testing.assert_array_equal(one.prim_id, other.prim_id)
+    assert one.is_hit.all()
+    # Without the wall, what lies behind it would be met.
+    centres = more.meshes[-1].vertices.reshape(-1, 3, 3).mean(axis=1)
+    eye = np.asarray(more.camera.eye)
+    blocked = rs.Tracer(bare).any_hit(eye, centres - eye, t_max=1.0)
+    assert blocked.mean() > 0.9 if place == hidden.PLACES[0] else True
+
+
+def test_a_place_must_be_known():
+    with pytest.raises(ValueError, match=r"place: expected one of behind a wall, beside the view"):
+        hidden.scene_with_more("below", 1)
+
+
+def test_hidden_counts_are_those_of_a_query(lab, monkeypatch):
+    monkeypatch.setattr(hidden, "STRUCTURES", ("graph", "bvh"))
+    result = hidden.hidden(lab)
+    rows = rows_of(result, "rayforce-hidden")
+    assert len(rows) == len(hidden.PLACES) * 3 * 2
+    assert all(row["pixels that changed"] == 0 for row in rows)
+    scene = hidden.scene_with_more(hidden.PLACES[1], 8)
+    tracer = rs.Tracer(scene, "graph", counters=True)
+    tracer.first_hit(*scene.camera_for(1.0).rays(16, 16))
+    total = tracer.counters.total
+    (row,) = (
+        row
+        for row in rows
+        if (row["more triangles"], row["times"], row["structure"]) == (hidden.PLACES[1], 8, "graph")
+    )
+    assert row["steps"] == (total["steps"] + total["link_nodes"]) / 256
+    assert row["tests"] == total["tests"] / 256
+    assert row["triangles"] == scene.triangle_count
+    assert len(result.pictures) == 2
+
+
+def test_modes_count_the_rays_of_the_poster(lab, monkeypatch):
+    monkeypatch.setattr(modes, "scenes", lambda lab, _: [lab.view("cornell")])
+    monkeypatch.setattr(modes, "STRUCTURES", ("graph", "bvh"))  # all would compile for long
+    result = modes.modes(lab)
+    for mode in modes.MODES:
+        rows = rows_of(result, f"rayforce-{mode}")
+        assert [row["structure"] for row in rows] == ["graph", "bvh"]
+        assert rows[0]["time / graph's"] == 1.0
+        per_pixel = {row["rays a pixel"] for row in rows}
+        if mode in ("vis", "xray"):
+            assert per_pixel == {1.0}
+        if mode == "ao":
+            assert all(1.0 < rays <= 33.0 for rays in per_pixel)
+    assert [claim.verdict for claim in result.claims] == ["not measured"]
+    assert all(picture.path.exists() for picture in result.pictures)
+
+
+def test_ambient_occlusion_asks_32_times_at_each_hit():
+    scene = rs.load("cornell")
+    tracer = AskedTracer(scene)
+    frame_seconds(setting_of(tracer, (16, 12)), tracer, "ao", (16, 12))
+    counts = {
+        query: sum(one.ray_count for one in tracer.asked if one.query == query)
+        for query in ("first_hit", "any_hit", "multi_hit")
+    }
+    hits = rs.Tracer(scene).first_hit(*scene.camera_for(16 / 12).rays(16, 12))
+    assert counts == {
+        "first_hit": 16 * 12,
+        "any_hit": 32 * int(hits.is_hit.sum()),
+        "multi_hit": 0,
+    }
+
+
+def test_pictures_get_smaller_only_as_far_as_needed():
+    assert affordable(1e-6, (1024, 768), 1.0, (256, 192)) == (1024, 768)
+    assert affordable(3e-6, (1024, 768), 1.0, (256, 192)) == (512, 384)
+    assert affordable(1.0, (1024, 768), 1.0, (256, 192)) == (256, 192)
+
+
+def test_the_graph_is_described(lab, monkeypatch):
+    monkeypatch.setattr(sectors, "scenes", lambda lab, _: [lab.view("spheres")])
+    result = sectors.graph(lab)
+    tracer = rs.Tracer(rs.load("spheres"), "graph")
+    (row,) = rows_of(result, "rayforce-graph")
+    assert row["sectors"] == tracer.structure.quality()["sectors"]
+    memory = rows_of(result, "rayforce-structures")[0]
+    assert memory["bytes a triangle"] == tracer.structure.report.byte_count / row["triangles"]
+    eye, *_ = rows_of(result, "rayforce-walks")
+    assert eye["rays"] == "from the eye"
+    assert eye["sectors left, mean"] <= eye["most"]
+    # All rays from one place begin in one sector, and walk as far.
+    assert eye["sectors left, mean"] == eye["most"]
+
+
+def test_rays_from_surfaces_leave_them():
+    chosen = view("spheres")
+    sets = sectors.ray_sets(chosen, 16)
+    assert list(sets) == list(sectors.RAYS)
+    origins, directions = sets["from surfaces"]
+    eyes, toward = sets["from the eye"]
+    hits = rs.Tracer(chosen.scene).first_hit(eyes, toward)
+    seen = hits[hits.is_hit]
+    assert len(origins) == hits.is_hit.sum()
+    sides = np.sign((seen.normals * directions).sum(axis=1))
+    arriving = np.sign((seen.normals * toward[hits.is_hit]).sum(axis=1))
+    np.testing.assert_array_equal(sides, -arriving)
+
+
+def test_scenes_are_timed_opaque_and_lit():
+    glass = rs.Material("glass", opacity=0.1, diffuse=(0.5, 0.4, 0.3))
+    corners = [[-1, -1, 0], [1, -1, 0], [0, 1, 0]]
+    scene = rs.Scene([rs.Mesh(corners, [[0, 1, 2]])], materials=[glass])
+    timed = scenes.prepared(scene)
+    assert [one.opacity for one in timed.materials] == [1.0]
+    assert timed.materials[0].diffuse == glass.diffuse
+    (light,) = timed.lights
+    camera = scene.camera_for(1.0)
+    assert camera.look_at == timed.camera_for(1.0).look_at
+    right, up, _ = camera.basis()
+    away = np.asarray(light.position) - camera.eye
+    np.testing.assert_allclose(away @ right, away @ up, rtol=1e-6)
+    assert away @ right > 0.0
+    assert scenes.prepared(timed).lights == timed.lights
+
+
+def test_stand_ins_are_there_without_samples(lab):
+    result = Result()
+    assert [one.name for one in scenes.scenes(lab, result)] == list(scenes.STAND_INS)
+
+
+def test_all_structures_find_all_layers(lab):
+    rows = rows_of(layers.layers(lab), "rayforce-layer-counts")
+    assert {row["structure"] for row in rows} == set(scenes.STRUCTURES)
+    for row in rows:
+        assert row["hits"] == row["layers"]
+        assert row["tests, all hits"] >= row["hits"]
+        assert row["steps, all hits"] >= row["steps, first hit"]
