@@ -30,6 +30,7 @@ default_role = "code"
 html_theme = "furo"
 html_title = "raystream"
 html_static_path: list[str] = []
+html_extra_path = ["extra"]  # the report of the lab, as it was written
 
 add_module_names = False
 autodoc_member_order = "bysource"
