@@ -125,7 +125,7 @@ def test_both_machines_read_the_same_of_the_scene():
 def test_textures_are_apart_and_aligned():
     walks = walks_of("grid")
     grid, triangle_count = walks.structure, len(walks.structure.triangles)
-    layout = Textures.of(grid, len(walks), StateWords())
+    layout = Textures.of(grid, len(walks), StateWords.of_purcell())
     assert len(layout.state) == 4
     ends = {
         layout.grid: 4 * grid.lattice.cell_count,
@@ -174,6 +174,8 @@ def test_what_cannot_be_read_is_refused():
     with pytest.raises(ValueError, match="not one of these walks"):
         list(multipass_references(walks, replay(walks_of("grid", any_hit=True))))
     with pytest.raises(ValueError, match="state_words: expected 0 to 28"):
-        multipass_references(walks, replay(walks), state_words=StateWords(traverse=29))
+        multipass_references(
+            walks, replay(walks), state_words=StateWords.of_purcell()._replace(traverse=29)
+        )
     none = record(rs.Tracer(rs.Scene(), "grid"), [[0, 0, 0]], [[0, 0, 1]], visits=True)
     assert list(branching_references(none)) == []

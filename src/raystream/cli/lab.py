@@ -173,7 +173,7 @@ def _about(
 
 def _show(outcomes: list[Outcome], about: About, json: bool) -> None:
     """Print what was found: every table, and the verdicts."""
-    from raystream.lab.report.cells import cell_text, is_number
+    from raystream.lab.report.cells import are_numbers, cell_text
     from raystream.lab.report.write import as_json
 
     if json:
@@ -183,9 +183,7 @@ def _show(outcomes: list[Outcome], about: About, json: bool) -> None:
         write_line(f"\n== {experiment.name}: {experiment.title}")
         for table in result.tables:
             write_line(f"\n{table.title}")
-            right = [
-                k for k in range(len(table.columns)) if any(is_number(row[k]) for row in table.rows)
-            ]
+            right = [k for k, one in enumerate(are_numbers(table)) if one]
             rows = [[cell_text(cell) for cell in row] for row in table.rows]
             if rows:
                 write_line(set_table(table.columns, rows, right))

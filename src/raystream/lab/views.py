@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.lab.published import published
 from raystream.scene.camera import Camera
 from raystream.scene.lights import PointLight
 from raystream.scene.load import load
@@ -153,13 +154,13 @@ def _bunny(name: str, quick: bool) -> View:  # noqa: ARG001 - as every view
     return View(name, "bunny", scene, scene.camera_for(1.0), about)
 
 
-def on_floor(scene: Scene, shape: tuple[int, int, int] = (98, 64, 163)) -> Scene:
+def on_floor(scene: Scene, shape: Sequence[int]) -> Scene:
     """Put a scene on a floor that is as wide and deep as a grid of these cells needs.
 
     Parameters
     ----------
     scene : Scene
-    shape : tuple of three int
+    shape : sequence of three int
         Cells of the grid along x, y and z, whose height is the scene's.
 
     Returns
@@ -182,11 +183,12 @@ def _bunny_on_floor(name: str, quick: bool) -> View:  # noqa: ARG001 - as every 
     middle, height = (low + high) / 2, float(high[1] - low[1])
     eye = middle + np.array([0.2, 1.7, 1.3]) * height
     camera = Camera(tuple(eye), tuple(middle), fov=_FLOOR_FOV)
+    cells = published("purcell", "grids").values["bunny"]
     about = (
-        "On a floor as wide and deep as Purcell's grid of 98 x 64 x 163 cells says, seen from "
-        "where about as many rays hit as in his figure."
+        f"On a floor as wide and deep as Purcell's grid of {' x '.join(map(str, cells))} cells "
+        "says, seen from where about as many rays hit as in his figure."
     )
-    return View(name, "bunny on a floor", on_floor(alone), camera, about)
+    return View(name, "bunny on a floor", on_floor(alone, cells), camera, about)
 
 
 #: Views by name.

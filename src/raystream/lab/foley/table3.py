@@ -64,10 +64,10 @@ def key_kernels(lab: Laboratory) -> Result:
                     one["fetch_bandwidth"] / 1e9,
                     one["ratio"],
                     "memory" if one["is_bound"] else "arithmetic",
-                    "arithmetic" if name == "kd down" else "memory",
+                    theirs["waits_for"],
                 ]
             )
-            bound[name] = one["is_bound"] == (name != "kd down")
+            bound[name] = one["is_bound"] == (theirs["waits_for"] == "memory")
     copying = lab.measure("copying", lambda: copy_bandwidth() / 1e9)
     source = published("foley", "table 3").source
     result.tables = [

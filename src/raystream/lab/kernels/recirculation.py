@@ -111,11 +111,6 @@ class Recirculation:
         return self.branching_seconds / self.step_count
 
     @property
-    def busy_seconds_per_step(self) -> float:
-        """Multipass: what loading a ray, a step and storing it take, without the shares below."""
-        return self.seconds_per_step * max(0.0, 1.0 - self.idle_share - self.launch_share)
-
-    @property
     def idle_share(self) -> float:
         """Share of the passes' time that goes to idle rays, at `idle_seconds` for each."""
         lost = [

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from raystream.lab.results import Cell
+from raystream.lab.results import Cell, Table
 
-__all__ = ["NOTHING", "cell_text", "is_number"]
+__all__ = ["NOTHING", "are_numbers", "cell_text", "is_number", "sentence"]
 
 NOTHING = "–"
 
@@ -12,6 +12,16 @@ NOTHING = "–"
 def is_number(cell: Cell) -> bool:
     """Whether it aligns to the right."""
     return isinstance(cell, int | float) and not isinstance(cell, bool)
+
+
+def are_numbers(table: Table) -> list[bool]:
+    """Which columns align to the right: those that hold a number."""
+    return [any(is_number(row[k]) for row in table.rows) for k in range(len(table.columns))]
+
+
+def sentence(text: str) -> str:
+    """The text with a capital."""
+    return text[:1].upper() + text[1:]
 
 
 def cell_text(cell: Cell) -> str:

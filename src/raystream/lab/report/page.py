@@ -10,7 +10,7 @@ from pathlib import Path
 from raystream.lab.experiments import Outcome
 from raystream.lab.published import paper_name
 from raystream.lab.report.about import About
-from raystream.lab.report.cells import cell_text, is_number
+from raystream.lab.report.cells import are_numbers, cell_text, is_number, sentence
 from raystream.lab.results import Claim, Picture, Plot, Table
 
 __all__ = ["as_html"]
@@ -119,7 +119,7 @@ def _contents(outcomes: Sequence[Outcome], has_claims: bool) -> str:
 
 
 def _table(table: Table) -> str:
-    right = [any(is_number(row[k]) for row in table.rows) for k in range(len(table.columns))]
+    right = are_numbers(table)
     head = "".join(
         f"<th{' class=number' if one else ''} scope=col>{escape(name)}</th>"
         for one, name in zip(right, table.columns, strict=True)
@@ -141,13 +141,9 @@ def _table(table: Table) -> str:
     )
 
 
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def _claims(claims: Sequence[Claim]) -> str:
     rows = "".join(
-        f"<tr><td>{_inline(_sentence(one.text))}</td><td>{escape(one.source)}</td>"
+        f"<tr><td>{_inline(sentence(one.text))}</td><td>{escape(one.source)}</td>"
         f'<td class="{_VERDICT_CLASSES.get(one.verdict, "")}"><b>{escape(one.verdict)}</b></td>'
         f"<td>{_inline(one.evidence)}</td></tr>\n"
         for one in claims

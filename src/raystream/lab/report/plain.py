@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from raystream.lab.experiments import Outcome
 from raystream.lab.report.about import About
-from raystream.lab.report.cells import cell_text, is_number
+from raystream.lab.report.cells import are_numbers, cell_text, sentence
 from raystream.lab.results import Claim, Plot, Table
 
 __all__ = ["as_markdown"]
@@ -39,11 +39,7 @@ def as_markdown(outcomes: Sequence[Outcome], about: About, plots: Sequence[str] 
 
 def table_text(table: Table) -> str:
     """A table in Markdown."""
-    right = [
-        any(is_number(row[k]) for row in table.rows)
-        and all(is_number(row[k]) or row[k] in (None, "") for row in table.rows)
-        for k in range(len(table.columns))
-    ]
+    right = are_numbers(table)
     lines = [
         _line(table.columns),
         "| " + " | ".join("---:" if one else "---" for one in right) + " |",
@@ -56,13 +52,9 @@ def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def _claim_table(claims: Sequence[Claim]) -> str:
     lines = [_line(("claim", "source", "verdict", "evidence")), "| --- | --- | --- | --- |"]
-    lines += [_line((_sentence(one.text), one.source, one.verdict, one.evidence)) for one in claims]
+    lines += [_line((sentence(one.text), one.source, one.verdict, one.evidence)) for one in claims]
     return "\n".join(lines)
 
 

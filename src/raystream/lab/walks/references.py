@@ -138,7 +138,7 @@ def multipass_references(
     schedule : Replay
         Of the same walks.
     state_words : StateWords, optional
-        Words of state that each kernel reads for each ray.
+        Words of state that each kernel reads for each ray; without it, Purcell's.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def multipass_references(
     grid = grid_of(walks)
     if schedule.names != walks.names or schedule.ray_count != len(walks):
         raise ValueError("schedule: not one of these walks")
-    given = StateWords() if state_words is None else state_words
+    given = StateWords.of_purcell() if state_words is None else state_words
     words = np.array(_in_order(walks, given), np.uint8)
     rays = ray_order(order, walks.shape)
     check_memory(21 * len(walks), f"places of {len(walks):,} rays would", "record fewer rays")

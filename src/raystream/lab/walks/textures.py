@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.lab.published import published
 from raystream.structures.grid import Grid
 
 __all__ = ["ALIGNMENT", "Kind", "StateWords", "Textures"]
@@ -49,16 +50,21 @@ class Kind(IntEnum):
 
 
 class StateWords(NamedTuple):
-    """Words of state that each kernel reads for a ray, of 4 bytes; by default Purcell's layout.
+    """Words of state that each kernel reads for a ray, of 4 bytes."""
 
-    Purcell 2002, Table 1, columns R of the multipass architecture; `set_up` is the first of the
-    paper's two passes.
-    """
+    set_up: int
+    traverse: int
+    intersect: int
+    shade: int
 
-    set_up: int = 11
-    traverse: int = 14
-    intersect: int = 14
-    shade: int = 10
+    @classmethod
+    def of_purcell(cls) -> StateWords:
+        """Those of Purcell 2002, Table 1: columns R of the multipass architecture.
+
+        `set_up` is the first of the paper's two passes.
+        """
+        table = published("purcell", "table 1").values["multipass"]
+        return cls(*(table[kernel]["read"] for kernel in ("set up", "step", "intersect", "color")))
 
 
 @dataclass(frozen=True)
