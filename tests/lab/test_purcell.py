@@ -120,13 +120,13 @@ def test_unrolling_by_hand() -> None:
 def test_cache_sees_every_reference(lab: Laboratory) -> None:
     result = run(lab, "cache")
     rates = next(one for one in result.tables if one.name == "purcell-hit-rates").records()
-    assert len(rates) == 2 * len(VIEWS)
+    assert len(rates) == 3 * len(VIEWS)
     for name in VIEWS:
         view = lab.view(name)
         values = measured(grid_tracer(lab, view), view, SIZE)
         steps, tests, hits = (values["rays"] * values[key] for key in ("v", "t", "s"))
-        multipass, branching = (row["references"] for row in rates if row["view"] == name)
-        assert multipass == branching
+        multipass, tiled, branching = (row["references"] for row in rates if row["view"] == name)
+        assert multipass == tiled == branching
         # A step reads a word, a test an entry and three corners, a hit seven texels.
         assert branching == pytest.approx(steps + 4 * tests + 7 * hits)
     misses = result.plots[0].series[0].y

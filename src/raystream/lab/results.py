@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
+
+from raystream.core.errors import RaystreamError
 
 __all__ = [
     "COMPARED",
@@ -19,6 +21,8 @@ __all__ = [
     "Verdict",
     "comparison",
 ]
+
+Found = TypeVar("Found")
 
 #: A table's cell: text, or a number that whoever lays it out rounds; None where there is none.
 Cell = str | int | float | None
@@ -220,6 +224,25 @@ class Result:
     claims: list[Claim] = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    def known(
+        self, names: Iterable[str], find: Callable[[str], Found]
+    ) -> Iterator[tuple[str, Found]]:
+        """Each name with what is found for it; a note instead where a model is missing.
+
+        Parameters
+        ----------
+        names : iterable of str
+        find : callable
+            Called with a name; a RaystreamError of it becomes the note.
+        """
+        for name in names:
+            try:
+                found = find(name)
+            except RaystreamError as error:
+                self.notes.append(f"{name} is left out: {error}")
+            else:
+                yield name, found
 
     def as_json(self) -> dict[str, Any]:
         """Everything, for a file; pictures by their names."""

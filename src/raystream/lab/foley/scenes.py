@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.errors import RaystreamError
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.lab.laboratory import Laboratory
@@ -50,13 +49,7 @@ def known_views(
     lab: Laboratory, names: Sequence[str], result: Result
 ) -> Iterator[tuple[str, View]]:
     """The scenes that are here, one after another; a note for each that is not."""
-    for name in names:
-        try:
-            view = lab.view(SCENES[name])
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
-        yield name, view
+    return result.known(names, lambda name: lab.view(SCENES[name]))
 
 
 def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTree:

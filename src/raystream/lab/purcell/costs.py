@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from raystream.core.errors import RaystreamError
 from raystream.lab.cost_model import ARCHITECTURES, Cost, Counts, cost, prices
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
@@ -34,13 +33,8 @@ def picture_costs(lab: Laboratory) -> Result:
     result = Result()
     ours: Costs = {}
     theirs: Costs = {}
-    for name in PURCELL_VIEWS:
-        try:
-            values = picture_statistics(lab, name)
-            passes = picture_schedule(lab, name)["passes"]
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
+    for name, values in result.known(PURCELL_VIEWS, lambda name: picture_statistics(lab, name)):
+        passes = picture_schedule(lab, name)["passes"]
         paper = paper_view(name)
         figure = published("purcell", "figure 6").values[paper]
         printed = published("purcell", "table 2").values[paper]["total"]

@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from raystream.core.errors import RaystreamError
 from raystream.core.hits import Hits
 from raystream.lab.cost_model import prices
 from raystream.lab.laboratory import Laboratory
@@ -73,7 +72,10 @@ _PATH_SIZE, _PATH_SAMPLES = 256, 16
 
 #: Rounds in which modes take turns, and the share of the size of pictures that are timed: at
 #: full size, the forest's alone take three minutes.
-_ROUNDS, _TIMED_SHARE = 3, 2
+_ROUNDS, _TIMED_SHARE = 2, 2
+
+#: Pixels along a side of the pictures that compile it all before.
+_WARM_SIZE = 32
 
 #: Rays from the eye that are counted together.
 _BAND = 1 << 16
@@ -115,15 +117,8 @@ def extension_costs(lab: Laboratory) -> Result:
     rows: list[list[Cell]] = []
     compared: list[tuple[str, Cell, Cell, str]] = []
     near: dict[str, bool] = {}
-    for name, options in _SCENES.items():
-        if lab.quick and name not in _QUICK_SCENES:
-            continue
-        try:
-            view = lab.view(name)
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
-        found = _measure(lab, _with_mirrors(view), options)
+    for name, view in result.known(_QUICK_SCENES if lab.quick else _SCENES, lab.view):
+        found = _measure(lab, _with_mirrors(view), _SCENES[name])
         base = found["raycast"]
         for row, ours in found.items():
             ratios = base if row == "raycast" else {key: n / base[key] for key, n in ours.items()}
@@ -281,7 +276,7 @@ def _times(lab: Laboratory, tracer: Tracer, rounds: int) -> dict[str, float]:
         for row in rows:
             mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]
             size, samples = _size_of(lab, row)
-            size = max(size // _TIMED_SHARE, 16)
+            size = max(size // _TIMED_SHARE, 16) if number else _WARM_SIZE
             started = time.perf_counter()
             render(tracer, mode, size=(size, size), samples=samples, **own)
             if number:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.core.errors import RaystreamError
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.purcell.pictures import SIZE
 from raystream.lab.purcell.schedules import recorded
@@ -21,18 +20,7 @@ def mailbox(lab: Laboratory) -> Result:
     rows: list[list[Cell]] = []
     entries: list[int] = []
     size = lab.size(SIZE)
-    for name in PURCELL_VIEWS:
-
-        def measure(name: str = name) -> dict[str, Any]:
-            found = repeated_tests(recorded(lab, name, visits=True))
-            saved = [[size, count] for size, count in found.saved.items()]
-            return {"tests": found.tests, "repeats": found.repeats, "saved": saved}
-
-        try:
-            found = lab.measure(f"{name}, {size} x {size}", measure)
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
+    for name, found in result.known(PURCELL_VIEWS, lambda name: _repeats(lab, name, size)):
         tests = max(found["tests"], 1)
         entries = [count for count, _ in found["saved"]]
         shares = [saved / tests for _, saved in found["saved"]]
@@ -54,3 +42,15 @@ def mailbox(lab: Laboratory) -> Result:
         )
     ]
     return result
+
+
+def _repeats(lab: Laboratory, name: str, size: int) -> dict[str, Any]:
+    """Tests, those that were repeated, and how many of them mailboxes would save."""
+
+    def measure() -> dict[str, Any]:
+        found = repeated_tests(recorded(lab, name, visits=True))
+        saved = [[entries, count] for entries, count in found.saved.items()]
+        return {"tests": found.tests, "repeats": found.repeats, "saved": saved}
+
+    found: dict[str, Any] = lab.measure(f"{name}, {size} x {size}", measure)
+    return found

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from raystream.core.errors import RaystreamError
 from raystream.lab.bounces import bounce_rays
-from raystream.lab.caches import ReuseDistances
+from raystream.lab.caches import ReuseDistances, take_through
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.purcell.caches import KIND_NAMES
@@ -42,12 +41,7 @@ def small_memory(lab: Laboratory) -> Result:
     place = published("purcell", "memory")
     board, (least, most) = place.values["board_megabytes"], place.values["scene_megabytes"]
     shown = (4, 16, board, 256)
-    for name in _VIEWS:
-        try:
-            found = {order: _measure(lab, name, order, size) for order in _ORDERS}
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
+    for name, found in result.known(_VIEWS, lambda name: _by_order(lab, name, size)):
         for order, one in found.items():
             at = dict(zip(_MEGABYTES, one["loaded"], strict=True))
             rows.append(
@@ -83,13 +77,19 @@ def small_memory(lab: Laboratory) -> Result:
     return result
 
 
+def _by_order(lab: Laboratory, name: str, size: int) -> dict[str, dict[str, Any]]:
+    return {order: _measure(lab, name, order, size) for order in _ORDERS}
+
+
 def _measure(lab: Laboratory, name: str, order: str, size: int) -> dict[str, Any]:
     def measure() -> dict[str, Any]:
         view = lab.view(name)
         walks = _walks(lab, view, order, size)
         pages = ReuseDistances(_PAGE, kinds=KIND_NAMES)
-        for chunk in _references(walks, order):
-            pages.access(chunk.addresses, chunk.kinds, chunk.words * np.uint8(4))
+        take_through(
+            _references(walks, order),
+            [lambda chunk: pages.access(chunk.addresses, chunk.kinds, chunk.words * np.uint8(4))],
+        )
         misses = pages.misses([megabytes << 20 for megabytes in _MEGABYTES])
         return {
             "rays": len(walks),

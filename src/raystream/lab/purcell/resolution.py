@@ -6,7 +6,6 @@ import itertools
 import math
 from typing import Any
 
-from raystream.core.errors import RaystreamError
 from raystream.lab.cost_model import cost, prices
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
@@ -64,12 +63,7 @@ def grid_resolution(lab: Laboratory) -> Result:
     monotone: dict[str, bool] = {}
     balanced: dict[str, bool] = {}
     shares = []
-    for name in PURCELL_VIEWS:
-        try:
-            view = lab.view(name)
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
+    for name, view in result.known(PURCELL_VIEWS, lab.view):
         sweep = resolution_sweep(lab, view)
         costs = {least: _instructions(values) for least, values in sweep.items()}
         best = min(costs, key=lambda least: sum(costs[least]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.core.errors import RaystreamError
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.purcell.pictures import SIZE, grid_tracer
@@ -93,12 +92,7 @@ def _summary(found: Replay) -> dict[str, Any]:
 def schedules(lab: Laboratory) -> Result:
     """Table 2, schedulers, and the sweep of the threshold."""
     result = Result()
-    found: dict[str, dict[str, Any]] = {}
-    for name in PURCELL_VIEWS:
-        try:
-            found[name] = picture_schedule(lab, name)
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
+    found = dict(result.known(PURCELL_VIEWS, lambda name: picture_schedule(lab, name)))
     size = lab.size(SIZE)
     result.tables = [_table_2(lab, found, size), _schedulers(found, size), _thresholds(found)]
     result.plots = [_plot(found)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from raystream.core.errors import RaystreamError
 from raystream.lab.cameras import orbit, turn
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
@@ -74,12 +73,7 @@ def scene_statistics(lab: Laboratory) -> Result:
     sweeps: list[list[Cell]] = []
     judged: dict[str, bool] = {}
     told_of: dict[str, str] = {}
-    for name in PURCELL_VIEWS:
-        try:
-            view = lab.view(name)
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
+    for name, view in result.known(PURCELL_VIEWS, lab.view):
         ours = picture_statistics(lab, name)
         sweep, resolutions = camera_sweep(lab, view), resolution_sweep(lab, view)
         theirs = published("purcell", "figure 6").values[paper_view(name)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.core.errors import RaystreamError
 from raystream.lab.cost_model import prices, unrolled
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
@@ -28,13 +27,8 @@ def loop_unrolling(lab: Laboratory) -> Result:
     saved: dict[str, float] = {}
     suppressed: dict[str, float] = {}
     added: dict[str, float] = {}
-    for name in PURCELL_VIEWS:
-        try:
-            rays = int(picture_statistics(lab, name)["rays"])
-            schedule = picture_schedule(lab, name)
-        except RaystreamError as error:
-            result.notes.append(f"{name} is left out: {error}")
-            continue
+    for name, schedule in result.known(PURCELL_VIEWS, lambda name: picture_schedule(lab, name)):
+        rays = int(picture_statistics(lab, name)["rays"])
         found = compare(schedule, rays, paper.values)
         saved[name], suppressed[name] = found["saved"], found["suppressed"]
         added[name] = found["added"]
