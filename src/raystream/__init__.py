@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from raystream.core.hits import Hits, MultiHits
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
+    from raystream.machines.devices import register_device
     from raystream.physics.attenuation import attenuation
     from raystream.physics.lidar import LidarReturns, lidar_returns
     from raystream.physics.segments import thickness
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from raystream.scene.scene import Scene
     from raystream.scene.texture import Texture
     from raystream.structures.base import UpdateReport
-    from raystream.structures.devices import register_device
     from raystream.tracer import Tracer
 
 #: Modules as a whole; the first is callable, see there.
@@ -90,7 +90,7 @@ _HOMES = {
     "heatmap": "render.heatmap",
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
-    "register_device": "structures.devices",
+    "register_device": "machines.devices",
     "render_frames": "render.frames",
     "set_thread_count": "jit.threads",
     "thickness": "physics.segments",

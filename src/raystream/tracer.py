@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 from raystream.jit.threads import Progress
 from raystream.kernels.moving import move_triangles
-from raystream.machines import make_machine, own_options
+from raystream.machines.devices import device_of
 from raystream.machines.queries import Crossings, Queries
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
 from raystream.structures.base import UpdateReport
-from raystream.structures.devices import build_on_device
 from raystream.structures.storage import load_structure, save_structure
 
 if TYPE_CHECKING:
@@ -35,12 +34,15 @@ class Tracer(Queries):
         Its triangles are copied: later changes of the scene's arrays have no effect.
     structure : {"bvh", "kdtree", "graph", "grid", "brute"}
         Acceleration structure. All return the same bits; ``"brute"`` tests every triangle.
-    device : {"cpu"}
-        Where rays are traced.
-    machine : {"branching", "multipass"}
+    device : {"cpu", "graphics"}
+        Where rays are traced: on the processor's cores, or on a GPU by way of Vulkan, Metal or
+        Direct3D 12 (``pip install raystream[graphics]``).
+    machine : {"branching", "multipass", "compute"}, optional
         How the structure is traversed: one ray from start to end on each thread; or all rays
-        step by step, in passes (Purcell 2002, section 2.2). All return the same bits;
-        ``"multipass"`` is slower, and says how many passes it took.
+        step by step, in passes (Purcell 2002, section 2.2). All return the same bits on one
+        device; ``"multipass"`` is slower, and says how many passes it took. On ``"graphics"``
+        these two are fragment programs, and ``"compute"``, its usual one, is faster. On the
+        CPU, ``"branching"`` is.
     counters : bool
         Count what each ray meets: see `counters`. Rays are then traced one by one, without
         the kernels for many rays that ``"bvh"`` has. Not counting costs nothing.
@@ -94,23 +96,25 @@ class Tracer(Queries):
         structure: str = "bvh",
         device: str = "cpu",
         *,
-        machine: str = "branching",
+        machine: str | None = None,
         counters: bool = False,
         progress: Progress | None = None,
         **options: Any,
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
-        own = self._set_machine(machine, counters, options)
+        own = self._set_machine(device, machine, counters, options)
         rest = {name: value for name, value in options.items() if name not in own}
-        built = build_on_device(device, structure, scene.triangles, progress=progress, **rest)
-        self._set(scene, built)
+        build = device_of(device).build
+        self._set(scene, build(structure, scene.triangles, progress=progress, **rest))
 
     def _set_machine(
-        self, machine: str, counters: bool, options: Mapping[str, Any]
+        self, device: str, machine: str | None, counters: bool, options: Mapping[str, Any]
     ) -> Mapping[str, Any]:
-        own = own_options(machine, options)
-        self.machine = machine
+        machines = device_of(device).machines
+        self.device = device
+        self.machine = machines.names[0] if machine is None else machine
+        own = machines.own_options(self.machine, options)
         self._counts = bool(counters)
         self._machine_options = own
         return own
@@ -118,7 +122,9 @@ class Tracer(Queries):
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
         self.structure = structure
-        self._machine = make_machine(self.machine, structure, self._counts, self._machine_options)
+        self._machine = device_of(self.device).machines.make(
+            self.machine, structure, self._counts, self._machine_options
+        )
 
     @property
     def is_counting(self) -> bool:
@@ -247,8 +253,9 @@ class Tracer(Queries):
         cls,
         path: str | PathLike[str],
         scene: Scene | None = None,
+        device: str = "cpu",
         *,
-        machine: str = "branching",
+        machine: str | None = None,
         counters: bool = False,
         **options: Any,
     ) -> Tracer:
@@ -260,7 +267,7 @@ class Tracer(Queries):
         scene : Scene, optional
             The scene it was built of, for its materials, lights and camera. Without it, the
             tracer has a scene of bare triangles.
-        machine, counters, **options
+        device, machine, counters, **options
             As for a new tracer; the options are the machine's.
 
         Returns
@@ -276,15 +283,20 @@ class Tracer(Queries):
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
         tracer = cls.__new__(cls)
-        own = tracer._set_machine(machine, counters, options)
+        own = tracer._set_machine(device, machine, counters, options)
         for option in options:
             if option not in own:
-                raise TypeError(f"{machine}: has no option {option!r}")
+                raise TypeError(f"{tracer.machine}: has no option {option!r}")
         structure = load_structure(path, None if scene is None else scene.triangles)
         tracer._set(scene, structure)
         return tracer
 
     def __repr__(self) -> str:
         triangle_count = len(self.structure.triangles)
-        machine = "" if self.machine == "branching" else f", machine={self.machine!r}"
-        return f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r}{machine})"
+        device = "" if self.device == "cpu" else f", device={self.device!r}"
+        is_usual = self.machine == device_of(self.device).machines.names[0]
+        machine = "" if is_usual else f", machine={self.machine!r}"
+        return (
+            f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r}"
+            f"{device}{machine})"
+        )

@@ -230,13 +230,13 @@ def test_full_disk_behind_stdout_is_one_line(start, square):
 
 def test_names_are_those_of_the_library():
     from raystream.machines import MACHINES
+    from raystream.machines.devices import DEVICES
     from raystream.machines.schedulers import SCHEDULERS
     from raystream.render import MODES
     from raystream.render.heatmap import HEATMAPS
     from raystream.render.tone import TONES
     from raystream.scene.procedural import BUILTIN
     from raystream.structures import STRUCTURES
-    from raystream.structures.devices import DEVICES
     from raystream.structures.kdtree.structure import TRAVERSALS
 
     assert set(options.MODES) == set(MODES)

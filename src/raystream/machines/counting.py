@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,33 @@ from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.tally import new_tallies
 from raystream.machines.counters import RayCounters
-from raystream.machines.multipass import Multipass
 from raystream.machines.passes import Passes
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
 
-__all__ = ["Counting"]
+__all__ = ["Counting", "Machine", "RecordingMachine"]
 
 Answer = TypeVar("Answer")
+
+
+class Machine(Protocol):
+    """What traverses a structure.
+
+    Attributes
+    ----------
+    structure : Structure
+    """
+
+    structure: Structure
+
+
+@runtime_checkable
+class RecordingMachine(Machine, Protocol):
+    """A machine that runs passes."""
+
+    def recording(self, passes: Passes) -> BatchQueries:
+        """The same machine, which adds its passes to a record."""
+        ...
 
 
 class Counting:
@@ -28,7 +47,8 @@ class Counting:
 
     Parameters
     ----------
-    machine : Structure or Multipass
+    machine : BatchQueries
+        A structure, or a machine that traverses one.
 
     Attributes
     ----------
@@ -36,7 +56,7 @@ class Counting:
         Of the latest query that was answered.
     """
 
-    def __init__(self, machine: Structure | Multipass) -> None:
+    def __init__(self, machine: BatchQueries) -> None:
         self._machine = machine
         self.latest: RayCounters | None = None
 
@@ -96,10 +116,16 @@ class Counting:
         tallies = new_tallies(len(batch))
         passes: Passes | None = None
         machine = self._machine
-        if isinstance(machine, Multipass):
+        if isinstance(machine, RecordingMachine):
             passes = Passes()
             machine = machine.recording(passes)
-        structure = machine.structure if isinstance(machine, Multipass) else machine
         answer = query(machine, tallies)
-        self.latest = RayCounters.of(tallies, batch.shape, structure.name, passes)
+        self.latest = RayCounters.of(tallies, batch.shape, _structure_of(machine).name, passes)
         return answer
+
+
+def _structure_of(machine: BatchQueries) -> Structure:
+    if isinstance(machine, Structure):
+        return machine
+    structure: Structure = cast("Machine", machine).structure
+    return structure

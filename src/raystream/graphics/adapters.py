@@ -1,0 +1,160 @@
+"""Graphics adapters: which there are, which one is taken, and the device that is opened on it."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import tempfile
+from typing import Any, NamedTuple
+
+from raystream.graphics.errors import GraphicsError
+
+__all__ = ["ADAPTER_VARIABLE", "Adapter", "OpenDevice", "adapters", "open_device"]
+
+#: Names an adapter that is to be taken: a part of its name.
+ADAPTER_VARIABLE = "RAYSTREAM_ADAPTER"
+
+#: Those that render to rgba32float: the OpenGL one does not.
+_BACKENDS = ("Vulkan", "Metal", "D3D12")
+
+#: Real hardware first, and of that the fastest.
+_KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
+
+#: Where adapters offer more than WebGPU promises, this much is asked for.
+_LIMITS = (
+    "max-buffer-size",
+    "max-storage-buffer-binding-size",
+    "max-storage-buffers-per-shader-stage",
+    "max-compute-workgroups-per-dimension",
+    "max-texture-dimension-2d",
+    "max-color-attachments",
+    "max-color-attachment-bytes-per-sample",
+)
+
+_NO_WGPU = "device 'graphics': needs wgpu; install it with: pip install 'raystream[graphics]'"
+
+_NO_ADAPTER = (
+    "device 'graphics': no Vulkan, Metal or Direct3D 12 adapter; install the driver of your GPU, "
+    "or a software one (Debian, Ubuntu: apt install mesa-vulkan-drivers libvulkan1)"
+)
+
+
+class Adapter(NamedTuple):
+    """A graphics adapter.
+
+    Attributes
+    ----------
+    name : str
+        As its driver calls it.
+    kind : str
+        ``"DiscreteGPU"``, ``"IntegratedGPU"``, ``"VirtualGPU"``, ``"Unknown"``, or ``"CPU"`` for
+        software.
+    backend : str
+        ``"Vulkan"``, ``"Metal"`` or ``"D3D12"``.
+    description : str
+        Of the driver.
+    handle : GPUAdapter
+        What wgpu has for it.
+    """
+
+    name: str
+    kind: str
+    backend: str
+    description: str
+    handle: Any
+
+    def __str__(self) -> str:
+        kind = "software" if self.kind == "CPU" else self.kind
+        return f"{self.name} ({kind}, {self.backend})"
+
+
+class OpenDevice:
+    """A device, opened.
+
+    Attributes
+    ----------
+    adapter : Adapter
+    device : GPUDevice
+    limits : dict of str to int
+        The device's, by wgpu's names.
+    """
+
+    def __init__(self, adapter: Adapter, device: Any) -> None:
+        self.adapter = adapter
+        self.device = device
+        self.limits: dict[str, int] = dict(device.limits)
+
+
+def _wgpu() -> Any:
+    try:
+        return importlib.import_module("wgpu")
+    except ImportError as error:
+        raise GraphicsError(_NO_WGPU) from error
+
+
+def adapters() -> list[Adapter]:
+    """The adapters that can trace rays, best first.
+
+    Raises
+    ------
+    GraphicsError
+        If wgpu is not installed, or cannot be used.
+    """
+    # Software Vulkan complains on standard error without a folder for sockets that it never opens.
+    if os.name == "posix":
+        os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
+    try:
+        handles = _wgpu().gpu.enumerate_adapters_sync()
+    except GraphicsError:
+        raise
+    except Exception as error:  # wgpu wraps whatever a driver says
+        raise GraphicsError(f"device 'graphics': wgpu cannot list adapters: {error}") from error
+    found = [
+        Adapter(
+            str(handle.info["device"]),
+            str(handle.info["adapter_type"]),
+            str(handle.info["backend_type"]),
+            str(handle.info["description"]),
+            handle,
+        )
+        for handle in handles
+        if handle.info["backend_type"] in _BACKENDS
+    ]
+    return sorted(found, key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else 3)
+
+
+def open_device(name: str | None = None) -> OpenDevice:
+    """Open a device on an adapter; the same one each time.
+
+    Parameters
+    ----------
+    name : str, optional
+        A part of the adapter's name; else of what ``RAYSTREAM_ADAPTER`` holds; else the best
+        adapter is taken.
+
+    Raises
+    ------
+    GraphicsError
+        If there is no such adapter, or it gives no device.
+    """
+    return _opened(name or os.environ.get(ADAPTER_VARIABLE) or "")
+
+
+@functools.cache
+def _opened(name: str) -> OpenDevice:
+    found = adapters()
+    if not found:
+        raise GraphicsError(_NO_ADAPTER)
+    chosen = [one for one in found if name.lower() in str(one).lower()]
+    if not chosen:
+        known = ", ".join(map(str, found))
+        raise GraphicsError(f"adapter: none is called {name!r}; there are {known}")
+    adapter = chosen[0]
+    offered = adapter.handle.limits
+    wanted = {limit: offered[limit] for limit in _LIMITS if limit in offered}
+    try:
+        device = adapter.handle.request_device_sync(required_limits=wanted)
+    except Exception as error:  # wgpu wraps whatever a driver says
+        raise GraphicsError(f"adapter {adapter}: gives no device: {error}") from error
+    return OpenDevice(adapter, device)

@@ -1,0 +1,111 @@
+"""Buffers of a graphics device: arrays that go there and come back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.errors import GraphicsError
+
+__all__ = ["Buffer", "uniform", "upload"]
+
+#: A binding holds at least one element, of at most so many bytes, and whole words.
+_LEAST_BYTES = 64
+
+
+class Buffer:
+    """A storage buffer that grows: what it held is lost then.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    name : str
+        For errors.
+
+    Attributes
+    ----------
+    handle : GPUBuffer or None
+        None until it has room for something.
+    """
+
+    def __init__(self, opened: OpenDevice, name: str) -> None:
+        self._opened = opened
+        self._name = name
+        self._byte_count = 0
+        self.handle: Any = None
+
+    def reserve(self, byte_count: int) -> bool:
+        """Have room for so many bytes; returns whether the buffer is a new one."""
+        wanted = max(byte_count, _LEAST_BYTES)
+        if wanted <= self._byte_count:
+            return False
+        check_size(self._opened, self._name, wanted)
+        self.handle = _new_buffer(self._opened, wanted, self._name)
+        self._byte_count = wanted
+        return True
+
+    def write(self, array: NDArray[Any]) -> None:
+        """Copy an array to its beginning."""
+        if array.nbytes:
+            self._opened.device.queue.write_buffer(self.handle, 0, np.ascontiguousarray(array))
+
+    def read(self, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+        """Copy its beginning back, when the device has done what it was given."""
+        byte_count = int(np.dtype(dtype).itemsize * np.prod(shape, dtype=np.int64))
+        if byte_count == 0:
+            return np.empty(shape, dtype)
+        memory = self._opened.device.queue.read_buffer(self.handle, 0, byte_count)
+        return np.frombuffer(memory, dtype).reshape(shape)
+
+    @property
+    def binding(self) -> dict[str, Any]:
+        """As a resource of a bind group."""
+        return {"buffer": self.handle, "offset": 0, "size": self._byte_count}
+
+
+def check_size(opened: OpenDevice, name: str, byte_count: int) -> None:
+    """Raise GraphicsError if a buffer is larger than the device allows."""
+    most = min(opened.limits["max-storage-buffer-binding-size"], opened.limits["max-buffer-size"])
+    if byte_count > most:
+        raise GraphicsError(
+            f"device 'graphics': {name} would take {byte_count:,} bytes, and {opened.adapter} "
+            f"allows {most:,} in a buffer; trace a smaller scene, or use device='cpu'"
+        )
+
+
+def upload(opened: OpenDevice, arrays: Iterable[tuple[str, NDArray[Any]]]) -> list[Buffer]:
+    """Buffers with arrays, by name."""
+    buffers = []
+    for name, array in arrays:
+        buffer = Buffer(opened, name)
+        buffer.reserve(array.nbytes)
+        buffer.write(array)
+        buffers.append(buffer)
+    return buffers
+
+
+def uniform(opened: OpenDevice, content: bytes) -> Any:
+    """A uniform buffer with whole vectors of four words."""
+    import wgpu
+
+    padded = content + bytes(-len(content) % 16)
+    return opened.device.create_buffer_with_data(
+        data=padded, usage=wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST
+    )
+
+
+def _new_buffer(opened: OpenDevice, byte_count: int, name: str) -> Any:
+    import wgpu
+
+    usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
+    try:
+        return opened.device.create_buffer(size=-(-byte_count // 16) * 16, usage=usage)
+    except Exception as error:  # wgpu wraps whatever a driver says
+        raise GraphicsError(
+            f"device 'graphics': {opened.adapter} has no memory for {name}, {byte_count:,} bytes: "
+            f"{error}"
+        ) from error

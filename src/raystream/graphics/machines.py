@@ -1,0 +1,62 @@
+"""The machines of the graphics device, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from raystream.graphics.adapters import open_device
+from raystream.machines.counting import Counting
+from raystream.machines.devices import Machines
+from raystream.structures import Structure
+from raystream.structures.batches import BatchQueries
+
+__all__ = ["GRAPHICS_MACHINES", "OPTIONS"]
+
+#: Options of each machine.
+OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "compute": ("adapter", "rays_at_once"),
+    }
+)
+
+
+def _compute(structure: Structure, adapter: str | None, **options: Any) -> BatchQueries:
+    from raystream.graphics.compute import Compute
+
+    return Compute(structure, open_device(adapter), **options)
+
+
+_MAKERS: Mapping[str, Callable[..., BatchQueries]] = MappingProxyType({"compute": _compute})
+
+
+class _GraphicsMachines:
+    names: tuple[str, ...] = tuple(OPTIONS)
+
+    def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of a tracer's options that are a machine's."""
+        if machine not in OPTIONS:
+            known = ", ".join(map(repr, OPTIONS))
+            raise ValueError(
+                f"machine: expected one of {known} on device 'graphics', got {machine!r}"
+            )
+        own = {name: value for name, value in options.items() if name in OPTIONS[machine]}
+        for name in options:
+            owner = next((one for one, names in OPTIONS.items() if name in names), None)
+            if owner is not None and name not in own:
+                raise TypeError(
+                    f"{machine}: has no option {name!r}; it is one of machine={owner!r}"
+                )
+        return own
+
+    def make(
+        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
+    ) -> BatchQueries | Counting:
+        """Make a machine for a structure that was built on the CPU."""
+        rest = dict(options)
+        made = _MAKERS[machine](structure, rest.pop("adapter", None), **rest)
+        return Counting(made) if counters else made
+
+
+GRAPHICS_MACHINES: Machines = _GraphicsMachines()

@@ -1,0 +1,58 @@
+// One ray from start to end in each invocation: all four queries, around a structure's search().
+
+struct Params {
+    // Largest absolute coordinate of the scene.
+    extreme: f32,
+    // 0: see exact.wgsl.
+    zero: u32,
+    ray_count: u32,
+    // Invocations in a row of workgroups, as one dimension may have too few.
+    row_size: u32,
+    // Steps and tests before a search counts as endless.
+    budget: u32,
+    @align(16) tree: Tree,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+// Origin and t_min, then direction and t_max, of each.
+@group(0) @binding(1) var<storage, read> rays: array<vec4f>;
+// Of each ray the first of its rows, and how many hits are wanted.
+@group(0) @binding(2) var<storage, read> wanted: array<vec2u>;
+@group(0) @binding(3) var<storage, read_write> rows: array<Row>;
+// Hits of each ray; ENDLESS if its budget was spent.
+@group(0) @binding(4) var<storage, read_write> counts: array<u32>;
+@group(0) @binding(5) var<storage, read_write> tallies: array<Tally>;
+
+// Whether tallies are wanted.
+override COUNTS: bool = false;
+
+//! include "exact.wgsl"
+//! include "ray.wgsl"
+//! include "triangle.wgsl"
+//! include "found.wgsl"
+//! include "heap.wgsl"
+//! include "tally.wgsl"
+
+@compute @workgroup_size(64)
+fn trace(@builtin(global_invocation_id) id: vec3u) {
+    let i = id.y * params.row_size + id.x;
+    if i >= params.ray_count {
+        return;
+    }
+    let from_ = rays[2u * i];
+    let to = rays[2u * i + 1u];
+    let ray = set_up_ray(from_.xyz, to.xyz, from_.w, to.w);
+    begin_found(ray.t_max, wanted[i].x, wanted[i].y);
+    if ray.t_min <= ray.t_max {
+        search(ray);
+    }
+    if QUERY == FIRST_HIT {
+        rows[found.first] = Row(found.t, found.u, found.v, found.prim_id);
+    } else if QUERY == MULTI_HIT {
+        sort_rows();
+    }
+    counts[i] = select(found.count, ENDLESS, found.budget == 0u);
+    if COUNTS {
+        tallies[i] = tally;
+    }
+}

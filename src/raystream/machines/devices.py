@@ -1,0 +1,120 @@
+"""Devices by name: who builds structures for them, and which machines they have."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from raystream.machines import MACHINES, make_machine, own_options
+from raystream.structures import Structure, build_structure
+
+if TYPE_CHECKING:
+    from raystream.machines.counting import Counting
+    from raystream.structures.batches import BatchQueries
+
+__all__ = [
+    "CPU_MACHINES",
+    "DEVICES",
+    "Device",
+    "DeviceFactory",
+    "Machines",
+    "device_of",
+    "register_device",
+]
+
+#: Makes a structure that traces on a device: (name, triangles, progress=, **options).
+DeviceFactory = Callable[..., Structure]
+
+
+class Machines(Protocol):
+    """The machines of a device.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What ``Tracer(machine=...)`` takes; the first is the usual one.
+    """
+
+    names: tuple[str, ...]
+
+    def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of a tracer's options that are a machine's; see `machines.own_options`."""
+        ...
+
+    def make(
+        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
+    ) -> BatchQueries | Counting:
+        """Make a machine for a structure; see `machines.make_machine`."""
+        ...
+
+
+class _CpuMachines:
+    names: tuple[str, ...] = MACHINES
+
+    def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
+        return own_options(machine, options)
+
+    def make(
+        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
+    ) -> BatchQueries | Counting:
+        return make_machine(machine, structure, counters, options)
+
+
+#: Those that run on the CPU, around any structure's queries.
+CPU_MACHINES: Machines = _CpuMachines()
+
+
+class Device(NamedTuple):
+    """A device.
+
+    Attributes
+    ----------
+    build : callable
+        A `DeviceFactory`.
+    machines : Machines
+    """
+
+    build: DeviceFactory
+    machines: Machines
+
+
+#: Devices by name: those that were asked for, or registered by others.
+DEVICES: dict[str, Device] = {"cpu": Device(build_structure, CPU_MACHINES)}
+
+#: Rooms that register their device when they are imported, which is when it is asked for.
+_ROOMS = {"graphics": "raystream.graphics"}
+
+
+def register_device(
+    name: str, build: DeviceFactory = build_structure, machines: Machines = CPU_MACHINES
+) -> None:
+    """Make a device known by name.
+
+    Parameters
+    ----------
+    name : str
+        What ``Tracer(device=...)`` takes.
+    build : callable, optional
+        ``build(structure_name, triangles, progress=None, **options)`` returns a `Structure`;
+        without it, structures are built on the CPU.
+    machines : Machines, optional
+        How the device traverses structures; without it, by the structures' own queries.
+    """
+    DEVICES[name] = Device(build, machines)
+
+
+def device_of(name: str) -> Device:
+    """A device by name.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    if name in list(_ROOMS) and name not in DEVICES:
+        importlib.import_module(_ROOMS[name])
+    if name not in list(DEVICES):
+        known = ", ".join(map(repr, dict.fromkeys([*DEVICES, *_ROOMS])))
+        raise ValueError(f"device: expected one of {known}, got {name!r}")
+    return DEVICES[name]
