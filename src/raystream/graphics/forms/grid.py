@@ -1,0 +1,45 @@
+"""The grid as shaders take it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.graphics.forms.base import Form, budget_for, numbers
+from raystream.structures.grid import Grid
+
+__all__ = ["form"]
+
+_PAD = 0
+
+
+def form(grid: Grid) -> Form:
+    """Lists of the cells, and of those within cells."""
+    lattice, fine = grid.lattice, grid.fine
+    triangles = grid.triangles
+    tree = numbers(
+        *(*map(float, lattice.low), _PAD, *map(float, lattice.high), _PAD),
+        *(*map(float, lattice.size), _PAD, *map(float, lattice.counts), len(fine.cells)),
+        len(triangles.prim_ids),
+    )
+    return Form(
+        name="grid",
+        shader="grid.wgsl",
+        tree=tree,
+        arrays=(
+            grid.lists.splits,
+            grid.lists.references,
+            triangles.corners,
+            fine.children(lattice.cell_count),
+            fine.records().astype(np.uint32),
+            fine.lists.splits,
+            fine.lists.references,
+        ),
+        budget=budget_for(_most_steps(grid)),
+    )
+
+
+def _most_steps(grid: Grid) -> int:
+    """No ray looks at more cells, and tests more triangles: of each cell that it may be in."""
+    references = len(grid.lists.references) + len(grid.fine.lists.references)
+    fine_cells = int(grid.fine.counts.astype(np.int64).sum())
+    return sum(grid.lattice.counts) + fine_cells + references
