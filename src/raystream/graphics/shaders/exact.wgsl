@@ -69,6 +69,15 @@ fn wide_product(a: Wide, b: Wide) -> Wide {
     return ordered_sum(high.high, rounded(high.low + cross));
 }
 
+// a / b, rounded right but in cases that are nearly a tie: a device's own division may be off by
+// two and a half units in the last place. b is not 0.
+fn quotient(a: f32, b: f32) -> f32 {
+    let first = rounded(a / b);
+    let product = rounded(first * b);
+    let rest = rounded(rounded(a - product) - product_error(first, b, product));
+    return rounded(first + rounded(rest / b));
+}
+
 // Two steps of long division. b is not 0.
 fn wide_quotient(a: Wide, b: Wide) -> f32 {
     let first = rounded(a.high / b.high);

@@ -42,7 +42,7 @@ fn is_down(x: f32) -> bool {
 }
 
 fn reciprocal(d: f32, tiny: f32) -> f32 {
-    return with_sign(rounded(1.0 / max(abs(d), tiny)), d);
+    return with_sign(quotient(1.0, max(abs(d), tiny)), d);
 }
 
 // Prepare a ray in the local frame, whose largest direction component is in [1, 2).

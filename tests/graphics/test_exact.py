@@ -1,0 +1,129 @@
+"""The shaders' arithmetic: exact where it says so, and nearly float64 where CPUs have that."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from raystream.graphics.buffers import Buffer
+from raystream.graphics.pipelines import bind_group, compute_pipeline
+from raystream.graphics.source import shader_source
+
+_FRAME = """
+struct Params { zero: u32 }
+@group(0) @binding(0) var<storage, read> params: Params;
+@group(0) @binding(1) var<storage, read> given: array<vec4f>;
+@group(0) @binding(2) var<storage, read_write> results: array<vec2f>;
+
+fn as_pair(x: Wide) -> vec2f { return vec2f(x.high, x.low); }
+
+@compute @workgroup_size(64)
+fn trace(@builtin(global_invocation_id) id: vec3u) {
+    if id.x < arrayLength(&given) {
+        let x = given[id.x];
+        results[id.x] = EXPRESSION;
+    }
+}
+"""
+
+
+@pytest.fixture
+def evaluate(opened):
+    """Values of an expression of exact.wgsl for rows (x.x, x.y, x.z, x.w)."""
+
+    def values(expression: str, rows: np.ndarray) -> np.ndarray:
+        source = shader_source("exact.wgsl") + _FRAME.replace("EXPRESSION", expression)
+        pipeline = compute_pipeline(opened, source, expression, {})
+        arrays = np.zeros(16, np.uint32), rows.astype(np.float32), np.zeros((len(rows), 2), "f4")
+        buffers = []
+        for array in arrays:
+            buffer = Buffer(opened, "test")
+            buffer.reserve(array.nbytes)
+            buffer.write(array)
+            buffers.append(buffer)
+        encoder = opened.device.create_command_encoder()
+        run = encoder.begin_compute_pass()
+        run.set_pipeline(pipeline)
+        bindings = [buffer.binding for buffer in buffers]
+        run.set_bind_group(0, bind_group(opened, pipeline, 0, bindings))
+        run.dispatch_workgroups(-(-len(rows) // 64))
+        run.end()
+        opened.device.queue.submit([encoder.finish()])
+        return buffers[2].read(np.float32, arrays[2].shape).astype(np.float64)
+
+    return values
+
+
+@pytest.fixture
+def rows(rng) -> np.ndarray:
+    """Of all sizes and signs, and pairs that nearly cancel."""
+    count = 4096
+    sizes = 2.0 ** rng.integers(-20, 21, (count, 4))
+    rows = (rng.uniform(-2.0, 2.0, (count, 4)) * sizes).astype(np.float32)
+    rows[::4, 1] = -np.nextafter(rows[::4, 0], np.float32(0))
+    rows[1::4, 2:] = rows[1::4, :2] * rng.choice([1, -1, 1 + 2.0**-20], (count // 4, 2))
+    return rows.astype(np.float32)
+
+
+def test_products_are_exact(evaluate, rows):
+    high, low = evaluate("as_pair(exact_product(x.x, x.y))", rows).T
+    x, y = rows[:, :2].astype(np.float64).T
+    assert np.array_equal(high, (rows[:, 0] * rows[:, 1]).astype(np.float64))
+    assert np.array_equal(high + low, x * y)  # 48 bits
+
+
+def test_sums_are_exact(evaluate, rows):
+    high, low = evaluate("as_pair(exact_sum(x.x, x.y))", rows).T
+    assert np.array_equal(high, (rows[:, 0] + rows[:, 1]).astype(np.float64))
+    for row, one, other in zip(rows[:500], high[:500], low[:500], strict=True):
+        assert Fraction(one) + Fraction(other) == Fraction(float(row[0])) + Fraction(float(row[1]))
+
+
+def test_determinants_are_right_where_they_cancel(evaluate, rows):
+    high, low = evaluate("as_pair(wide_determinant(x.x, x.y, x.z, x.w))", rows).T
+    for row, one, other in zip(rows[:2000], high[:2000], low[:2000], strict=True):
+        a, b, c, d = (Fraction(float(number)) for number in row)
+        exact = a * b - c * d
+        found = Fraction(one) + Fraction(other)
+        assert (found > 0, found < 0) == (exact > 0, exact < 0)
+        assert abs(found - exact) <= abs(exact) * Fraction(2) ** -40
+
+
+@pytest.mark.parametrize(
+    ("expression", "oracle"),
+    [
+        ("wide_sum(exact_product(x.x, x.y), Wide(x.z, 0.0))", lambda x, y, z, _: x * y + z),
+        (
+            "wide_product(exact_product(x.x, x.y), exact_sum(x.z, x.w))",
+            lambda x, y, z, w: x * y * (z + w),
+        ),
+    ],
+)
+def test_wide_numbers_have_more_than_40_bits(evaluate, rows, expression, oracle):
+    high, low = evaluate(f"as_pair({expression})", rows).T
+    for row, one, other in zip(rows[:2000], high[:2000], low[:2000], strict=True):
+        numbers = [Fraction(float(number)) for number in row]
+        exact = oracle(*numbers)
+        size = abs(numbers[0] * numbers[1]) + abs(numbers[2])
+        if "sum(exact_product" in expression:
+            allowed = size * Fraction(2) ** -44
+        else:
+            allowed = abs(exact) * Fraction(2) ** -42
+        assert abs(Fraction(one) + Fraction(other) - exact) <= allowed
+
+
+def test_quotients_are_rounded_once(evaluate, rows):
+    kept = rows[(np.abs(rows[:, 1]) > 0)]
+    found = evaluate("vec2f(quotient(x.x, x.y), 0.0)", kept)[:, 0]
+    exact = kept[:, 0].astype(np.float64) / kept[:, 1].astype(np.float64)
+    assert np.array_equal(found, exact.astype(np.float32).astype(np.float64))
+
+
+def test_wide_quotients_are_rounded_once(evaluate, rows):
+    kept = rows[(np.abs(rows[:, 2:]).min(axis=1) > 0)]
+    expression = "vec2f(wide_quotient(exact_product(x.x, x.y), exact_product(x.z, x.w)), 0.0)"
+    found = evaluate(expression, kept)[:, 0]
+    x, y, z, w = kept.astype(np.float64).T
+    assert np.array_equal(found, (x * y / (z * w)).astype(np.float32).astype(np.float64))
