@@ -78,6 +78,14 @@ def lab(
         bool,
         typer.Option(help="Go on with the measurements that a run before left in the folder."),
     ] = False,
+    device: Annotated[
+        str,
+        typer.Option(
+            metavar="DEVICE",
+            help="cpu, or graphics: the experiments that run on a GPU's graphics pipeline.",
+            autocompletion=options.complete(("cpu", "graphics")),
+        ),
+    ] = "cpu",
     threads: options.Threads = None,
     json: options.Json = False,
 ) -> None:
@@ -85,7 +93,7 @@ def lab(
     from raystream.lab.experiments import choose
 
     with refuse(ValueError):
-        experiments = choose(papers or ["all"], only or [])
+        experiments = choose(papers or ["all"], only or [], device)
     if show_list:
         rows = [[one.name, one.title] for one in experiments]
         write_json(dict(rows)) if json else write_line(set_table(["", ""], rows))
@@ -97,7 +105,10 @@ def lab(
     from raystream.lab.stepper import write_page
     from raystream.lab.store import FILE_NAME
 
-    store = Store(output / FILE_NAME, {"quick": quick, "size": size}, _source())
+    settings: dict[str, Any] = {"quick": quick, "size": size}
+    if device != "cpu":
+        settings["device"] = device
+    store = Store(output / FILE_NAME, settings, _source())
     if resume:
         store.read()
     with Bars() as bars:
@@ -110,7 +121,7 @@ def lab(
             raise BrokenOffError(
                 f"{len(store.values)} measurements are kept in {output}; --resume goes on"
             ) from None
-    about = _about(papers or ["all"], only or [], output, size, quick, store.foreign_count)
+    about = _about(papers or ["all"], only or [], output, device, settings, store.foreign_count)
     with refuse(OSError, where=str(output)):
         walk = None
         if len(experiments) == len(choose(["all"])):
@@ -147,8 +158,8 @@ def _about(
     papers: list[str],
     only: list[str],
     output: Path,
-    size: int | None,
-    quick: bool,
+    device: str,
+    settings: dict[str, Any],
     foreign_count: int,
 ) -> About:
     from raystream.bench.machine import describe_machine
@@ -157,8 +168,9 @@ def _about(
 
     words = ["raystream", "lab", *papers]
     words += [word for name in only for word in ("--only", name)]
-    words += ["--size", str(size)] if size is not None else []
-    words += ["--quick"] if quick else []
+    words += ["--device", device] if device != "cpu" else []
+    words += ["--size", str(settings["size"])] if settings["size"] is not None else []
+    words += ["--quick"] if settings["quick"] else []
     words += ["-o", str(output)] if output != _FOLDER else []
     return About(
         shlex.join(words),
@@ -167,7 +179,7 @@ def _about(
         _source(),
         dt.date.today().isoformat(),
         foreign_count,
-        quick,
+        settings["quick"],
     )
 
 

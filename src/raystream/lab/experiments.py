@@ -12,10 +12,13 @@ from raystream.core.errors import RaystreamError
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.results import Result
 
-__all__ = ["EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
+__all__ = ["DEVICES", "EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
 
 #: Papers by the name that the command line knows, in the order of the report.
 PAPERS = ("purcell", "foley", "rayforce", "christen")
+
+#: Devices that have experiments.
+DEVICES = ("cpu", "graphics")
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,14 @@ class Experiment:
     title : str
     place : str
         Module and function, imported when it runs.
+    device : str
+        What it measures: those of another device than the CPU run when they are asked for.
     """
 
     name: str
     title: str
     place: str
+    device: str = "cpu"
 
     @property
     def paper(self) -> str:
@@ -152,7 +158,9 @@ EXPERIMENTS = (
 )
 
 
-def choose(papers: Sequence[str], only: Sequence[str] = ()) -> list[Experiment]:
+def choose(
+    papers: Sequence[str], only: Sequence[str] = (), device: str = "cpu"
+) -> list[Experiment]:
     """Find experiments.
 
     Parameters
@@ -161,16 +169,28 @@ def choose(papers: Sequence[str], only: Sequence[str] = ()) -> list[Experiment]:
         Of `PAPERS`, or ``"all"``.
     only : sequence of str
         Names of experiments, or their ends without the paper; all of them if there is none.
+    device : str
+        Of `DEVICES`: what they measure.
 
     Raises
     ------
     ValueError
-        If a name is unknown, or belongs to none of the papers.
+        If a name is unknown, or belongs to none of the papers or to another device; or if the
+        papers have no experiment for the device.
     """
+    if device not in DEVICES:
+        raise ValueError(f"device: expected {' or '.join(DEVICES)}, got {device!r}")
     for paper in papers:
         if paper not in (*PAPERS, "all"):
             raise ValueError(f"expected {', '.join((*PAPERS, 'all'))}, got {paper!r}")
-    chosen = [one for one in EXPERIMENTS if "all" in papers or one.paper in papers]
+    chosen = [
+        one
+        for one in EXPERIMENTS
+        if ("all" in papers or one.paper in papers) and one.device == device
+    ]
+    if not chosen:
+        having = dict.fromkeys(one.paper for one in EXPERIMENTS if one.device == device)
+        raise ValueError(f"device {device!r}: has experiments of {', '.join(having)}")
     if not only:
         return chosen
     for name in only:
