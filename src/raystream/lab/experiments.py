@@ -93,6 +93,12 @@ EXPERIMENTS = (
         "purcell.extensions.extension_costs",
     ),
     Experiment(
+        "purcell-graphics",
+        "The same on a graphics pipeline of today",
+        "purcell.on_graphics.on_graphics",
+        "graphics",
+    ),
+    Experiment(
         "foley-times",
         "Brute force, grid and kd-trees: times",
         "foley.times.structure_times",

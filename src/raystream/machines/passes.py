@@ -28,11 +28,14 @@ class Passes:
         2002, section 4.2: a lower bound, which a schedule may not reach).
     most_runs : dict of str to int
         For each kernel, the most runs on any ray.
+    draw_count : int
+        Draws of a graphics pipeline, those that drew nothing included; 0 elsewhere.
     """
 
     counters: Counters = field(default_factory=Counters)
     optimal_count: int = 0
     most_runs: dict[str, int] = field(default_factory=dict)
+    draw_count: int = 0
 
     def add_bound(
         self,

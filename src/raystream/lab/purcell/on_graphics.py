@@ -1,0 +1,201 @@
+"""Purcell's ray tracer on a graphics pipeline of today: passes, draws and time (2002, section 3).
+
+His simulators counted what such hardware would do; this runs it, on the adapter that is here.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from raystream.core.hits import Hits
+from raystream.graphics.adapters import open_device
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.published import published
+from raystream.lab.purcell.pictures import grid_options
+from raystream.lab.results import Cell, Claim, Result, Table
+from raystream.lab.views import PURCELL_VIEWS, View
+from raystream.tracer import Tracer
+
+__all__ = ["SIZE", "adapter_note", "on_graphics"]
+
+#: Width and height: a quarter of his, because the adapter may be software.
+SIZE = 256
+
+#: Rounds in which contenders take turns; slow ones leave after so many seconds.
+_ROUNDS, _PATIENCE = 3, 10.0
+
+#: Contenders by name: options of the tracer.
+_CONTENDERS: Mapping[str, dict[str, Any]] = MappingProxyType(
+    {
+        "graphics, multipass": {"device": "graphics", "machine": "multipass"},
+        "graphics, multipass, naive": {
+            "device": "graphics",
+            "machine": "multipass",
+            "scheduler": "naive",
+        },
+        "graphics, multipass, unrolled": {"device": "graphics", "machine": "multipass"},
+        "graphics, branching": {"device": "graphics", "machine": "branching"},
+        "graphics, compute": {"device": "graphics", "machine": "compute"},
+        "cpu, multipass": {"machine": "multipass"},
+        "cpu, multipass, naive": {"machine": "multipass", "scheduler": "naive"},
+        "cpu, branching": {},
+    }
+)
+
+#: The contender whose hits and passes the others' are compared with.
+_ORACLE = "cpu, multipass"
+
+
+def on_graphics(lab: Laboratory) -> Result:
+    """Hits, passes, draws and seconds of each machine, beside the CPU's."""
+    result = Result()
+    size = lab.size(SIZE)
+    rows: list[list[Cell]] = []
+    equal: dict[str, bool] = {}
+    ratios: dict[str, float] = {}
+    for name, found in result.known(PURCELL_VIEWS, lambda name: _measure(lab, name, size)):
+        oracle = found[_ORACLE]
+        for contender, one in found.items():
+            rays = size * size
+            rows.append(
+                [
+                    name,
+                    contender,
+                    one["passes"],
+                    one["draws"],
+                    one["efficiency"],
+                    one["seconds"],
+                    rays / one["seconds"] / 1e6,
+                    one["other_hits"],
+                    one["farthest"],
+                ]
+            )
+        near = {
+            contender: abs(found[contender]["passes"] / other["passes"] - 1.0) <= 0.001
+            for contender, other in (
+                ("graphics, multipass", oracle),
+                ("graphics, multipass, naive", found["cpu, multipass, naive"]),
+            )
+        }
+        equal |= {f"{name}, {contender}": held for contender, held in near.items()}
+        passes, compute = found["graphics, multipass"], found["graphics, compute"]
+        ratios[name] = passes["seconds"] / compute["seconds"]
+    result.tables = [
+        Table.of(
+            "purcell-graphics",
+            f"Primary rays on the graphics pipeline, {size} x {size}",
+            [
+                "view",
+                "machine",
+                "passes",
+                "draws",
+                "rays active in a pass",
+                "seconds",
+                "million rays/s",
+                "rays with other triangles",
+                "farthest t, of t",
+            ],
+            rows,
+            adapter_note(),
+            "Draws: those that were encoded; where the device chooses the kernel, those of the "
+            "others draw nothing. Seconds: medians of rounds in which all take turns, rays there "
+            "and hits back included. Unrolled: steps and tests in a pass as in section 4.2.",
+            "Other triangles, and t: compared with the CPU's multipass machine.",
+        )
+    ]
+    if equal:
+        result.claims = [
+            Claim.judged(
+                "The graphics pipeline takes the passes that the simulated machine takes, within "
+                "one in a thousand",
+                published("purcell", "table 2").source,
+                equal,
+                "; ".join(f"not {case}" for case, held in equal.items() if not held) or "all",
+            ),
+            Claim.judged(
+                "One program with loops is faster than passes (read as: the compute form, and "
+                "time)",
+                published("purcell", "table 1").source,
+                {name: ratio > 1.0 for name, ratio in ratios.items()},
+                ", ".join(f"{name} {ratio:.3g} times" for name, ratio in ratios.items()),
+            ),
+        ]
+    return result
+
+
+def adapter_note() -> str:
+    """Which adapter this is, and whether it is software."""
+    adapter = open_device().adapter
+    kind = "software: its times say nothing of GPUs" if adapter.kind == "CPU" else adapter.kind
+    return f"Adapter: {adapter.name}, {adapter.backend}, {adapter.description} ({kind})."
+
+
+def _measure(lab: Laboratory, name: str, size: int) -> dict[str, dict[str, Any]]:
+    """Each contender's passes, draws and time, and how far its hits are from the oracle's."""
+
+    def measure() -> dict[str, dict[str, Any]]:
+        view = lab.view(name)
+        rays = view.rays(size)
+        answers = {one: _counted(lab, view, one, rays) for one in _CONTENDERS}
+        oracle = answers[_ORACLE][0]
+        seconds = _seconds(lab, view, rays)
+        return {
+            one: {**figures, **_differences(hits, oracle), "seconds": seconds[one]}
+            for one, (hits, figures) in answers.items()
+        }
+
+    values: dict[str, dict[str, Any]] = lab.measure(f"{name}, {size} x {size}", measure)
+    return values
+
+
+def _tracer(lab: Laboratory, view: View, contender: str, counters: bool) -> Tracer:
+    options = {**_CONTENDERS[contender], **grid_options(view, lab.quick)}
+    if contender.endswith("unrolled"):
+        values = published("purcell", "unrolling").values
+        options["traversal_steps"] = values["traversal_steps"]
+        options["intersections"] = values["intersections"]
+    return Tracer(view.scene, "grid", counters=counters, **options)
+
+
+def _counted(lab: Laboratory, view: View, contender: str, rays: Any) -> tuple[Hits, dict[str, Any]]:
+    """Hits, and what it took to find them."""
+    tracer = _tracer(lab, view, contender, True)
+    hits = tracer.first_hit(*rays)
+    passes = tracer.counters.passes
+    if passes is None:
+        return hits, {"passes": None, "draws": None, "efficiency": None}
+    return hits, {
+        "passes": len(passes),
+        "draws": passes.draw_count or None,
+        "efficiency": passes.efficiency,
+    }
+
+
+def _differences(hits: Hits, oracle: Hits) -> dict[str, float]:
+    """Rays that hit another triangle, and how far the others' t is from the oracle's, of it."""
+    is_other = hits.prim_id != oracle.prim_id
+    both = hits.is_hit & ~is_other
+    t, expected = hits.t[both].astype(np.float64), oracle.t[both].astype(np.float64)
+    farthest = np.abs(t - expected) / np.maximum(np.abs(expected), np.finfo(np.float32).tiny)
+    return {"other_hits": int(is_other.sum()), "farthest": float(farthest.max(initial=0.0))}
+
+
+def _seconds(lab: Laboratory, view: View, rays: Any) -> dict[str, float]:
+    """Median seconds of each contender, taking turns, without counting."""
+    tracers = {one: _tracer(lab, view, one, False) for one in _CONTENDERS}
+    taken: dict[str, list[float]] = {one: [] for one in tracers}
+    for number in range(1 + (1 if lab.quick else _ROUNDS)):  # the first one compiles
+        for one, tracer in tracers.items():
+            if sum(taken[one]) > _PATIENCE:
+                continue
+            started = time.perf_counter()
+            tracer.first_hit(*rays)
+            if number:
+                taken[one].append(time.perf_counter() - started)
+    return {one: statistics.median(each) for one, each in taken.items()}
