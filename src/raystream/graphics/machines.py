@@ -18,6 +18,17 @@ __all__ = ["GRAPHICS_MACHINES", "OPTIONS"]
 OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "compute": ("adapter", "rays_at_once"),
+        "branching": ("adapter", "rays_at_once"),
+        "multipass": (
+            "adapter",
+            "rays_at_once",
+            "scheduler",
+            "threshold",
+            "traversal_steps",
+            "intersections",
+            "loop",
+            "max_passes",
+        ),
     }
 )
 
@@ -28,7 +39,21 @@ def _compute(structure: Structure, adapter: str | None, **options: Any) -> Batch
     return Compute(structure, open_device(adapter), **options)
 
 
-_MAKERS: Mapping[str, Callable[..., BatchQueries]] = MappingProxyType({"compute": _compute})
+def _branching(structure: Structure, adapter: str | None, **options: Any) -> BatchQueries:
+    from raystream.graphics.branching import Branching
+
+    return Branching(structure, open_device(adapter), **options)
+
+
+def _multipass(structure: Structure, adapter: str | None, **options: Any) -> BatchQueries:
+    from raystream.graphics.multipass import Multipass
+
+    return Multipass(structure, open_device(adapter), **options)
+
+
+_MAKERS: Mapping[str, Callable[..., BatchQueries]] = MappingProxyType(
+    {"compute": _compute, "branching": _branching, "multipass": _multipass}
+)
 
 
 class _GraphicsMachines:

@@ -11,16 +11,21 @@ struct Tree {
 
 //! include "corners.wgsl"
 
+// Test the triangle in a row of the list.
+fn test_row(ray: Ray, row: u32) {
+    tally.tests += 1u;
+    let prim_id = prim_ids[row];
+    let hit = intersect(ray, triangle_of(prim_id));
+    if hit.is_hit && hit.t >= ray.t_min && hit.t <= found.t_far {
+        offer(hit, i32(prim_id));
+    }
+}
+
 fn search(ray: Ray) {
-    for (var i = 0u; i < params.tree.triangle_count; i++) {
+    for (var row = 0u; row < params.tree.triangle_count; row++) {
         if is_enough() || !spend() {
             return;
         }
-        tally.tests += 1u;
-        let prim_id = prim_ids[i];
-        let hit = intersect(ray, triangle_of(prim_id));
-        if hit.is_hit && hit.t >= ray.t_min && hit.t <= found.t_far {
-            offer(hit, i32(prim_id));
-        }
+        test_row(ray, row);
     }
 }

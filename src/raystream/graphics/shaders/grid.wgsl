@@ -43,9 +43,9 @@ fn coarse_cells() -> Lattice {
     return Lattice(params.tree.low, params.tree.size, params.tree.counts);
 }
 
-// Numbers of a coarse cell along the axes.
-fn cell_numbers(cell: i32) -> vec3f {
-    let counts = vec3i(params.tree.counts);
+// Numbers of a cell along the axes.
+fn cell_numbers(lattice: Lattice, cell: i32) -> vec3f {
+    let counts = vec3i(lattice.counts);
     return vec3f(vec3i(cell % counts.x, cell / counts.x % counts.y, cell / (counts.x * counts.y)));
 }
 
@@ -59,7 +59,7 @@ fn child_of(cell: i32) -> i32 {
 // The lattice within a coarse cell.
 fn fine_cells(cell: i32, child: i32) -> Lattice {
     let counts = vec3f(lattices[child].yzw);
-    let low = fma(cell_numbers(cell), params.tree.size, params.tree.low);
+    let low = fma(cell_numbers(coarse_cells(), cell), params.tree.size, params.tree.low);
     return Lattice(low, rounded3(params.tree.size / counts), counts);
 }
 
@@ -70,6 +70,14 @@ fn coarse_list(cell: i32) -> List {
 fn fine_list(child: i32, cell: i32) -> List {
     let at = lattices[child].x + u32(cell);
     return List(fine_splits[at], fine_splits[at + 1u]);
+}
+
+// The triangle in a row of a list.
+fn reference_at(row: u32, is_fine: bool) -> u32 {
+    if is_fine {
+        return fine_references[row];
+    }
+    return references[row];
 }
 
 // Offer a triangle's hit, if it is at t_in <= t < t_out: outside, it is another cell's.
@@ -94,13 +102,7 @@ fn test_list(ray: Ray, list: List, is_fine: bool, t_in: f32, t_out: f32) {
         if is_enough() || !spend() {
             return;
         }
-        var prim_id: u32;
-        if is_fine {
-            prim_id = fine_references[row];
-        } else {
-            prim_id = references[row];
-        }
-        test_reference(ray, prim_id, t_in, end_of_hits(t_out));
+        test_reference(ray, reference_at(row, is_fine), t_in, end_of_hits(t_out));
     }
 }
 

@@ -1,0 +1,103 @@
+"""The branching machine: one fragment program with loops, run over all rays at once.
+
+What Purcell 2002, section 3.2, calls the branching architecture: as the compute machine, but rays
+come from textures, and their hits go to render targets.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
+from raystream.graphics.ray_textures import FRAME, RayTextures
+from raystream.graphics.records import Query
+from raystream.graphics.source import shader_source
+from raystream.graphics.streams.programs import Program, bind, fragment_pipeline
+from raystream.kernels.queries import LocalRays
+from raystream.structures import Structure
+
+__all__ = ["Branching"]
+
+
+class Branching(GraphicsQueries):
+    """Traces rays with one fragment program.
+
+    Parameters
+    ----------
+    structure : Structure
+        Built on the CPU; its arrays are copied to the device.
+    opened : OpenDevice
+    rays_at_once : int
+        Most rays of a draw.
+
+    Raises
+    ------
+    GraphicsError
+        If there are no shaders for the structure, they do not compile, or it is too large for
+        the device.
+    """
+
+    def __init__(
+        self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
+    ) -> None:
+        super().__init__(structure, opened, rays_at_once)
+        self._textures = RayTextures(opened, self._form)
+        self._latest = Query.FIRST_HIT
+        self._pipeline(Query.FIRST_HIT, False, False)  # whatever is wrong is said now
+
+    def _run(
+        self,
+        query: Query,
+        surfaces: bool,
+        rays: LocalRays,
+        chunk: slice,
+        wanted: NDArray[np.uint32],
+        row_count: int,
+        tallies: NDArray[np.uint32] | None,
+    ) -> NDArray[np.uint32]:
+        self._latest = query
+        textures, device = self._textures, self.opened.device
+        rows = row_count if query == Query.MULTI_HIT else 0
+        textures.load(rays, chunk, wanted, rows, tallies is not None)
+        textures.write_params(self.structure.triangles.extreme)
+        encoder = device.create_command_encoder()
+        run = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": one.view, "load_op": "clear", "store_op": "store"}
+                for one in (textures.state, textures.found)
+            ]
+        )
+        run.set_pipeline(self._pipeline(query, surfaces, tallies is not None))
+        frame = [textures.params, *(one.view for one in textures.inputs)]
+        run.set_bind_group(0, bind(self.opened, FRAME, frame))
+        textures.bind_rest(run, query, tallies is not None)
+        run.draw(3)
+        run.end()
+        device.queue.submit([encoder.finish()])
+        counts: NDArray[np.uint32] = textures.state.read(len(wanted))[:, 1]
+        self._check_ended(counts)
+        if tallies is not None:
+            tallies[chunk] += textures.read_tallies()
+        return counts
+
+    def _rows(self, count: int) -> NDArray[Any]:
+        return self._textures.read_rows(self._latest, count)
+
+    def _pipeline(self, query: Query, surfaces: bool, counts: bool) -> Any:
+        instead = self._textures.instead(query, counts)
+        instead["fragment/texels.wgsl"] = "fragment/texels_found.wgsl"
+        source = shader_source("fragment/branching.wgsl", self._form.shader, instead=instead)
+        constants = {
+            "QUERY": float(query),
+            "SURFACES": float(surfaces),
+            **self._form.constants,
+        }
+        layouts = [FRAME, *self._textures.layouts(query, counts)]
+        targets = [(one.format, True) for one in (self._textures.state, self._textures.found)]
+        name = f"{self._form.name}, {query.name}"
+        program = Program(source, "trace", constants, layouts)
+        return fragment_pipeline(self.opened, name, program, targets, None)

@@ -1,0 +1,175 @@
+"""Loops: kernel after kernel, until no ray is active."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.multipass.oracle import Oracle
+from raystream.graphics.multipass.plan import Plan
+from raystream.graphics.streams.passes import Bindings, StreamPasses
+from raystream.machines.schedulers import Queues, Scheduler
+from raystream.machines.steps.base import StepKernel
+
+__all__ = ["MOST_PASSES", "Batch", "Work", "run_by_queries", "run_on_device"]
+
+#: Passes that are encoded before the host looks how far they went: first, and at most.
+_FIRST_PASSES = 8
+MOST_PASSES = 64
+
+
+@dataclass(frozen=True)
+class Work:
+    """Rays, and the kernels over them.
+
+    Attributes
+    ----------
+    opened : OpenDevice
+    streams : StreamPasses
+    plan : Plan
+    bind : callable
+        See `streams.passes.Bindings`.
+    count : int
+        Rays that begin.
+    """
+
+    opened: OpenDevice
+    streams: StreamPasses
+    plan: Plan
+    bind: Bindings
+    count: int
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Passes that have run.
+
+    Attributes
+    ----------
+    passes : list of (int, int)
+        The number of a kernel, and the rays that it ran on.
+    active_count : int
+        Rays that waited for any kernel when the host looked.
+    """
+
+    passes: list[tuple[int, int]]
+    active_count: int
+
+
+def run_on_device(work: Work, oracle: Oracle, inner: Sequence[int]) -> Iterator[Batch]:
+    """Let the device choose; the host looks at times whether any ray is left.
+
+    Parameters
+    ----------
+    work : Work
+    oracle : Oracle
+    inner : sequence of int
+        Kernels that run many times. The others, which run once, are encoded in the first and
+        the last pass of each batch.
+    """
+    kernels = range(1 + max(draw.kernel for group in work.plan.kernels for draw in group))
+    device, plan = work.opened.device, work.plan
+    inner_plan, length = plan.part(inner), _FIRST_PASSES
+    encoder = device.create_command_encoder()
+    work.streams.begin(encoder, plan.begin, work.bind, None)
+    while True:
+        oracle.forget(encoder)
+        for number in range(length):
+            is_edge = number in (0, length - 1)
+            chosen = plan if is_edge else inner_plan
+            oracle.encode(encoder, kernels if is_edge else inner)
+            work.streams.run(
+                encoder,
+                chosen.kernels,
+                chosen.commits,
+                chosen.classifies,
+                work.bind,
+                oracle.arguments,
+            )
+        device.queue.submit([encoder.finish()])
+        decided = oracle.read(length)
+        yield Batch(decided.passes, decided.active_count)
+        if decided.active_count == 0:
+            return
+        length = min(2 * length, MOST_PASSES)
+        encoder = device.create_command_encoder()
+
+
+class _Counts:
+    """Occlusion queries, and their answers."""
+
+    def __init__(self, opened: OpenDevice, most: int) -> None:
+        import wgpu
+
+        self._opened = opened
+        self.queries = opened.device.create_query_set(type="occlusion", count=most)
+        self._answers = opened.device.create_buffer(
+            size=8 * most, usage=wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
+        )
+
+    def ask(self, encoder: Any, count: int) -> list[int]:
+        """Run what is encoded, wait for it, and return how many fragments each query counted."""
+        encoder.resolve_query_set(self.queries, 0, count, self._answers, 0)
+        queue = self._opened.device.queue
+        queue.submit([encoder.finish()])
+        memory = queue.read_buffer(self._answers, 0, 8 * count)
+        answers: list[int] = np.frombuffer(memory, np.uint64).tolist()
+        return answers
+
+
+def run_by_queries(
+    work: Work, scheduler: Scheduler, kernels: Sequence[StepKernel]
+) -> Iterator[Batch]:
+    """Let the host choose, by occlusion queries: how many rays each draw moved on.
+
+    As Purcell 2002, section 3.2, and Christen 2005 did: the host waits for each pass.
+
+    Raises
+    ------
+    GraphicsError
+        If the adapter's counts are not exact: WebGPU promises no more than whether they are 0.
+    """
+    device, plan = work.opened.device, work.plan
+    counts = _Counts(work.opened, max(1, len(plan.classifies)))
+    encoder = device.create_command_encoder()
+    work.streams.begin(encoder, plan.begin, work.bind, counts.queries)
+    (begun,) = counts.ask(encoder, 1)
+    _check(work, begun == work.count, f"{begun:,} for {work.count:,} fragments")
+    number_of = {int(one.state): number for number, one in enumerate(kernels)}
+    waiting = [0] * len(kernels)
+    waiting[0] = begun
+    latest: int | None = None
+    parts = [plan.part([number]) for number in range(len(kernels))]
+    while any(waiting):
+        latest = scheduler.choose(Queues(kernels, tuple(waiting), latest))
+        part = parts[latest]
+        encoder = device.create_command_encoder()
+        work.streams.run(
+            encoder,
+            part.kernels,
+            part.commits,
+            part.classifies,
+            work.bind,
+            queries=counts.queries,
+        )
+        active = waiting[latest]
+        moved = counts.ask(encoder, len(part.classifies))
+        waiting[latest] -= sum(moved)
+        _check(work, waiting[latest] >= 0, f"{sum(moved):,} of {active:,} rays moved")
+        for state, count in zip(part.next_states, moved, strict=True):
+            if state in number_of:
+                waiting[number_of[state]] += count
+        yield Batch([(latest, active)], sum(waiting))
+
+
+def _check(work: Work, is_exact: bool, what: str) -> None:
+    if not is_exact:
+        raise GraphicsError(
+            f"multipass: {work.opened.adapter} counts fragments inexactly in occlusion queries "
+            f"({what}); take loop='device'"
+        )

@@ -1,0 +1,168 @@
+"""The oracle: counts rays by state on the device, and chooses the kernel of the next pass there.
+
+Purcell 2002, section 3.2, lets the host ask for counts, and it waits for each. Here passes are
+encoded by dozens before any has run: the draws of every kernel in each, with arguments that a
+compute shader writes, so that those of one kernel draw something.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.buffers import Buffer, uniform
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.forms.base import numbers
+from raystream.graphics.pipelines import shader_module
+from raystream.graphics.source import shader_source
+from raystream.graphics.streams.kernel import FragmentKernel
+from raystream.graphics.streams.programs import bind, layout_of
+from raystream.graphics.streams.textures import StencilTexture, StreamShape
+from raystream.machines.records import RayState
+from raystream.machines.schedulers import SCHEDULERS
+
+__all__ = ["Decided", "Oracle"]
+
+_LAYOUT = ("uint", "scatter", "uniform", "gather")
+
+#: Words of Schedule: arguments of eight draws, 16 counts, then latest, pass_count, active_count.
+_COUNTS_AT, _LATEST_AT, _HEAD_WORDS = 32, 48, 52
+
+#: Kernels that shaders have room for.
+_MOST_KERNELS = 8
+
+_GROUP_SIZE = 16
+_NO_KERNEL = 2**32 - 1
+
+
+class Decided(NamedTuple):
+    """What ran since the host looked.
+
+    Attributes
+    ----------
+    passes : list of (int, int)
+        The number of a kernel, and the rays that it ran on.
+    active_count : int
+        Rays that waited for any kernel before the last of them.
+    """
+
+    passes: list[tuple[int, int]]
+    active_count: int
+
+
+class Oracle:
+    """Chooses kernels on the device.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    kernels : sequence of FragmentKernel
+    scheduler : str
+        A name of `machines.schedulers.SCHEDULERS`.
+    share : float
+        For ``"threshold"``.
+
+    Attributes
+    ----------
+    arguments : GPUBuffer
+        Of the kernels' draws.
+    """
+
+    def __init__(
+        self,
+        opened: OpenDevice,
+        kernels: Sequence[FragmentKernel],
+        scheduler: str,
+        share: float,
+        most_passes: int,
+    ) -> None:
+        if len(kernels) > _MOST_KERNELS:
+            raise GraphicsError(f"multipass: {len(kernels)} kernels, and room for {_MOST_KERNELS}")
+        self._opened = opened
+        self._share = share
+        self._scheduler = SCHEDULERS.index(scheduler)
+        self._states: list[int] = [int(one.state) for one in kernels]
+        tests = sum(
+            1 << number for number, one in enumerate(kernels) if one.state == RayState.INTERSECTING
+        )
+        states = self._states + [0] * (_MOST_KERNELS - len(kernels))
+        self._kernels = uniform(opened, numbers(len(kernels), tests, 0, 0, *states))
+        self._least = Buffer(opened, "thresholds")
+        self._most_passes = most_passes
+        self.arguments = _schedule_buffer(opened, 4 * (_HEAD_WORDS + 2 * most_passes))
+        self._pipelines: dict[tuple[str, int], Any] = {}
+        self._group: Any = None
+        self._groups = (0, 0)
+
+    def begin(self, count: int, shape: StreamShape, stencil: StencilTexture) -> None:
+        """Prepare for some rays."""
+        # As the schedulers compare: in float64. So equal numbers of rays lead to equal choices.
+        least = np.ceil(self._share * np.arange(count + 1, dtype=np.float64)).astype(np.uint32)
+        self._least.reserve(least.nbytes)
+        self._least.write(least)
+        head = np.zeros(_HEAD_WORDS, np.uint32)
+        head[_LATEST_AT] = _NO_KERNEL
+        self._opened.device.queue.write_buffer(self.arguments, 0, head)
+        resources = [
+            stencil.states,
+            {"buffer": self.arguments, "offset": 0, "size": self.arguments.size},
+            {"buffer": self._kernels, "offset": 0, "size": self._kernels.size},
+            self._least.binding,
+        ]
+        self._group = bind(self._opened, _LAYOUT, resources, is_compute=True)
+        self._groups = -(-shape.width // _GROUP_SIZE), -(-shape.height // _GROUP_SIZE)
+
+    def encode(self, encoder: Any, kernels: Sequence[int]) -> None:
+        """Count, and choose; a kernel that is none of these does not run yet."""
+        encoded = sum(1 << number for number in kernels)
+        run = encoder.begin_compute_pass()
+        run.set_bind_group(0, self._group)
+        run.set_pipeline(self._pipeline("count_states", 0))
+        run.dispatch_workgroups(*self._groups)
+        run.set_pipeline(self._pipeline("decide", encoded))
+        run.dispatch_workgroups(1)
+        run.end()
+
+    def forget(self, encoder: Any) -> None:
+        """Begin the record of passes anew."""
+        encoder.clear_buffer(self.arguments, 4 * (_LATEST_AT + 1), 4)
+
+    def read(self, most: int) -> Decided:
+        """What ran since the record began, of `most` passes."""
+        size = 4 * (_HEAD_WORDS + 2 * min(most, self._most_passes))
+        memory = self._opened.device.queue.read_buffer(self.arguments, 0, size)
+        words: NDArray[np.uint32] = np.frombuffer(memory, np.uint32)
+        pass_count, active_count = words[_LATEST_AT + 1 : _LATEST_AT + 3].tolist()
+        ran = words[_HEAD_WORDS:].reshape(-1, 2)[:pass_count].tolist()
+        return Decided([(kernel, count) for kernel, count in ran], active_count)
+
+    def _pipeline(self, entry: str, encoded: int) -> Any:
+        key = entry, encoded
+        if key not in self._pipelines:
+            name = "multipass/schedule.wgsl"
+            module = shader_module(self._opened, shader_source(name), name)
+            device = self._opened.device
+            layout = layout_of(self._opened, _LAYOUT, is_compute=True)
+            constants = {"SCHEDULER": float(self._scheduler), "ENCODED": float(encoded)}
+            try:
+                self._pipelines[key] = device.create_compute_pipeline(
+                    layout=device.create_pipeline_layout(bind_group_layouts=[layout]),
+                    compute={"module": module, "entry_point": entry, "constants": constants},
+                )
+            except Exception as error:  # wgpu wraps whatever the driver says
+                raise GraphicsError(f"shader {name}: gives no pipeline: {error}") from error
+        return self._pipelines[key]
+
+
+def _schedule_buffer(opened: OpenDevice, byte_count: int) -> Any:
+    import wgpu
+
+    usage = wgpu.BufferUsage
+    return opened.device.create_buffer(
+        size=byte_count,
+        usage=usage.STORAGE | usage.INDIRECT | usage.COPY_SRC | usage.COPY_DST,
+    )

@@ -1,0 +1,168 @@
+"""Plan: the draws of a query's kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.multipass.kernels import STREAMS, TraversalKernels
+from raystream.graphics.ray_textures import FRAME
+from raystream.graphics.source import shader_source
+from raystream.graphics.streams.kernel import FragmentKernel
+from raystream.graphics.streams.passes import Draw, groups_of
+from raystream.graphics.streams.programs import Program, Stencil, fragment_pipeline
+
+__all__ = ["LAYOUT", "STREAM_TYPES", "Plan", "Wish", "make_plan"]
+
+#: Types of the streams that kernels write.
+STREAM_TYPES = {"state": "uint32", "found": "float32", "place": "uint32", "span": "float32"}
+
+_KINDS = {"uint32": "uint", "float32": "float"}
+_FORMATS = {"uint32": "rgba32uint", "float32": "rgba32float"}
+
+#: Group 0 of a kernel: see multipass/frame.wgsl.
+LAYOUT = (*FRAME, *(_KINDS[STREAM_TYPES[name]] for name in STREAMS))
+
+#: What a kernel's program returns if it may write half of the streams at a time.
+_HALVES = ("fragment/texels_found.wgsl", "fragment/texels_place.wgsl")
+
+
+class Wish(NamedTuple):
+    """What the programs of a query are made for.
+
+    Attributes
+    ----------
+    form_shader : str
+        The file of the structure's form.
+    instead : mapping of str to str
+        See `source.shader_source`.
+    constants : mapping of str to float
+    layouts : sequence of tuple of str
+        Of the groups after the first one.
+    counts : bool
+        Whether programs count.
+    """
+
+    form_shader: str
+    instead: Mapping[str, str]
+    constants: Mapping[str, float]
+    layouts: Sequence[tuple[str, ...]]
+    counts: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The draws of a query's kernels.
+
+    Attributes
+    ----------
+    begin : list of Draw
+        For each group of targets; see `streams.passes.groups_of`.
+    kernels, commits : list of list of Draw
+        For each group of targets those of the kernels.
+    classifies : list of Draw
+        For each state that a kernel moves rays to.
+    next_states : list of int
+        That state.
+    """
+
+    begin: list[Draw]
+    kernels: list[list[Draw]]
+    commits: list[list[Draw]]
+    classifies: list[Draw]
+    next_states: list[int]
+
+    def part(self, kernels: Collection[int]) -> Plan:
+        """The draws of some kernels."""
+        kept = [draw.kernel in kernels for draw in self.classifies]
+        return Plan(
+            self.begin,
+            [[draw for draw in group if draw.kernel in kernels] for group in self.kernels],
+            [[draw for draw in group if draw.kernel in kernels] for group in self.commits],
+            [draw for draw, is_kept in zip(self.classifies, kept, strict=True) if is_kept],
+            [state for state, is_kept in zip(self.next_states, kept, strict=True) if is_kept],
+        )
+
+
+class _Maker:
+    """Makes the pipelines of a query."""
+
+    def __init__(self, opened: OpenDevice, traversal: TraversalKernels, wish: Wish) -> None:
+        self._opened = opened
+        self._wish = wish
+        self.kernels = traversal.kernels
+        self.groups = groups_of(STREAMS, opened)
+        self._sources = []
+        for number in range(len(self.groups)):
+            instead = dict(wish.instead)
+            if len(self.groups) > 1:
+                instead["fragment/texels.wgsl"] = _HALVES[number]
+            self._sources.append(shader_source(traversal.shader, wish.form_shader, instead=instead))
+
+    def draw(
+        self,
+        group: int,
+        entry: str,
+        stencil: Stencil,
+        writes: Sequence[str] = (),
+        kernel: int = 0,
+        **constants: float,
+    ) -> Draw:
+        """A draw with one of the source's functions."""
+        own: dict[str, float] = {**self._wish.constants, **constants}
+        if self._wish.counts:
+            own["COUNTS"] = float(group == 0)
+        program = Program(self._sources[group], entry, own, [LAYOUT, *self._wish.layouts])
+        targets = [(_FORMATS[STREAM_TYPES[name]], name in writes) for name in self.groups[group]]
+        name = f"{self._wish.form_shader}, {entry}"
+        pipeline = fragment_pipeline(self._opened, name, program, targets, stencil)
+        return Draw(pipeline, stencil.reference, kernel)
+
+    def kernel(self, group: int, number: int, one: FragmentKernel) -> Draw:
+        stencil = Stencil(one.state)
+        return self.draw(group, one.entry, stencil, one.writes, number, KERNEL=float(number))
+
+    def commit(self, group: int, number: int, one: FragmentKernel) -> Draw:
+        return self.draw(group, "commit", Stencil(one.state), one.writes, number)
+
+    def of_group(self, make: Any) -> list[list[Draw]]:
+        """Draws of the kernels that write anything of each group."""
+        return [
+            [
+                make(group, number, one)
+                for number, one in enumerate(self.kernels)
+                if set(one.writes) & set(names)
+            ]
+            for group, names in enumerate(self.groups)
+        ]
+
+
+def make_plan(opened: OpenDevice, traversal: TraversalKernels, wish: Wish) -> Plan:
+    """Make the draws of a query.
+
+    Raises
+    ------
+    GraphicsError
+        If a program does not compile.
+    """
+    maker = _Maker(opened, traversal, wish)
+    starting = Stencil(None, maker.kernels[0].state)
+    # Scratch textures are told apart when all of a kernel's streams have been copied.
+    last = len(maker.groups) - 1
+    moves = [
+        (number, one, to) for number, one in enumerate(maker.kernels) for to in one.transitions
+    ]
+    return Plan(
+        begin=[
+            maker.draw(group, "begin", starting, names) for group, names in enumerate(maker.groups)
+        ],
+        kernels=maker.of_group(maker.kernel),
+        commits=maker.of_group(maker.commit),
+        classifies=[
+            maker.draw(last, "classify", Stencil(one.state, to), (), number, NEXT=float(to))
+            for number, one, to in moves
+        ],
+        next_states=[int(to) for _, _, to in moves],
+    )

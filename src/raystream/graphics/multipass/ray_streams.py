@@ -1,0 +1,77 @@
+"""The rays of a query on the graphics pipeline: their streams, and what kernels are bound to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.forms import Form
+from raystream.graphics.multipass.kernels import STREAMS
+from raystream.graphics.multipass.plan import LAYOUT, STREAM_TYPES
+from raystream.graphics.ray_textures import RayTextures
+from raystream.graphics.records import Query
+from raystream.graphics.streams.passes import Bindings, StreamPasses
+from raystream.graphics.streams.programs import bind
+from raystream.graphics.streams.textures import StreamTexture
+from raystream.kernels.queries import LocalRays
+
+__all__ = ["RayStreams"]
+
+
+class RayStreams:
+    """Textures of rays, and of where their searches are.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    form : Form
+
+    Attributes
+    ----------
+    rays : RayTextures
+    passes : StreamPasses
+    """
+
+    def __init__(self, opened: OpenDevice, form: Form) -> None:
+        self._opened = opened
+        self.rays = RayTextures(opened, form)
+        self._resize()
+
+    def _resize(self) -> None:
+        rays, shape = self.rays, self.rays.shape
+        streams = {"state": rays.state, "found": rays.found}
+        for name in STREAMS:
+            if name not in streams:
+                dtype = np.dtype(STREAM_TYPES[name])
+                streams[name] = StreamTexture(self._opened, name, shape, dtype)
+        types = {name: np.dtype(STREAM_TYPES[name]) for name in STREAMS}
+        self.passes = StreamPasses(self._opened, shape, streams, types)
+
+    def load(
+        self,
+        rays: LocalRays,
+        chunk: slice,
+        wanted: NDArray[np.uint32],
+        row_count: int,
+        counts: bool,
+    ) -> None:
+        """Copy rays to the device."""
+        if self.rays.load(rays, chunk, wanted, row_count, counts):
+            self._resize()
+
+    def bindings(self, query: Query, counts: bool) -> Bindings:
+        """What binds the streams, or their scratch textures, and all else that kernels read."""
+        shared = [self.rays.params, *(one.view for one in self.rays.inputs)]
+        groups = [
+            bind(self._opened, LAYOUT, [*shared, *(textures[name].view for name in STREAMS)])
+            for textures in (self.passes.streams, self.passes.scratch)
+        ]
+
+        def bind_all(run: Any, is_commit: bool) -> None:
+            run.set_bind_group(0, groups[is_commit])
+            self.rays.bind_rest(run, query, counts)
+
+        return bind_all

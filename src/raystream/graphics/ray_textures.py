@@ -1,0 +1,143 @@
+"""The rays of a query as textures, and what fragment programs are bound to besides."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.buffers import Buffer, uniform, upload
+from raystream.graphics.forms import Form
+from raystream.graphics.forms.base import numbers
+from raystream.graphics.records import ROW, Query, packed_rays
+from raystream.graphics.streams.programs import bind
+from raystream.graphics.streams.textures import StreamShape, StreamTexture
+from raystream.kernels.queries import LocalRays
+
+__all__ = ["FRAME", "RayTextures"]
+
+#: Group 0 of a fragment program: see fragment/frame.wgsl.
+FRAME = ("uniform", "float", "float", "uint")
+
+#: Group 2, where it writes buffers: rows, tallies and runs.
+_BUFFERS = ("scatter", "scatter", "scatter")
+
+#: Bytes of Params before the structure's Tree.
+_TREE_AT = 32
+
+
+class RayTextures:
+    """Rays, what is wanted of them and what they have found, as streams of one shape.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    form : Form
+
+    Attributes
+    ----------
+    shape : StreamShape
+    count : int
+        Rays that are loaded.
+    state, found : StreamTexture
+        What programs write: see fragment/texels.wgsl.
+    inputs : list of StreamTexture
+        Origins, directions, and what is wanted.
+    params : dict
+        The uniform buffer, as a resource.
+    """
+
+    def __init__(self, opened: OpenDevice, form: Form) -> None:
+        self._opened = opened
+        self._form = form
+        names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
+        self._arrays = upload(opened, zip(names, form.arrays, strict=True))
+        self._buffers = {name: Buffer(opened, name) for name in ("rows", "tallies", "runs")}
+        self._uniform = uniform(opened, bytes(_TREE_AT) + form.tree)
+        self.params = {"buffer": self._uniform, "offset": 0, "size": self._uniform.size}
+        self.count = 0
+        self._resize(StreamShape.for_count(1, opened))
+
+    def _resize(self, shape: StreamShape) -> None:
+        self.shape = shape
+        self.inputs = [
+            StreamTexture(self._opened, "origins", shape, np.float32),
+            StreamTexture(self._opened, "directions", shape, np.float32),
+            StreamTexture(self._opened, "wanted", shape, np.uint32),
+        ]
+        self.state = StreamTexture(self._opened, "states", shape, np.uint32)
+        self.found = StreamTexture(self._opened, "found", shape, np.float32)
+
+    def load(
+        self,
+        rays: LocalRays,
+        chunk: slice,
+        wanted: NDArray[np.uint32],
+        row_count: int,
+        counts: bool,
+    ) -> bool:
+        """Copy rays to the device; returns whether the textures are other ones than before."""
+        self.count = len(wanted)
+        shape = StreamShape.for_count(self.count, self._opened)
+        is_new = shape != self.shape
+        if is_new:
+            self._resize(shape)
+        packed = packed_rays(rays, chunk)
+        for stream, records in zip(self.inputs, (packed[:, 0], packed[:, 1], wanted), strict=True):
+            stream.write(records)
+        self._buffers["rows"].reserve(ROW.itemsize * row_count)
+        for name in ("tallies", "runs"):
+            self._buffers[name].reserve(32 * self.count if counts else 0)
+            if counts:
+                self._buffers[name].write(np.zeros((self.count, 8), np.uint32))
+        return is_new
+
+    def write_params(self, extreme: np.float32) -> None:
+        """Say how many rays there are, and what all of them share."""
+        params = numbers(extreme, 0, self.count, self.shape.width, self._form.budget)
+        params += bytes(_TREE_AT - len(params)) + self._form.tree
+        self._opened.device.queue.write_buffer(self._uniform, 0, params)
+
+    @staticmethod
+    def instead(query: Query, counts: bool) -> dict[str, str]:
+        """Files that take the place of others: programs write no buffer that nobody wants."""
+        files = {}
+        if query != Query.MULTI_HIT:
+            files["fragment/rows.wgsl"] = "no_rows.wgsl"
+        if not counts:
+            files["fragment/counting.wgsl"] = "fragment/not_counting.wgsl"
+        return files
+
+    def layouts(self, query: Query, counts: bool) -> list[tuple[str, ...]]:
+        """Of the groups after the first one."""
+        gathers = ("gather",) * len(self._arrays)
+        return [gathers, _BUFFERS] if query == Query.MULTI_HIT or counts else [gathers]
+
+    def bind_rest(self, run: Any, query: Query, counts: bool) -> None:
+        """Bind these groups in a render pass."""
+        gathers, *buffers = self.layouts(query, counts)
+        own = [buffer.binding for buffer in self._arrays]
+        run.set_bind_group(1, bind(self._opened, gathers, own))
+        for layout in buffers:
+            written = [buffer.binding for buffer in self._buffers.values()]
+            run.set_bind_group(2, bind(self._opened, layout, written))
+
+    def read_rows(self, query: Query, count: int) -> NDArray[Any]:
+        """Hits that were found: for each ray, or all that were kept."""
+        if query == Query.MULTI_HIT:
+            return self._buffers["rows"].read(ROW, (count,))
+        rows = np.empty(count, ROW)
+        hits = self.found.read(count)
+        rows["t"], rows["u"], rows["v"] = hits[:, 0], hits[:, 1], hits[:, 2]
+        rows["prim_id"] = self.state.read(count)[:, 2].view(np.int32)
+        return rows
+
+    def read_tallies(self) -> NDArray[np.uint32]:
+        """What each ray met."""
+        return self._buffers["tallies"].read(np.uint32, (self.count, 8))
+
+    def read_runs(self) -> NDArray[np.uint32]:
+        """How often each kernel ran on each ray."""
+        return self._buffers["runs"].read(np.uint32, (self.count, 8))

@@ -1,0 +1,171 @@
+// The grid as kernels: set up, traverse, intersect (Purcell 2002, section 3.1). As
+// raystream/machines/steps/grid.py; but distances of planes are computed from a cell's number
+// whenever they are wanted, which gives the same numbers, and takes fewer texels.
+
+//! include "multipass/frame.wgsl"
+
+// What `outer` is where a ray walks through coarse cells.
+const COARSE: i32 = -1;
+
+struct Place {
+    cell: i32,
+    // The coarse cell that it walks through the lattice of, which it leaves at t_end.
+    outer: i32,
+    // References of its cell that are still to be tested.
+    row: u32,
+    end: u32,
+    t_in: f32,
+    t_end: f32,
+}
+
+fn place_at(texel: vec2i) -> Place {
+    let place = textureLoad(places, texel, 0);
+    let span = textureLoad(spans, texel, 0);
+    return Place(i32(place.x), i32(place.y), place.z, place.w, span.x, span.y);
+}
+
+fn end_at(texel: vec2i, state: u32, at: Place) -> Texels {
+    let place = vec4u(u32(at.cell), u32(at.outer), at.row, at.end);
+    return end_kernel(texel, state, place, vec4f(at.t_in, at.t_end, 0.0, 0.0));
+}
+
+// The lattice that a ray walks through.
+fn lattice_of(at: Place) -> Lattice {
+    if at.outer == COARSE {
+        return coarse_cells();
+    }
+    return fine_cells(at.outer, child_of(at.outer));
+}
+
+fn list_of(at: Place) -> List {
+    if at.outer == COARSE {
+        return coarse_list(at.cell);
+    }
+    return fine_list(child_of(at.outer), at.cell);
+}
+
+fn walk_at(lattice: Lattice, line: Line, cell: i32) -> Walk {
+    return walk_from(lattice, line, cell_numbers(lattice, cell));
+}
+
+// Distance at which a ray leaves its cell.
+fn end_of_cell(ray: Ray, at: Place) -> f32 {
+    let lattice = lattice_of(at);
+    return min(cell_end(walk_at(lattice, line_through(lattice, ray), at.cell)), at.t_end);
+}
+
+// Where a ray is after its cell, which it leaves at t_out.
+fn next_place(ray: Ray, at: Place, t_out: f32) -> Place {
+    var lattice = lattice_of(at);
+    var cell = at.cell;
+    var next = Place(cell, at.outer, 0u, 0u, t_out, at.t_end);
+    if t_out >= at.t_end && at.outer != COARSE {
+        // Out of the lattice within a coarse cell, into the coarse cell after it.
+        lattice = coarse_cells();
+        cell = at.outer;
+        next.outer = COARSE;
+        next.t_end = FAR;
+    }
+    let line = line_through(lattice, ray);
+    next.cell = step_walk(lattice, line, walk_at(lattice, line, cell)).cell;
+    return next;
+}
+
+// Into the lattice within a coarse cell.
+fn enter_cell(ray: Ray, at: Place, child: i32) -> Place {
+    let fine = fine_cells(at.cell, child);
+    let walk = start_walk(fine, line_through(fine, ray), ray, at.t_in);
+    return Place(walk.cell, at.cell, 0u, 0u, at.t_in, end_of_cell(ray, at));
+}
+
+// Find the cell in which a ray begins.
+@fragment
+fn set_up(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, STARTING) {
+        return nothing();
+    }
+    run_count = 1u;
+    let ray = ray_at(texel);
+    let part = enter_grid(ray);
+    let is_active = params.tree.triangle_count != 0u && part.t_in <= part.t_out;
+    if !is_active {
+        return end_kernel(texel, DONE, vec4u(), vec4f());
+    }
+    found.t_far = part.t_out;
+    let lattice = coarse_cells();
+    let walk = start_walk(lattice, line_through(lattice, ray), ray, part.t_in);
+    return end_at(texel, TRAVERSING, Place(walk.cell, COARSE, 0u, 0u, part.t_in, FAR));
+}
+
+// Look at the cell that a ray is in; go on to the next one if it is empty.
+@fragment
+fn traverse(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, TRAVERSING) {
+        return nothing();
+    }
+    let ray = ray_at(texel);
+    var at = place_at(texel);
+    var state = TRAVERSING;
+    for (var i = 0u; i < TRAVERSAL_STEPS && state == TRAVERSING; i++) {
+        if !tick() {
+            state = DONE;
+            break;
+        }
+        tally.steps += 1u;
+        let list = list_of(at);
+        if list.begin == list.end {
+            let t_out = end_of_cell(ray, at);
+            if is_past(t_out) {
+                state = end_of_search();
+            } else {
+                at = next_place(ray, at, t_out);
+            }
+            continue;
+        }
+        var child = NO_CHILD;
+        if at.outer == COARSE {
+            child = child_of(at.cell);
+        }
+        if child == NO_CHILD {
+            tally.leaves += 1u;
+            at.row = list.begin;
+            at.end = list.end;
+            state = INTERSECTING;
+        } else {
+            at = enter_cell(ray, at, child);
+        }
+    }
+    return end_at(texel, state, at);
+}
+
+// Test a triangle of the cell that a ray is in; go on to the next cell after the last.
+@fragment
+fn intersect_cell(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, INTERSECTING) {
+        return nothing();
+    }
+    let ray = ray_at(texel);
+    var at = place_at(texel);
+    let t_out = end_of_cell(ray, at);
+    var state = INTERSECTING;
+    for (var i = 0u; i < INTERSECTIONS && state == INTERSECTING; i++) {
+        if !tick() {
+            state = DONE;
+            break;
+        }
+        test_reference(ray, reference_at(at.row, at.outer != COARSE), at.t_in, end_of_hits(t_out));
+        at.row += 1u;
+        if at.row == at.end || is_enough() {
+            if is_past(t_out) {
+                state = end_of_search();
+            } else {
+                at = next_place(ray, at, t_out);
+                state = TRAVERSING;
+            }
+        }
+    }
+    return end_at(texel, state, at);
+}

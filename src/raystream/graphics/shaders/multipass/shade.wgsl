@@ -1,0 +1,19 @@
+// The kernel that all traversals end with. As raystream/machines/steps/base.py.
+
+// Hand a ray's hits over: sorted, where several may have been kept.
+@fragment
+fn shade(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, SHADING) {
+        return nothing();
+    }
+    run_count = 1u;
+    tally.shadings = 1u;
+    if QUERY == MULTI_HIT {
+        if found.capacity != 1u {
+            sort_rows();
+        }
+        tally.shadings = found.count;
+    }
+    return end_kernel(texel, DONE, vec4u(), vec4f());
+}

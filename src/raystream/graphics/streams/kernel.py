@@ -1,0 +1,37 @@
+"""Kernels as fragment programs: a function in WGSL, and the streams that it reads and writes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+__all__ = ["FragmentKernel"]
+
+
+class FragmentKernel(NamedTuple):
+    """A fragment program, with what `streams.Kernel` has of a function of one record.
+
+    Attributes
+    ----------
+    name : str
+    entry : str
+        Its function in WGSL. It has no ``discard``, so that the stencil test comes before it, and
+        returns a texel of each stream.
+    state : int
+        It runs on the records in this state.
+    next_states : tuple of int
+        The states that it may put records into; with its own, if they may stay in it.
+    reads, writes : tuple of str
+        Names of streams.
+    """
+
+    name: str
+    entry: str
+    state: int
+    next_states: tuple[int, ...]
+    reads: tuple[str, ...]
+    writes: tuple[str, ...]
+
+    @property
+    def transitions(self) -> tuple[int, ...]:
+        """States that it moves records to."""
+        return tuple(state for state in self.next_states if state != self.state)

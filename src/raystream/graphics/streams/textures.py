@@ -1,0 +1,157 @@
+"""Textures of streams: a texel is a record, of four words."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.errors import GraphicsError
+
+__all__ = ["TEXEL_BYTES", "StencilTexture", "StreamShape", "StreamTexture"]
+
+#: Four words.
+TEXEL_BYTES = 16
+
+#: Widths are multiples of this: rows of so many texels may be copied as they are.
+_COLUMNS = 16
+
+_FORMATS = {"f": "rgba32float", "u": "rgba32uint"}
+
+
+class StreamShape(NamedTuple):
+    """How records lie in a texture: row by row, and the last row may have some left over.
+
+    Attributes
+    ----------
+    width, height : int
+    """
+
+    width: int
+    height: int
+
+    @classmethod
+    def for_count(cls, count: int, opened: OpenDevice) -> StreamShape:
+        """Nearly a square.
+
+        Raises
+        ------
+        GraphicsError
+            If the device has no textures for so many records.
+        """
+        most = opened.limits["max-texture-dimension-2d"]
+        columns = -(-max(math.isqrt(max(count - 1, 0)) + 1, 1) // _COLUMNS) * _COLUMNS
+        width = min(columns, most // _COLUMNS * _COLUMNS)
+        height = max(-(-count // width), 1)
+        if height > most:
+            raise GraphicsError(
+                f"device 'graphics': {count:,} records do not fit in a texture of {opened.adapter}"
+            )
+        return cls(width, height)
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """As wgpu takes it."""
+        return self.width, self.height, 1
+
+
+class StreamTexture:
+    """A stream as a texture.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    name : str
+        For errors.
+    shape : StreamShape
+    dtype : dtype
+        float32 or uint32.
+
+    Attributes
+    ----------
+    format : str
+        Of the texture, as WebGPU calls it.
+    view : GPUTextureView
+    """
+
+    def __init__(self, opened: OpenDevice, name: str, shape: StreamShape, dtype: Any) -> None:
+        import wgpu
+
+        self._queue = opened.device.queue
+        self._dtype = np.dtype(dtype)
+        self._shape = shape
+        self.format = _FORMATS[self._dtype.kind]
+        self._texture = _create(
+            opened,
+            name,
+            shape,
+            self.format,
+            wgpu.TextureUsage.TEXTURE_BINDING
+            | wgpu.TextureUsage.RENDER_ATTACHMENT
+            | wgpu.TextureUsage.COPY_SRC
+            | wgpu.TextureUsage.COPY_DST,
+        )
+        self.view = self._texture.create_view()
+
+    def write(self, records: NDArray[Any]) -> None:
+        """Copy records to its beginning: shape (N, k), k up to 4; the rest of their rows is 0."""
+        width = self._shape.width
+        rows = -(-len(records) // width)
+        if rows == 0:
+            return
+        texels = np.zeros((rows * width, 4), self._dtype)
+        texels[: len(records), : records.shape[1]] = records
+        self._queue.write_texture(
+            {"texture": self._texture},
+            texels,
+            {"bytes_per_row": TEXEL_BYTES * width, "rows_per_image": rows},
+            (width, rows, 1),
+        )
+
+    def read(self, count: int) -> NDArray[Any]:
+        """Copy its first records back, when the device has done what it was given: (N, 4)."""
+        width = self._shape.width
+        rows = -(-count // width)
+        if rows == 0:
+            return np.empty((0, 4), self._dtype)
+        memory = self._queue.read_texture(
+            {"texture": self._texture},
+            {"bytes_per_row": TEXEL_BYTES * width, "rows_per_image": rows},
+            (width, rows, 1),
+        )
+        return np.frombuffer(memory, self._dtype).reshape(-1, 4)[:count]
+
+
+class StencilTexture:
+    """The states of records: one byte of each.
+
+    Attributes
+    ----------
+    view : GPUTextureView
+        For render passes.
+    states : GPUTextureView
+        For shaders: a texture_2d<u32>.
+    """
+
+    format = "stencil8"
+
+    def __init__(self, opened: OpenDevice, shape: StreamShape) -> None:
+        import wgpu
+
+        usage = wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.RENDER_ATTACHMENT
+        texture = _create(opened, "the stencil", shape, self.format, usage)
+        self.view = texture.create_view()
+        self.states = texture.create_view(aspect="stencil-only")
+
+
+def _create(opened: OpenDevice, name: str, shape: StreamShape, texel: str, usage: Any) -> Any:
+    try:
+        return opened.device.create_texture(size=shape.size, format=texel, usage=usage, label=name)
+    except Exception as error:  # wgpu wraps whatever a driver says
+        raise GraphicsError(
+            f"device 'graphics': {opened.adapter} has no memory for {name}, "
+            f"{shape.width} x {shape.height} texels: {error}"
+        ) from error
