@@ -73,8 +73,9 @@ class Branching(GraphicsQueries):
         )
         run.set_pipeline(self._pipeline(query, surfaces, tallies is not None))
         frame = [textures.params, *(one.view for one in textures.inputs)]
-        run.set_bind_group(0, bind(self.opened, FRAME, frame))
-        textures.bind_rest(run, query, tallies is not None)
+        groups = [bind(self.opened, FRAME, frame), *textures.groups(query, tallies is not None)]
+        for number, group in enumerate(groups):
+            run.set_bind_group(number, group)
         run.draw(3)
         run.end()
         device.queue.submit([encoder.finish()])

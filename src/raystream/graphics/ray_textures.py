@@ -115,14 +115,15 @@ class RayTextures:
         gathers = ("gather",) * len(self._arrays)
         return [gathers, _BUFFERS] if query == Query.MULTI_HIT or counts else [gathers]
 
-    def bind_rest(self, run: Any, query: Query, counts: bool) -> None:
-        """Bind these groups in a render pass."""
-        gathers, *buffers = self.layouts(query, counts)
+    def groups(self, query: Query, counts: bool) -> list[Any]:
+        """These groups, bound to what is loaded."""
         own = [buffer.binding for buffer in self._arrays]
-        run.set_bind_group(1, bind(self._opened, gathers, own))
-        for layout in buffers:
-            written = [buffer.binding for buffer in self._buffers.values()]
-            run.set_bind_group(2, bind(self._opened, layout, written))
+        written = [buffer.binding for buffer in self._buffers.values()]
+        layouts = self.layouts(query, counts)
+        return [
+            bind(self._opened, layout, resources)
+            for layout, resources in zip(layouts, (own, written), strict=False)
+        ]
 
     def read_rows(self, query: Query, count: int) -> NDArray[Any]:
         """Hits that were found: for each ray, or all that were kept."""

@@ -154,20 +154,31 @@ class Multipass(GraphicsQueries):
                 f"multipass: {self.opened.adapter} has too few render targets to keep many hits "
                 "of a ray; take machine='compute'"
             )
+        begins = wanted[:, 1] != 0 if is_multi else np.full(len(wanted), True)
+        if not begins.all():
+            # Rays that want nothing are left out.
+            rows = chunk.start + np.flatnonzero(begins)
+            some = LocalRays(*(array[rows] for array in rays))
+            met = None if tallies is None else tallies[rows]
+            all_counts = np.zeros(len(wanted), np.uint32)
+            all_counts[begins] = self._run(
+                query, surfaces, some, slice(0, len(rows)), wanted[begins], row_count, met
+            )
+            if tallies is not None and met is not None:
+                tallies[rows] = met
+            return all_counts
         streams.load(rays, chunk, wanted, row_count if is_multi else 0, counts)
         streams.rays.write_params(self.structure.triangles.extreme)
-        begins = np.full(len(wanted), True) if not is_multi else wanted[:, 1] != 0
         work = Work(
             self.opened,
             streams.passes,
             self._plan(query, surfaces, counts),
             streams.bindings(query, counts),
-            int(np.count_nonzero(begins)),
+            len(wanted),
         )
         self._loop(work)
         state = streams.rays.state.read(len(wanted))
-        hit_counts: NDArray[np.uint32] = state[:, 1].copy()
-        hit_counts[begins & (state[:, 3] == 0)] = ENDLESS
+        hit_counts = np.where(state[:, 3] == 0, ENDLESS, state[:, 1])
         self._check_ended(hit_counts)
         if tallies is not None:
             tallies[chunk] += streams.rays.read_tallies()

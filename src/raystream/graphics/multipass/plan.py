@@ -94,38 +94,58 @@ class _Maker:
         self._wish = wish
         self.kernels = traversal.kernels
         self.groups = groups_of(STREAMS, opened)
-        self._sources = []
-        for number in range(len(self.groups)):
-            instead = dict(wish.instead)
-            if len(self.groups) > 1:
-                instead["fragment/texels.wgsl"] = _HALVES[number]
-            self._sources.append(shader_source(traversal.shader, wish.form_shader, instead=instead))
+        self._sources = self._sources_of(traversal.shader, wish.form_shader, instead=wish.instead)
+        # Those that do not depend on the structure, nor on the query.
+        self._shared_sources = self._sources_of("multipass/commit.wgsl", instead={})
 
-    def draw(
+    def _sources_of(self, *names: str, instead: Mapping[str, str]) -> list[str]:
+        """The source for each group of targets."""
+        if len(self.groups) == 1:
+            return [shader_source(*names, instead=instead)]
+        return [
+            shader_source(*names, instead={**instead, "fragment/texels.wgsl": half})
+            for half in _HALVES
+        ]
+
+    def _draw(
         self,
         group: int,
-        entry: str,
+        program: Program,
         stencil: Stencil,
-        writes: Sequence[str] = (),
+        writes: Sequence[str],
         kernel: int = 0,
-        **constants: float,
     ) -> Draw:
-        """A draw with one of the source's functions."""
-        own: dict[str, float] = {**self._wish.constants, **constants}
-        if self._wish.counts:
-            own["COUNTS"] = float(group == 0)
-        program = Program(self._sources[group], entry, own, [LAYOUT, *self._wish.layouts])
         targets = [(_FORMATS[STREAM_TYPES[name]], name in writes) for name in self.groups[group]]
-        name = f"{self._wish.form_shader}, {entry}"
+        name = f"{self._wish.form_shader}, {program.entry}"
         pipeline = fragment_pipeline(self._opened, name, program, targets, stencil)
         return Draw(pipeline, stencil.reference, kernel)
 
     def kernel(self, group: int, number: int, one: FragmentKernel) -> Draw:
-        stencil = Stencil(one.state)
-        return self.draw(group, one.entry, stencil, one.writes, number, KERNEL=float(number))
+        """The kernel itself."""
+        constants = {**self._wish.constants, "KERNEL": float(number)}
+        if self._wish.counts:
+            constants["COUNTS"] = float(group == 0)
+        layouts = [LAYOUT, *self._wish.layouts]
+        program = Program(self._sources[group], one.entry, constants, layouts)
+        return self._draw(group, program, Stencil(one.state), one.writes, number)
 
     def commit(self, group: int, number: int, one: FragmentKernel) -> Draw:
-        return self.draw(group, "commit", Stencil(one.state), one.writes, number)
+        """The copy of what it wrote."""
+        program = Program(self._shared_sources[group], "commit", {}, [LAYOUT])
+        return self._draw(group, program, Stencil(one.state), one.writes, number)
+
+    def begin(self, group: int) -> Draw:
+        """The program that all rays begin with."""
+        program = Program(self._shared_sources[group], "begin", {}, [LAYOUT])
+        stencil = Stencil(None, self.kernels[0].state)
+        return self._draw(group, program, stencil, self.groups[group])
+
+    def classify(self, number: int, state: int, next_state: int) -> Draw:
+        """What tells apart the rays that a kernel moves to a state."""
+        # When all of a kernel's streams have been copied, so among the last group's draws.
+        constants = {"NEXT": float(next_state)}
+        program = Program(self._shared_sources[-1], "classify", constants, [LAYOUT])
+        return self._draw(len(self.groups) - 1, program, Stencil(state, next_state), (), number)
 
     def of_group(self, make: Any) -> list[list[Draw]]:
         """Draws of the kernels that write anything of each group."""
@@ -148,21 +168,12 @@ def make_plan(opened: OpenDevice, traversal: TraversalKernels, wish: Wish) -> Pl
         If a program does not compile.
     """
     maker = _Maker(opened, traversal, wish)
-    starting = Stencil(None, maker.kernels[0].state)
-    # Scratch textures are told apart when all of a kernel's streams have been copied.
-    last = len(maker.groups) - 1
-    moves = [
-        (number, one, to) for number, one in enumerate(maker.kernels) for to in one.transitions
-    ]
+    numbered = list(enumerate(maker.kernels))
+    moves = [(number, one.state, to) for number, one in numbered for to in one.transitions]
     return Plan(
-        begin=[
-            maker.draw(group, "begin", starting, names) for group, names in enumerate(maker.groups)
-        ],
+        begin=[maker.begin(group) for group in range(len(maker.groups))],
         kernels=maker.of_group(maker.kernel),
         commits=maker.of_group(maker.commit),
-        classifies=[
-            maker.draw(last, "classify", Stencil(one.state, to), (), number, NEXT=float(to))
-            for number, one, to in moves
-        ],
+        classifies=[maker.classify(*move) for move in moves],
         next_states=[int(to) for _, _, to in moves],
     )

@@ -65,13 +65,14 @@ class RayStreams:
     def bindings(self, query: Query, counts: bool) -> Bindings:
         """What binds the streams, or their scratch textures, and all else that kernels read."""
         shared = [self.rays.params, *(one.view for one in self.rays.inputs)]
-        groups = [
+        rest = self.rays.groups(query, counts)
+        first = [
             bind(self._opened, LAYOUT, [*shared, *(textures[name].view for name in STREAMS)])
             for textures in (self.passes.streams, self.passes.scratch)
         ]
 
         def bind_all(run: Any, is_commit: bool) -> None:
-            run.set_bind_group(0, groups[is_commit])
-            self.rays.bind_rest(run, query, counts)
+            for number, group in enumerate((first[is_commit], *rest)):
+                run.set_bind_group(number, group)
 
         return bind_all

@@ -1,8 +1,4 @@
-// What all fragment programs share: a texel is a ray, a texture a stream of records of four words.
-//
-// Purcell 2002, section 3: a kernel is a fragment program, run by drawing something that covers
-// the screen. Which rays it runs on, the stencil test says. It reads streams as textures, and
-// writes render targets.
+// What the fragment programs of a traversal share: the rays of a query, as textures.
 
 struct Params {
     // Largest absolute coordinate of the scene.
@@ -29,22 +25,12 @@ struct Params {
 //! include "triangle.wgsl"
 //! include "found.wgsl"
 //! include "tally.wgsl"
+//! include "fragment/cover.wgsl"
 //! include "fragment/rows.wgsl"
 //! include "fragment/counting.wgsl"
 //! include "fragment/texels.wgsl"
 
-// A triangle that covers the screen: its corners are (-1, -1), (3, -1) and (-1, 3).
-@vertex
-fn cover(@builtin(vertex_index) corner: u32) -> @builtin(position) vec4f {
-    let place = vec2f(f32((corner << 1u) & 2u), f32(corner & 2u));
-    return vec4f(2.0 * place - vec2f(1.0), 0.0, 1.0);
-}
-
-// The texel of the fragment's ray, and the ray's number.
-fn texel_at(position: vec4f) -> vec2i {
-    return vec2i(position.xy);
-}
-
+// The number of a texel's ray.
 fn ray_number(texel: vec2i) -> u32 {
     return u32(texel.y) * params.row_size + u32(texel.x);
 }

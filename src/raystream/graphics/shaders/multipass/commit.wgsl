@@ -1,15 +1,38 @@
-// What comes after a kernel: its records are copied from scratch textures to the streams, and its
-// rays are told what they wait for next. Here the textures that are read are the scratch ones.
+// What comes before and after kernels, whatever these do: rays begin; the records that a kernel has
+// written are copied from scratch textures to the streams, and its rays are told what they wait
+// for next. The textures that are read are the scratch ones.
+
+//! include "fragment/cover.wgsl"
+//! include "fragment/texels.wgsl"
+//! include "multipass/states.wgsl"
+
+// What fragment/frame.wgsl has before the structure's Tree.
+struct Params {
+    extreme: f32,
+    zero: u32,
+    ray_count: u32,
+    row_size: u32,
+    budget: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(4) var states: texture_2d<u32>;
+@group(0) @binding(5) var founds: texture_2d<f32>;
+@group(0) @binding(6) var places: texture_2d<u32>;
+@group(0) @binding(7) var spans: texture_2d<f32>;
+
+// As ray.wgsl and found.wgsl have them.
+const FAR: f32 = 0x1.fffffep+127;
+const MISS: i32 = -1;
 
 // Of the pipeline: see classify().
 override NEXT: u32 = 0u;
 
-// All rays begin; texels that are no ray's never do, nor do rays that want no hits.
+// All rays begin; texels that are no ray's never do.
 @fragment
 fn begin(@builtin(position) position: vec4f) -> Texels {
     let texel = texel_at(position);
-    let wish = textureLoad(wanted, texel, 0);
-    if ray_number(texel) >= params.ray_count || (QUERY == MULTI_HIT && wish.y == 0u) {
+    if u32(texel.y) * params.row_size + u32(texel.x) >= params.ray_count {
         discard;
     }
     return texels_of(

@@ -3,22 +3,13 @@
 // A kernel has no discard: with one, the stencil test could not come before it. It writes scratch
 // textures, because a pass cannot read what it writes; see commit.wgsl.
 
-// What a ray waits for: its value in the stencil. As raystream/machines/records.py.
-const DONE: u32 = 0u;
-const STARTING: u32 = 1u;
-const TRAVERSING: u32 = 2u;
-const INTERSECTING: u32 = 3u;
-const SHADING: u32 = 4u;
-const AT_LEAF: u32 = 5u;
-const LEAVING: u32 = 6u;
-const CLIMBING: u32 = 7u;
-
 // Of the pipeline: the kernel's number, and how many steps and tests of a ray one run does.
 override KERNEL: u32 = 0u;
 override TRAVERSAL_STEPS: u32 = 1u;
 override INTERSECTIONS: u32 = 1u;
 
 //! include "fragment/frame.wgsl"
+//! include "multipass/states.wgsl"
 
 // See texels.wgsl.
 @group(0) @binding(4) var states: texture_2d<u32>;
@@ -71,5 +62,4 @@ fn end_kernel(texel: vec2i, state: u32, place: vec4u, span: vec4f) -> Texels {
     );
 }
 
-//! include "multipass/commit.wgsl"
 //! include "multipass/shade.wgsl"

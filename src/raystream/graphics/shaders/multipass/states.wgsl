@@ -1,0 +1,9 @@
+// What a ray waits for: its value in the stencil. As raystream/machines/records.py.
+const DONE: u32 = 0u;
+const STARTING: u32 = 1u;
+const TRAVERSING: u32 = 2u;
+const INTERSECTING: u32 = 3u;
+const SHADING: u32 = 4u;
+const AT_LEAF: u32 = 5u;
+const LEAVING: u32 = 6u;
+const CLIMBING: u32 = 7u;
