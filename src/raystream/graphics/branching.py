@@ -15,7 +15,6 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
 from raystream.graphics.ray_textures import FRAME, RayTextures
 from raystream.graphics.records import Query
-from raystream.graphics.source import shader_source
 from raystream.graphics.streams.programs import Program, bind, fragment_pipeline
 from raystream.kernels.queries import LocalRays
 from raystream.structures import Structure
@@ -91,7 +90,7 @@ class Branching(GraphicsQueries):
     def _pipeline(self, query: Query, surfaces: bool, counts: bool) -> Any:
         instead = self._textures.instead(query, counts)
         instead["fragment/texels.wgsl"] = "fragment/texels_found.wgsl"
-        source = shader_source("fragment/branching.wgsl", self._form.shader, instead=instead)
+        source = self._form.source("fragment/branching.wgsl", instead=instead)
         constants = {
             "QUERY": float(query),
             "SURFACES": float(surfaces),

@@ -13,7 +13,6 @@ from raystream.graphics.forms.base import numbers
 from raystream.graphics.pipelines import bind_group, compute_pipeline
 from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
 from raystream.graphics.records import RAY_BYTES, ROW, Query, packed_rays
-from raystream.graphics.source import shader_source
 from raystream.kernels.queries import LocalRays
 from raystream.structures import Structure
 
@@ -45,7 +44,7 @@ class Compute(GraphicsQueries):
         self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
     ) -> None:
         super().__init__(structure, opened, rays_at_once)
-        self._source = shader_source("compute.wgsl", self._form.shader)
+        self._source = self._form.source("compute.wgsl")
         names = (f"{self._form.name}, array {k}" for k in range(len(self._form.arrays)))
         self._arrays = upload(opened, zip(names, self._form.arrays, strict=True))
         self._buffers = {

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import brute, grid
+from raystream.graphics.forms import brute, grid, kdtree
 from raystream.graphics.forms.base import Form
 from raystream.structures import Structure
 
@@ -16,6 +16,7 @@ __all__ = ["FORMS", "Form", "form_of"]
 FORMS: dict[str, Callable[[Any], Form]] = {
     "brute": brute.form,
     "grid": grid.form,
+    "kdtree": kdtree.form,
 }
 
 

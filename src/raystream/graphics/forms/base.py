@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from raystream.graphics.source import shader_source
 
 __all__ = ["Form", "budget_for", "numbers"]
 
@@ -32,6 +35,11 @@ class Form:
         More steps and tests than a search can take: what takes more is endless.
     constants : dict of str to float
         Of the pipeline: values of the file's ``override`` declarations.
+    sizes : dict of str to int
+        Of the source: what the file leaves to be declared, for arrays whose size must be known
+        as it is compiled.
+    instead : dict of str to str
+        Files that the file's own includes are replaced by; see `source.shader_source`.
     lists_twice : bool
         Whether a search may meet a triangle more than once.
     """
@@ -42,7 +50,15 @@ class Form:
     arrays: tuple[NDArray[Any], ...]
     budget: int
     constants: dict[str, float] = field(default_factory=dict)
+    sizes: dict[str, int] = field(default_factory=dict)
+    instead: dict[str, str] = field(default_factory=dict)
     lists_twice: bool = False
+
+    def source(self, *names: str, instead: Mapping[str, str] | None = None) -> str:
+        """A machine's shader files, put together with the structure's; see `shader_source`."""
+        declared = [f"const {name}: u32 = {size}u;" for name, size in self.sizes.items()]
+        replaced = {**self.instead, **(instead or {})}
+        return "\n".join([*declared, shader_source(*names, self.shader, instead=replaced)])
 
 
 def numbers(*values: float | np.integer[Any] | np.floating[Any]) -> bytes:

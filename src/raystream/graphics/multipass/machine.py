@@ -240,7 +240,7 @@ class Multipass(GraphicsQueries):
         if key not in self._plans:
             rays = self._streams.rays
             wish = Wish(
-                self._form.shader,
+                self._form,
                 rays.instead(query, counts),
                 {
                     "QUERY": float(query),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.forms import Form
 from raystream.graphics.multipass.kernels import STREAMS, TraversalKernels
 from raystream.graphics.ray_textures import FRAME
 from raystream.graphics.source import shader_source
@@ -34,8 +35,8 @@ class Wish(NamedTuple):
 
     Attributes
     ----------
-    form_shader : str
-        The file of the structure's form.
+    form : Form
+        The structure's.
     instead : mapping of str to str
         See `source.shader_source`.
     constants : mapping of str to float
@@ -45,7 +46,7 @@ class Wish(NamedTuple):
         Whether programs count.
     """
 
-    form_shader: str
+    form: Form
     instead: Mapping[str, str]
     constants: Mapping[str, float]
     layouts: Sequence[tuple[str, ...]]
@@ -94,18 +95,20 @@ class _Maker:
         self._wish = wish
         self.kernels = traversal.kernels
         self.groups = groups_of(STREAMS, opened)
-        self._sources = self._sources_of(traversal.shader, wish.form_shader, instead=wish.instead)
+        form = wish.form
+        self._sources = self._sources_of(
+            lambda instead: form.source(traversal.shader, instead={**wish.instead, **instead})
+        )
         # Those that do not depend on the structure, nor on the query.
-        self._shared_sources = self._sources_of("multipass/commit.wgsl", instead={})
+        self._shared_sources = self._sources_of(
+            lambda instead: shader_source("multipass/commit.wgsl", instead=instead)
+        )
 
-    def _sources_of(self, *names: str, instead: Mapping[str, str]) -> list[str]:
+    def _sources_of(self, source: Callable[[Mapping[str, str]], str]) -> list[str]:
         """The source for each group of targets."""
         if len(self.groups) == 1:
-            return [shader_source(*names, instead=instead)]
-        return [
-            shader_source(*names, instead={**instead, "fragment/texels.wgsl": half})
-            for half in _HALVES
-        ]
+            return [source({})]
+        return [source({"fragment/texels.wgsl": half}) for half in _HALVES]
 
     def _draw(
         self,
@@ -116,7 +119,7 @@ class _Maker:
         kernel: int = 0,
     ) -> Draw:
         targets = [(_FORMATS[STREAM_TYPES[name]], name in writes) for name in self.groups[group]]
-        name = f"{self._wish.form_shader}, {program.entry}"
+        name = f"{self._wish.form.shader}, {program.entry}"
         pipeline = fragment_pipeline(self._opened, name, program, targets, stencil)
         return Draw(pipeline, stencil.reference, kernel)
 

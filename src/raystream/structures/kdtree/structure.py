@@ -23,7 +23,7 @@ from raystream.structures.kdtree.layout import (
     usual_depth,
     walk,
 )
-from raystream.structures.kdtree.packed import LEAF_BIT, extend, pack
+from raystream.structures.kdtree.packed import LEAF_BIT, PackedArrays, extend, pack
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.state import STACK_BYTES, KdAddresses
 from raystream.structures.kdtree.traversal import traverse
@@ -66,6 +66,16 @@ class KdTree(Structure):
         where splits do not pay, or `max_depth` is reached.
     progress : callable, optional
         Called with (triangles placed, triangles) while building.
+
+    Attributes
+    ----------
+    tree : KdArrays
+    blocks : ndarray of shape (B, 40), float32
+        The leaves' triangles; see `bvh.layout.BvhArrays.leaves`.
+    packed : PackedArrays or None
+        The tree in Foley's layout; None for nodes of 8 bytes, or without nodes.
+    extended : ndarray of shape (S, 8), float32, or None
+        What `packed.extend` gives; None unless it backtracks, or without nodes.
 
     Raises
     ------
@@ -117,21 +127,23 @@ class KdTree(Structure):
         self.tree = tree
         self.options = options
         self.blocks = filled_blocks(tree.prim_ids, triangles.corners)
-        is_packed = options["layout"] == "foley"
+        self.packed: PackedArrays | None = None
+        self.extended: NDArray[np.float32] | None = None
         self._held: list[NDArray[Any]] = [self.blocks]  # what addresses point to
         nodes, leaves, extended, root = 0, 0, 0, 0
         if len(tree.nodes):
-            if is_packed:
-                packed = pack(tree.nodes)
-                self._held += packed
-                nodes, leaves = packed.splits.ctypes.data, packed.leaves.ctypes.data
+            if options["layout"] == "foley":
+                self.packed = pack(tree.nodes)
+                self._held += self.packed
+                nodes, leaves = self.packed.splits.ctypes.data, self.packed.leaves.ctypes.data
                 root = 1 << LEAF_BIT if len(tree.nodes) == 1 else 0
             else:
                 self._held.append(tree.nodes)
                 nodes = tree.nodes.ctypes.data
             if options["traversal"] == "backtrack":
-                self._held.append(extend(tree.nodes, is_packed))
-                extended = self._held[-1].ctypes.data
+                self.extended = extend(tree.nodes, self.packed is not None)
+                self._held.append(self.extended)
+                extended = self.extended.ctypes.data
         (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
         self._addresses = KdAddresses(
             np.uint64(nodes),

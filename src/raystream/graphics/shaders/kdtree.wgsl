@@ -1,0 +1,56 @@
+// The kd-tree (Foley 2005). As raystream/structures/kdtree/traversal.py.
+
+struct Tree {
+    low: vec3f,
+    root: u32,
+    high: vec3f,
+    // Without nodes the rest means nothing.
+    node_count: u32,
+}
+
+// Leaf blocks; see blocks.wgsl. The layout has the nodes.
+@group(1) @binding(1) var<storage, read> blocks: array<vec4u>;
+
+//! include "blocks.wgsl"
+//! include "planes.wgsl"
+//! include "kdtree/state.wgsl"
+//! include "kdtree/compact.wgsl"
+//! include "kdtree/steps.wgsl"
+//! include "kdtree/stack.wgsl"
+
+// Test the triangles of a leaf, a block at a time.
+fn test_leaf(ray: Ray, triangles: KdLeaf, state: KdState) {
+    var block = triangles.block;
+    var left = triangles.triangle_count;
+    while left != 0u && spend() {
+        let count = min(left, BLOCK_SIZE);
+        tally.tests += count;
+        intersect_block(ray, block, state.t_in, state.t_out);
+        if is_enough() {
+            return;
+        }
+        block += 1u;
+        left -= count;
+    }
+}
+
+fn search(ray: Ray) {
+    var state = initialize(ray);
+    if !is_active(state) {
+        return;
+    }
+    let line = plane_ray(ray);
+    while spend() {
+        while !is_at_leaf(state) && spend() {
+            state = down(line, state);
+            tally.steps += 1u;
+        }
+        tally.leaves += 1u;
+        test_leaf(ray, leaf(state), state);
+        // Hits in leaves to come are not before this one's end.
+        if is_past(state.t_out) || state.t_out >= state.t_end {
+            return;
+        }
+        state = go_on(line, state);
+    }
+}

@@ -1,0 +1,49 @@
+// Going on after a leaf by going up to where the rest of the ray begins: kd-backtrack (Foley 2005,
+// Figure 4).
+
+//! include "kdtree/no_stack.wgsl"
+//! include "kdtree/compact_up.wgsl"
+
+// Foley's ExtendedSplit: corners of a split's box, FAR at the border of the scene, where no plane
+// ends the search; and a link, see the layout.
+struct KdExtended {
+    low: vec3f,
+    high: vec3f,
+    link: u32,
+}
+
+fn extended_of(row: u32) -> KdExtended {
+    let first = extended[2u * row];
+    let second = extended[2u * row + 1u];
+    let low = bitcast<vec3f>(first.xyz);
+    let high = bitcast<vec3f>(vec3u(first.w, second.xy));
+    return KdExtended(low, high, second.z);
+}
+
+fn leave(state: KdState) -> KdState {
+    return KdState(state.node, state.t_out, state.t_end, state.t_end, 0u, true);
+}
+
+// Go to the parent of a node; stay there if it holds t_in (Foley's Up). Nodes above hold all that
+// was searched, so only where the ray leaves one is in question: at the first of the planes that
+// it goes towards. The root has none.
+fn up(line: PlaneRay, state: KdState) -> KdState {
+    let row = parent_row(state.node);
+    let parent = extended_of(row);
+    let ends = select(parent.low, parent.high, line.inv > vec3f(0.0));
+    let t = distances_to(line, ends, FAR);
+    let t_out = min(min(t.x, t.y), t.z);
+    let is_climbing = !(state.t_in < t_out);
+    let node = node_of_row(row, parent.link);
+    return KdState(node, state.t_in, min(t_out, state.t_end), state.t_end, 0u, is_climbing);
+}
+
+fn go_on(line: PlaneRay, state: KdState) -> KdState {
+    tally.backtracks += 1u;
+    var next = leave(state);
+    while next.is_climbing && spend() {
+        next = up(line, next);
+        tally.backtrack_steps += 1u;
+    }
+    return next;
+}

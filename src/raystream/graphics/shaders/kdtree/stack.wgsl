@@ -1,0 +1,26 @@
+// Going on after a leaf with what down() put on a stack: a node and the end of its interval for
+// each split on a path. STACK_SIZE is the source's.
+
+struct KdEntry {
+    node: u32,
+    t_out: f32,
+}
+
+var<private> stack: array<KdEntry, STACK_SIZE>;
+
+// Returns how many nodes are on the stack then.
+fn push(top: u32, node: u32, t_out: f32) -> u32 {
+    stack[top] = KdEntry(node, t_out);
+    return top + 1u;
+}
+
+// The child on top begins where the leaf ends: only then was it put there.
+fn leave(state: KdState) -> KdState {
+    let top = state.top - 1u;
+    let entry = stack[top];
+    return KdState(entry.node, state.t_out, entry.t_out, state.t_end, top, false);
+}
+
+fn go_on(line: PlaneRay, state: KdState) -> KdState {
+    return leave(state);
+}

@@ -1,0 +1,29 @@
+// Where a ray's search in a kd-tree is. As raystream/structures/kdtree/state.py.
+
+struct KdState {
+    // A node; see the layout.
+    node: u32,
+    // The part of the ray in the node: t_in <= t < t_out.
+    t_in: f32,
+    t_out: f32,
+    // Where the search ends: just after the last t that is wanted.
+    t_end: f32,
+    // Nodes on the stack.
+    top: u32,
+    // The search goes on above the node: up() is next.
+    is_climbing: bool,
+}
+
+// A node with a plane, and its children.
+struct KdSplit {
+    position: f32,
+    axis: u32,
+    below: u32,
+    above: u32,
+}
+
+// The triangles of a leaf: their first block, and how many they are.
+struct KdLeaf {
+    block: u32,
+    triangle_count: u32,
+}

@@ -1,0 +1,44 @@
+// Distances to planes that part space. Each plane has one, which depends on its position alone:
+// a distance t is either before it or not, whoever asks. As raystream/structures/kdtree/steps.py.
+
+// What a ray's distances to planes are made of.
+struct PlaneRay {
+    inv: vec3f,
+    // The slab's constant without padding.
+    middle: vec3f,
+}
+
+const SMALLEST: f32 = 0x1p-126;
+
+fn plane_ray(ray: Ray) -> PlaneRay {
+    return PlaneRay(ray.inv, (ray.near + ray.far) * 0.5);
+}
+
+fn distance_to(line: PlaneRay, axis: u32, position: f32) -> f32 {
+    return fma(position, line.inv[axis], line.middle[axis]);
+}
+
+// Distances to three planes, one for each axis; `beyond` for those that are at infinity.
+fn distances_to(line: PlaneRay, positions: vec3f, beyond: f32) -> vec3f {
+    let t = fma(positions, line.inv, line.middle);
+    return select(t, vec3f(beyond), abs(positions) >= vec3f(FAR));
+}
+
+// The next number after x. FAR has none; numbers too small for all GPUs are skipped.
+fn just_after(x: f32) -> f32 {
+    if abs(x) < SMALLEST {
+        return SMALLEST;
+    }
+    if x >= FAR {
+        return FAR;
+    }
+    let bits = bitcast<u32>(x);
+    return bitcast<f32>(select(bits + 1u, bits - 1u, x < 0.0));
+}
+
+// The part of a ray in which it can hit anything: t_in <= t < t_out. A hit lies in its triangle's
+// interval, so in that of the scene's box.
+fn searched_part(ray: Ray, low: vec3f, high: vec3f) -> Interval {
+    let part = box_interval(ray, low, high);
+    return Interval(max(part.t_in, ray.t_min), just_after(min(part.t_out, ray.t_max)));
+}
