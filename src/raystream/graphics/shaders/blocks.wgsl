@@ -22,11 +22,6 @@ fn block_prim_id(block: u32, lane: u32) -> i32 {
     return bitcast<i32>(blocks[block * BLOCK_ROWS + 9u][lane]);
 }
 
-// Blocks that so many triangles fill.
-fn block_count(triangle_count: u32) -> u32 {
-    return (triangle_count + BLOCK_SIZE - 1u) / BLOCK_SIZE;
-}
-
 // Test four triangles of a leaf, and offer their hits with t_in <= t < t_out: others are another
 // leaf's.
 fn intersect_block(ray: Ray, block: u32, t_in: f32, t_out: f32) {
@@ -39,5 +34,18 @@ fn intersect_block(ray: Ray, block: u32, t_in: f32, t_out: f32) {
         if hit.is_hit && hit.t >= t_in && hit.t < t_out && hit.t <= found.t_far {
             offer(hit, prim_id);
         }
+    }
+}
+
+// Test so many triangles, a block after the other, and count them.
+fn test_blocks(ray: Ray, first: u32, triangle_count: u32, t_in: f32, t_out: f32) {
+    var block = first;
+    var left = triangle_count;
+    while left != 0u && !is_enough() && spend() {
+        let count = min(left, BLOCK_SIZE);
+        tally.tests += count;
+        intersect_block(ray, block, t_in, t_out);
+        block += 1u;
+        left -= count;
     }
 }

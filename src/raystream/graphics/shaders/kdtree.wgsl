@@ -18,22 +18,6 @@ struct Tree {
 //! include "kdtree/steps.wgsl"
 //! include "kdtree/stack.wgsl"
 
-// Test the triangles of a leaf, a block at a time.
-fn test_leaf(ray: Ray, triangles: KdLeaf, state: KdState) {
-    var block = triangles.block;
-    var left = triangles.triangle_count;
-    while left != 0u && spend() {
-        let count = min(left, BLOCK_SIZE);
-        tally.tests += count;
-        intersect_block(ray, block, state.t_in, state.t_out);
-        if is_enough() {
-            return;
-        }
-        block += 1u;
-        left -= count;
-    }
-}
-
 fn search(ray: Ray) {
     var state = initialize(ray);
     if !is_active(state) {
@@ -46,7 +30,8 @@ fn search(ray: Ray) {
             tally.steps += 1u;
         }
         tally.leaves += 1u;
-        test_leaf(ray, leaf(state), state);
+        let triangles = leaf(state);
+        test_blocks(ray, triangles.block, triangles.triangle_count, state.t_in, state.t_out);
         // Hits in leaves to come are not before this one's end.
         if is_past(state.t_out) || state.t_out >= state.t_end {
             return;

@@ -32,6 +32,11 @@ fn to_frame(kz: u32, v: vec3f) -> vec3f {
     return select(select(v, v.zxy, kz == 1u), v.yzx, kz == 0u);
 }
 
+// A vector in the order of the frame, in world order.
+fn from_frame(kz: u32, v: vec3f) -> vec3f {
+    return select(select(v, v.yzx, kz == 1u), v.zxy, kz == 0u);
+}
+
 // |size| with the sign of x, that of -0, too: a ray along -0 goes down.
 fn with_sign(size: f32, x: f32) -> f32 {
     return bitcast<f32>(bitcast<u32>(abs(size)) | (bitcast<u32>(x) & 0x80000000u));

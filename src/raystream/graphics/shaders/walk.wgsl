@@ -33,11 +33,6 @@ struct Walk {
     t_after: vec3f,
 }
 
-// A vector in the order of the frame, in world order.
-fn from_frame(kz: u32, v: vec3f) -> vec3f {
-    return select(select(v, v.yzx, kz == 1u), v.zxy, kz == 0u);
-}
-
 fn distance_of(number: vec3f, lattice: Lattice, line: Line) -> vec3f {
     return fma(fma(number, lattice.size, lattice.low), line.inv, line.middle);
 }

@@ -120,6 +120,11 @@ class Graph(Structure):
         )
 
     @property
+    def rows(self) -> NDArray[np.uint32]:
+        """The graph's rows as rays take them: planes without a sector behind are at infinity."""
+        return self._rows
+
+    @property
     def arrays(self) -> GraphAddresses:
         """Where the graph is; the structure keeps it."""
         return self._addresses
