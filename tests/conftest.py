@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,10 @@ import raystream as rs
 
 MULTIPASS = {"machine": "multipass"}
 
-#: Every way to trace: structure and the options of its tracer. A new structure, machine or
-#: device gets its line here, and is then compared with brute force in every query.
+GRAPHICS = {"device": "graphics"}
+
+#: Every way to trace on the CPU: structure and the options of its tracer. A new structure or
+#: machine gets its line here, and is then compared with brute force in every query: by its bits.
 TRACERS = {
     "brute": {"structure": "brute"},
     "bvh": {"structure": "bvh"},
@@ -122,10 +125,51 @@ TRACERS = {
 }
 
 
+#: The same on graphics devices, where t, u and v are compared with a tolerance.
+GRAPHICS_TRACERS = {
+    "brute, graphics": {"structure": "brute", **GRAPHICS},
+    "grid, graphics": {"structure": "grid", **GRAPHICS},
+    "grid, two levels, graphics": {
+        "structure": "grid",
+        "resolution": (2, 3, 2),
+        "levels": 2,
+        **GRAPHICS,
+    },
+}
+
+
 @pytest.fixture(params=TRACERS)
 def make_tracer(request):
-    """Make a tracer for a scene, once for each structure, machine and device."""
+    """Make a tracer for a scene on the CPU, once for each structure and machine."""
     return lambda scene: rs.Tracer(scene, **TRACERS[request.param])
+
+
+@pytest.fixture(params=[*TRACERS, *GRAPHICS_TRACERS])
+def make_tracer_anywhere(request):
+    """Make a tracer for a scene, once for each structure, machine and device."""
+    if request.param in GRAPHICS_TRACERS:
+        skip_without_adapter()
+        return lambda scene: rs.Tracer(scene, **GRAPHICS_TRACERS[request.param])
+    return lambda scene: rs.Tracer(scene, **TRACERS[request.param])
+
+
+@cache
+def reason_against_graphics() -> str:
+    """Why no graphics device can be opened here, in a line; nothing if one can."""
+    from raystream.graphics.adapters import choose_adapter
+    from raystream.graphics.errors import GraphicsError
+
+    try:
+        choose_adapter(os.environ.get("RAYSTREAM_ADAPTER", ""))
+    except GraphicsError as error:
+        return str(error)
+    return ""
+
+
+def skip_without_adapter() -> None:
+    """Skip the test that asks, with the reason, where wgpu or an adapter is missing."""
+    if reason := reason_against_graphics():
+        pytest.skip(reason)
 
 
 @pytest.fixture

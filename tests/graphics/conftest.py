@@ -1,16 +1,23 @@
-"""A graphics device for tests; they skip where there is none."""
+"""A device to test with; where wgpu or an adapter is missing, tests that need one skip."""
 
 from __future__ import annotations
 
 import pytest
 
+from conftest import skip_without_adapter
+from raystream.graphics.adapters import OpenDevice, open_device
 
-@pytest.fixture(scope="session")
-def opened():
-    """The device that tracers take."""
-    pytest.importorskip("wgpu", reason="needs wgpu: pip install 'raystream[graphics]'")
-    from raystream.graphics.adapters import adapters, open_device
 
-    if not adapters():
-        pytest.skip("needs a Vulkan, Metal or Direct3D 12 adapter; Mesa has one in software")
+@pytest.fixture
+def opened() -> OpenDevice:
+    """The device that tracers use."""
+    skip_without_adapter()
+    return open_device()
+
+
+@pytest.fixture
+def fresh(monkeypatch) -> OpenDevice:
+    """A device that nothing was made on, and that may be lost: tracers of this test use it."""
+    skip_without_adapter()
+    monkeypatch.setattr("raystream.graphics.adapters._OPEN", {})
     return open_device()

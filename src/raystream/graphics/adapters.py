@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import importlib
 import os
 import tempfile
+import threading
 from typing import Any, NamedTuple
 
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["ADAPTER_VARIABLE", "Adapter", "OpenDevice", "adapters", "open_device"]
+__all__ = ["ADAPTER_VARIABLE", "Adapter", "OpenDevice", "adapters", "choose_adapter", "open_device"]
 
 #: Names an adapter that is to be taken: a part of its name.
 ADAPTER_VARIABLE = "RAYSTREAM_ADAPTER"
@@ -31,6 +31,9 @@ _LIMITS = (
     "max-color-attachments",
     "max-color-attachment-bytes-per-sample",
 )
+
+#: A device that makes no buffer of this size is lost.
+_PROBE_BYTES = 16
 
 _NO_WGPU = "device 'graphics': needs wgpu; install it with: pip install 'raystream[graphics]'"
 
@@ -78,12 +81,25 @@ class OpenDevice:
     device : GPUDevice
     limits : dict of str to int
         The device's, by wgpu's names.
+    is_known_lost : bool
+        Whether the device was found to be lost.
     """
 
     def __init__(self, adapter: Adapter, device: Any) -> None:
         self.adapter = adapter
         self.device = device
         self.limits: dict[str, int] = dict(device.limits)
+        self.is_known_lost = False
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the device is gone, because its driver was reset, say: it never comes back."""
+        if not self.is_known_lost:
+            try:
+                self.device.create_buffer(size=_PROBE_BYTES, usage=_wgpu().BufferUsage.COPY_DST)
+            except Exception:  # of any kind: a device that has not even this much is of no use
+                self.is_known_lost = True
+        return self.is_known_lost
 
 
 def _wgpu() -> Any:
@@ -91,6 +107,8 @@ def _wgpu() -> Any:
         return importlib.import_module("wgpu")
     except ImportError as error:
         raise GraphicsError(_NO_WGPU) from error
+    except Exception as error:  # its own library is missing, or made for another machine
+        raise GraphicsError(f"device 'graphics': wgpu cannot be used: {error}") from error
 
 
 def adapters() -> list[Adapter]:
@@ -124,8 +142,13 @@ def adapters() -> list[Adapter]:
     return sorted(found, key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else 3)
 
 
+#: Devices by the name that was asked for, and who may open one.
+_OPEN: dict[str, OpenDevice] = {}
+_OPENING = threading.Lock()
+
+
 def open_device(name: str | None = None) -> OpenDevice:
-    """Open a device on an adapter; the same one each time.
+    """Open a device on an adapter; the same one each time, until it is lost.
 
     Parameters
     ----------
@@ -138,11 +161,21 @@ def open_device(name: str | None = None) -> OpenDevice:
     GraphicsError
         If there is no such adapter, or it gives no device.
     """
-    return _opened(name or os.environ.get(ADAPTER_VARIABLE) or "")
+    wanted = name or os.environ.get(ADAPTER_VARIABLE) or ""
+    with _OPENING:
+        if wanted not in _OPEN or _OPEN[wanted].is_lost:
+            _OPEN[wanted] = _open(choose_adapter(wanted))
+        return _OPEN[wanted]
 
 
-@functools.cache
-def _opened(name: str) -> OpenDevice:
+def choose_adapter(name: str = "") -> Adapter:
+    """The best adapter of those that have this in their name.
+
+    Raises
+    ------
+    GraphicsError
+        If there is none, or wgpu is not installed.
+    """
     found = adapters()
     if not found:
         raise GraphicsError(_NO_ADAPTER)
@@ -150,7 +183,10 @@ def _opened(name: str) -> OpenDevice:
     if not chosen:
         known = ", ".join(map(str, found))
         raise GraphicsError(f"adapter: none is called {name!r}; there are {known}")
-    adapter = chosen[0]
+    return chosen[0]
+
+
+def _open(adapter: Adapter) -> OpenDevice:
     offered = adapter.handle.limits
     wanted = {limit: offered[limit] for limit in _LIMITS if limit in offered}
     try:

@@ -58,7 +58,12 @@ class Buffer:
         byte_count = int(np.dtype(dtype).itemsize * np.prod(shape, dtype=np.int64))
         if byte_count == 0:
             return np.empty(shape, dtype)
-        memory = self._opened.device.queue.read_buffer(self.handle, 0, byte_count)
+        try:
+            memory = self._opened.device.queue.read_buffer(self.handle, 0, byte_count)
+        except Exception as error:  # wgpu wraps whatever a driver says
+            raise GraphicsError(
+                f"device 'graphics': {self._opened.adapter}: {self._name} cannot be read: {error}"
+            ) from error
         return np.frombuffer(memory, dtype).reshape(shape)
 
     @property

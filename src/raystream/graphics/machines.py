@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from raystream.graphics.adapters import open_device
+from raystream.graphics.guarding import guarded
 from raystream.machines.counting import Counting
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
@@ -80,7 +81,9 @@ class _GraphicsMachines:
     ) -> BatchQueries | Counting:
         """Make a machine for a structure that was built on the CPU."""
         rest = dict(options)
-        made = _MAKERS[machine](structure, rest.pop("adapter", None), **rest)
+        adapter = rest.pop("adapter", None)
+        with guarded(open_device(adapter)):
+            made = _MAKERS[machine](structure, adapter, **rest)
         return Counting(made) if counters else made
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import Form, form_of
+from raystream.graphics.guarding import guard_queries
 from raystream.graphics.records import ENDLESS, Query, unpack_rows, without_repeats
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitArrays
@@ -33,6 +34,7 @@ _MOST_HITS = 2**32 - 2
 _ROWS_AT_ONCE = 1 << 22
 
 
+@guard_queries
 class GraphicsQueries(BatchQueries):
     """The four queries, for a machine that traces some rays at a time.
 

@@ -1,0 +1,95 @@
+"""Whatever goes wrong on a graphics device becomes one GraphicsError of the query."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import logging
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.errors import GraphicsError
+from raystream.structures.batches import BatchQueries
+
+__all__ = ["guard_queries", "guarded"]
+
+QueriesType = TypeVar("QueriesType", bound=type[BatchQueries])
+
+_QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
+
+#: Functions of wgpu that log what no call can raise: errors between calls, and a loss.
+_REPORTERS = ("log_error", "device_lost_callback")
+
+
+@contextlib.contextmanager
+def guarded(opened: OpenDevice) -> Iterator[None]:
+    """Turn what goes wrong on a device meanwhile into `GraphicsError`.
+
+    What wgpu raises, and what it would print because it happened between two calls. After the
+    loss of the device every query says so, until there is a new tracer.
+
+    Raises
+    ------
+    GraphicsError
+        As soon as the block ends; at once if the device was lost before.
+    """
+    import wgpu
+
+    if opened.is_known_lost:
+        raise GraphicsError(_loss_of(opened))
+    with _listening() as reports:
+        try:
+            yield
+        except (wgpu.GPUError, GraphicsError) as error:
+            if opened.is_lost:
+                raise GraphicsError(_loss_of(opened)) from error
+            if isinstance(error, GraphicsError):
+                raise
+            raise GraphicsError(f"device 'graphics': {opened.adapter}: {error}") from error
+    if reports:
+        if opened.is_lost:
+            raise GraphicsError(_loss_of(opened))
+        raise GraphicsError(f"device 'graphics': {opened.adapter}: {reports[0]}")
+
+
+def guard_queries(machine: QueriesType) -> QueriesType:
+    """Guard all queries of a machine, a class with the attribute ``opened``."""
+    for name in _QUERIES:
+        setattr(machine, name, _guarded_query(getattr(machine, name)))
+    return machine
+
+
+def _guarded_query(query: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(query)
+    def ask(self: Any, *arguments: Any, **options: Any) -> Any:
+        with guarded(self.opened):
+            return query(self, *arguments, **options)
+
+    return ask
+
+
+def _loss_of(opened: OpenDevice) -> str:
+    return (
+        f"device 'graphics': {opened.adapter} was lost (its driver was reset, or the device was "
+        "destroyed); make a new tracer, or use device='cpu'"
+    )
+
+
+@contextlib.contextmanager
+def _listening() -> Iterator[list[str]]:
+    """Gather what wgpu reports of errors between calls, which is not printed then."""
+    reports: list[str] = []
+
+    def hear(record: logging.LogRecord) -> bool:
+        if record.levelno < logging.ERROR or record.funcName not in _REPORTERS:
+            return True
+        reports.append(record.getMessage())
+        return False
+
+    logger = logging.getLogger("wgpu")
+    logger.addFilter(hear)
+    try:
+        yield reports
+    finally:
+        logger.removeFilter(hear)
