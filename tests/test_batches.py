@@ -136,9 +136,9 @@ def test_rays_are_sorted_in_parts(monkeypatch, rng):
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_limit_of_minus_zero_is_zero(make_tracer, dtype):
+def test_a_limit_of_minus_zero_is_zero(make_tracer_anywhere, dtype):
     scene = rs.Scene.from_arrays([[0, 0, 0], [0, 1, 0], [1, 0, 0]], [[0, 1, 2]])
-    tracer = make_tracer(scene)
+    tracer = make_tracer_anywhere(scene)
     origins, directions = np.zeros((40, 3), dtype), np.tile(np.array([0, 0, 1], dtype), (40, 1))
     for limits in ({"t_max": -0.0}, {"t_min": -0.0}, {"t_min": -0.0, "t_max": -0.0}):
         assert (tracer.first_hit(origins, directions, **limits).t == 0.0).all()

@@ -35,7 +35,12 @@ ROOMS = (
 EXEMPT = ("__init__", "__main__", "_version")
 
 #: Who may import these packages of others; anyone may import the rest.
-RESERVED = {"numba": {"jit"}, "llvmlite": {"jit"}, "numba_cuda": {"jit"}}
+RESERVED = {
+    "numba": {"jit"},
+    "llvmlite": {"jit"},
+    "numba_cuda": {"jit"},
+    "wgpu": {"graphics"},
+}
 
 #: The stream programming model knows nothing of rays: of the rooms before it, only these.
 STREAMS_MAY_IMPORT = ("raystream.core.errors", "raystream.jit")
@@ -151,6 +156,7 @@ def plant(root: Path, place: str, text: str) -> Path:
         ("kernels/slab.py", "from raystream import load", "not a room"),
         ("kernels/slab.py", "import numba", "imports numba"),
         ("kernels/slab.py", "def f():\n    from numba.core import types", "imports numba"),
+        ("cli/info.py", "def f():\n    import wgpu.enums", "imports wgpu"),
         ("streams/kernel.py", "from raystream.core.rays import Rays", "nothing of rays"),
         ("streams/kernel.py", "from raystream.scene import Scene", "nothing of rays"),
         ("shaders/slab.py", "", "shaders is not a room"),
@@ -181,6 +187,7 @@ def test_room_without_docstring_is_found(tmp_path: Path, place: str) -> None:
         ("streams/kernel.py", "from raystream.jit.cpu import kernel"),
         ("streams/kernel.py", "from raystream.core.errors import RaystreamError"),
         ("jit/cpu.py", "import numba"),
+        ("graphics/buffers.py", "def f():\n    import wgpu"),
         ("__init__.py", "from raystream.cli import main"),
         ("cli.py", "import numbers, numpy"),
     ],

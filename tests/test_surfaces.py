@@ -36,11 +36,11 @@ def test_a_sphere_is_crossed_twice(name):
         assert set(np.unique(counts)) <= set(allowed)
 
 
-def test_fifty_layers_a_millionth_apart(make_tracer):
+def test_fifty_layers_a_millionth_apart(make_tracer_anywhere):
     corners = np.zeros((50, 3, 3))
     corners[:, 1, 0] = corners[:, 2, 1] = 1.0
     corners[:, :, 2] = 1e-6 * np.arange(50)[:, None]
-    tracer = make_tracer(
+    tracer = make_tracer_anywhere(
         rs.Scene.from_arrays(corners.reshape(-1, 3), np.arange(150).reshape(-1, 3))
     )
     origins = [[0.25, 0.25, -1e-5], [0.25, 0.25, 1e-4]]

@@ -66,13 +66,13 @@ def test_a_hundred_deformations(quality, max_cost_growth, rng):
     assert seen == {0.0: {True}, 1.5: {False, True}, np.inf: {False}}[max_cost_growth]
 
 
-def test_every_structure_can_be_updated(make_tracer, rng):
+def test_every_structure_can_be_updated(make_tracer_anywhere, rng):
     vertices, faces = soup(120, 4)
-    tracer = make_tracer(rs.Scene.from_arrays(vertices, faces))
+    tracer = make_tracer_anywhere(rs.Scene.from_arrays(vertices, faces))
     for _ in range(4):
         vertices = deformed(vertices, rng)
         tracer.update(vertices.astype(np.float32))
-        assert tracer.structure.options == make_tracer(tracer.scene).structure.options
+        assert tracer.structure.options == make_tracer_anywhere(tracer.scene).structure.options
         assert_same_answers(tracer, in_the_frame_of(tracer), rays_at(vertices, rng))
 
 

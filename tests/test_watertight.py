@@ -74,10 +74,10 @@ def test_a_dented_mesh_is_crossed_an_even_number_of_times_from_outside(structure
     np.testing.assert_array_equal(many.counts, counts)
 
 
-def test_crossings_along_a_cube_s_edges_and_diagonals_exactly(make_tracer):
+def test_crossings_along_a_cube_s_edges_and_diagonals_exactly(make_tracer_anywhere):
     """Integer arithmetic all the way: each ray passes exactly through edges or corners."""
     vertices, faces = cube()
-    tracer = make_tracer(rs.Scene.from_arrays(vertices, faces))
+    tracer = make_tracer_anywhere(rs.Scene.from_arrays(vertices, faces))
     corners = vertices
     directions = np.array(
         [

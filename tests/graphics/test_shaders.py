@@ -1,0 +1,113 @@
+"""The shaders' files: all are used, all are compiled, and none is longer than one idea."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import GRAPHICS_TRACERS
+from meshes import soup
+from raystream.graphics import source
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.source import shader_source
+
+ROOM = Path(source.__file__).parent
+SHADERS = ROOM / "shaders"
+FILES = {path.relative_to(SHADERS).as_posix(): path for path in SHADERS.rglob("*.wgsl")}
+
+MAX_LINES = 400
+
+#: The comment that `shader_source` begins each file with.
+BEGINNING = re.compile(r"^// ([a-z0-9_/]+\.wgsl)$", re.MULTILINE)
+
+
+#: Files that are in the shaders of no tracer of `GRAPHICS_TRACERS`.
+NOT_TRACED = {"no_rows.wgsl"}
+
+
+def text_of(name: str) -> str:
+    return FILES[name].read_text(encoding="utf-8")
+
+
+def test_no_file_is_longer_than_one_idea():
+    assert FILES
+    counts = {name: len(text_of(name).splitlines()) for name in FILES}
+    assert not {name: count for name, count in counts.items() if count > MAX_LINES}
+
+
+def test_every_file_says_what_it_holds():
+    silent = [name for name in FILES if not re.match(r"// [A-Z0-9].{10,}\n", text_of(name))]
+    assert not silent
+
+
+def test_every_include_is_there_and_every_file_is_used():
+    """Included by another file, or named by a module."""
+    included = {one for name in FILES for one in source._INCLUDE.findall(text_of(name))}
+    named = {
+        name
+        for path in ROOM.rglob("*.py")
+        for name in re.findall(r'"([a-z0-9_/]+\.wgsl)"', path.read_text(encoding="utf-8"))
+    }
+    assert included | named | NOT_TRACED == set(FILES)
+    # What looks like an include is one: a slip would be a comment.
+    for name in FILES:
+        assert text_of(name).count("include ") == len(source._INCLUDE.findall(text_of(name)))
+
+
+def test_a_file_is_included_once_and_can_be_replaced():
+    whole = shader_source("compute.wgsl", "brute.wgsl", "exact.wgsl")
+    names = BEGINNING.findall(whole)
+    assert len(names) == len(set(names))
+    assert {"compute.wgsl", "brute.wgsl", "exact.wgsl", "corners.wgsl", "heap.wgsl"} <= set(names)
+    assert "//! include" not in whole
+    other = shader_source("compute.wgsl", "brute.wgsl", instead={"heap.wgsl": "no_rows.wgsl"})
+    assert "heap.wgsl" not in BEGINNING.findall(other)
+    assert "no_rows.wgsl" in BEGINNING.findall(other)
+
+
+def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
+    """All queries of all tracers: whatever is not in their shaders is in nobody's."""
+    made = type(fresh.device).create_shader_module
+    compiled: set[str] = set()
+
+    def note(self, *, code, **options):
+        compiled.update(BEGINNING.findall(code))
+        return made(self, code=code, **options)
+
+    monkeypatch.setattr(type(fresh.device), "create_shader_module", note)
+    scene = rs.Scene.from_arrays(*soup(20, 1))
+    rays = {"origins": np.full((5, 3), 0.5), "directions": np.eye(5, 3) + 0.1}
+    for options in GRAPHICS_TRACERS.values():
+        tracer = rs.Tracer(scene, **options)
+        assert tracer.any_hit(**rays).tolist() == (tracer.count_hits(**rays) > 0).tolist()
+        first, every = tracer.first_hit(**rays), tracer.multi_hit(**rays, crossings="surfaces")
+        assert first.is_hit.tolist() == (every.counts > 0).tolist()
+    assert compiled == set(FILES) - NOT_TRACED
+
+
+@pytest.mark.parametrize(
+    ("name", "broken"),
+    [
+        ("brute.wgsl", "fn search(ray: Ray) { let x: u32 = 1.5; }"),
+        ("brute.wgsl", "fn search("),
+        ("compute.wgsl", "fn nothing() {}"),  # no entry point
+    ],
+)
+def test_a_shader_that_does_not_compile_is_one_error(fresh, monkeypatch, name, broken):
+    text = source._text_of
+    monkeypatch.setattr(
+        source, "_text_of", lambda one: text(one) + broken if one == name else text(one)
+    )
+    if name == "compute.wgsl":
+        monkeypatch.setattr(source, "_text_of", lambda one: broken if one == name else text(one))
+    scene = rs.Scene.from_arrays(*soup(20, 1))
+    with pytest.raises(GraphicsError, match=r"shader brute, FIRST_HIT: (does not|gives no)"):
+        rs.Tracer(scene, "brute", "graphics")
+    # The device is none the worse for it, nor is the CPU.
+    monkeypatch.setattr(source, "_text_of", text)
+    for device in ("graphics", "cpu"):
+        assert not rs.Tracer(scene, "brute", device).any_hit([9, 9, 9], [1, 0, 0])
