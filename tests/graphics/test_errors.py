@@ -90,7 +90,7 @@ def test_what_wgpu_would_print_is_an_error(opened, caplog):
 
 def test_what_wgpu_raises_is_an_error_of_the_query(fresh, scene, rays):
     tracer = rs.Tracer(scene, "brute", "graphics")
-    tracer._machine._arrays[0].handle.destroy()
+    tracer._machine._dispatches._arrays[0].handle.destroy()
     with pytest.raises(GraphicsError, match=r"(?s)device 'graphics': .*destroyed"):
         tracer.any_hit(**rays)
     assert not fresh.is_lost

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.endings import hit_counts
 from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
 from raystream.graphics.ray_textures import FRAME, RayTextures
 from raystream.graphics.records import Query
@@ -39,6 +40,8 @@ class Branching(GraphicsQueries):
         If there are no shaders for the structure, they do not compile, or it is too large for
         the device.
     """
+
+    is_paced = True
 
     def __init__(
         self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
@@ -78,8 +81,8 @@ class Branching(GraphicsQueries):
         run.draw(3)
         run.end()
         device.queue.submit([encoder.finish()])
-        counts: NDArray[np.uint32] = textures.state.read(len(wanted))[:, 1]
-        self._check_ended(counts)
+        endings = textures.state.read(len(wanted))[:, 1]
+        counts = hit_counts(endings, self._form, self.opened)
         if tallies is not None:
             tallies[chunk] += textures.read_tallies()
         return counts

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["Buffer", "uniform", "upload"]
+__all__ = ["Buffer", "ReadBack", "uniform", "upload"]
 
 #: A binding holds at least one element, of at most so many bytes, and whole words.
 _LEAST_BYTES = 64
@@ -44,7 +45,7 @@ class Buffer:
         if wanted <= self._byte_count:
             return False
         check_size(self._opened, self._name, wanted)
-        self.handle = _new_buffer(self._opened, wanted, self._name)
+        self.handle = _new_buffer(self._opened, wanted, self._name, _storage())
         self._byte_count = wanted
         return True
 
@@ -70,6 +71,59 @@ class Buffer:
     def binding(self) -> dict[str, Any]:
         """As a resource of a bind group."""
         return {"buffer": self.handle, "offset": 0, "size": self._byte_count}
+
+
+class ReadBack:
+    """Brings what a device has computed back, a few buffers at a time.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    """
+
+    def __init__(self, opened: OpenDevice) -> None:
+        self._opened = opened
+        self._memory: Any = None
+
+    def read(self, encoder: Any, parts: Sequence[tuple[Buffer, int]]) -> list[NDArray[np.uint8]]:
+        """Run what was encoded, and copy the beginnings of buffers when it is done.
+
+        Parameters
+        ----------
+        encoder : GPUCommandEncoder
+            Is finished.
+        parts : sequence of (Buffer, int)
+            Buffers and how many bytes of each: multiples of 4.
+
+        Returns
+        -------
+        list of ndarray of uint8
+        """
+        sizes = [size for _, size in parts]
+        offsets = [0, *itertools.accumulate(-(-size // 8) * 8 for size in sizes)]
+        memory = self._with_room(offsets[-1])
+        for (buffer, size), offset in zip(parts, offsets, strict=False):
+            if size:
+                encoder.copy_buffer_to_buffer(buffer.handle, 0, memory, offset, size)
+        self._opened.device.queue.submit([encoder.finish()])
+        self._memory = None  # lost, if an interrupt comes while it is waited for
+        memory.map_sync("READ", 0, offsets[-1])
+        mapped = np.frombuffer(memory.read_mapped(copy=False), np.uint8)
+        copies = [
+            mapped[offset : offset + size].copy()
+            for size, offset in zip(sizes, offsets, strict=False)
+        ]
+        memory.unmap()
+        self._memory = memory
+        return copies
+
+    def _with_room(self, byte_count: int) -> Any:
+        import wgpu
+
+        if self._memory is None or self._memory.size < byte_count:
+            usage = wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
+            self._memory = _new_buffer(self._opened, byte_count, "results", usage)
+        return self._memory
 
 
 def check_size(opened: OpenDevice, name: str, byte_count: int) -> None:
@@ -103,10 +157,13 @@ def uniform(opened: OpenDevice, content: bytes) -> Any:
     )
 
 
-def _new_buffer(opened: OpenDevice, byte_count: int, name: str) -> Any:
+def _storage() -> int:
     import wgpu
 
-    usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
+    return wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
+
+
+def _new_buffer(opened: OpenDevice, byte_count: int, name: str, usage: int) -> Any:
     try:
         return opened.device.create_buffer(size=-(-byte_count // 16) * 16, usage=usage)
     except Exception as error:  # wgpu wraps whatever a driver says

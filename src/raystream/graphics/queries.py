@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import operator
+import time
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import Form, form_of
 from raystream.graphics.guarding import guard_queries
-from raystream.graphics.records import ENDLESS, Query, unpack_rows, without_repeats
+from raystream.graphics.pace import Pace
+from raystream.graphics.records import MOST_HITS, Query, unpack_rows, without_repeats
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.local_ray import SceneFrame
@@ -24,11 +25,8 @@ from raystream.structures.batches import BatchQueries
 
 __all__ = ["RAYS_AT_ONCE", "GraphicsQueries"]
 
-#: Rays that a dispatch or a draw gets: a driver may take long ones for hung, and Ctrl-C waits.
+#: Most rays that a dispatch or a draw gets; see `pace` for how many it should get.
 RAYS_AT_ONCE = 1 << 18
-
-#: Hits of a ray that can be counted.
-_MOST_HITS = 2**32 - 2
 
 #: Rows of hits that may be written at once; a ray with more is traced by itself.
 _ROWS_AT_ONCE = 1 << 22
@@ -46,11 +44,18 @@ class GraphicsQueries(BatchQueries):
     rays_at_once : int
         Most rays that are traced together.
 
+    Attributes
+    ----------
+    is_paced : bool
+        Whether fewer rays are traced together where they take long.
+
     Raises
     ------
     GraphicsError
         If there are no shaders for the structure.
     """
+
+    is_paced: ClassVar[bool] = False
 
     def __init__(self, structure: Structure, opened: OpenDevice, rays_at_once: int) -> None:
         self.structure = structure
@@ -59,6 +64,7 @@ class GraphicsQueries(BatchQueries):
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
         self._form: Form = form_of(structure)
+        self._paces: dict[Query, Pace] = {}
 
     @abstractmethod
     def _run(
@@ -71,7 +77,7 @@ class GraphicsQueries(BatchQueries):
         row_count: int,
         tallies: NDArray[np.uint32] | None,
     ) -> NDArray[np.uint32]:
-        """Trace some rays; returns how many hits each has, or `ENDLESS`.
+        """Trace some rays; returns how many hits each has.
 
         Parameters
         ----------
@@ -92,13 +98,38 @@ class GraphicsQueries(BatchQueries):
     def _rows(self, count: int) -> NDArray[Any]:
         """What the latest `_run` has found: `records.ROW` of each row."""
 
-    def _check_ended(self, counts: NDArray[np.uint32]) -> None:
-        """Raise GraphicsError if the search of a ray did not end."""
-        if (counts == ENDLESS).any():
-            raise GraphicsError(
-                f"device 'graphics': the search of {int((counts == ENDLESS).sum()):,} rays in "
-                f"{self._form.name!r} took more than {self._form.budget:,} steps and tests"
-            )
+    def _asked(
+        self,
+        query: Query,
+        surfaces: bool,
+        rays: LocalRays,
+        chunk: slice,
+        wanted: NDArray[np.uint32],
+        row_count: int,
+        tallies: NDArray[np.uint32] | None,
+    ) -> NDArray[np.uint32]:
+        """As `_run`, noting how long it takes."""
+        began = time.perf_counter()
+        counts = self._run(query, surfaces, rays, chunk, wanted, row_count, tallies)
+        self._pace(query).took(len(wanted), time.perf_counter() - began)
+        return counts
+
+    def _pace(self, query: Query) -> Pace:
+        return self._paces.setdefault(query, Pace(self.rays_at_once))
+
+    def _chunks(
+        self, query: Query, count: int, splits: NDArray[np.int64] | None = None
+    ) -> Iterator[slice]:
+        """Rays that are traced together; or one ray that alone has too many rows."""
+        begin = 0
+        while begin < count:
+            size = self._pace(query).size if self.is_paced else self.rays_at_once
+            end = min(begin + size, count)
+            if splits is not None:
+                fits = int(np.searchsorted(splits, splits[begin] + _ROWS_AT_ONCE, "right")) - 1
+                end = min(end, max(fits, begin + 1))
+            yield slice(begin, end)
+            begin = end
 
     @property
     def frame(self) -> SceneFrame:
@@ -114,10 +145,10 @@ class GraphicsQueries(BatchQueries):
     ) -> None:
         """Find the nearest hit of each ray; see `BatchQueries.first_hit`."""
         count = len(rays.t_min)
-        for chunk in _chunks(count, self.rays_at_once):
+        for chunk in self._chunks(Query.FIRST_HIT, count):
             wanted = np.ones((chunk.stop - chunk.start, 2), np.uint32)
             wanted[:, 0] = np.arange(len(wanted))
-            self._run(Query.FIRST_HIT, False, rays, chunk, wanted, len(wanted), tallies)
+            self._asked(Query.FIRST_HIT, False, rays, chunk, wanted, len(wanted), tallies)
             unpack_rows(self._rows(len(wanted)), out.part(chunk))
             if progress:
                 progress(chunk.stop, count)
@@ -167,7 +198,7 @@ class GraphicsQueries(BatchQueries):
                 if progress:
                     progress(chunk.stop, count)
             return
-        for chunk in _chunks_of_rows(splits, self.rays_at_once):
+        for chunk in self._chunks(Query.MULTI_HIT, len(splits) - 1, splits):
             own = splits[chunk.start : chunk.stop + 1]
             rows = self._keep(rays, chunk, surfaces, own - own[0], tallies)
             unpack_rows(rows, out.part(slice(own[0], own[-1])))
@@ -185,10 +216,10 @@ class GraphicsQueries(BatchQueries):
     ) -> NDArray[np.int64]:
         count = len(rays.t_min)
         counts = np.empty(count, np.int64)
-        for chunk in _chunks(count, self.rays_at_once):
+        for chunk in self._chunks(query, count):
             wanted = np.zeros((chunk.stop - chunk.start, 2), np.uint32)
-            wanted[:, 1] = min(limit, _MOST_HITS)
-            counts[chunk] = self._run(query, surfaces, rays, chunk, wanted, 0, tallies)
+            wanted[:, 1] = min(limit, MOST_HITS)
+            counts[chunk] = self._asked(query, surfaces, rays, chunk, wanted, 0, tallies)
             if progress:
                 progress(chunk.stop, count)
         return counts
@@ -199,7 +230,7 @@ class GraphicsQueries(BatchQueries):
         """All hits where a search may meet a triangle twice: rays, their splits, and rows."""
         counts = self._count(Query.COUNT_HITS, rays, surfaces, UNLIMITED, None, tallies)
         splits = np.concatenate([[0], np.cumsum(counts)])
-        for chunk in _chunks_of_rows(splits, self.rays_at_once):
+        for chunk in self._chunks(Query.MULTI_HIT, len(splits) - 1, splits):
             own = splits[chunk.start : chunk.stop + 1] - splits[chunk.start]
             rows = self._keep(rays, chunk, surfaces, own, None)
             yield (chunk, *without_repeats(rows, own))
@@ -214,23 +245,8 @@ class GraphicsQueries(BatchQueries):
     ) -> NDArray[Any]:
         """Rows of the nearest hits of some rays, of which ray i wants splits[i] to splits[i+1]."""
         wanted = np.column_stack([splits[:-1], np.diff(splits)]).astype(np.uint32)
-        self._run(Query.MULTI_HIT, surfaces, rays, chunk, wanted, int(splits[-1]), tallies)
+        self._asked(Query.MULTI_HIT, surfaces, rays, chunk, wanted, int(splits[-1]), tallies)
         return self._rows(int(splits[-1]))
-
-
-def _chunks(count: int, size: int) -> Iterator[slice]:
-    for begin in range(0, count, size):
-        yield slice(begin, min(begin + size, count))
-
-
-def _chunks_of_rows(splits: NDArray[np.int64], size: int) -> Iterator[slice]:
-    """Rays that together have so many rows at most; or one that alone has more."""
-    begin, count = 0, len(splits) - 1
-    while begin < count:
-        end = int(np.searchsorted(splits, splits[begin] + _ROWS_AT_ONCE, "right")) - 1
-        end = min(max(end, begin + 1), begin + size, count)
-        yield slice(begin, end)
-        begin = end
 
 
 def _nearest(

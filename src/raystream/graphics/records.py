@@ -12,8 +12,11 @@ from raystream.kernels.collect import HitArrays
 from raystream.kernels.queries import LocalRays
 
 __all__ = [
+    "CUT_SHORT",
     "ENDLESS",
     "FAR",
+    "MOST_HITS",
+    "NOT_RUN",
     "RAY_BYTES",
     "ROW",
     "Query",
@@ -25,8 +28,16 @@ __all__ = [
 #: Stands for infinity, which shaders need not have; see ray.wgsl.
 FAR = np.finfo(np.float32).max
 
-#: The count of a ray whose search did not end; see found.wgsl.
+#: How a search ended that spent its budget, and one whose loops were left too early; see
+#: found.wgsl and loops.wgsl.
 ENDLESS = np.uint32(2**32 - 1)
+CUT_SHORT = np.uint32(2**32 - 2)
+
+#: How a search ended that has not ended: it did not run.
+NOT_RUN = np.uint32(0)
+
+#: Hits of a ray that can be counted, beside these.
+MOST_HITS = 2**32 - 4
 
 #: Bytes of a ray: two vectors of four float32.
 RAY_BYTES = 32

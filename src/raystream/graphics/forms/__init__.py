@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import brute, graph, grid, kdtree
+from raystream.graphics.forms import brute, bvh, graph, grid, kdtree
 from raystream.graphics.forms.base import Form
 from raystream.structures import Structure
 
@@ -15,6 +15,7 @@ __all__ = ["FORMS", "Form", "form_of"]
 #: By the name of the structure.
 FORMS: dict[str, Callable[[Any], Form]] = {
     "brute": brute.form,
+    "bvh": bvh.form,
     "graph": graph.form,
     "grid": grid.form,
     "kdtree": kdtree.form,

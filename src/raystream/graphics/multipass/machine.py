@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.endings import hit_counts
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass.kernels import kernels_of
 from raystream.graphics.multipass.loops import (
@@ -178,12 +179,12 @@ class Multipass(GraphicsQueries):
         )
         self._loop(work)
         state = streams.rays.state.read(len(wanted))
-        hit_counts = np.where(state[:, 3] == 0, ENDLESS, state[:, 1])
-        self._check_ended(hit_counts)
+        endings = np.where(state[:, 3] == 0, ENDLESS, state[:, 1] + np.uint32(1))
+        found = hit_counts(endings, self._form, self.opened)
         if tallies is not None:
             tallies[chunk] += streams.rays.read_tallies()
             self._note_bound()
-        return hit_counts
+        return found
 
     def _rows(self, count: int) -> NDArray[Any]:
         return self._streams.rays.read_rows(self._latest, count)

@@ -10,17 +10,19 @@ struct Params {
     row_size: u32,
     // Steps and tests before a search counts as endless.
     budget: u32,
+    // Hits wanted of each ray, but for MULTI_HIT.
+    capacity: u32,
     @align(16) tree: Tree,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 // Origin and t_min, then direction and t_max, of each.
 @group(0) @binding(1) var<storage, read> rays: array<vec4f>;
-// Of each ray the first of its rows, and how many hits are wanted.
+// For MULTI_HIT: of each ray the first of its rows, and how many hits are wanted.
 @group(0) @binding(2) var<storage, read> wanted: array<vec2u>;
 @group(0) @binding(3) var<storage, read_write> rows: array<Row>;
-// Hits of each ray; ENDLESS if its budget was spent.
-@group(0) @binding(4) var<storage, read_write> counts: array<u32>;
+// How the search of each ray ended; 0 before it has.
+@group(0) @binding(4) var<storage, read_write> endings: array<u32>;
 @group(0) @binding(5) var<storage, read_write> tallies: array<Tally>;
 
 // Whether tallies are wanted.
@@ -32,6 +34,15 @@ override COUNTS: bool = false;
 //! include "found.wgsl"
 //! include "heap.wgsl"
 //! include "tally.wgsl"
+//! include "ending.wgsl"
+
+// The first of a ray's rows, and how many hits it wants.
+fn wish_of(i: u32) -> vec2u {
+    if QUERY == MULTI_HIT {
+        return wanted[i];
+    }
+    return vec2u(i, params.capacity);
+}
 
 @compute @workgroup_size(64)
 fn trace(@builtin(global_invocation_id) id: vec3u) {
@@ -42,8 +53,9 @@ fn trace(@builtin(global_invocation_id) id: vec3u) {
     let from_ = rays[2u * i];
     let to = rays[2u * i + 1u];
     let ray = set_up_ray(from_.xyz, to.xyz, from_.w, to.w);
-    begin_found(ray.t_max, wanted[i].x, wanted[i].y);
-    if ray.t_min <= ray.t_max {
+    let wish = wish_of(i);
+    begin_found(ray.t_max, wish.x, wish.y);
+    if ray.t_min <= ray.t_max && wish.y != 0u {
         search(ray);
     }
     if QUERY == FIRST_HIT {
@@ -51,8 +63,8 @@ fn trace(@builtin(global_invocation_id) id: vec3u) {
     } else if QUERY == MULTI_HIT {
         sort_rows();
     }
-    counts[i] = select(found.count, ENDLESS, found.budget == 0u);
     if COUNTS {
         tallies[i] = tally;
     }
+    endings[i] = ending();
 }

@@ -11,9 +11,6 @@ override SURFACES: bool = false;
 
 const MISS: i32 = -1;
 
-// For a count: the search did not end.
-const ENDLESS: u32 = 0xffffffffu;
-
 struct Found {
     // Hits beyond are not wanted.
     t_far: f32,

@@ -1,6 +1,7 @@
 // One fragment program with loops: a ray from start to end. Around a structure's search().
 
 //! include "fragment/frame.wgsl"
+//! include "ending.wgsl"
 
 @fragment
 fn trace(@builtin(position) position: vec4f) -> Texels {
@@ -20,9 +21,8 @@ fn trace(@builtin(position) position: vec4f) -> Texels {
         sort_rows();
     }
     add_tallies(number);
-    let count = select(found.count, ENDLESS, found.budget == 0u);
     return texels_of(
-        vec4u(0u, count, bitcast<u32>(found.prim_id), found.budget),
+        vec4u(0u, ending(), bitcast<u32>(found.prim_id), found.budget),
         vec4f(found.t, found.u, found.v, found.t_far),
         vec4u(),
         vec4f(),

@@ -1,0 +1,221 @@
+"""Dispatches: some rays at a time, traced by a compute shader."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.buffers import Buffer, ReadBack, uniform, upload
+from raystream.graphics.endings import hit_counts
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.forms.base import Form, numbers
+from raystream.graphics.pipelines import bind_group, compute_pipeline
+from raystream.graphics.records import RAY_BYTES, ROW, Query
+
+__all__ = ["Dispatches", "Found", "Task"]
+
+#: Invocations of a workgroup; see compute.wgsl.
+_GROUP_SIZE = 64
+
+#: Bytes of a ray's tally, and of the uniform before the structure's part.
+_TALLY_BYTES = 32
+_PARAMS_BYTES = 32
+
+#: The shared buffers, by their bindings from 1 on.
+_NAMES = ("rays", "wanted", "rows", "endings", "tallies")
+
+
+class Task(NamedTuple):
+    """What a shader is to do.
+
+    Attributes
+    ----------
+    query : Query
+    surfaces : bool
+        What a ray through an edge meets.
+    tallies : bool
+        Whether tallies are wanted.
+    """
+
+    query: Query
+    surfaces: bool = False
+    tallies: bool = False
+
+
+class Found(NamedTuple):
+    """What came back from a dispatch of N rays.
+
+    Attributes
+    ----------
+    counts : ndarray of shape (N,), uint32
+        Hits of each ray.
+    rows : ndarray of dtype `records.ROW`
+    tallies : ndarray of shape (N, 8), uint32
+        Empty if they were not wanted.
+    """
+
+    counts: NDArray[np.uint32]
+    rows: NDArray[Any]
+    tallies: NDArray[np.uint32]
+
+
+class Dispatches:
+    """Runs a structure's compute shaders.
+
+    Parameters
+    ----------
+    form : Form
+    opened : OpenDevice
+    extreme : float32
+        Largest absolute coordinate of the scene.
+
+    Raises
+    ------
+    GraphicsError
+        If the structure is too large for the device.
+    """
+
+    def __init__(self, form: Form, opened: OpenDevice, extreme: np.float32) -> None:
+        self._form = form
+        self._opened = opened
+        self._extreme = extreme
+        self._source = form.source("compute.wgsl")
+        names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
+        self._arrays = upload(opened, zip(names, form.arrays, strict=True))
+        self._buffers = {name: Buffer(opened, name) for name in _NAMES}
+        self._params = uniform(opened, bytes(_PARAMS_BYTES) + form.tree)
+        self._read_back = ReadBack(opened)
+        self._lock = threading.Lock()  # queries may come from several threads
+        self._groups: dict[Task, tuple[Any, Any]] = {}
+
+    def pipeline(self, task: Task) -> Any:
+        """Compile what a task needs, once.
+
+        Raises
+        ------
+        GraphicsError
+            If it does not compile.
+        """
+        constants = {
+            "QUERY": float(task.query),
+            "SURFACES": float(task.surfaces),
+            "COUNTS": float(task.tallies),
+            **self._form.constants,
+        }
+        name = f"{self._form.name}, {task.query.name}"
+        return compute_pipeline(self._opened, self._source, name, constants)
+
+    def run(
+        self,
+        task: Task,
+        rays: NDArray[np.float32],
+        capacity: int,
+        wanted: NDArray[np.uint32] | None = None,
+    ) -> Found:
+        """Trace some rays.
+
+        Parameters
+        ----------
+        task : Task
+        rays : ndarray of shape (N, 2, 4), float32
+            See `records.packed_rays`.
+        capacity : int
+            Hits that are wanted of each ray.
+        wanted : ndarray of shape (N, 2), uint32, optional
+            For MULTI_HIT: of each ray its first row, and how many hits it has and wants.
+
+        Raises
+        ------
+        GraphicsError
+            If the device is lost, or a search did not end as it should.
+        """
+        count = len(rays)
+        pipeline = self.pipeline(task)
+        row_count = 0
+        if task.query == Query.FIRST_HIT:
+            row_count = count
+        elif wanted is not None:
+            row_count = int(wanted[:, 1].sum(dtype=np.int64))
+        sizes = (
+            RAY_BYTES * count,
+            0 if wanted is None else wanted.nbytes,
+            ROW.itemsize * row_count,
+            4 * count,
+            _TALLY_BYTES * count * task.tallies,
+        )
+        with self._lock:
+            self._reserve(sizes)
+            try:
+                memory = self._dispatch(task, pipeline, rays, capacity, wanted, sizes[2:])
+            except Exception as error:  # wgpu wraps whatever a driver says
+                raise GraphicsError(
+                    f"device 'graphics': {self._opened.adapter} failed to trace {count:,} rays: "
+                    f"{error}"
+                ) from error
+        rows, endings, tallies = memory
+        found = Found(
+            hit_counts(endings.view(np.uint32), self._form, self._opened),
+            rows.view(ROW),
+            tallies.view(np.uint32).reshape(-1, _TALLY_BYTES // 4),
+        )
+        if wanted is not None and not np.array_equal(found.counts, wanted[:, 1]):
+            raise GraphicsError(
+                f"device 'graphics': {self._opened.adapter} found fewer hits than it had counted"
+            )
+        return found
+
+    def _reserve(self, sizes: tuple[int, ...]) -> None:
+        """Make room; what was bound to smaller buffers is no good any more."""
+        grown = [
+            self._buffers[name].reserve(size) for name, size in zip(_NAMES, sizes, strict=True)
+        ]
+        if any(grown):
+            self._groups.clear()
+
+    def _dispatch(
+        self,
+        task: Task,
+        pipeline: Any,
+        rays: NDArray[np.float32],
+        capacity: int,
+        wanted: NDArray[np.uint32] | None,
+        result_sizes: tuple[int, ...],
+    ) -> list[NDArray[np.uint8]]:
+        """Bytes of rows, endings and tallies."""
+        count = len(rays)
+        groups = -(-count // _GROUP_SIZE)
+        most = self._opened.limits["max-compute-workgroups-per-dimension"]
+        columns = min(groups, most)
+        row_size = columns * _GROUP_SIZE
+        params = numbers(self._extreme, 0, count, row_size, self._form.budget, capacity)
+        device = self._opened.device
+        device.queue.write_buffer(self._params, 0, params)
+        self._buffers["rays"].write(rays)
+        if wanted is not None:
+            self._buffers["wanted"].write(wanted)
+        encoder = device.create_command_encoder()
+        # Whoever does not run leaves it so.
+        encoder.clear_buffer(self._buffers["endings"].handle, 0, 4 * count)
+        run = encoder.begin_compute_pass()
+        run.set_pipeline(pipeline)
+        for number, group in enumerate(self._bound(task, pipeline)):
+            run.set_bind_group(number, group)
+        run.dispatch_workgroups(columns, -(-groups // columns))
+        run.end()
+        results = [self._buffers[name] for name in ("rows", "endings", "tallies")]
+        return self._read_back.read(encoder, list(zip(results, result_sizes, strict=True)))
+
+    def _bound(self, task: Task, pipeline: Any) -> tuple[Any, Any]:
+        if task not in self._groups:
+            params = {"buffer": self._params, "offset": 0, "size": self._params.size}
+            shared = [params, *(self._buffers[name].binding for name in _NAMES)]
+            own = [buffer.binding for buffer in self._arrays]
+            self._groups[task] = (
+                bind_group(self._opened, pipeline, 0, shared),
+                bind_group(self._opened, pipeline, 1, own),
+            )
+        return self._groups[task]

@@ -1,0 +1,51 @@
+"""The bounding volume hierarchy as shaders take it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.forms.base import Form, budget_for, numbers
+from raystream.structures.bvh import Bvh
+from raystream.structures.bvh.layout import BLOCK_SIZE, BvhArrays
+
+__all__ = ["form"]
+
+#: Stacks have a multiple of so many entries, so that most trees share a shader.
+_STACK_STEP = 32
+
+#: The prim_id of a triangle that moved and cannot be hit any more; see bvh_leaf.wgsl.
+_NEVER_HIT = -2
+
+
+def form(bvh: Bvh) -> Form:
+    """The nodes and leaves as the CPU has them."""
+    tree = bvh.tree
+    node_count, block_count = len(tree.nodes), len(tree.leaves)
+    # Each node and each slot at most once; a child is taken from the stack before.
+    most = 10 * node_count + (BLOCK_SIZE + 2) * block_count
+    return Form(
+        name="bvh",
+        shader="bvh.wgsl",
+        tree=numbers(node_count),
+        arrays=(tree.nodes.view(np.uint32), _blocks(tree)),
+        budget=budget_for(2 * most),
+        sizes={"STACK_SIZE": _stack_size(bvh)},
+        lists_twice=bvh.lists_twice,
+    )
+
+
+def _stack_size(bvh: Bvh) -> int:
+    entry_count = bvh.stack_half // 4
+    return -(-entry_count // _STACK_STEP) * _STACK_STEP
+
+
+def _blocks(tree: BvhArrays) -> NDArray[np.uint32]:
+    """The leaves, in which a prim_id says whether a triangle has coordinates at all."""
+    blocks = tree.leaves.view(np.uint32)
+    is_lost = np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)
+    if is_lost.any():
+        blocks = blocks.copy()
+        ids = BvhArrays(tree.nodes, blocks.view(np.float32)).prim_ids
+        ids[is_lost] = _NEVER_HIT
+    return blocks

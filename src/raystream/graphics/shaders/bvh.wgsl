@@ -1,0 +1,81 @@
+// The 8-wide bounding volume hierarchy: the steps of a ray's search, and the search. As
+// raystream/structures/bvh/steps.py and traversal.py, where the reasons are.
+
+struct Tree {
+    // Without nodes there is nothing to search.
+    node_count: u32,
+}
+
+// Nodes of 16 vectors, leaf blocks of 10: as raystream/structures/bvh/layout.py says. The bits of
+// floats and of integers.
+@group(1) @binding(0) var<storage, read> nodes: array<vec4u>;
+@group(1) @binding(1) var<storage, read> leaves: array<vec4u>;
+
+const ROOT: i32 = 0;
+
+//! include "bvh_boxes.wgsl"
+//! include "bvh_leaf.wgsl"
+//! include "bvh_stack.wgsl"
+
+struct Child {
+    // Else the search is at its end.
+    is_found: bool,
+    // A node, or a leaf; see is_leaf().
+    link: i32,
+}
+
+// Put the root on the stack, if there is anything to search.
+fn begin_search(ray: Ray) {
+    clear_stack();
+    if params.tree.node_count != 0u && ray.t_min <= ray.t_max {
+        push(Entry(0u, ROOT));
+    }
+}
+
+// Take the next child from the stack whose box the ray enters soon enough.
+fn next_child() -> Child {
+    let last_key = t_key(found.t_far);
+    while has_entries() && spend() {
+        let entry = pop();
+        if entry.key <= last_key {
+            return Child(true, entry.link);
+        }
+    }
+    return Child(false, ROOT);
+}
+
+// Put the children of a node that a ray enters on the stack, the nearest on top.
+fn visit(ray: Ray, node: i32) {
+    tally.steps += 1u;
+    var entered = entered_children(ray, node);
+    for (var left = 8u; left != 0u; left--) {
+        let key = largest_key(entered);
+        if key == NO_KEY {
+            return;
+        }
+        entered = without_key(entered, key);
+        push(Entry(sort_key(key), link_of(entered, key)));
+    }
+}
+
+fn search(ray: Ray) {
+    begin_search(ray);
+    while !is_enough() && spend() {
+        // Step 1: down to a leaf.
+        var child = next_child();
+        while child.is_found && !is_leaf(child.link) && spend() {
+            visit(ray, child.link);
+            child = next_child();
+        }
+        if !child.is_found {
+            return;
+        }
+        // Step 2: its triangles.
+        tally.leaves += 1u;
+        let slots = leaf_slots(child.link);
+        var slot = slots.first;
+        while slot < slots.end && !is_enough() && spend() {
+            slot = test_slot(ray, slot);
+        }
+    }
+}

@@ -1,0 +1,71 @@
+"""The compute machine: dispatches of any size, and what it counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import GRAPHICS_TRACERS, assert_same_bits
+from meshes import soup
+from raystream.graphics import compute
+from test_agreement import answers_of, assert_expected
+
+
+@pytest.fixture
+def scene():
+    return rs.Scene.from_arrays(*soup(60, 1))
+
+
+@pytest.fixture
+def rays(rng):
+    origins = rng.normal(size=(300, 3)) * 2
+    return {"origins": origins, "directions": rng.random((300, 3)) - origins}
+
+
+@pytest.mark.parametrize("name", GRAPHICS_TRACERS)
+def test_the_size_of_dispatches_changes_nothing(opened, scene, rays, monkeypatch, name):
+    options = GRAPHICS_TRACERS[name]
+    if "machine" in options:
+        pytest.skip("another machine")
+    expected = answers_of(rs.Tracer(scene, **options), rays, is_brief=True)
+    monkeypatch.setattr(compute, "_ROWS_AT_ONCE", 20)
+    answers = answers_of(rs.Tracer(scene, **options, rays_at_once=77), rays, is_brief=True)
+    assert_expected(answers, expected)
+    # Rows of workgroups, as where one dimension has too few.
+    monkeypatch.setitem(opened.limits, "max-compute-workgroups-per-dimension", 2)
+    assert_expected(answers_of(rs.Tracer(scene, **options), rays, is_brief=True), expected)
+
+
+@pytest.mark.parametrize("count", [0, -3])
+def test_rays_at_once_is_checked(opened, scene, count):
+    with pytest.raises(ValueError, match="rays_at_once: expected at least 1"):
+        rs.Tracer(scene, "brute", "graphics", rays_at_once=count)
+
+
+@pytest.mark.parametrize("structure", ["brute", "grid"])
+def test_counters_are_the_cpu_s(opened, scene, rays, structure):
+    ours, theirs = (
+        rs.Tracer(scene, structure, device, counters=True) for device in ("graphics", "cpu")
+    )
+    for query in ("first_hit", "any_hit", "count_hits"):
+        getattr(ours, query)(**rays)
+        getattr(theirs, query)(**rays)
+        assert_same_bits(ours.counters.tests, theirs.counters.tests)
+        assert theirs.counters.tests.any()
+
+
+def test_a_structure_without_shaders_is_refused(scene):
+    with pytest.raises(rs.RaystreamError, match=r"has the structures 'brute'.*, not 'graph'"):
+        rs.Tracer(scene, "graph", "graphics")
+
+
+def test_progress_reaches_the_end(opened, scene, rays):
+    tracer = rs.Tracer(scene, "grid", "graphics", rays_at_once=100)
+    for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
+        seen = []
+        getattr(tracer, query)(**rays, progress=lambda *pair, seen=seen: seen.append(pair))
+        assert seen == sorted(seen)
+        done, total = seen[-1]
+        assert done == total >= 300
+    assert np.isfinite(tracer.first_hit(**rays).t).any()
