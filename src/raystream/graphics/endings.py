@@ -31,7 +31,7 @@ def hit_counts(endings: NDArray[np.uint32], form: Form, opened: OpenDevice) -> N
     for ending, what in (
         (NOT_RUN, "were not traced: the device may be lost"),
         (ENDLESS, f"took more than {form.budget:,} steps and tests"),
-        (CUT_SHORT, "were cut short by the driver, which ends long loops"),
+        (CUT_SHORT, "were cut short by a driver that ends long loops; take another structure"),
     ):
         count = int((endings == ending).sum())
         if count:

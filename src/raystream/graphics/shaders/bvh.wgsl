@@ -58,24 +58,33 @@ fn visit(ray: Ray, node: i32) {
     }
 }
 
+// Down to the next leaf.
+fn next_leaf(ray: Ray) -> Child {
+    var child = next_child();
+    while child.is_found && !is_leaf(child.link) && spend() {
+        visit(ray, child.link);
+        child = next_child();
+    }
+    return child;
+}
+
 fn search(ray: Ray) {
     begin_search(ray);
+    var slots = NO_SLOTS;
     while !is_enough() && spend() {
-        // Step 1: down to a leaf.
-        var child = next_child();
-        while child.is_found && !is_leaf(child.link) && spend() {
-            visit(ray, child.link);
-            child = next_child();
+        // Step 1: on to a triangle that the ray crosses, in this leaf or a later one. Only then
+        // those that run side by side go on together, to the long part of the test.
+        slots.first = next_crossed(ray, slots);
+        while slots.first == slots.end {
+            let leaf = next_leaf(ray);
+            if !leaf.is_found {
+                return;
+            }
+            slots = leaf_slots(leaf.link);
+            slots.first = next_crossed(ray, slots);
         }
-        if !child.is_found {
-            return;
-        }
-        // Step 2: its triangles.
-        tally.leaves += 1u;
-        let slots = leaf_slots(child.link);
-        var slot = slots.first;
-        while slot < slots.end && !is_enough() && spend() {
-            slot = test_slot(ray, slot);
-        }
+        // Step 2: where it crosses it.
+        offer_slot(ray, slots.first);
+        slots.first += 1u;
     }
 }

@@ -8,10 +8,13 @@ const BLOCK_SIZE: u32 = 4u;
 // The prim_id of an empty slot. One below is that of a triangle that cannot be hit any more.
 const NO_TRIANGLE: i32 = -1;
 
+// Those from the first on are still to be tested.
 struct Slots {
     first: u32,
     end: u32,
 }
+
+const NO_SLOTS = Slots(0u, 0u);
 
 fn is_leaf(link: i32) -> bool {
     return link < 0;
@@ -19,6 +22,7 @@ fn is_leaf(link: i32) -> bool {
 
 // All slots of a leaf's blocks.
 fn leaf_slots(link: i32) -> Slots {
+    tally.leaves += 1u;
     let bits = u32(~link);
     let first = bits >> 3u;
     return Slots(BLOCK_SIZE * first, BLOCK_SIZE * (first + (bits & 7u) + 1u));
@@ -32,25 +36,42 @@ fn leaf_corner(at: u32, lane: u32) -> vec3f {
     return vec3f(leaf_number(at, lane), leaf_number(at + 1u, lane), leaf_number(at + 2u, lane));
 }
 
-// Test the triangle in a slot, if there is one; returns the slot that is next.
-fn test_slot(ray: Ray, slot: u32) -> u32 {
+fn triangle_in(slot: u32) -> Triangle {
     let at = BLOCK * (slot / BLOCK_SIZE);
     let lane = slot % BLOCK_SIZE;
-    let prim_id = bitcast<i32>(leaves[at + IDS][lane]);
-    if prim_id == NO_TRIANGLE {
-        return slot - lane + BLOCK_SIZE;
-    }
-    tally.tests += 1u;
-    if prim_id >= 0 {
-        let triangle = Triangle(
-            leaf_corner(at, lane),
-            leaf_corner(at + 3u, lane),
-            leaf_corner(at + 6u, lane),
-        );
-        let hit = intersect(ray, triangle);
-        if hit.is_hit && hit.t >= ray.t_min && hit.t <= found.t_far {
-            offer(hit, prim_id);
+    return Triangle(
+        leaf_corner(at, lane),
+        leaf_corner(at + 3u, lane),
+        leaf_corner(at + 6u, lane),
+    );
+}
+
+fn prim_id_in(slot: u32) -> i32 {
+    return bitcast<i32>(leaves[BLOCK * (slot / BLOCK_SIZE) + IDS][slot % BLOCK_SIZE]);
+}
+
+// The first slot whose triangle the ray crosses, or the end.
+fn next_crossed(ray: Ray, slots: Slots) -> u32 {
+    var slot = slots.first;
+    while slot < slots.end && spend() {
+        let prim_id = prim_id_in(slot);
+        if prim_id == NO_TRIANGLE {
+            slot += BLOCK_SIZE - slot % BLOCK_SIZE;
+            continue;
         }
+        tally.tests += 1u;
+        if prim_id >= 0 && is_crossed(images_of(ray, triangle_in(slot))) {
+            return slot;
+        }
+        slot += 1u;
     }
-    return slot + 1u;
+    return slots.end;
+}
+
+// Offer the hit of the triangle in a slot, which the ray crosses.
+fn offer_slot(ray: Ray, slot: u32) {
+    let hit = crossing(ray, triangle_in(slot));
+    if hit.is_hit && hit.t >= ray.t_min && hit.t <= found.t_far {
+        offer(hit, prim_id_in(slot));
+    }
 }
