@@ -1,4 +1,4 @@
-"""The compute machine: dispatches of any size, and what it counts."""
+"""The queries of graphics machines: rays in parts of any size, and what is counted."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import pytest
 import raystream as rs
 from conftest import GRAPHICS_TRACERS, assert_same_bits
 from meshes import soup
-from raystream.graphics import compute
+from raystream.graphics import queries
+from raystream.graphics.forms import FORMS
 from test_agreement import answers_of, assert_expected
 
 
@@ -29,7 +30,7 @@ def test_the_size_of_dispatches_changes_nothing(opened, scene, rays, monkeypatch
     if "machine" in options:
         pytest.skip("another machine")
     expected = answers_of(rs.Tracer(scene, **options), rays, is_brief=True)
-    monkeypatch.setattr(compute, "_ROWS_AT_ONCE", 20)
+    monkeypatch.setattr(queries, "_ROWS_AT_ONCE", 20)
     answers = answers_of(rs.Tracer(scene, **options, rays_at_once=77), rays, is_brief=True)
     assert_expected(answers, expected)
     # Rows of workgroups, as where one dimension has too few.
@@ -55,7 +56,8 @@ def test_counters_are_the_cpu_s(opened, scene, rays, structure):
         assert theirs.counters.tests.any()
 
 
-def test_a_structure_without_shaders_is_refused(scene):
+def test_a_structure_without_shaders_is_refused(opened, scene, monkeypatch):
+    monkeypatch.delitem(FORMS, "graph")
     with pytest.raises(rs.RaystreamError, match=r"has the structures 'brute'.*, not 'graph'"):
         rs.Tracer(scene, "graph", "graphics")
 

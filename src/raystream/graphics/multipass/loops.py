@@ -54,11 +54,14 @@ class Batch:
     passes : list of (int, int)
         The number of a kernel, and the rays that it ran on.
     active_count : int
-        Rays that waited for any kernel when the host looked.
+        Rays that waited for any kernel before the last of them.
+    draw_count : int
+        Draws that were encoded, of which many may have drawn nothing.
     """
 
     passes: list[tuple[int, int]]
     active_count: int
+    draw_count: int
 
 
 def run_on_device(work: Work, oracle: Oracle, inner: Sequence[int]) -> Iterator[Batch]:
@@ -77,11 +80,13 @@ def run_on_device(work: Work, oracle: Oracle, inner: Sequence[int]) -> Iterator[
     inner_plan, length = plan.part(inner), _FIRST_PASSES
     encoder = device.create_command_encoder()
     work.streams.begin(encoder, plan.begin, work.bind, None)
+    draw_count = len(plan.begin)
     while True:
         oracle.forget(encoder)
         for number in range(length):
             is_edge = number in (0, length - 1)
             chosen = plan if is_edge else inner_plan
+            draw_count += chosen.draw_count
             oracle.encode(encoder, kernels if is_edge else inner)
             work.streams.run(
                 encoder,
@@ -93,9 +98,10 @@ def run_on_device(work: Work, oracle: Oracle, inner: Sequence[int]) -> Iterator[
             )
         device.queue.submit([encoder.finish()])
         decided = oracle.read(length)
-        yield Batch(decided.passes, decided.active_count)
+        yield Batch(decided.passes, decided.active_count, draw_count)
         if decided.active_count == 0:
             return
+        draw_count = 0
         length = min(2 * length, MOST_PASSES)
         encoder = device.create_command_encoder()
 
@@ -144,6 +150,7 @@ def run_by_queries(
     waiting = [0] * len(kernels)
     waiting[0] = begun
     latest: int | None = None
+    draw_count = len(plan.begin)
     parts = [plan.part([number]) for number in range(len(kernels))]
     while any(waiting):
         latest = scheduler.choose(Queues(kernels, tuple(waiting), latest))
@@ -157,14 +164,15 @@ def run_by_queries(
             work.bind,
             queries=counts.queries,
         )
-        active = waiting[latest]
+        active, active_count = waiting[latest], sum(waiting)
         moved = counts.ask(encoder, len(part.classifies))
         waiting[latest] -= sum(moved)
         _check(work, waiting[latest] >= 0, f"{sum(moved):,} of {active:,} rays moved")
         for state, count in zip(part.next_states, moved, strict=True):
             if state in number_of:
                 waiting[number_of[state]] += count
-        yield Batch([(latest, active)], sum(waiting))
+        yield Batch([(latest, active)], active_count, draw_count + part.draw_count)
+        draw_count = 0
 
 
 def _check(work: Work, is_exact: bool, what: str) -> None:

@@ -46,7 +46,7 @@ LOOPS = ("device", "queries")
 #: Most passes of some rays.
 MAX_PASSES = 1 << 20
 
-#: Rays that are traced together: each takes 13 texels, and passes are as many for few as for many.
+#: Rays that are traced together: each takes 11 texels, and passes are as many for few as for many.
 _RAYS_AT_ONCE = 1 << 20
 
 #: Words of a texel.
@@ -195,9 +195,10 @@ class Multipass(GraphicsQueries):
         for batch in self._batches(work):
             count += len(batch.passes)
             if self.passes is not None:
+                self.passes.draw_count += batch.draw_count
                 for kernel, active in batch.passes:
                     self.passes.counters.passes.append(self._pass(kernel, active))
-            if count > self.max_passes or (count == self.max_passes and batch.active_count):
+            if count > self.max_passes:
                 raise GraphicsError(
                     f"multipass: {batch.active_count:,} rays are still active after "
                     f"{count:,} passes; max_passes is {self.max_passes:,}"

@@ -75,6 +75,11 @@ class Plan:
     classifies: list[Draw]
     next_states: list[int]
 
+    @property
+    def draw_count(self) -> int:
+        """Draws of a pass."""
+        return sum(map(len, (*self.kernels, *self.commits, self.classifies)))
+
     def part(self, kernels: Collection[int]) -> Plan:
         """The draws of some kernels."""
         kept = [draw.kernel in kernels for draw in self.classifies]
