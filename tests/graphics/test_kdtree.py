@@ -7,6 +7,7 @@ import pytest
 
 import raystream as rs
 from exact_scene import exact_rays, lattice_scene
+from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import form_of
 
 pytestmark = pytest.mark.usefixtures("opened")
@@ -90,3 +91,45 @@ def test_stacks_are_as_deep_as_trees():
         depth = tree.quality()["depth"]
         size = form_of(tree).sizes["STACK_SIZE"]
         assert max(depth, 1) <= size < depth + 9
+
+
+@pytest.mark.parametrize(
+    ("traversal", "layout", "options"),
+    [
+        ("restart", "compact", {"scheduler": "threshold"}),
+        ("backtrack", "foley", {"scheduler": "most-work", "traversal_steps": 3}),
+        ("backtrack", "compact", {"scheduler": "double", "intersections": 2}),
+    ],
+)
+def test_foley_s_kernels_run_as_on_the_cpu(traversal, layout, options):
+    """Pass by pass: the same kernel, on as many rays."""
+    scene, rays = lattice_scene(), exact_rays()
+    options = {
+        "machine": "multipass",
+        "traversal": traversal,
+        "layout": layout,
+        "counters": True,
+        **DEEP,
+        **options,
+    }
+    expected = rs.Tracer(scene, "kdtree", **options)
+    tracer = rs.Tracer(scene, "kdtree", "graphics", **options)
+    theirs, ours = expected.first_hit(*rays), tracer.first_hit(*rays)
+    np.testing.assert_array_equal(ours.prim_id, theirs.prim_id)
+    np.testing.assert_array_equal(ours.t, theirs.t)
+    met, wanted = tracer.counters, expected.counters
+    for name in COUNTS:
+        np.testing.assert_array_equal(getattr(met, name), getattr(wanted, name), name)
+    assert passes_of(met) == passes_of(wanted)
+    used = {"initialize", "down", "leaf", "intersect", "continue", "shade"}
+    used |= {"up"} if traversal == "backtrack" else set()
+    assert {kernel for kernel, _ in passes_of(met)} == used
+
+
+def passes_of(counters) -> list[tuple[str, int]]:
+    return [(one.kernel, one.run_count) for one in counters.passes]
+
+
+def test_stacks_are_not_for_passes():
+    with pytest.raises(GraphicsError, match="traversal='restart'"):
+        rs.Tracer(lattice_scene(), "kdtree", "graphics", machine="multipass")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.multipass.kernels import brute, grid
+from raystream.graphics.multipass.kernels import brute, grid, kdtree
 from raystream.graphics.multipass.kernels.base import STREAMS, TraversalKernels
 from raystream.structures import Structure
 
@@ -16,6 +16,7 @@ __all__ = ["KERNELS", "STREAMS", "TraversalKernels", "kernels_of"]
 KERNELS: dict[str, Callable[[Any], TraversalKernels]] = {
     "brute": brute.kernels,
     "grid": grid.kernels,
+    "kdtree": kdtree.kernels,
 }
 
 

@@ -1,0 +1,158 @@
+// Foley's kernels: Initialize, Down, Leaf, Intersect, Continue, Up (Foley 2005, section 3.3). As
+// raystream/machines/steps/kdtree.py.
+
+//! include "multipass/frame.wgsl"
+
+struct Place {
+    state: KdState,
+    // Triangles of its leaf that are still to be tested, and the block that they begin with.
+    triangles: KdLeaf,
+}
+
+const NO_TRIANGLES = KdLeaf(0u, 0u);
+
+fn place_at(texel: vec2i) -> Place {
+    let place = textureLoad(places, texel, 0);
+    let span = textureLoad(spans, texel, 0);
+    let state = KdState(place.x, span.x, span.y, span.z, 0u, false);
+    return Place(state, KdLeaf(place.y, place.z));
+}
+
+fn end_at(texel: vec2i, waits_for: u32, at: Place) -> Texels {
+    let place = vec4u(at.state.node, at.triangles.block, at.triangles.triangle_count, 0u);
+    let span = vec4f(at.state.t_in, at.state.t_out, at.state.t_end, 0.0);
+    return end_kernel(texel, waits_for, place, span);
+}
+
+// What a ray waits for at a node.
+fn downward(state: KdState) -> u32 {
+    return select(TRAVERSING, AT_LEAF, is_at_leaf(state));
+}
+
+// Begin at the root.
+@fragment
+fn begin_at_root(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, STARTING) {
+        return nothing();
+    }
+    run_count = 1u;
+    let ray = ray_at(texel);
+    found.t_far = ray.t_max;
+    let state = initialize(ray);
+    if !(ray.t_min <= ray.t_max) || !is_active(state) {
+        return end_kernel(texel, DONE, vec4u(), vec4f());
+    }
+    return end_at(texel, downward(state), Place(state, NO_TRIANGLES));
+}
+
+// Go to a child.
+@fragment
+fn go_down(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, TRAVERSING) {
+        return nothing();
+    }
+    let line = plane_ray(ray_at(texel));
+    var state = place_at(texel).state;
+    var waits_for = TRAVERSING;
+    for (var i = 0u; i < TRAVERSAL_STEPS && waits_for == TRAVERSING; i++) {
+        if !tick() {
+            waits_for = DONE;
+            break;
+        }
+        tally.steps += 1u;
+        state = down(line, state);
+        waits_for = downward(state);
+    }
+    return end_at(texel, waits_for, Place(state, NO_TRIANGLES));
+}
+
+// Find the triangles of a leaf.
+@fragment
+fn look_at_leaf(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, AT_LEAF) {
+        return nothing();
+    }
+    run_count = 1u;
+    tally.leaves += 1u;
+    let state = place_at(texel).state;
+    let triangles = leaf(state);
+    let waits_for = select(INTERSECTING, LEAVING, triangles.triangle_count == 0u);
+    return end_at(texel, waits_for, Place(state, triangles));
+}
+
+// Test a block of up to four triangles.
+@fragment
+fn intersect_leaf(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, INTERSECTING) {
+        return nothing();
+    }
+    let ray = ray_at(texel);
+    var at = place_at(texel);
+    var waits_for = INTERSECTING;
+    for (var i = 0u; i < INTERSECTIONS && waits_for == INTERSECTING; i++) {
+        if !tick() {
+            waits_for = DONE;
+            break;
+        }
+        let count = min(at.triangles.triangle_count, BLOCK_SIZE);
+        tally.tests += count;
+        intersect_block(ray, at.triangles.block, at.state.t_in, at.state.t_out);
+        at.triangles.block += 1u;
+        at.triangles.triangle_count -= count;
+        if is_enough() {
+            waits_for = end_of_search();
+        } else if at.triangles.triangle_count == 0u {
+            waits_for = LEAVING;
+        }
+    }
+    return end_at(texel, waits_for, at);
+}
+
+// Go on after a leaf, unless nothing more is wanted: hits in leaves to come are not before this
+// one's end.
+@fragment
+fn continue_search(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, LEAVING) {
+        return nothing();
+    }
+    let state = place_at(texel).state;
+    if !tick() || is_past(state.t_out) || state.t_out >= state.t_end {
+        return end_at(texel, end_of_search(), Place(state, NO_TRIANGLES));
+    }
+    let next = leave(state);
+    if next.is_climbing {
+        tally.backtracks += 1u;
+        return end_at(texel, CLIMBING, Place(next, NO_TRIANGLES));
+    }
+    tally.restarts += 1u;
+    return end_at(texel, downward(next), Place(next, NO_TRIANGLES));
+}
+
+// Go to the parent.
+@fragment
+fn climb(@builtin(position) position: vec4f) -> Texels {
+    let texel = texel_at(position);
+    if !begin_kernel(texel, CLIMBING) {
+        return nothing();
+    }
+    let line = plane_ray(ray_at(texel));
+    var state = place_at(texel).state;
+    var waits_for = CLIMBING;
+    for (var i = 0u; i < TRAVERSAL_STEPS && waits_for == CLIMBING; i++) {
+        if !tick() {
+            waits_for = DONE;
+            break;
+        }
+        tally.backtrack_steps += 1u;
+        state = up(line, state);
+        if !state.is_climbing {
+            waits_for = downward(state);
+        }
+    }
+    return end_at(texel, waits_for, Place(state, NO_TRIANGLES));
+}
