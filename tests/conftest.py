@@ -160,7 +160,7 @@ def reason_against_graphics() -> str:
     from raystream.graphics.errors import GraphicsError
 
     try:
-        choose_adapter(os.environ.get("RAYSTREAM_ADAPTER", ""))
+        choose_adapter()
     except GraphicsError as error:
         return str(error)
     return ""

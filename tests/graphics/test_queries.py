@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,18 @@ def test_the_size_of_dispatches_changes_nothing(opened, scene, rays, monkeypatch
     # Rows of workgroups, as where one dimension has too few.
     monkeypatch.setitem(opened.limits, "max-compute-workgroups-per-dimension", 2)
     assert_expected(answers_of(rs.Tracer(scene, **options), rays, is_brief=True), expected)
+
+
+@pytest.mark.parametrize("name", GRAPHICS_TRACERS)
+def test_threads_may_ask_at_once(opened, scene, rays, name):
+    """As renderers do: a tracer's buffers are used by one query at a time."""
+    tracer = rs.Tracer(scene, **GRAPHICS_TRACERS[name])
+    parts = [{key: array[k::10] for key, array in rays.items()} for k in range(10)]
+    expected = [tracer.first_hit(**part).t for part in parts]
+    with ThreadPoolExecutor(4) as pool:
+        found = pool.map(lambda part: tracer.first_hit(**part).t, parts)
+        for ours, alone in zip(found, expected, strict=True):
+            assert_same_bits(ours, alone)
 
 
 @pytest.mark.parametrize("count", [0, -3])

@@ -67,8 +67,13 @@ class Adapter(NamedTuple):
     description: str
     handle: Any
 
+    @property
+    def is_software(self) -> bool:
+        """Whether the processor does a GPU's work."""
+        return self.kind == "CPU"
+
     def __str__(self) -> str:
-        kind = "software" if self.kind == "CPU" else self.kind
+        kind = "software" if self.is_software else self.kind
         return f"{self.name} ({kind}, {self.backend})"
 
 
@@ -83,6 +88,8 @@ class OpenDevice:
         The device's, by wgpu's names.
     is_known_lost : bool
         Whether the device was found to be lost.
+    lock : RLock
+        Held by who uses the device: its queries have buffers in common.
     """
 
     def __init__(self, adapter: Adapter, device: Any) -> None:
@@ -90,6 +97,7 @@ class OpenDevice:
         self.device = device
         self.limits: dict[str, int] = dict(device.limits)
         self.is_known_lost = False
+        self.lock = threading.RLock()
 
     @property
     def is_lost(self) -> bool:
@@ -161,21 +169,22 @@ def open_device(name: str | None = None) -> OpenDevice:
     GraphicsError
         If there is no such adapter, or it gives no device.
     """
-    wanted = name or os.environ.get(ADAPTER_VARIABLE) or ""
+    wanted = _wanted(name)
     with _OPENING:
         if wanted not in _OPEN or _OPEN[wanted].is_lost:
             _OPEN[wanted] = _open(choose_adapter(wanted))
         return _OPEN[wanted]
 
 
-def choose_adapter(name: str = "") -> Adapter:
-    """The best adapter of those that have this in their name.
+def choose_adapter(name: str | None = None) -> Adapter:
+    """The adapter that `open_device` takes.
 
     Raises
     ------
     GraphicsError
         If there is none, or wgpu is not installed.
     """
+    name = _wanted(name)
     found = adapters()
     if not found:
         raise GraphicsError(_NO_ADAPTER)
@@ -184,6 +193,10 @@ def choose_adapter(name: str = "") -> Adapter:
         known = ", ".join(map(str, found))
         raise GraphicsError(f"adapter: none is called {name!r}; there are {known}")
     return chosen[0]
+
+
+def _wanted(name: str | None) -> str:
+    return name or os.environ.get(ADAPTER_VARIABLE) or ""
 
 
 def _open(adapter: Adapter) -> OpenDevice:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,7 +88,6 @@ class Dispatches:
         self._buffers = {name: Buffer(opened, name) for name in _NAMES}
         self._params = uniform(opened, bytes(_PARAMS_BYTES) + form.tree)
         self._read_back = ReadBack(opened)
-        self._lock = threading.Lock()  # queries may come from several threads
         self._groups: dict[Task, tuple[Any, Any]] = {}
 
     def pipeline(self, task: Task) -> Any:
@@ -147,15 +145,14 @@ class Dispatches:
             4 * count,
             _TALLY_BYTES * count * task.tallies,
         )
-        with self._lock:
-            self._reserve(sizes)
-            try:
-                memory = self._dispatch(task, pipeline, rays, capacity, wanted, sizes[2:])
-            except Exception as error:  # wgpu wraps whatever a driver says
-                raise GraphicsError(
-                    f"device 'graphics': {self._opened.adapter} failed to trace {count:,} rays: "
-                    f"{error}"
-                ) from error
+        self._reserve(sizes)
+        try:
+            memory = self._dispatch(task, pipeline, rays, capacity, wanted, sizes[2:])
+        except Exception as error:  # wgpu wraps whatever a driver says
+            raise GraphicsError(
+                f"device 'graphics': {self._opened.adapter} failed to trace {count:,} rays: "
+                f"{error}"
+            ) from error
         rows, endings, tallies = memory
         found = Found(
             hit_counts(endings.view(np.uint32), self._form, self._opened),

@@ -24,33 +24,26 @@ _REPORTERS = ("log_error", "device_lost_callback")
 
 @contextlib.contextmanager
 def guarded(opened: OpenDevice) -> Iterator[None]:
-    """Turn what goes wrong on a device meanwhile into `GraphicsError`.
+    """Use a device alone, and turn what goes wrong on it into `GraphicsError`.
 
-    What wgpu raises, and what it would print because it happened between two calls. After the
-    loss of the device every query says so, until there is a new tracer.
+    Threads wait for each other. An error is what wgpu raises, and what it would print because it
+    happened between two calls. After the loss of the device every query says so, until there is
+    a new tracer.
 
     Raises
     ------
     GraphicsError
         As soon as the block ends; at once if the device was lost before.
     """
-    import wgpu
-
-    if opened.is_known_lost:
-        raise GraphicsError(_loss_of(opened))
-    with _listening() as reports:
-        try:
-            yield
-        except (wgpu.GPUError, GraphicsError) as error:
-            if opened.is_lost:
-                raise GraphicsError(_loss_of(opened)) from error
-            if isinstance(error, GraphicsError):
-                raise
-            raise GraphicsError(f"device 'graphics': {opened.adapter}: {error}") from error
-    if reports:
-        if opened.is_lost:
+    with opened.lock, _listening() as reports:
+        if opened.is_known_lost:
             raise GraphicsError(_loss_of(opened))
-        raise GraphicsError(f"device 'graphics': {opened.adapter}: {reports[0]}")
+        with _raising(opened):
+            yield
+        if reports:
+            lost = opened.is_lost
+            what = f"device 'graphics': {opened.adapter}: {reports[0]}"
+            raise GraphicsError(_loss_of(opened) if lost else what)
 
 
 def guard_queries(machine: QueriesType) -> QueriesType:
@@ -67,6 +60,20 @@ def _guarded_query(query: Callable[..., Any]) -> Callable[..., Any]:
             return query(self, *arguments, **options)
 
     return ask
+
+
+@contextlib.contextmanager
+def _raising(opened: OpenDevice) -> Iterator[None]:
+    import wgpu
+
+    try:
+        yield
+    except (wgpu.GPUError, GraphicsError) as error:
+        if opened.is_lost:
+            raise GraphicsError(_loss_of(opened)) from error
+        if isinstance(error, GraphicsError):
+            raise
+        raise GraphicsError(f"device 'graphics': {opened.adapter}: {error}") from error
 
 
 def _loss_of(opened: OpenDevice) -> str:
