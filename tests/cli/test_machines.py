@@ -1,7 +1,8 @@
-"""``--machine`` and ``--scheduler``, in every command that traces."""
+"""``--machine``, ``--scheduler`` and ``--adapter``, in every command that traces."""
 
 from __future__ import annotations
 
+import importlib
 import re
 
 import numpy as np
@@ -36,6 +37,7 @@ def on_saved(request, square, rays):
 @pytest.fixture
 def asked(monkeypatch):
     """Options that tracers were made with, but for where progress goes."""
+    importlib.import_module("raystream.render.arguments")  # has the tracer's class by its name
     made = []
 
     class Noted(rs.Tracer):
@@ -77,7 +79,9 @@ def test_machine_reaches_the_tracer(run, command, asked, arguments, options):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--machine", "abacus"], "expected branching or multipass, got 'abacus'"),
+        (["--machine", "abacus"], "expected branching or multipass or compute, got 'abacus'"),
+        (["--machine", "compute"], "--machine: expected one of 'branching', 'multipass', got"),
+        (["--adapter", "llvmpipe"], "--adapter: only with --device graphics"),
         (["--machine", "multipass", "--scheduler", "fair"], "--scheduler"),
         (["--scheduler", "naive"], "--scheduler: only with --machine multipass"),
         (
@@ -136,6 +140,7 @@ def test_option_at_fault_is_named(run, command, arguments, complaint):
 )
 def test_json_names_the_machine(run, command, arguments, figures):
     printed = run(*command, *arguments, "--json").figures
+    assert printed["device"] == "cpu"
     assert {key: printed[key] for key in ("machine", "scheduler") if key in printed} == figures
 
 
@@ -168,7 +173,7 @@ def test_machines_find_the_same(run, square, rays, structure):
 def test_machine_reaches_a_saved_structure(run, on_saved, asked, arguments, options):
     result = run(*on_saved, *arguments, "--json")
     assert (result.code, result.err) == (0, "")
-    assert asked == [options]
+    assert asked == [{"device": "cpu", **options}]
     assert result.figures["machine"] == options.get("machine", "branching")
 
 

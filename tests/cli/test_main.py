@@ -229,8 +229,7 @@ def test_full_disk_behind_stdout_is_one_line(start, square):
 
 
 def test_names_are_those_of_the_library():
-    from raystream.machines import MACHINES
-    from raystream.machines.devices import DEVICES
+    from raystream.machines.devices import DEVICES, device_of
     from raystream.machines.schedulers import SCHEDULERS
     from raystream.render import MODES
     from raystream.render.heatmap import HEATMAPS
@@ -245,14 +244,16 @@ def test_names_are_those_of_the_library():
     assert tuple(BUILTIN) == options.SCENES
     assert set(options.STRUCTURES) == set(STRUCTURES)
     assert options.TRAVERSALS == TRAVERSALS
-    assert options.MACHINES == MACHINES
+    machines = {name: device_of(name).machines.names for name in options.DEVICES}
+    assert set(options.MACHINES) == {"multipass"}.union(*machines.values())
+    assert {name: known[0] for name, known in machines.items()} == options.USUAL_MACHINES
     assert options.SCHEDULERS == SCHEDULERS
     assert set(options.DEVICES) <= set(DEVICES)
 
 
 @pytest.mark.parametrize(
     ("name", "known"),
-    [("structure", "STRUCTURES"), ("machine", "MACHINES"), ("scheduler", "SCHEDULERS")],
+    [("structure", "STRUCTURES"), ("device", "DEVICES"), ("scheduler", "SCHEDULERS")],
 )
 def test_first_name_is_the_librarys_default(name, known):
     from raystream.machines import Multipass
@@ -270,7 +271,8 @@ def test_first_name_is_the_librarys_default(name, known):
         ("raystream render cornell --mode ", {"raycast", "vis"}, {"bvh"}),
         ("raystream render cornell --heatmap ", {"cells", "tests", "steps"}, {"vis"}),
         ("raystream render cornell --tone ", {"linear", "aces"}, {"vis"}),
-        ("raystream info cornell --machine ", {"branching", "multipass"}, {"naive"}),
+        ("raystream info cornell --machine ", {"branching", "multipass", "compute"}, {"naive"}),
+        ("raystream query cornell rays.npz --device ", {"cpu", "graphics"}, {"compute"}),
         ("raystream query cornell rays.npz --scheduler ", {"naive", "double"}, {"multipass"}),
         ("raystream query cornell rays.npz --structure b", {"bvh", "brute"}, {"vis"}),
         ("raystream query cornell rays.npz --crossings s", {"surfaces"}, {"triangles"}),

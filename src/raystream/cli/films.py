@@ -265,8 +265,7 @@ def render_film(asked: FilmAsked, json: bool) -> None:
         "frames_before": len(numbers) - len(missing),
         "fps": timeline.fps,
         "structure": asked.structure,
-        **machine_figures(dict(asked.chosen)),
-        "device": asked.device,
+        **machine_figures(asked.chosen, asked.device),
         "triangles": scene.triangle_count,
         "seconds": watch.rounded(),
     }

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.devices import show_devices
 from raystream.cli.keywords import machine_figures, tracer_options
-from raystream.cli.messages import write_json, write_line
+from raystream.cli.messages import BadInputError, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer
 from raystream.cli.tables import set_table
 
@@ -19,21 +22,46 @@ MAX_ROWS = 12
 
 
 def info(
-    scene: options.SceneName,
+    scene: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SCENE",
+            help=options.SCENE_HELP,
+            autocompletion=options.complete_scenes,
+            show_default=False,
+        ),
+    ] = None,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
     machine: options.Machine = None,
     scheduler: options.Scheduler = None,
     option: options.TracerOption = None,
     device: options.Device = "cpu",
+    adapter: options.Adapter = None,
     threads: options.Threads = None,
     time: options.Time = 0.0,
     triangles: options.Triangles = None,
+    devices: Annotated[
+        bool,
+        typer.Option("--devices", help="Show where rays can be traced; then without SCENE."),
+    ] = False,
     json: options.Json = False,
 ) -> None:
     """Show what is in a scene, and the time, memory and quality of its structure."""
-    chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
+    if devices == (scene is not None):
+        raise BadInputError("info: expected SCENE or --devices, one of them")
+    chosen = tracer_options(
+        option or [],
+        device,
+        adapter=adapter,
+        traversal=traversal,
+        machine=machine,
+        scheduler=scheduler,
+    )
     choose_threads(threads)
+    if scene is None:
+        show_devices(json)
+        return
     from raystream.cli.describe import describe
 
     watch = Stopwatch()
@@ -41,7 +69,7 @@ def info(
         tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         figures = describe(scene, tracer, watch)
     if json:
-        write_json({**figures, **machine_figures(chosen)})
+        write_json({**figures, **machine_figures(chosen, device)})
     else:
         _show(figures)
 

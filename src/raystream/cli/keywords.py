@@ -14,7 +14,7 @@ from raystream.core.errors import RaystreamError
 __all__ = ["blame_options", "machine_figures", "parse_keywords", "tracer_options"]
 
 #: Options of `Tracer` that the command line has by their names.
-FLAGS = ("structure", "device", "traversal", "machine", "scheduler")
+FLAGS = ("structure", "device", "adapter", "traversal", "machine", "scheduler")
 
 
 def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
@@ -39,16 +39,18 @@ def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
     return parsed
 
 
-def tracer_options(words: Sequence[str], **named: str | None) -> dict[str, Any]:
+def tracer_options(words: Sequence[str], device: str, **named: str | None) -> dict[str, Any]:
     """Options of `Tracer` from ``--option``, and from options of the command line.
 
     Parameters
     ----------
     words : sequence of str
         What ``--option`` was given.
+    device : str
+        What ``--device`` was given.
     **named
-        ``traversal``, ``machine``, ``scheduler``: what the option of that name was given, or
-        None.
+        ``adapter``, ``traversal``, ``machine``, ``scheduler``: what the option of that name was
+        given, or None.
 
     Raises
     ------
@@ -64,6 +66,8 @@ def tracer_options(words: Sequence[str], **named: str | None) -> dict[str, Any]:
             raise BadInputError(f"--option: another {key} than --{key}")
     if named.get("scheduler") is not None and parsed.get("machine") != "multipass":
         raise BadInputError("--scheduler: only with --machine multipass")
+    if named.get("adapter") is not None and device != "graphics":
+        raise BadInputError("--adapter: only with --device graphics")
     return parsed
 
 
@@ -87,15 +91,17 @@ def blame_options(chosen: Mapping[str, Any]) -> Iterator[None]:
         raise BadInputError(f"--{error}" if name in FLAGS else f"--option: {error}") from error
 
 
-def machine_figures(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """What traces, as ``--json`` prints it: ``machine``, and ``scheduler`` of multipass.
+def machine_figures(chosen: Mapping[str, Any], device: str) -> dict[str, Any]:
+    """What traces, as ``--json`` prints it: ``device``, ``machine``, ``scheduler`` of multipass.
 
     Parameters
     ----------
     chosen : mapping
         Options of `Tracer`.
+    device : str
     """
-    machine = chosen.get("machine", options.MACHINES[0])
-    if machine != "multipass":
-        return {"machine": machine}
-    return {"machine": machine, "scheduler": chosen.get("scheduler", options.SCHEDULERS[0])}
+    machine = chosen.get("machine", options.USUAL_MACHINES[device])
+    figures = {"machine": machine, "device": device}
+    if machine == "multipass":
+        figures["scheduler"] = chosen.get("scheduler", options.SCHEDULERS[0])
+    return figures

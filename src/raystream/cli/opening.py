@@ -117,19 +117,23 @@ def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
 
 
 def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
-    from raystream.machines import MULTIPASS_OPTIONS
+    from raystream.machines.devices import device_of
     from raystream.tracer import Tracer
 
     if source.time != 0.0 or source.triangles is not None:
         raise BadInputError(f"{source.name}: a saved structure has neither --time nor --triangles")
+    machines = device_of(source.device).machines
+    with blame_options(source.options):
+        machine = source.options.get("machine", machines.names[0])
+        own = machines.own_options(machine, source.options)
     for name in source.options:
-        if name not in ("machine", "counters", *MULTIPASS_OPTIONS):
+        if name not in ("machine", "counters", *own):
             raise BadInputError(
                 f"{source.name}: a saved structure is built already, and has no option {name!r}; "
                 "it takes those of the machine"
             )
     with watch.measure("load"), bars.step("loading"), blame_options(source.options):
-        tracer = Tracer.load(source.name, **source.options)
+        tracer = Tracer.load(source.name, device=source.device, **source.options)
     watch.seconds["build"] = 0.0
     if source.structure not in (None, tracer.structure.name):
         raise BadInputError(

@@ -32,6 +32,8 @@ __all__ = [
     "STRUCTURES",
     "TONES",
     "TRAVERSALS",
+    "USUAL_MACHINES",
+    "Adapter",
     "Device",
     "Json",
     "Machine",
@@ -63,9 +65,11 @@ TONES = ("linear", "reinhard", "aces")
 HEATMAPS = ("cells", "tests", "steps")
 STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")
 TRAVERSALS = ("stack", "restart", "backtrack")
-MACHINES = ("branching", "multipass")
+MACHINES = ("branching", "multipass", "compute")
 SCHEDULERS = ("threshold", "naive", "most-work", "double")
-DEVICES = ("cpu",)
+DEVICES = ("cpu", "graphics")
+#: Of each device, the machine that traces without --machine.
+USUAL_MACHINES = {"cpu": "branching", "graphics": "compute"}
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PAPERS = ("purcell", "foley", "rayforce", "christen")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
@@ -170,8 +174,9 @@ Traversal = Annotated[
 Machine = Annotated[
     str | None,
     typer.Option(
-        help="How rays are traced: branching, each from start to end; or multipass, all a step "
-        "at a time. branching without it.",
+        help="How rays are traced: branching, each from start to end; multipass, all a step at "
+        "a time; or compute, each in a compute shader, which is usual on graphics. branching "
+        "without it.",
         metavar="NAME",
         show_default=False,
         callback=one_of(MACHINES),
@@ -201,10 +206,20 @@ TracerOption = Annotated[
 Device = Annotated[
     str,
     typer.Option(
-        help="Where rays are traced.",
+        help="Where rays are traced: cpu; or graphics, a GPU by way of Vulkan, Metal or Direct3D "
+        "12 (see raystream info --devices).",
         metavar="NAME",
         callback=one_of(DEVICES),
         autocompletion=complete(DEVICES),
+    ),
+]
+Adapter = Annotated[
+    str | None,
+    typer.Option(
+        help="With --device graphics: a part of the adapter's name; without it, what "
+        "RAYSTREAM_ADAPTER says, or the best one.",
+        metavar="NAME",
+        show_default=False,
     ),
 ]
 Threads = Annotated[

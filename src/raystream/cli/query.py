@@ -81,6 +81,7 @@ def query(
     scheduler: options.Scheduler = None,
     option: options.TracerOption = None,
     device: options.Device = "cpu",
+    adapter: options.Adapter = None,
     threads: options.Threads = None,
     time: options.Time = 0.0,
     triangles: options.Triangles = None,
@@ -95,7 +96,12 @@ def query(
     question = _Question(_only(chosen), max_hits, crossings)
     options.check_output(output, (".npz",), inputs=[scene, str(rays)])
     tracing = tracer_options(
-        option or [], traversal=traversal, machine=machine, scheduler=scheduler
+        option or [],
+        device,
+        adapter=adapter,
+        traversal=traversal,
+        machine=machine,
+        scheduler=scheduler,
     )
     choose_threads(threads)
     from raystream.core.npz import write_npz
@@ -119,8 +125,7 @@ def query(
                 "scene": scene,
                 "query": question.kind,
                 "structure": tracer.structure.name,
-                **machine_figures(tracing),
-                "device": device,
+                **machine_figures(tracing, device),
                 "triangles": triangle_count,
                 "rays": answer.ray_count,
                 "invalid_rays": answer.invalid_count,

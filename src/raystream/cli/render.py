@@ -120,6 +120,7 @@ def render(
     scheduler: options.Scheduler = None,
     option: options.TracerOption = None,
     device: options.Device = "cpu",
+    adapter: options.Adapter = None,
     threads: options.Threads = None,
     time: options.Time = 0.0,
     triangles: options.Triangles = None,
@@ -131,7 +132,14 @@ def render(
     films = is_film(output, frames)
     if not films:
         options.check_output(output, (".png", ".exr"), inputs=[scene, str(environment or scene)])
-    chosen = tracer_options(option or [], traversal=traversal, machine=machine, scheduler=scheduler)
+    chosen = tracer_options(
+        option or [],
+        device,
+        adapter=adapter,
+        traversal=traversal,
+        machine=machine,
+        scheduler=scheduler,
+    )
     kept = (resume or None) if not films else None
     asked = Asked(samples, seed, max_bounces, noise, time_limit, sampler, kept)
     wanted = Kept.of(output, layers, denoise)
@@ -232,8 +240,7 @@ def render(
                 "height": height,
                 "samples": arguments["samples"],
                 "structure": tracer.structure.name,
-                **machine_figures(chosen),
-                "device": device,
+                **machine_figures(chosen, device),
                 "triangles": triangle_count,
                 "rays": ray_count,
                 "seconds": watch.rounded(),

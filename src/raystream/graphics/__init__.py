@@ -4,9 +4,10 @@ Vulkan, Metal or Direct3D 12; ``pip install raystream[graphics]``. ``Tracer(devi
 has three machines: ``"compute"``, its usual one.
 """
 
+from raystream.graphics.forms import build_with_shaders
 from raystream.graphics.machines import GRAPHICS_MACHINES
 from raystream.machines.devices import register_device
 
 __all__ = ["GRAPHICS_MACHINES"]
 
-register_device("graphics", machines=GRAPHICS_MACHINES)
+register_device("graphics", build_with_shaders, GRAPHICS_MACHINES)

@@ -61,7 +61,10 @@ class _GraphicsMachines:
     names: tuple[str, ...] = tuple(OPTIONS)
 
     def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Those of a tracer's options that are a machine's."""
+        """Those of a tracer's options that are a machine's.
+
+        The device is opened, too: where there is none, no structure need be built to say so.
+        """
         if machine not in OPTIONS:
             known = ", ".join(map(repr, OPTIONS))
             raise ValueError(
@@ -74,6 +77,7 @@ class _GraphicsMachines:
                 raise TypeError(
                     f"{machine}: has no option {name!r}; it is one of machine={owner!r}"
                 )
+        open_device(own.get("adapter"))
         return own
 
     def make(
