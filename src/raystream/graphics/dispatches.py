@@ -150,8 +150,7 @@ class Dispatches:
             memory = self._dispatch(task, pipeline, rays, capacity, wanted, sizes[2:])
         except Exception as error:  # wgpu wraps whatever a driver says
             raise GraphicsError(
-                f"device 'graphics': {self._opened.adapter} failed to trace {count:,} rays: "
-                f"{error}"
+                f"device 'graphics': {self._opened.adapter} failed to trace {count:,} rays: {error}"
             ) from error
         rows, endings, tallies = memory
         found = Found(
