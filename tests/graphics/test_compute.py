@@ -105,14 +105,20 @@ def test_triangles_in_several_leaves_are_found_once():
     assert_same_hits(found, expected)
 
 
+def is_even(hit):
+    return hit.prim_id % 2 == 0
+
+
 def test_filters(dent):
     rays = rays_at(dent)
     tracer, other = (rs.Tracer(dent, "bvh", device) for device in ("graphics", "cpu"))
-    skipped = other.first_hit(*rays).prim_id
-    assert_same_hits(
-        tracer.first_hit(*rays, skip_prim_ids=skipped),
-        other.first_hit(*rays, skip_prim_ids=skipped),
-    )
+    nearest = other.first_hit(*rays)
+    hits = tracer.first_hit(*rays, skip_prim_ids=nearest.prim_id)
+    assert_same_hits(hits, other.first_hit(*rays, skip_prim_ids=nearest.prim_id))
+    assert not (hits.prim_id == nearest.prim_id)[nearest.is_hit].any()
+    hits = tracer.first_hit(*rays, on_hit=is_even)
+    assert_same_hits(hits, other.first_hit(*rays, on_hit=is_even))
+    assert (hits.prim_id[hits.is_hit] % 2 == 0).all()
 
 
 @pytest.mark.parametrize("structure", ["bvh", "grid"])
