@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
 from raystream.structures.bvh import Bvh
-from raystream.structures.bvh.layout import BLOCK_SIZE, BvhArrays
+from raystream.structures.bvh.layout import BLOCK_SIZE, WIDTH, BvhArrays
 
 __all__ = ["form"]
 
@@ -22,14 +22,15 @@ def form(bvh: Bvh) -> Form:
     """The nodes and leaves as the CPU has them."""
     tree = bvh.tree
     node_count, block_count = len(tree.nodes), len(tree.leaves)
-    # Each node and each slot at most once; a child is taken from the stack before.
-    most = 10 * node_count + (BLOCK_SIZE + 2) * block_count
+    # A node is visited once, its children are taken from the stack once; a slot is looked at
+    # once, and a triangle that is crossed once more.
+    most = (1 + WIDTH) * node_count + 2 * BLOCK_SIZE * block_count
     return Form(
         name="bvh",
         shader="bvh.wgsl",
         tree=numbers(node_count),
         arrays=(tree.nodes.view(np.uint32), _blocks(tree)),
-        budget=budget_for(2 * most),
+        budget=budget_for(most),
         sizes={"STACK_SIZE": _stack_size(bvh)},
         lists_twice=bvh.lists_twice,
     )
