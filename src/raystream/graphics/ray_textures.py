@@ -100,6 +100,10 @@ class RayTextures:
         params += bytes(_TREE_AT - len(params)) + self._form.tree
         self._opened.device.queue.write_buffer(self._uniform, 0, params)
 
+    def write_tree(self, tree: bytes) -> None:
+        """Put other constants of the structure in their place."""
+        self._opened.device.queue.write_buffer(self._uniform, _TREE_AT, tree)
+
     @staticmethod
     def instead(query: Query, counts: bool) -> dict[str, str]:
         """Files that take the place of others: programs write no buffer that nobody wants."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,8 @@ class Work:
         See `streams.passes.Bindings`.
     count : int
         Rays that begin.
+    prepare : callable
+        Called before a pass with its kernel, where the host chooses it.
     """
 
     opened: OpenDevice
@@ -43,6 +45,7 @@ class Work:
     plan: Plan
     bind: Bindings
     count: int
+    prepare: Callable[[StepKernel], None] = lambda _kernel: None
 
 
 @dataclass(frozen=True)
@@ -155,6 +158,7 @@ def run_by_queries(
     while any(waiting):
         latest = scheduler.choose(Queues(kernels, tuple(waiting), latest))
         part = parts[latest]
+        work.prepare(kernels[latest])
         encoder = device.create_command_encoder()
         work.streams.run(
             encoder,

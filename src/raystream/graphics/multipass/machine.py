@@ -14,6 +14,7 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.endings import hit_counts
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass.kernels import kernels_of
+from raystream.graphics.multipass.kernels.constants import TriangleConstants
 from raystream.graphics.multipass.loops import (
     MOST_PASSES,
     Batch,
@@ -35,6 +36,7 @@ from raystream.machines.schedulers import (
     make_scheduler,
 )
 from raystream.machines.steps import steps_of
+from raystream.machines.steps.base import StepKernel
 from raystream.streams import Pass
 from raystream.structures import Structure
 
@@ -78,7 +80,8 @@ class Multipass(GraphicsQueries):
     loop : {"device", "queries"}
         Who chooses: the device, where the host looks every few dozen passes whether rays are
         left; or the host, which waits for the counts of each pass. These are occlusion queries,
-        as Purcell and Christen used them; not every adapter answers them exactly.
+        as Purcell and Christen used them; not every adapter answers them exactly. ``"brute"``
+        then has a triangle in the constants of each draw, as Foley did, if `intersections` is 1.
     max_passes : int
         Most passes of the rays that are traced together.
     rays_at_once : int
@@ -125,6 +128,9 @@ class Multipass(GraphicsQueries):
         self.max_passes = _at_least_one("max_passes", max_passes)
         self.loop = loop
         self.passes: Passes | None = None
+        self._constants = TriangleConstants.wanted(structure, loop, self.intersections)
+        if self._constants is not None:
+            self._form = self._constants.form
         self._latest = Query.FIRST_HIT
         self._streams = RayStreams(opened, self._form)
         self._plans: dict[tuple[Query, bool, bool], Plan] = {}
@@ -176,7 +182,10 @@ class Multipass(GraphicsQueries):
             self._plan(query, surfaces, counts),
             streams.bindings(query, counts),
             len(wanted),
+            self._prepare,
         )
+        if self._constants is not None:
+            self._constants.begin()
         self._loop(work)
         state = streams.rays.state.read(len(wanted))
         endings = np.where(state[:, 3] == 0, ENDLESS, state[:, 1] + np.uint32(1))
@@ -188,6 +197,10 @@ class Multipass(GraphicsQueries):
 
     def _rows(self, count: int) -> NDArray[Any]:
         return self._streams.rays.read_rows(self._latest, count)
+
+    def _prepare(self, kernel: StepKernel) -> None:
+        if self._constants is not None:
+            self._constants.load(self._streams.rays, kernel)
 
     def _loop(self, work: Work) -> None:
         """Pass after pass, until no ray is active."""
