@@ -1,9 +1,9 @@
 """What a graphics device may answer other than the CPU, and no more.
 
-The device computes t, u and v from the same float32 numbers by other instructions: its division
-may be off by 2.5 units in the last place (Vulkan, "Precision and Operation of SPIR-V
-Instructions"), and its compilers may reorder. Which triangles a ray meets follows from exact
-signs, so counts, splits, ids and what is in the way are the CPU's.
+The device computes t, u and v from the same float32 numbers by other instructions, and a driver
+may round some of them its own way (Vulkan, "Precision and Operation of SPIR-V Instructions").
+Which triangles a ray meets follows from exact signs, so counts, splits, ids and what is in the
+way are the CPU's.
 """
 
 from __future__ import annotations
