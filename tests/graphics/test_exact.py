@@ -127,3 +127,13 @@ def test_wide_quotients_are_rounded_once(evaluate, rows):
     found = evaluate(expression, kept)[:, 0]
     x, y, z, w = kept.astype(np.float64).T
     assert np.array_equal(found, (x * y / (z * w)).astype(np.float32).astype(np.float64))
+
+
+def test_fused_sums_are_rounded_once(evaluate, rows):
+    found = evaluate("vec2f(fused(x.x, x.y, x.z), 0.0)", rows)[:, 0]
+    for row, one in zip(rows[:2000], found[:2000], strict=True):
+        a, b, c, _ = (Fraction(float(number)) for number in row)
+        exact = a * b + c
+        # Nearer than any neighbour, or a tie that float64 cannot see.
+        step = Fraction(float(np.spacing(np.float32(abs(one)))))
+        assert abs(Fraction(one) - exact) <= step / 2 * (1 + Fraction(2) ** -20)

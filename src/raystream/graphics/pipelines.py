@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.fusing import device_constants
 
 __all__ = ["bind_group", "compute_pipeline", "shader_module"]
 
@@ -52,13 +53,14 @@ def compute_pipeline(
         If it does not compile.
     """
     made = _MADE.setdefault(opened, {})
+    constants = device_constants(opened, source, constants)
     key = source, tuple(sorted(constants.items()))
     if key not in made:
         module = shader_module(opened, source, name)
         try:
             made[key] = opened.device.create_compute_pipeline(
                 layout="auto",
-                compute={"module": module, "entry_point": "trace", "constants": dict(constants)},
+                compute={"module": module, "entry_point": "trace", "constants": constants},
                 label=name,
             )
         except Exception as error:  # wgpu wraps whatever the driver says

@@ -69,6 +69,24 @@ fn wide_product(a: Wide, b: Wide) -> Wide {
     return ordered_sum(high.high, rounded(high.low + cross));
 }
 
+// Whether the device's fma() rounds once. WGSL lets it be a product and a sum.
+override FUSED: bool = false;
+
+// a * b + c, rounded once: so it is monotone in each, and what the CPU computes. (Where the device
+// has no such thing, one result in some millions is rounded the other way.)
+fn fused(a: f32, b: f32, c: f32) -> f32 {
+    if FUSED {
+        return fma(a, b, c);
+    }
+    let product = exact_product(a, b);
+    let sum = exact_sum(product.high, c);
+    return rounded(sum.high + rounded(sum.low + product.low));
+}
+
+fn fused3(a: vec3f, b: vec3f, c: vec3f) -> vec3f {
+    return vec3f(fused(a.x, b.x, c.x), fused(a.y, b.y, c.y), fused(a.z, b.z, c.z));
+}
+
 // a / b, rounded right but in cases that are nearly a tie: a device's own division may be off by
 // two and a half units in the last place. b is not 0.
 fn quotient(a: f32, b: f32) -> f32 {

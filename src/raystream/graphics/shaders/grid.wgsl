@@ -59,7 +59,7 @@ fn child_of(cell: i32) -> i32 {
 // The lattice within a coarse cell.
 fn fine_cells(cell: i32, child: i32) -> Lattice {
     let counts = vec3f(lattices[child].yzw);
-    let low = fma(cell_numbers(coarse_cells(), cell), params.tree.size, params.tree.low);
+    let low = fused3(cell_numbers(coarse_cells(), cell), params.tree.size, params.tree.low);
     return Lattice(low, rounded3(params.tree.size / counts), counts);
 }
 

@@ -15,12 +15,12 @@ fn plane_ray(ray: Ray) -> PlaneRay {
 }
 
 fn distance_to(line: PlaneRay, axis: u32, position: f32) -> f32 {
-    return fma(position, line.inv[axis], line.middle[axis]);
+    return fused(position, line.inv[axis], line.middle[axis]);
 }
 
 // Distances to three planes, one for each axis; `beyond` for those that are at infinity.
 fn distances_to(line: PlaneRay, positions: vec3f, beyond: f32) -> vec3f {
-    let t = fma(positions, line.inv, line.middle);
+    let t = fused3(positions, line.inv, line.middle);
     return select(t, vec3f(beyond), abs(positions) >= vec3f(FAR));
 }
 

@@ -13,7 +13,7 @@ struct Lattice {
 // What does not change while a ray walks through a lattice.
 struct Line {
     inv: vec3f,
-    // A plane's distance is fma(plane, inv, middle).
+    // A plane's distance is fused(plane, inv, middle).
     middle: vec3f,
     // 1 or -1: from a plane's number to the next one's.
     step: vec3f,
@@ -34,7 +34,7 @@ struct Walk {
 }
 
 fn distance_of(number: vec3f, lattice: Lattice, line: Line) -> vec3f {
-    return fma(fma(number, lattice.size, lattice.low), line.inv, line.middle);
+    return fused3(fused3(number, lattice.size, lattice.low), line.inv, line.middle);
 }
 
 // Distances of planes; FAR for those that the ray never passes.
@@ -68,7 +68,7 @@ fn cells_at(t: f32, lattice: Lattice, line: Line, ray: Ray) -> vec3f {
     let last = most - first;
     // Step 1: a guess that is right but for rounding. That of a flat axis is 0.
     let size = select(lattice.size, vec3f(1.0), lattice.size == vec3f(0.0));
-    let guess = (fma(vec3f(t), direction, origin) - lattice.low) / size;
+    let guess = (fused3(vec3f(t), direction, origin) - lattice.low) / size;
     var cell = floor(min(select(vec3f(0.0), guess, guess > vec3f(0.0)), most));
     // Step 2: the right one, by the rule: first onward, then back. One of the two loops is empty.
     let far_t = vec3f(t);

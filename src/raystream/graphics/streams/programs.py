@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.fusing import device_constants
 from raystream.graphics.pipelines import shader_module
 from raystream.graphics.streams.textures import StencilTexture
 
@@ -156,7 +157,7 @@ def fragment_pipeline(
         If it does not compile.
     """
     made = _MADE.setdefault(opened, {})
-    constants = dict(program.constants)
+    constants = device_constants(opened, program.source, program.constants)
     key = (
         program.source,
         program.entry,

@@ -3,7 +3,7 @@
 // The bin in which a ray is at t, to a rounding.
 fn bin_row(ray: Ray, t: f32) -> u32 {
     let origin = from_frame(ray.kz, ray.origin);
-    let position = fma(vec3f(t), from_frame(ray.kz, ray.direction), origin);
+    let position = fused3(vec3f(t), from_frame(ray.kz, ray.direction), origin);
     let place = (position - params.tree.bin_low) * params.tree.bin_scales;
     let counts = params.tree.bin_counts;
     let bin = vec3u(clamp(place, vec3f(0.0), counts - vec3f(1.0)));
