@@ -2,12 +2,29 @@
 
 Vulkan, Metal or Direct3D 12; ``pip install raystream[graphics]``. ``Tracer(device="graphics")``
 has three machines: ``"compute"``, its usual one.
+
+Pictures by the graphics pipeline itself: `visibility` rasterises, `hybrid` adds ray traced shadows
+to that, and `bounces` draws mirrors in mirrors by fragment programs alone.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
 
 from raystream.graphics.forms import build_with_shaders
 from raystream.graphics.machines import GRAPHICS_MACHINES
 from raystream.machines.devices import register_device
 
-__all__ = ["GRAPHICS_MACHINES"]
+__all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "visibility"]
 
 register_device("graphics", build_with_shaders, GRAPHICS_MACHINES)
+
+#: What renders, by module: imported when it is asked for.
+_HOMES = {"Visibility": "raster", "visibility": "raster", "hybrid": "shadow_caster"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'raystream.graphics' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"raystream.graphics.{_HOMES[name]}"), name)

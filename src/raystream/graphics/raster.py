@@ -1,0 +1,189 @@
+"""Rasterising: what the eye sees, found by the graphics pipeline and its depth buffer.
+
+Purcell 2002 (introduction, and the shadow caster of section 3.2): a rendering pass with a depth
+buffer finds the visible surfaces, and rays what follows: see `shadow_caster`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.graphics.adapters import OpenDevice, open_device
+from raystream.graphics.buffers import Buffer, uniform, upload
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.forms.base import numbers
+from raystream.graphics.fragments import FragmentProgram, group_entry
+from raystream.graphics.pipelines import shader_module
+from raystream.graphics.screens import IDS, WORDS, Screen, new_screen, read_screen
+from raystream.graphics.source import shader_source
+from raystream.graphics.views import check_pinhole, packed_view
+from raystream.render.arguments import check_camera, check_size
+from raystream.scene.camera import Camera
+from raystream.scene.scene import Scene
+
+__all__ = ["Visibility", "visibility"]
+
+_DEPTH = "depth32float"
+
+#: Triangles in a draw: its vertices are counted in 32 bits, and drivers take long ones for hung.
+_TRIANGLES_AT_ONCE = 1 << 20
+
+
+class Visibility(NamedTuple):
+    """What is seen in each pixel's centre, by (row, column).
+
+    Attributes
+    ----------
+    prim_id : ndarray of shape (H, W), int32
+        Triangle, counted over the whole scene; -1 where nothing is seen.
+    t : ndarray of shape (H, W), float32
+        Distance from the eye, scene units; inf where nothing is seen.
+    u, v : ndarray of shape (H, W), float32
+        Weights of vertices 1 and 2; 0 where nothing is seen.
+    """
+
+    prim_id: NDArray[np.int32]
+    t: NDArray[np.float32]
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+
+
+def visibility(
+    scene: Scene,
+    size: tuple[int, int] = (1024, 768),
+    *,
+    camera: Camera | None = None,
+    adapter: str | None = None,
+) -> Visibility:
+    """Rasterise a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    size : (int, int)
+        Width and height in pixels.
+    camera : Camera, optional
+        The view, in perspective; a lens counts as its middle. Without it, the scene's.
+    adapter : str, optional
+        See `adapters.open_device`.
+
+    Returns
+    -------
+    Visibility
+
+    Raises
+    ------
+    ValueError
+        If the size is out of range, or the camera is not in perspective.
+    GraphicsError
+        If there is no adapter, or the scene or the picture is too large for it.
+
+    Notes
+    -----
+    The same as the nearest hits of `camera.rays`, but for pixels whose centre is on an edge, or
+    nearer to one than the rasteriser is exact: its vertices are on a lattice, usually of 1/256
+    pixel. Distance and weights are those of the pixel's ray and the triangle, or of the
+    triangle's nearest point where the ray just misses it. Surfaces nearer to the eye than 2**-24
+    of the scene's size are cut off.
+    """
+    check_camera(camera)
+    size = check_size(size)
+    view = camera or scene.camera_for(size[0] / size[1])
+    check_pinhole(view)
+    words = _Raster(scene.triangles, open_device(adapter)).draw(view, size)
+    prim_id = words[..., 3].view(np.int32)
+    t, u, v = (words[..., k].view(np.float32) for k in range(3))
+    return Visibility(
+        prim_id.copy(), np.where(prim_id < 0, np.float32(np.inf), t), u.copy(), v.copy()
+    )
+
+
+class _Raster:
+    """The two passes: which triangle, and where."""
+
+    def __init__(self, triangles: Triangles, opened: OpenDevice) -> None:
+        self._triangles, self._opened = triangles, opened
+        arrays = [
+            ("the numbers of triangles", triangles.prim_ids.astype(np.uint32)),
+            ("the corners of triangles", triangles.corners),
+        ]
+        self._buffers: list[Buffer] = upload(opened, arrays)
+        self._resolve = FragmentProgram(
+            opened, "resolve", ["raster/resolve.wgsl"], reads=[IDS], writes=[WORDS], gathers=1
+        )
+        self._layouts, self._pipeline = _raster_pipeline(opened)
+
+    def draw(self, view: Camera, size: tuple[int, int]) -> NDArray[np.uint32]:
+        """Shape (H, W, 4): t, u and v as bits, and prim_id."""
+        opened = self._opened
+        packed = packed_view(view, size, self._triangles)
+        seen = new_screen(opened, size, IDS, "numbers of triangles")
+        depth = new_screen(opened, size, _DEPTH, "depth")
+        found = new_screen(opened, size, WORDS, "hits")
+        encoder = opened.device.create_command_encoder()
+        params = uniform(opened, numbers(self._triangles.extreme, 0, 0, 0) + packed)
+        self._rasterise(encoder, params, seen, depth)
+        self._resolve.draw(encoder, params, [seen], [found], self._buffers[1:])
+        opened.device.queue.submit([encoder.finish()])
+        return read_screen(opened, found)
+
+    def _rasterise(self, encoder: Any, params: Any, seen: Screen, depth: Screen) -> None:
+        device, count = self._opened.device, len(self._triangles.prim_ids)
+        resources = [[{"buffer": params, "size": params.size}], [b.binding for b in self._buffers]]
+        drawn = encoder.begin_render_pass(
+            color_attachments=[
+                {
+                    "view": seen.view,
+                    "load_op": "clear",
+                    "store_op": "store",
+                    "clear_value": (-1, 0, 0, 0),
+                }
+            ],
+            depth_stencil_attachment={
+                "view": depth.view,
+                "depth_clear_value": 0.0,
+                "depth_load_op": "clear",
+                "depth_store_op": "discard",
+            },
+        )
+        drawn.set_pipeline(self._pipeline)
+        for number, (layout, own) in enumerate(zip(self._layouts, resources, strict=True)):
+            entries = [{"binding": k, "resource": one} for k, one in enumerate(own)]
+            drawn.set_bind_group(number, device.create_bind_group(layout=layout, entries=entries))
+        for first in range(0, count, _TRIANGLES_AT_ONCE):
+            drawn.draw(3 * min(_TRIANGLES_AT_ONCE, count - first), 1, 3 * first)
+        drawn.end()
+
+
+def _raster_pipeline(opened: OpenDevice) -> tuple[list[Any], Any]:
+    """Layouts of the bind groups, and the pipeline with its depth test."""
+    device = opened.device
+    module = shader_module(opened, shader_source("raster/raster.wgsl"), "raster")
+    groups: list[list[dict[str, Any]]] = [
+        [{"buffer": {"type": "uniform"}}],
+        [{"buffer": {"type": "read-only-storage"}}] * 2,
+    ]
+    try:
+        layouts = [
+            device.create_bind_group_layout(entries=list(map(group_entry, range(99), entries)))
+            for entries in groups
+        ]
+        pipeline = device.create_render_pipeline(
+            label="raster",
+            layout=device.create_pipeline_layout(bind_group_layouts=layouts),
+            vertex={"module": module, "entry_point": "project"},
+            primitive={"topology": "triangle-list", "cull_mode": "none"},
+            depth_stencil={
+                "format": _DEPTH,
+                "depth_write_enabled": True,
+                "depth_compare": "greater",
+            },
+            fragment={"module": module, "entry_point": "note", "targets": [{"format": IDS}]},
+        )
+    except Exception as error:  # wgpu wraps whatever the driver says
+        raise GraphicsError(f"shader raster: gives no pipeline: {error}") from error
+    return layouts, pipeline

@@ -1,0 +1,31 @@
+// Rasterising: the nearest triangle in each pixel, found by the depth buffer.
+//
+// Purcell 2002, section 3.2, the shadow caster: the standard graphics pipeline computes what is
+// hidden. Depth is near / z, so that floats are as fine far away as nearby, and nothing is too far.
+
+//! include "raster/params.wgsl"
+
+// Numbers of the triangles that can be hit.
+@group(1) @binding(0) var<storage, read> prim_ids: array<u32>;
+// Corners of all triangles: nine numbers each.
+@group(1) @binding(1) var<storage, read> corners: array<f32>;
+
+struct Vertex {
+    @builtin(position) position: vec4f,
+    @location(0) @interpolate(flat) prim_id: i32,
+}
+
+@vertex
+fn project(@builtin(vertex_index) i: u32) -> Vertex {
+    let prim_id = prim_ids[i / 3u];
+    let view = params.view;
+    let toward = corner_of(prim_id, i % 3u) - view.eye;
+    let x = dot(toward, view.right) * 2.0 / (view.width * view.scale);
+    let y = dot(toward, view.up) * 2.0 / (view.height * view.scale);
+    return Vertex(vec4f(x, y, view.near, dot(toward, view.forward)), i32(prim_id));
+}
+
+@fragment
+fn note(vertex: Vertex) -> @location(0) i32 {
+    return vertex.prim_id;
+}

@@ -1,0 +1,7 @@
+// A triangle that covers the screen: to draw it is to run a kernel on every pixel's record.
+
+@vertex
+fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {
+    let corner = vec2f(f32((i << 1u) & 2u), f32(i & 2u));
+    return vec4f(2.0 * corner - 1.0, 0.0, 1.0);
+}

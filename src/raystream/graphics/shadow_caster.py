@@ -1,0 +1,117 @@
+"""Hybrid rendering: visibility by rasterising, shadows by ray tracing.
+
+Purcell 2002, section 3.2 (the shadow caster): the standard graphics pipeline finds what is seen in
+a first pass; a second one sends a ray from there to each light, and adds what that light sends
+where nothing is in the way. So there are no rays from the eye.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raystream.core.hits import Hits
+from raystream.graphics.raster import Visibility, visibility
+from raystream.render.arguments import check_camera, check_size, make_tracer
+from raystream.render.image import Image
+from raystream.render.picture import RENDERERS
+from raystream.render.sampled import Band, PathStream, Setting, eye_paths, make_setting
+from raystream.render.sampling.sampler import Sampler
+from raystream.scene.camera import Camera
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = ["hybrid"]
+
+#: Rays to lights that are made at once.
+_MOST_RAYS = 1 << 18
+
+
+def hybrid(
+    scene: Scene | Tracer,
+    size: tuple[int, int] = (1024, 768),
+    structure: str | None = None,
+    device: str | None = None,
+    *,
+    camera: Camera | None = None,
+    adapter: str | None = None,
+    **options: Any,
+) -> Image:
+    """Render a picture with shadows: the nearest surfaces rasterised, the shadows ray traced.
+
+    Parameters
+    ----------
+    scene : Scene or Tracer
+        A tracer, of any device, saves building its structure again.
+    size : (int, int)
+        Width and height in pixels.
+    structure, device, **options
+        Of the tracer of shadow rays, see `Tracer`: a grid on the graphics device, if nothing is
+        said. Not to be given together with a tracer.
+    camera : Camera, optional
+        The view, in perspective; a lens counts as its middle. Without it, the scene's.
+    adapter : str, optional
+        Of the rasteriser, see `adapters.open_device`.
+
+    Returns
+    -------
+    Image
+        Linear RGB, as ``render(scene, "shadow")`` has it but where `visibility` differs from
+        primary rays; with the layers ``prim_id`` and ``depth``, the distance from the eye.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, the camera is not in perspective, or some of the scene's
+        surfaces are not opaque: the rasteriser sees only the nearest.
+    GraphicsError
+        If there is no adapter, or the scene or the picture is too large for it.
+    """
+    check_camera(camera)
+    width, height = check_size(size)
+    tracer = _tracer_of(scene, structure, device, options)
+    view = camera or tracer.scene.camera_for(width / height)
+    shadow = RENDERERS["shadow"]
+    chosen = shadow.check(shadow.options)
+    setting = make_setting(tracer, view, (width, height), Sampler.of("sobol", 0, 1), chosen)
+    if setting.opacity is not None:
+        raise ValueError("scene: has surfaces that are not opaque, of which rasterising knows none")
+    seen = visibility(tracer.scene, (width, height), camera=view, adapter=adapter)
+    pixels = np.zeros((height, width, 3), np.float32)
+    rows = max(1, _MOST_RAYS // (width * max(shadow.rays_per_pixel(setting), 1)))
+    for first in range(0, height, rows):
+        band = range(first, min(first + rows, height))
+        pixels[band.start : band.stop] = _shade(setting, seen, band)
+    return Image(pixels, {"prim_id": seen.prim_id, "depth": seen.t})
+
+
+def _tracer_of(
+    scene: Scene | Tracer, structure: str | None, device: str | None, options: dict[str, Any]
+) -> Tracer:
+    """The tracer given, or one of the scene."""
+    if isinstance(scene, Tracer):
+        return make_tracer(scene, structure or "bvh", device or "cpu", options)
+    return make_tracer(scene, structure or "grid", device or "graphics", options)
+
+
+def _shade(setting: Setting, seen: Visibility, rows: range) -> Any:
+    """Light what is seen in some rows: the shadow renderer's stages without its first."""
+    count = len(rows) * setting.width
+    size = setting.width, setting.height
+    band = Band(setting, 0, rows.start * setting.width, np.zeros((count, 3), np.float32))
+    part = [array[rows.start : rows.stop].ravel() for array in (seen.t, seen.u, seen.v)]
+    prim_id = seen.prim_id[rows.start : rows.stop].ravel()
+    hits = Hits(
+        part[0],
+        part[1],
+        part[2],
+        prim_id,
+        np.zeros(count, np.uint8),
+        setting.tracer.scene.triangles,
+    )
+    paths = eye_paths(setting.camera, size, setting.sampler, rows, 0)
+    stream = PathStream(paths, hits=hits)
+    for stage in RENDERERS["shadow"].stages:
+        stream = stage(stream, band)
+    return band.radiance.reshape(len(rows), setting.width, 3)
