@@ -4,7 +4,7 @@ Vulkan, Metal or Direct3D 12; ``pip install raystream[graphics]``. ``Tracer(devi
 has three machines: ``"compute"``, its usual one.
 
 Pictures by the graphics pipeline itself: `visibility` rasterises, `hybrid` adds ray traced shadows
-to that, and `bounces` draws mirrors in mirrors by fragment programs alone.
+to that, and `render_bounces` draws mirrors in mirrors by fragment programs alone.
 """
 
 from __future__ import annotations
@@ -16,12 +16,17 @@ from raystream.graphics.forms import build_with_shaders
 from raystream.graphics.machines import GRAPHICS_MACHINES
 from raystream.machines.devices import register_device
 
-__all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "visibility"]
+__all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "render_bounces", "visibility"]
 
 register_device("graphics", build_with_shaders, GRAPHICS_MACHINES)
 
 #: What renders, by module: imported when it is asked for.
-_HOMES = {"Visibility": "raster", "visibility": "raster", "hybrid": "shadow_caster"}
+_HOMES = {
+    "Visibility": "raster",
+    "visibility": "raster",
+    "hybrid": "shadow_caster",
+    "render_bounces": "bounces",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.buffers import Buffer, uniform, upload
-from raystream.graphics.errors import GraphicsError
+from raystream.graphics.drawing import GATHERED, UNIFORM, drawing_pipeline
 from raystream.graphics.forms.base import numbers
-from raystream.graphics.fragments import FragmentProgram, group_entry
-from raystream.graphics.pipelines import shader_module
+from raystream.graphics.fragments import FragmentProgram
 from raystream.graphics.screens import IDS, WORDS, Screen, new_screen, read_screen
 from raystream.graphics.source import shader_source
 from raystream.graphics.views import check_pinhole, packed_view
@@ -115,7 +114,14 @@ class _Raster:
         self._resolve = FragmentProgram(
             opened, "resolve", ["raster/resolve.wgsl"], reads=[IDS], writes=[WORDS], gathers=1
         )
-        self._layouts, self._pipeline = _raster_pipeline(opened)
+        self._pipeline = drawing_pipeline(
+            opened,
+            shader_source("raster/raster.wgsl"),
+            ("project", "note"),
+            [[UNIFORM], [GATHERED] * 2],
+            [IDS],
+            depth={"format": _DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
+        )
 
     def draw(self, view: Camera, size: tuple[int, int]) -> NDArray[np.uint32]:
         """Shape (H, W, 4): t, u and v as bits, and prim_id."""
@@ -132,8 +138,8 @@ class _Raster:
         return read_screen(opened, found)
 
     def _rasterise(self, encoder: Any, params: Any, seen: Screen, depth: Screen) -> None:
-        device, count = self._opened.device, len(self._triangles.prim_ids)
-        resources = [[{"buffer": params, "size": params.size}], [b.binding for b in self._buffers]]
+        count = len(self._triangles.prim_ids)
+        own = [{"buffer": params, "size": params.size}]
         drawn = encoder.begin_render_pass(
             color_attachments=[
                 {
@@ -150,40 +156,7 @@ class _Raster:
                 "depth_store_op": "discard",
             },
         )
-        drawn.set_pipeline(self._pipeline)
-        for number, (layout, own) in enumerate(zip(self._layouts, resources, strict=True)):
-            entries = [{"binding": k, "resource": one} for k, one in enumerate(own)]
-            drawn.set_bind_group(number, device.create_bind_group(layout=layout, entries=entries))
+        self._pipeline.bind(drawn, [own, [one.binding for one in self._buffers]])
         for first in range(0, count, _TRIANGLES_AT_ONCE):
             drawn.draw(3 * min(_TRIANGLES_AT_ONCE, count - first), 1, 3 * first)
         drawn.end()
-
-
-def _raster_pipeline(opened: OpenDevice) -> tuple[list[Any], Any]:
-    """Layouts of the bind groups, and the pipeline with its depth test."""
-    device = opened.device
-    module = shader_module(opened, shader_source("raster/raster.wgsl"), "raster")
-    groups: list[list[dict[str, Any]]] = [
-        [{"buffer": {"type": "uniform"}}],
-        [{"buffer": {"type": "read-only-storage"}}] * 2,
-    ]
-    try:
-        layouts = [
-            device.create_bind_group_layout(entries=list(map(group_entry, range(99), entries)))
-            for entries in groups
-        ]
-        pipeline = device.create_render_pipeline(
-            label="raster",
-            layout=device.create_pipeline_layout(bind_group_layouts=layouts),
-            vertex={"module": module, "entry_point": "project"},
-            primitive={"topology": "triangle-list", "cull_mode": "none"},
-            depth_stencil={
-                "format": _DEPTH,
-                "depth_write_enabled": True,
-                "depth_compare": "greater",
-            },
-            fragment={"module": module, "entry_point": "note", "targets": [{"format": IDS}]},
-        )
-    except Exception as error:  # wgpu wraps whatever the driver says
-        raise GraphicsError(f"shader raster: gives no pipeline: {error}") from error
-    return layouts, pipeline

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["FLOATS", "IDS", "WORDS", "Screen", "new_screen", "read_screen"]
+__all__ = [
+    "FLOATS",
+    "IDS",
+    "WORDS",
+    "Screen",
+    "clear_screen",
+    "new_screen",
+    "read_screen",
+    "sampled",
+]
 
 #: Formats: four float32, four uint32, and one int32 of each pixel.
 FLOATS, WORDS, IDS = "rgba32float", "rgba32uint", "r32sint"
@@ -66,6 +75,13 @@ def new_screen(opened: OpenDevice, size: tuple[int, int], format: str, name: str
         ) from error
 
 
+def clear_screen(encoder: Any, screen: Screen, value: float) -> None:
+    """Set all numbers of a texture."""
+    attachment = {"view": screen.view, "clear_value": (value,) * 4}
+    attachment |= {"load_op": "clear", "store_op": "store"}
+    encoder.begin_render_pass(color_attachments=[attachment]).end()
+
+
 def read_screen(opened: OpenDevice, screen: Screen) -> NDArray[Any]:
     """Copy a texture back, when the device has done what it was given.
 
@@ -81,3 +97,9 @@ def read_screen(opened: OpenDevice, screen: Screen) -> NDArray[Any]:
         (width, height, 1),
     )
     return np.frombuffer(memory, dtype).reshape(height, width, channels)
+
+
+def sampled(format: str) -> dict[str, Any]:  # noqa: A002
+    """What a layout of a bind group says of a texture that is read."""
+    kind = {WORDS: "uint", IDS: "sint"}.get(format, "unfilterable-float")
+    return {"texture": {"sample_type": kind, "view_dimension": "2d"}}

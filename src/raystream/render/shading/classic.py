@@ -24,7 +24,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
 
-__all__ = ["ClassicLights", "arriving", "classic_lights_of"]
+__all__ = ["ClassicLights", "arriving", "classic_lights_of", "light_rows"]
 
 # Kinds of lights: a point whose light falls with the square of the distance, one whose light
 # does not, a sun, a flat patch, a bulb.
@@ -63,6 +63,14 @@ class ClassicLights(NamedTuple):
 
 def classic_lights_of(scene: Scene, camera: Camera) -> tuple[ClassicLights, object]:
     """The lights of a scene, and what must be kept; see `lighting.classic_lights`."""
+    table, ambient = light_rows(scene, camera)
+    sky, kept_sky = background_of(scene)
+    lights = ClassicLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
+    return lights, (table, kept_sky)
+
+
+def light_rows(scene: Scene, camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of `ClassicLights`, shape (L, 12), and the ambient radiance, shape (3,)."""
     frame = scene.triangles
     scale = float(frame.scale)
     patches = area_patches(scene)
@@ -83,10 +91,7 @@ def classic_lights_of(scene: Scene, camera: Camera) -> tuple[ClassicLights, obje
             row[_KIND] = _POINT if falls else _STEADY
         rows.append(row)
     rows += _patch_rows(scene, patches)
-    table = np.array(rows, np.float64).reshape(-1, _COLUMNS)
-    sky, kept_sky = background_of(scene)
-    lights = ClassicLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
-    return lights, (table, kept_sky)
+    return np.array(rows, np.float64).reshape(-1, _COLUMNS), ambient
 
 
 def _vector(values: NDArray[np.float64] | Sequence[float]) -> Vector:

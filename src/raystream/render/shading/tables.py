@@ -26,6 +26,7 @@ __all__ = [
     "WIDTH",
     "Column",
     "SceneTables",
+    "material_rows",
     "tables_of",
 ]
 
@@ -125,7 +126,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     check_rows(len(triangles.corners), 9, "triangles")
     vertices = VertexAttributes.of(scene)
     material_ids = material_ids_of(scene)
-    materials = _material_rows(scene.materials)
+    materials = material_rows(scene.materials)
     textures, kept_textures = pack_textures(scene.materials)
     corners = np.ascontiguousarray(triangles.corners)
     tangents = _tangents(scene, corners, vertices, material_ids)
@@ -182,7 +183,8 @@ def _tangents(
     return vertex_tangents(corners, vertices, has_relief[material_ids])
 
 
-def _material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
+def material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
+    """Rows of `SceneTables.materials`."""
     rows = np.zeros((len(materials), WIDTH), np.float32)
     for row, material in zip(rows, materials, strict=True):
         for name, at in COLUMNS._asdict().items():

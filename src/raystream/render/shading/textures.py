@@ -31,6 +31,7 @@ __all__ = [
     "TextureTables",
     "pack_textures",
     "place_of",
+    "texture_arrays",
     "texture_color",
     "texture_of",
     "texture_size",
@@ -88,7 +89,13 @@ def place_of(array: NDArray[Any] | None) -> np.uint64:
 
 
 def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]:
-    """Decode the textures of materials, and say what must be kept; shared ones are kept once.
+    """The textures of materials, and what must be kept; see `texture_arrays`."""
+    kept = texture_arrays(materials)
+    return TextureTables(*map(place_of, kept)), kept
+
+
+def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
+    """Decode the textures of materials: the arrays of `TextureTables`; shared ones are kept once.
 
     Warns
     -----
@@ -122,7 +129,7 @@ def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]
         if row[_BUMP] >= 0 and row[_NORMAL] < 0 and _holds_normals(parts[row[_BUMP]]):
             row[_NORMAL], relief[0] = row[_BUMP], material.bump_scale
     bytes_ = np.arange(256, dtype=np.uint8)
-    kept: tuple[NDArray[Any], ...] = (
+    return (
         np.concatenate(parts) if parts else np.empty((0, 4), np.uint8),
         np.array(places, np.int32).reshape(-1, 4),
         of_material,
@@ -131,7 +138,6 @@ def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]
         bytes_ / np.float32(255.0),
         np.maximum((bytes_ - np.float32(128.0)) / np.float32(127.0), np.float32(-1.0)),
     )
-    return TextureTables(*map(place_of, kept)), kept
 
 
 def _is_seen(material: Material, role: str) -> bool:
@@ -166,7 +172,7 @@ def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
     try:
         pixels = texture.pixels()
     except FileFormatError as error:
-        warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=4)
+        warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=5)
         return None
     padded: NDArray[np.uint8] = np.zeros((*pixels.shape[:2], 4), np.uint8)
     padded[:, :, :3] = pixels[:, :, :3]  # one channel is grey

@@ -1,0 +1,227 @@
+"""Bounces: mirrors in mirrors by fragment programs alone, without recursion (Christen 2005).
+
+All that a pixel needs is in textures, and one program after the other runs over all pixels. An
+iteration is: trace the rays; add up the light of the surfaces they meet, light by light; let the
+iteration buffer take that, weighted, and weigh what is reflected; send the reflected rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from raystream.graphics.adapters import OpenDevice, open_device
+from raystream.graphics.buffers import Buffer, uniform, upload
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.forms import form_of
+from raystream.graphics.forms.base import numbers
+from raystream.graphics.fragments import FragmentProgram
+from raystream.graphics.records import Query
+from raystream.graphics.screens import FLOATS, WORDS, Screen, clear_screen, new_screen, read_screen
+from raystream.graphics.surfaces import SurfaceArrays, check_surfaces
+from raystream.graphics.views import check_pinhole, packed_view
+from raystream.render.arguments import check_camera, check_size, make_tracer
+from raystream.render.image import Image
+from raystream.render.picture import RENDERERS
+from raystream.scene.camera import Camera
+from raystream.scene.scene import Scene
+from raystream.structures import Structure
+from raystream.tracer import Tracer
+
+__all__ = ["render_bounces"]
+
+
+def render_bounces(
+    scene: Scene | Tracer,
+    size: tuple[int, int] = (1024, 768),
+    structure: str = "grid",
+    *,
+    camera: Camera | None = None,
+    max_bounces: int = 8,
+    min_weight: float = 1.0 / 512.0,
+    adapter: str | None = None,
+    **options: Any,
+) -> Image:
+    """Render a picture with shadows and mirrors by fragment programs.
+
+    Parameters
+    ----------
+    scene : Scene or Tracer
+        A tracer saves building its structure again; its device does not matter.
+    size : (int, int)
+        Width and height in pixels.
+    structure, **options
+        See `Tracer`; not to be given together with one.
+    camera : Camera, optional
+        The view, in perspective; a lens counts as its middle. Without it, the scene's.
+    max_bounces : int
+        Surfaces that may mirror light on its way: there is one iteration more.
+    min_weight : float
+        Rays of which no colour weighs more end.
+    adapter : str, optional
+        See `adapters.open_device`.
+
+    Returns
+    -------
+    Image
+        Linear RGB, as ``render(scene, "whitted")`` has it with the same options but for float32,
+        which moves the outlines of mirrored things a little. Its figures have ``iterations``,
+        and ``passes``, of which each draws the whole picture once.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or the scene has what these programs do not draw: glass
+        (each pixel has room for one ray), textures, rough or partly clear surfaces, or a light
+        with an image.
+    GraphicsError
+        If there is no adapter, the scene or the picture is too large for it, or a ray's search
+        did not end.
+
+    References
+    ----------
+    Christen, "Ray Tracing on GPU", 2005, sections 5.2 and 5.4.
+    """
+    check_camera(camera)
+    size = check_size(size)
+    chosen = RENDERERS["whitted"].check({"max_bounces": max_bounces, "min_weight": min_weight})
+    given = scene.scene if isinstance(scene, Tracer) else scene
+    if isinstance(given, Scene):
+        check_surfaces(given)
+    if isinstance(scene, Tracer):
+        tracer = make_tracer(scene, "bvh", "cpu", options)
+    else:
+        tracer = make_tracer(scene, structure, "cpu", options)
+    view = camera or tracer.scene.camera_for(size[0] / size[1])
+    check_pinhole(view)
+    opened = open_device(adapter)
+    pipeline = _Pipeline(tracer.structure, tracer.scene, view, size, opened, chosen["min_weight"])
+    mirrors = any(any(one.reflection) for one in tracer.scene.materials)
+    return pipeline.render(chosen["max_bounces"] + 1 if mirrors else 1)
+
+
+class _Pipeline:
+    """The programs, and the textures between them."""
+
+    def __init__(
+        self,
+        structure: Structure,
+        scene: Scene,
+        view: Camera,
+        size: tuple[int, int],
+        opened: OpenDevice,
+        min_weight: float,
+    ) -> None:
+        self._opened, self._size, self._form = opened, size, form_of(structure)
+        form, extreme = self._form, float(structure.triangles.extreme)
+        names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
+        self._tree = upload(opened, zip(names, form.arrays, strict=True))
+        self._search = uniform(opened, numbers(extreme, 0, form.budget, 0) + form.tree)
+        self._arrays = SurfaceArrays(scene, view, opened)
+        packed = packed_view(view, size, scene.triangles)
+        self._params = [
+            uniform(opened, self._arrays.params(number, min_weight, packed))
+            for number in range(max(self._arrays.light_count, 1))
+        ]
+        self._make_programs()
+        self._make_screens()
+        self._pass_count = 0
+
+    def _make_programs(self) -> None:
+        opened, form = self._opened, self._form
+        seen, lit = len(self._arrays.surfaces), len(self._arrays.lit_surfaces)
+
+        def program(name: str, reads: Sequence[str], writes: Sequence[str], gathers: int) -> Any:
+            files = [f"bounces/{name}.wgsl"]
+            return FragmentProgram(opened, name, files, reads=reads, writes=writes, gathers=gathers)
+
+        def search(query: Query) -> Any:
+            return FragmentProgram(
+                opened,
+                "trace",
+                ["bounces/trace.wgsl", form.shader],
+                reads=[FLOATS, FLOATS],
+                writes=[WORDS],
+                gathers=len(form.arrays),
+                notes=True,
+                constants={"QUERY": float(query), **form.constants},
+            )
+
+        hit = [FLOATS, WORDS]
+        self._eye = program("eye", [], [FLOATS, FLOATS], 0)
+        self._first_hit, self._any_hit = search(Query.FIRST_HIT), search(Query.ANY_HIT)
+        self._glow = program("glow", hit, [FLOATS], seen)
+        self._aim = program("aim", hit, [FLOATS, FLOATS], lit)
+        self._add = program("add", [*hit, WORDS, FLOATS], [FLOATS], lit)
+        self._iterate = program("iterate", [*hit, *[FLOATS] * 3], [FLOATS, FLOATS], seen)
+        self._mirror = program("mirror", [*hit, FLOATS], [FLOATS, FLOATS], seen)
+
+    def _make_screens(self) -> None:
+        def screens(name: str, count: int, kind: str = FLOATS) -> list[Screen]:
+            return [new_screen(self._opened, self._size, kind, name) for _ in range(count)]
+
+        # Pairs of which one is read while the other is written.
+        self._rays, self._next_rays = screens("rays", 2), screens("next rays", 2)
+        self._light, self._next_light = screens("light", 2)
+        self._buffer, self._next_buffer = screens("colours", 2), screens("weights", 2)
+        self._light_rays = screens("rays to lights", 2)
+        self._hits, self._blocked = screens("hits", 2, WORDS)
+        self._endless = Buffer(self._opened, "endless rays")
+        self._endless.reserve(4)
+
+    def render(self, iterations: int) -> Image:
+        """Run all programs, and read the picture once."""
+        self._endless.write(np.zeros(1, np.uint32))
+        encoder = self._opened.device.create_command_encoder()
+        clear_screen(encoder, self._buffer[0], 0.0)
+        clear_screen(encoder, self._buffer[1], 1.0)
+        self._draw(encoder, self._eye, [], self._rays)
+        for _ in range(iterations):
+            self._iterate_once(encoder)
+            # Each iteration is given to the device by itself: drivers take long ones for hung.
+            self._opened.device.queue.submit([encoder.finish()])
+            encoder = self._opened.device.create_command_encoder()
+        pixels = read_screen(self._opened, self._buffer[0])[..., :3]
+        endless = int(self._endless.read(np.uint32, (1,))[0])
+        if endless:
+            raise GraphicsError(
+                f"device 'graphics': the search of {endless:,} rays in {self._form.name!r} took "
+                f"more than {self._form.budget:,} steps and tests"
+            )
+        return Image(pixels, figures={"iterations": iterations, "passes": self._pass_count})
+
+    def _iterate_once(self, encoder: Any) -> None:
+        surfaces, lights = self._arrays.surfaces, self._arrays.lit_surfaces
+        hit = [self._rays[1], self._hits]
+        self._trace(encoder, self._first_hit, self._rays, self._hits)
+        self._draw(encoder, self._glow, hit, [self._light], surfaces)
+        for number in range(self._arrays.light_count):
+            self._draw(encoder, self._aim, hit, self._light_rays, lights, number)
+            self._trace(encoder, self._any_hit, self._light_rays, self._blocked)
+            reads = [*hit, self._blocked, self._light]
+            self._draw(encoder, self._add, reads, [self._next_light], lights, number)
+            self._light, self._next_light = self._next_light, self._light
+        color, weight = self._buffer
+        reads = [*hit, self._light, weight, color]
+        self._draw(encoder, self._iterate, reads, self._next_buffer, surfaces)
+        self._buffer, self._next_buffer = self._next_buffer, self._buffer
+        self._draw(encoder, self._mirror, [*hit, self._buffer[1]], self._next_rays, surfaces)
+        self._rays, self._next_rays = self._next_rays, self._rays
+
+    def _trace(self, encoder: Any, program: Any, rays: Sequence[Screen], found: Screen) -> None:
+        program.draw(encoder, self._search, rays, [found], self._tree, self._endless)
+        self._pass_count += 1
+
+    def _draw(
+        self,
+        encoder: Any,
+        program: FragmentProgram,
+        reads: Sequence[Screen],
+        writes: Sequence[Screen],
+        gathers: Sequence[Buffer] = (),
+        number: int = 0,
+    ) -> None:
+        program.draw(encoder, self._params[number], reads, writes, gathers)
+        self._pass_count += 1

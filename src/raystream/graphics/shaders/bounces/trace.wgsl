@@ -1,0 +1,50 @@
+// The traverser and intersector in one: a pixel's ray from start to end, as hardware with branches
+// can have it (Christen 2005, sections 5.4.3 and 5.4.4; Purcell 2002, section 2.2).
+
+struct Params {
+    extreme: f32,
+    // 0: see exact.wgsl.
+    zero: u32,
+    // Steps and tests before a search counts as endless.
+    budget: u32,
+    @align(16) tree: Tree,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var origins: texture_2d<f32>;
+@group(0) @binding(2) var directions: texture_2d<f32>;
+// Rays whose budget was spent.
+@group(0) @binding(3) var<storage, read_write> endless: array<atomic<u32>>;
+
+//! include "exact.wgsl"
+//! include "view.wgsl"
+//! include "ray.wgsl"
+//! include "triangle.wgsl"
+//! include "found.wgsl"
+//! include "no_rows.wgsl"
+//! include "tally.wgsl"
+
+// A first hit: t in lengths of the local direction, weights, and number of the triangle. Of any
+// hit, the last word is whether there is one.
+@fragment
+fn trace(@builtin(position) pixel: vec4f) -> @location(0) vec4u {
+    let place = vec2i(pixel.xy);
+    let origin = textureLoad(origins, place, 0);
+    let direction = textureLoad(directions, place, 0);
+    begin_found(FAR, 0u, 1u);
+    if direction.w >= 0.0 {
+        let power = power_for(direction.xyz);
+        let t_max = select(direction.w / power, FAR, direction.w >= 0x1p+60);
+        let ray = set_up_ray(origin.xyz, direction.xyz * power, 0.0, t_max);
+        found.t_far = t_max;
+        search(ray);
+        if found.budget == 0u {
+            atomicAdd(&endless[0], 1u);
+        }
+    }
+    if QUERY == ANY_HIT {
+        return vec4u(0u, 0u, 0u, found.count);
+    }
+    let hit = vec3u(bitcast<u32>(found.t), bitcast<u32>(found.u), bitcast<u32>(found.v));
+    return vec4u(hit, bitcast<u32>(found.prim_id));
+}
