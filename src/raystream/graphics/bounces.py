@@ -18,6 +18,7 @@ from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import form_of
 from raystream.graphics.forms.base import numbers
 from raystream.graphics.fragments import FragmentProgram
+from raystream.graphics.guarding import guarded
 from raystream.graphics.records import Query
 from raystream.graphics.screens import FLOATS, WORDS, Screen, clear_screen, new_screen, read_screen
 from raystream.graphics.surfaces import SurfaceArrays, check_surfaces
@@ -97,9 +98,10 @@ def render_bounces(
     view = camera or tracer.scene.camera_for(size[0] / size[1])
     check_pinhole(view)
     opened = open_device(adapter)
-    pipeline = _Pipeline(tracer.structure, tracer.scene, view, size, opened, chosen["min_weight"])
     mirrors = any(any(one.reflection) for one in tracer.scene.materials)
-    return pipeline.render(chosen["max_bounces"] + 1 if mirrors else 1)
+    with guarded(opened):
+        made = _Pipeline(tracer.structure, tracer.scene, view, size, opened, chosen["min_weight"])
+        return made.render(chosen["max_bounces"] + 1 if mirrors else 1)
 
 
 class _Pipeline:
@@ -141,11 +143,12 @@ class _Pipeline:
             return FragmentProgram(
                 opened,
                 "trace",
-                ["bounces/trace.wgsl", form.shader],
+                ["bounces/trace.wgsl"],
                 reads=[FLOATS, FLOATS],
                 writes=[WORDS],
                 gathers=len(form.arrays),
                 notes=True,
+                form=form,
                 constants={"QUERY": float(query), **form.constants},
             )
 
@@ -188,7 +191,8 @@ class _Pipeline:
         if endless:
             raise GraphicsError(
                 f"device 'graphics': the search of {endless:,} rays in {self._form.name!r} took "
-                f"more than {self._form.budget:,} steps and tests"
+                f"more than {self._form.budget:,} steps and tests, or was cut short by a driver "
+                f"that ends long loops ({self._opened.adapter})"
             )
         return Image(pixels, figures={"iterations": iterations, "passes": self._pass_count})
 

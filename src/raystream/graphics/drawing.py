@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.fusing import device_constants
 from raystream.graphics.pipelines import shader_module
 
 __all__ = ["GATHERED", "NOTED", "UNIFORM", "DrawingPipeline", "drawing_pipeline"]
@@ -72,7 +73,7 @@ def drawing_pipeline(
         If it does not compile.
     """
     made = _MADE.setdefault(opened, {})
-    constants = dict(constants or {})
+    constants = device_constants(opened, source, constants or {})
     key = source, entry_points, tuple(targets), tuple(sorted(constants.items()))
     if key in made:
         return made[key]

@@ -8,6 +8,7 @@ from typing import Any
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer
 from raystream.graphics.drawing import GATHERED, NOTED, UNIFORM, drawing_pipeline
+from raystream.graphics.forms import Form
 from raystream.graphics.screens import Screen, sampled
 from raystream.graphics.source import shader_source
 
@@ -32,6 +33,8 @@ class FragmentProgram:
         Storage buffers that it reads: bindings 0 and up of group 1.
     notes : bool
         Whether it writes a storage buffer: the last binding of group 0.
+    form : Form, optional
+        The structure whose ``search()`` it calls.
     constants : mapping of str to float, optional
         Values of ``override`` declarations.
 
@@ -51,10 +54,12 @@ class FragmentProgram:
         writes: Sequence[str],
         gathers: int = 0,
         notes: bool = False,
+        form: Form | None = None,
         constants: Mapping[str, float] | None = None,
     ) -> None:
         own = [UNIFORM, *map(sampled, reads), *[NOTED] * notes]
-        source = shader_source("screen.wgsl", *files)
+        files = ["screen.wgsl", *files]
+        source = shader_source(*files) if form is None else form.source(*files)
         groups = own, [GATHERED] * gathers
         self._pipeline = drawing_pipeline(
             opened, source, ("cover", name), groups, writes, constants=constants

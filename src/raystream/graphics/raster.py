@@ -17,6 +17,7 @@ from raystream.graphics.buffers import Buffer, uniform, upload
 from raystream.graphics.drawing import GATHERED, UNIFORM, drawing_pipeline
 from raystream.graphics.forms.base import numbers
 from raystream.graphics.fragments import FragmentProgram
+from raystream.graphics.guarding import guarded
 from raystream.graphics.screens import IDS, WORDS, Screen, new_screen, read_screen
 from raystream.graphics.source import shader_source
 from raystream.graphics.views import check_pinhole, packed_view
@@ -93,7 +94,9 @@ def visibility(
     size = check_size(size)
     view = camera or scene.camera_for(size[0] / size[1])
     check_pinhole(view)
-    words = _Raster(scene.triangles, open_device(adapter)).draw(view, size)
+    opened = open_device(adapter)
+    with guarded(opened):
+        words = _Raster(scene.triangles, opened).draw(view, size)
     prim_id = words[..., 3].view(np.int32)
     t, u, v = (words[..., k].view(np.float32) for k in range(3))
     return Visibility(

@@ -64,6 +64,7 @@ fn trace(@builtin(global_invocation_id) id: vec3u) {
         sort_rows();
     }
     if COUNTS {
+        note_shadings();
         tallies[i] = tally;
     }
     endings[i] = ending();

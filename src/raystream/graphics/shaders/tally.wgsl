@@ -12,3 +12,12 @@ struct Tally {
 }
 
 var<private> tally: Tally;
+
+// Hits are handed over, but where they are only counted.
+fn note_shadings() {
+    if QUERY == FIRST_HIT {
+        tally.shadings = u32(found.prim_id != MISS);
+    } else if QUERY != COUNT_HITS {
+        tally.shadings = found.count;
+    }
+}

@@ -13,7 +13,7 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var origins: texture_2d<f32>;
 @group(0) @binding(2) var directions: texture_2d<f32>;
-// Rays whose budget was spent.
+// Rays whose search did not end as it should.
 @group(0) @binding(3) var<storage, read_write> endless: array<atomic<u32>>;
 
 //! include "exact.wgsl"
@@ -22,6 +22,7 @@ struct Params {
 //! include "triangle.wgsl"
 //! include "found.wgsl"
 //! include "no_rows.wgsl"
+//! include "ending.wgsl"
 //! include "tally.wgsl"
 
 // A first hit: t in lengths of the local direction, weights, and number of the triangle. Of any
@@ -38,7 +39,7 @@ fn trace(@builtin(position) pixel: vec4f) -> @location(0) vec4u {
         let ray = set_up_ray(origin.xyz, direction.xyz * power, 0.0, t_max);
         found.t_far = t_max;
         search(ray);
-        if found.budget == 0u {
+        if ending() >= CUT_SHORT {
             atomicAdd(&endless[0], 1u);
         }
     }

@@ -20,6 +20,7 @@ fn trace(@builtin(position) position: vec4f) -> Texels {
     if QUERY == MULTI_HIT {
         sort_rows();
     }
+    note_shadings();
     add_tallies(number);
     return texels_of(
         vec4u(0u, ending(), bitcast<u32>(found.prim_id), found.budget),
