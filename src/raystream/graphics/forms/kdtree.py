@@ -15,7 +15,14 @@ from raystream.structures.kdtree.packed import LEAF_BIT
 
 __all__ = ["form"]
 
-_PAD = 0
+#: Files of each layout's nodes, and of what is above them; and of each traversal.
+_LAYOUTS = {"compact": "kdtree/compact.wgsl", "foley": "kdtree/foley.wgsl"}
+_PARENTS = {"compact": "kdtree/compact_up.wgsl", "foley": "kdtree/foley_up.wgsl"}
+_TRAVERSALS = {
+    "stack": "kdtree/stack.wgsl",
+    "restart": "kdtree/restart.wgsl",
+    "backtrack": "kdtree/backtrack.wgsl",
+}
 
 #: Stacks have room for a multiple of so many nodes: trees of about one depth share their shaders.
 _STACK_STEP = 8
@@ -36,9 +43,9 @@ def form(kdtree: KdTree) -> Form:
         arrays=_arrays(kdtree),
         budget=budget_for(_most_steps(nodes, depth, len(kdtree.blocks))),
         instead={
-            "kdtree/compact.wgsl": f"kdtree/{layout}.wgsl",
-            "kdtree/compact_up.wgsl": f"kdtree/{layout}_up.wgsl",
-            "kdtree/stack.wgsl": f"kdtree/{traversal}.wgsl",
+            "kdtree/compact.wgsl": _LAYOUTS[layout],
+            "kdtree/compact_up.wgsl": _PARENTS[layout],
+            "kdtree/stack.wgsl": _TRAVERSALS[traversal],
         },
         sizes={"STACK_SIZE": max(-(-depth // _STACK_STEP), 1) * _STACK_STEP},
     )
