@@ -14,7 +14,7 @@ from exact_scene import exact_rays, lattice_scene
 from meshes import soup
 from raystream.graphics import source
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.multipass import loops
+from raystream.graphics.multipass import loops, plan
 from raystream.graphics.multipass.kernels import KERNELS, STREAMS, kernels_of
 from raystream.graphics.streams.programs import Stencil
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
@@ -163,6 +163,23 @@ def test_two_targets_are_enough(opened, monkeypatch):
     assert_same_run(ours, theirs)
     with pytest.raises(GraphicsError, match=r"too few render targets.*machine='compute'"):
         ours.multi_hit(*rays)
+
+
+def test_a_stencil_test_that_comes_late_does_no_harm(opened, scene, rays, monkeypatch):
+    """Kernels then run on all rays: what they write to buffers, the state in the stream guards."""
+    expected = multipass(scene, "cpu", counters=True)
+    hits = expected.multi_hit(**rays)
+    make = plan._Maker.kernel
+
+    def without_test(self, *arguments):
+        with monkeypatch.context() as patch:
+            patch.setattr(plan, "Stencil", lambda state: Stencil())
+            return make(self, *arguments)
+
+    monkeypatch.setattr(plan._Maker, "kernel", without_test)
+    tracer = multipass(scene, counters=True)
+    assert_same_hits(tracer.multi_hit(**rays), hits)
+    assert_same_run(tracer, expected)
 
 
 def test_rays_that_do_not_fit_are_traced_in_parts(opened, scene, rays):
