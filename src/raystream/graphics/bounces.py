@@ -21,6 +21,7 @@ from raystream.graphics.fragments import FragmentProgram
 from raystream.graphics.guarding import guarded
 from raystream.graphics.records import Query
 from raystream.graphics.screens import FLOATS, WORDS, Screen, clear_screen, new_screen, read_screen
+from raystream.graphics.source import shader_source
 from raystream.graphics.surfaces import SurfaceArrays, check_surfaces
 from raystream.graphics.views import check_pinhole, packed_view
 from raystream.render.arguments import check_camera, check_size, make_tracer
@@ -37,7 +38,7 @@ __all__ = ["render_bounces"]
 def render_bounces(
     scene: Scene | Tracer,
     size: tuple[int, int] = (1024, 768),
-    structure: str = "grid",
+    structure: str = "bvh",
     *,
     camera: Camera | None = None,
     max_bounces: int = 8,
@@ -99,9 +100,10 @@ def render_bounces(
     check_pinhole(view)
     opened = open_device(adapter)
     mirrors = any(any(one.reflection) for one in tracer.scene.materials)
+    least = chosen["min_weight"]
     with guarded(opened):
-        made = _Pipeline(tracer.structure, tracer.scene, view, size, opened, chosen["min_weight"])
-        return made.render(chosen["max_bounces"] + 1 if mirrors else 1)
+        pipeline = _Pipeline(tracer.structure, tracer.scene, view, size, opened, least)
+        return pipeline.render(chosen["max_bounces"] + 1 if mirrors else 1)
 
 
 class _Pipeline:
@@ -135,20 +137,19 @@ class _Pipeline:
         opened, form = self._opened, self._form
         seen, lit = len(self._arrays.surfaces), len(self._arrays.lit_surfaces)
 
-        def program(name: str, reads: Sequence[str], writes: Sequence[str], gathers: int) -> Any:
-            files = [f"bounces/{name}.wgsl"]
-            return FragmentProgram(opened, name, files, reads=reads, writes=writes, gathers=gathers)
+        def program(name: str, reads: Sequence[str], writes: Sequence[str], count: int) -> Any:
+            source = shader_source("screen.wgsl", f"bounces/{name}.wgsl")
+            return FragmentProgram(opened, name, source, reads=reads, writes=writes, gathers=count)
 
         def search(query: Query) -> Any:
             return FragmentProgram(
                 opened,
                 "trace",
-                ["bounces/trace.wgsl"],
+                form.source("screen.wgsl", "bounces/trace.wgsl"),
                 reads=[FLOATS, FLOATS],
                 writes=[WORDS],
                 gathers=len(form.arrays),
                 notes=True,
-                form=form,
                 constants={"QUERY": float(query), **form.constants},
             )
 
@@ -171,12 +172,16 @@ class _Pipeline:
         self._buffer, self._next_buffer = screens("colours", 2), screens("weights", 2)
         self._light_rays = screens("rays to lights", 2)
         self._hits, self._blocked = screens("hits", 2, WORDS)
-        self._endless = Buffer(self._opened, "endless rays")
-        self._endless.reserve(4)
+        self._failures = Buffer(self._opened, "counts of failures")
+        self._failures.reserve(8)
+        self._failed = (
+            f"took more than {self._form.budget:,} steps and tests",
+            "were cut short by a driver that ends long loops; take another structure",
+        )
 
     def render(self, iterations: int) -> Image:
         """Run all programs, and read the picture once."""
-        self._endless.write(np.zeros(1, np.uint32))
+        self._failures.write(np.zeros(2, np.uint32))
         encoder = self._opened.device.create_command_encoder()
         clear_screen(encoder, self._buffer[0], 0.0)
         clear_screen(encoder, self._buffer[1], 1.0)
@@ -187,13 +192,13 @@ class _Pipeline:
             self._opened.device.queue.submit([encoder.finish()])
             encoder = self._opened.device.create_command_encoder()
         pixels = read_screen(self._opened, self._buffer[0])[..., :3]
-        endless = int(self._endless.read(np.uint32, (1,))[0])
-        if endless:
-            raise GraphicsError(
-                f"device 'graphics': the search of {endless:,} rays in {self._form.name!r} took "
-                f"more than {self._form.budget:,} steps and tests, or was cut short by a driver "
-                f"that ends long loops ({self._opened.adapter})"
-            )
+        failures = self._failures.read(np.uint32, (2,))
+        for count, what in zip(failures.tolist(), self._failed, strict=True):
+            if count:
+                raise GraphicsError(
+                    f"device 'graphics': {count:,} rays in {self._form.name!r} {what} "
+                    f"({self._opened.adapter})"
+                )
         return Image(pixels, figures={"iterations": iterations, "passes": self._pass_count})
 
     def _iterate_once(self, encoder: Any) -> None:
@@ -215,7 +220,7 @@ class _Pipeline:
         self._rays, self._next_rays = self._next_rays, self._rays
 
     def _trace(self, encoder: Any, program: Any, rays: Sequence[Screen], found: Screen) -> None:
-        program.draw(encoder, self._search, rays, [found], self._tree, self._endless)
+        program.draw(encoder, self._search, rays, [found], self._tree, self._failures)
         self._pass_count += 1
 
     def _draw(

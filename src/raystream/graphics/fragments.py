@@ -8,9 +8,7 @@ from typing import Any
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer
 from raystream.graphics.drawing import GATHERED, NOTED, UNIFORM, drawing_pipeline
-from raystream.graphics.forms import Form
 from raystream.graphics.screens import Screen, sampled
-from raystream.graphics.source import shader_source
 
 __all__ = ["FragmentProgram"]
 
@@ -25,16 +23,14 @@ class FragmentProgram:
     opened : OpenDevice
     name : str
         Its entry point, and for errors.
-    files : sequence of str
-        Shader files.
+    source : str
+        With ``screen.wgsl``.
     reads, writes : sequence of str
         Formats of the textures it reads, bindings 1 and up of group 0, and writes.
     gathers : int
         Storage buffers that it reads: bindings 0 and up of group 1.
     notes : bool
         Whether it writes a storage buffer: the last binding of group 0.
-    form : Form, optional
-        The structure whose ``search()`` it calls.
     constants : mapping of str to float, optional
         Values of ``override`` declarations.
 
@@ -48,18 +44,15 @@ class FragmentProgram:
         self,
         opened: OpenDevice,
         name: str,
-        files: Sequence[str],
+        source: str,
         *,
         reads: Sequence[str],
         writes: Sequence[str],
         gathers: int = 0,
         notes: bool = False,
-        form: Form | None = None,
         constants: Mapping[str, float] | None = None,
     ) -> None:
         own = [UNIFORM, *map(sampled, reads), *[NOTED] * notes]
-        files = ["screen.wgsl", *files]
-        source = shader_source(*files) if form is None else form.source(*files)
         groups = own, [GATHERED] * gathers
         self._pipeline = drawing_pipeline(
             opened, source, ("cover", name), groups, writes, constants=constants

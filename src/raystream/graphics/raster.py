@@ -115,7 +115,12 @@ class _Raster:
         ]
         self._buffers: list[Buffer] = upload(opened, arrays)
         self._resolve = FragmentProgram(
-            opened, "resolve", ["raster/resolve.wgsl"], reads=[IDS], writes=[WORDS], gathers=1
+            opened,
+            "resolve",
+            shader_source("screen.wgsl", "raster/resolve.wgsl"),
+            reads=[IDS],
+            writes=[WORDS],
+            gathers=1,
         )
         self._pipeline = drawing_pipeline(
             opened,

@@ -47,7 +47,7 @@ def hybrid(
     size : (int, int)
         Width and height in pixels.
     structure, device, **options
-        Of the tracer of shadow rays, see `Tracer`: a grid on the graphics device, if nothing is
+        Of the tracer of shadow rays, see `Tracer`: a BVH on the graphics device, if nothing is
         said. Not to be given together with a tracer.
     camera : Camera, optional
         The view, in perspective; a lens counts as its middle. Without it, the scene's.
@@ -92,7 +92,7 @@ def _tracer_of(
     """The tracer given, or one of the scene."""
     if isinstance(scene, Tracer):
         return make_tracer(scene, structure or "bvh", device or "cpu", options)
-    return make_tracer(scene, structure or "grid", device or "graphics", options)
+    return make_tracer(scene, structure or "bvh", device or "graphics", options)
 
 
 def _shade(setting: Setting, seen: Visibility, rows: range) -> Any:

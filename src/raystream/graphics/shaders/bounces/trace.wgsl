@@ -13,8 +13,8 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var origins: texture_2d<f32>;
 @group(0) @binding(2) var directions: texture_2d<f32>;
-// Rays whose search did not end as it should.
-@group(0) @binding(3) var<storage, read_write> endless: array<atomic<u32>>;
+// Rays whose budget was spent, and rays whose loops were left too early.
+@group(0) @binding(3) var<storage, read_write> failures: array<atomic<u32>>;
 
 //! include "exact.wgsl"
 //! include "view.wgsl"
@@ -22,8 +22,8 @@ struct Params {
 //! include "triangle.wgsl"
 //! include "found.wgsl"
 //! include "no_rows.wgsl"
-//! include "ending.wgsl"
 //! include "tally.wgsl"
+//! include "loops.wgsl"
 
 // A first hit: t in lengths of the local direction, weights, and number of the triangle. Of any
 // hit, the last word is whether there is one.
@@ -39,8 +39,11 @@ fn trace(@builtin(position) pixel: vec4f) -> @location(0) vec4u {
         let ray = set_up_ray(origin.xyz, direction.xyz * power, 0.0, t_max);
         found.t_far = t_max;
         search(ray);
-        if ending() >= CUT_SHORT {
-            atomicAdd(&endless[0], 1u);
+        if found.budget == 0u {
+            atomicAdd(&failures[0], 1u);
+        }
+        if !loops_run() {
+            atomicAdd(&failures[1], 1u);
         }
     }
     if QUERY == ANY_HIT {
