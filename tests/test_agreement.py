@@ -14,7 +14,7 @@ import pytest
 
 import raystream as rs
 from cases import CASES, Case
-from conftest import assert_same_bits
+from conftest import GRAPHICS_TRACERS, TRACERS, assert_same_bits
 from oracles import check_counts, check_first, judge
 from tolerance import Tolerance, assert_close
 
@@ -102,7 +102,37 @@ def assert_same_answers(tracer: rs.Tracer, oracle: rs.Tracer, rays) -> None:
     assert_expected_of(tracer, rays, answers_of(oracle, rays))
 
 
-@pytest.mark.parametrize("name", CASES)
+#: Cases that graphics devices are always asked: compute shaders, and the fragment programs that
+#: take many passes. Those of all others are for CI: ``-m exhaustive``.
+COMPUTE_CASES = ("exact_edges_on_a_lattice", "limits_at_the_hits_themselves")
+FRAGMENT_CASES = ("exact_edges_on_a_lattice",)
+
+
+def is_exhaustive(tracer: str, name: str) -> bool:
+    """Whether a case on a tracer is left out of a usual run."""
+    options = GRAPHICS_TRACERS.get(tracer)
+    if options is None:
+        return False
+    return name not in (FRAGMENT_CASES if "machine" in options else COMPUTE_CASES)
+
+
+def tracers_with(name: str) -> list[Any]:
+    """Every tracer, for a case."""
+    return [
+        pytest.param(one, marks=[pytest.mark.exhaustive] * is_exhaustive(one, name))
+        for one in (*TRACERS, *GRAPHICS_TRACERS)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "make_tracer_anywhere"),
+    [
+        pytest.param(name, *tracer.values, marks=tracer.marks, id=f"{name}-{tracer.values[0]}")
+        for name in CASES
+        for tracer in tracers_with(name)
+    ],
+    indirect=["make_tracer_anywhere"],
+)
 def test_structures_equal_brute_force(make_tracer_anywhere, name):
     case = case_of(name)
     tracer = make_tracer_anywhere(case.scene)
@@ -201,6 +231,7 @@ def test_invalid_rays_miss_and_say_so(make_tracer_anywhere):
     assert not nan_limit.is_hit.any()
 
 
+@pytest.mark.parametrize("make_tracer_anywhere", tracers_with("random_soup"), indirect=True)
 def test_the_size_of_blocks_and_the_number_of_threads_change_nothing(
     make_tracer_anywhere, monkeypatch
 ):

@@ -161,6 +161,12 @@ EXPERIMENTS = (
         "Kernel calls, and rays that are masked out",
         "christen.calls.calls",
     ),
+    Experiment(
+        "christen-graphics",
+        "Bounces on a graphics pipeline of today",
+        "christen.on_graphics.on_graphics",
+        "graphics",
+    ),
 )
 
 

@@ -1,0 +1,125 @@
+"""Bounces in an iteration buffer on a graphics pipeline of today (Christen 2005, section 5)."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from typing import Any
+
+import numpy as np
+
+from raystream.graphics.bounces import render_bounces
+from raystream.lab.christen.scenes import SCENES, christen_scene
+from raystream.lab.laboratory import Laboratory
+from raystream.lab.purcell.on_graphics import adapter_note
+from raystream.lab.results import Cell, Plot, Result, Series, Table
+from raystream.render.picture import render
+from raystream.tracer import Tracer
+
+__all__ = ["SIZE", "on_graphics"]
+
+#: Width and height: half of his, because the adapter may be software.
+SIZE = 128
+
+#: Iterations that are measured, and cells along each axis of the grid.
+_ITERATIONS = (1, 2, 3, 4, 5)
+_QUICK_ITERATIONS = (1, 3)
+_CELLS = 20
+
+_ROUNDS = 3
+
+
+def on_graphics(lab: Laboratory) -> Result:
+    """Passes and seconds of pictures by the number of iterations, beside the CPU's renderer."""
+    size = lab.size(SIZE)
+    found = {letter: _measure(lab, letter, size) for letter in SCENES}
+    rows: list[list[Cell]] = [
+        [
+            letter,
+            one["iterations"],
+            one["passes"],
+            one["seconds"],
+            one["cpu_seconds"],
+            one["seconds"] / one["cpu_seconds"],
+            one["farthest"],
+        ]
+        for letter, each in found.items()
+        for one in each
+    ]
+    lines = [
+        Series(letter, [one["iterations"] for one in each], [one["passes"] for one in each])
+        for letter, each in found.items()
+    ]
+    return Result(
+        tables=[
+            Table.of(
+                "christen-graphics",
+                f"Pictures by fragment programs, {size} x {size}, {_CELLS} cells along each axis",
+                [
+                    "scene",
+                    "iterations",
+                    "passes",
+                    "seconds",
+                    "seconds, CPU",
+                    "ratio",
+                    "farthest colour",
+                ],
+                rows,
+                adapter_note(),
+                "A pass draws the whole picture once. In an iteration rays are traced, by one "
+                "program with loops, lit, and mirrored; colour and weight (his equation 5.1) stay "
+                "in textures, and nothing is read back before the end. The CPU: mode whitted on "
+                "the same grid, single rays. Farthest: from that picture, of linear light.",
+            )
+        ],
+        plots=[
+            Plot(
+                "christen-graphics",
+                f"Passes and iterations, {size} x {size}",
+                "iterations",
+                "passes",
+                lines,
+            )
+        ],
+    )
+
+
+def _measure(lab: Laboratory, letter: str, size: int) -> list[dict[str, Any]]:
+    """For each number of iterations."""
+    iterations = _QUICK_ITERATIONS if lab.quick else _ITERATIONS
+    rounds = 1 if lab.quick else _ROUNDS
+
+    def measure() -> list[dict[str, Any]]:
+        tracer = Tracer(christen_scene(letter), "grid", resolution=_CELLS)
+        return [_one(tracer, count, size, rounds) for count in iterations]
+
+    values: list[dict[str, Any]] = lab.measure(f"{letter}, {size} x {size}", measure)
+    return values
+
+
+def _one(tracer: Tracer, iterations: int, size: int, rounds: int) -> dict[str, Any]:
+    options: dict[str, Any] = {
+        "size": (size, size),
+        "max_bounces": iterations - 1,
+        "min_weight": 0.0,
+    }
+
+    def ours() -> Any:
+        return render_bounces(tracer, **options)
+
+    def theirs() -> Any:
+        return render(tracer, "whitted", **options)
+
+    image, reference = ours(), theirs()  # and all is compiled
+    seconds: dict[str, list[float]] = {"seconds": [], "cpu_seconds": []}
+    for _ in range(rounds):
+        for name, draw in (("seconds", ours), ("cpu_seconds", theirs)):
+            began = time.perf_counter()
+            draw()
+            seconds[name].append(time.perf_counter() - began)
+    return {
+        "iterations": image.figures["iterations"],
+        "passes": image.figures["passes"],
+        "farthest": float(np.abs(image.pixels - reference.pixels).max()),
+        **{name: statistics.median(each) for name, each in seconds.items()},
+    }

@@ -1,0 +1,54 @@
+"""The experiments of the graphics device: they run the machines that others simulate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from conftest import skip_without_adapter
+from raystream.lab import EXPERIMENTS, Laboratory, Result, Store
+from raystream.lab.experiments import choose
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Laboratory:
+    skip_without_adapter()
+    monkeypatch.setattr("raystream.lab.purcell.on_graphics.PURCELL_VIEWS", ("forest top",))
+    monkeypatch.setattr("raystream.lab.christen.on_graphics.SCENES", ("A",))
+    store = Store(tmp_path / "measurements.json", {}, "test")
+    return Laboratory(tmp_path, store, size=16, quick=True)
+
+
+def run(lab: Laboratory, name: str) -> Result:
+    (experiment,) = [one for one in EXPERIMENTS if one.name == name]
+    return lab.run(name, experiment.function())
+
+
+def test_the_device_takes_the_passes_that_are_simulated(lab: Laboratory) -> None:
+    result = run(lab, "purcell-graphics")
+    rows = {row["machine"]: row for row in result.tables[0].records()}
+    assert all(row["rays with other triangles"] == 0 for row in rows.values())
+    for name in ("multipass", "multipass, naive"):
+        assert rows[f"graphics, {name}"]["passes"] == rows[f"cpu, {name}"]["passes"]
+        assert rows[f"graphics, {name}"]["draws"] > rows[f"graphics, {name}"]["passes"]
+    fewer = rows["graphics, multipass, unrolled"]["passes"]
+    assert fewer < rows["graphics, multipass"]["passes"]
+    assert result.claims[0].verdict == "holds"
+
+
+def test_iterations_take_passes(lab: Laboratory) -> None:
+    rows = run(lab, "christen-graphics").tables[0].records()
+    assert [row["iterations"] for row in rows] == [1, 3]
+    assert rows[1]["passes"] > rows[0]["passes"]
+    assert all(row["farthest colour"] < 1e-4 for row in rows)
+
+
+def test_experiments_are_chosen_by_device() -> None:
+    names = [one.name for one in choose(["all"], device="graphics")]
+    assert names == ["purcell-graphics", "christen-graphics"]
+    assert not {*names} & {one.name for one in choose(["all"])}
+    with pytest.raises(ValueError, match="'graphics': has experiments of purcell, christen"):
+        choose(["foley"], device="graphics")
+    with pytest.raises(ValueError, match="cpu or graphics, got 'abacus'"):
+        choose(["all"], device="abacus")
