@@ -192,7 +192,14 @@ def make_tracer(request):
     return lambda scene: rs.Tracer(scene, **TRACERS[request.param])
 
 
-@pytest.fixture(params=[*TRACERS, *GRAPHICS_TRACERS])
+#: The fragment programs' are for CI, where a test does not say otherwise: they take many passes.
+_USUAL = [
+    pytest.param(name, marks=[pytest.mark.exhaustive] * ("machine" in options))
+    for name, options in GRAPHICS_TRACERS.items()
+]
+
+
+@pytest.fixture(params=[*TRACERS, *_USUAL])
 def make_tracer_anywhere(request):
     """Make a tracer for a scene, once for each structure, machine and device."""
     if request.param in GRAPHICS_TRACERS:

@@ -106,6 +106,7 @@ def assert_same_answers(tracer: rs.Tracer, oracle: rs.Tracer, rays) -> None:
 #: take many passes. Those of all others are for CI: ``-m exhaustive``.
 COMPUTE_CASES = ("exact_edges_on_a_lattice", "limits_at_the_hits_themselves")
 FRAGMENT_CASES = ("exact_edges_on_a_lattice",)
+FRAGMENT_TRACERS = ("grid, multipass, graphics", "kdtree, backtrack, multipass, graphics")
 
 
 def is_exhaustive(tracer: str, name: str) -> bool:
@@ -113,7 +114,9 @@ def is_exhaustive(tracer: str, name: str) -> bool:
     options = GRAPHICS_TRACERS.get(tracer)
     if options is None:
         return False
-    return name not in (FRAGMENT_CASES if "machine" in options else COMPUTE_CASES)
+    if "machine" in options:
+        return tracer not in FRAGMENT_TRACERS or name not in FRAGMENT_CASES
+    return name not in COMPUTE_CASES
 
 
 def tracers_with(name: str) -> list[Any]:

@@ -36,6 +36,7 @@ def test_scene_a_has_the_iterations_of_equation_5_1(bounces):
     assert differing(ours, theirs) <= 4
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("letter", ["B", "C"])
 def test_scenes_with_smooth_and_with_small_mirrors(letter):
     ours, theirs = pictures(christen_scene(letter), 3)
@@ -66,6 +67,7 @@ def test_two_mirrors_that_face_each_other_add_up_to_a_geometric_series():
     np.testing.assert_allclose(ends.pixels[4, 4], [1.5, 3.0, 6.0], rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("wrap", ["repeat", "clamp"])
 def test_diffuse_textures_are_looked_up_alike(rng, wrap):
     """Coordinates from -1 to 3 over a few texels, and a mesh without any."""

@@ -30,6 +30,7 @@ def loads(monkeypatch):
     return rows
 
 
+@pytest.mark.exhaustive
 def test_triangles_in_constants_give_the_same_passes(loads):
     scene = rs.Scene.from_arrays(*soup(40, 3))
     rays = exact_rays()[0] / 64, exact_rays()[1]

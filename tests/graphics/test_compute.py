@@ -109,6 +109,7 @@ def is_even(hit):
     return hit.prim_id % 2 == 0
 
 
+@pytest.mark.exhaustive
 def test_filters(dent):
     rays = rays_at(dent)
     tracer, other = (rs.Tracer(dent, "bvh", device) for device in ("graphics", "cpu"))

@@ -17,6 +17,7 @@ COUNTS = ("steps", "leaves", "tests", "link_nodes")
 SMALL = {"crossing_cost": 0.5, "link_cost": 0.1, "max_leaf_size": 1}
 
 
+@pytest.mark.exhaustive
 def test_rays_meet_what_they_meet_on_the_cpu():
     """Exactly: the same sectors, tests and link nodes, in every kind of query."""
     scene, rays = lattice_scene(), exact_rays()

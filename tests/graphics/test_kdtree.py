@@ -97,8 +97,14 @@ def test_stacks_are_as_deep_as_trees():
     ("traversal", "layout", "options"),
     [
         ("restart", "compact", {"scheduler": "threshold"}),
-        ("backtrack", "foley", {"scheduler": "most-work", "traversal_steps": 3}),
-        ("backtrack", "compact", {"scheduler": "double", "intersections": 2}),
+        pytest.param(
+            *("backtrack", "foley", {"scheduler": "most-work", "traversal_steps": 3}),
+            marks=pytest.mark.exhaustive,
+        ),
+        pytest.param(
+            *("backtrack", "compact", {"scheduler": "double", "intersections": 2}),
+            marks=pytest.mark.exhaustive,
+        ),
     ],
 )
 def test_foley_s_kernels_run_as_on_the_cpu(traversal, layout, options):

@@ -182,6 +182,7 @@ def test_a_stencil_test_that_comes_late_does_no_harm(opened, scene, rays, monkey
     assert_same_run(tracer, expected)
 
 
+@pytest.mark.exhaustive
 def test_rays_that_do_not_fit_are_traced_in_parts(opened, scene, rays):
     whole, parts = multipass(scene), multipass(scene, rays_at_once=77)
     assert_same_bits(parts.first_hit(**rays).t, whole.first_hit(**rays).t)

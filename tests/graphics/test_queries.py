@@ -40,7 +40,7 @@ def test_the_size_of_dispatches_changes_nothing(opened, scene, rays, monkeypatch
     assert_expected(answers_of(rs.Tracer(scene, **options), rays, is_brief=True), expected)
 
 
-@pytest.mark.parametrize("name", GRAPHICS_TRACERS)
+@pytest.mark.parametrize("name", ["grid, graphics", "grid, fragments, graphics"])
 def test_threads_may_ask_at_once(opened, scene, rays, name):
     """As renderers do: a tracer's buffers are used by one query at a time."""
     tracer = rs.Tracer(scene, **GRAPHICS_TRACERS[name])
@@ -56,18 +56,6 @@ def test_threads_may_ask_at_once(opened, scene, rays, name):
 def test_rays_at_once_is_checked(opened, scene, count):
     with pytest.raises(ValueError, match="rays_at_once: expected at least 1"):
         rs.Tracer(scene, "brute", "graphics", rays_at_once=count)
-
-
-@pytest.mark.parametrize("structure", ["brute", "grid"])
-def test_counters_are_the_cpu_s(opened, scene, rays, structure):
-    ours, theirs = (
-        rs.Tracer(scene, structure, device, counters=True) for device in ("graphics", "cpu")
-    )
-    for query in ("first_hit", "any_hit", "count_hits"):
-        getattr(ours, query)(**rays)
-        getattr(theirs, query)(**rays)
-        assert_same_bits(ours.counters.tests, theirs.counters.tests)
-        assert theirs.counters.tests.any()
 
 
 def test_a_structure_without_shaders_is_refused(opened, scene, monkeypatch):

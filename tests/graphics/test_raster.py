@@ -151,6 +151,7 @@ def test_what_is_not_opaque_is_refused():
         hybrid(glassy, (8, 8), "brute")
 
 
+@pytest.mark.exhaustive
 def test_all_modes_give_the_same_pictures_from_several_threads():
     """Bands are traced on several threads, which share a machine's buffers."""
     scene = rs.load("cornell")

@@ -72,6 +72,7 @@ def test_a_file_is_included_once_and_can_be_replaced():
     assert "no_rows.wgsl" in BEGINNING.findall(other)
 
 
+@pytest.mark.exhaustive
 def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
     """Whatever is in no tracer's shaders is nobody's: with hits, without, and counting."""
     made = type(fresh.device).create_shader_module

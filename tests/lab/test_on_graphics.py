@@ -25,6 +25,7 @@ def run(lab: Laboratory, name: str) -> Result:
     return lab.run(name, experiment.function())
 
 
+@pytest.mark.exhaustive
 def test_the_device_takes_the_passes_that_are_simulated(lab: Laboratory) -> None:
     result = run(lab, "purcell-graphics")
     rows = {row["machine"]: row for row in result.tables[0].records()}
@@ -37,6 +38,7 @@ def test_the_device_takes_the_passes_that_are_simulated(lab: Laboratory) -> None
     assert result.claims[0].verdict == "holds"
 
 
+@pytest.mark.exhaustive
 def test_iterations_take_passes(lab: Laboratory) -> None:
     rows = run(lab, "christen-graphics").tables[0].records()
     assert [row["iterations"] for row in rows] == [1, 3]
