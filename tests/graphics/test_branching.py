@@ -67,3 +67,13 @@ def test_texels_that_are_no_ray_s_are_left_alone(opened, scene, rays):
     assert_same_bits(ours.ray_splits, theirs.ray_splits)
     assert_same_bits(ours.prim_id, theirs.prim_id)
     assert np.diff(ours.ray_splits)[-16:].any()
+
+
+@pytest.mark.parametrize("traversal", ["stack", "restart"])
+def test_every_texel_is_computed_once(opened, traversal):
+    """Where two triangles meet on the screen, a driver may run loops of texels it does not draw."""
+    scene = rs.load("cornell")
+    rays = scene.camera_for(1.0).rays(96, 96)
+    options = {"structure": "kdtree", "traversal": traversal}
+    ours = rs.Tracer(scene, **options, device="graphics", machine="branching").first_hit(*rays)
+    assert_same_bits(ours.prim_id, rs.Tracer(scene, **options).first_hit(*rays).prim_id)

@@ -16,7 +16,7 @@ from raystream.graphics.endings import hit_counts
 from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
 from raystream.graphics.ray_textures import FRAME, RayTextures
 from raystream.graphics.records import Query
-from raystream.graphics.streams.programs import Program, bind, fragment_pipeline
+from raystream.graphics.streams.programs import Program, bind, cover_screen, fragment_pipeline
 from raystream.kernels.queries import LocalRays
 from raystream.structures import Structure
 
@@ -78,6 +78,7 @@ class Branching(GraphicsQueries):
         groups = [bind(self.opened, FRAME, frame), *textures.groups(query, tallies is not None)]
         for number, group in enumerate(groups):
             run.set_bind_group(number, group)
+        cover_screen(run, textures.shape.width, textures.shape.height)
         run.draw(3)
         run.end()
         device.queue.submit([encoder.finish()])

@@ -9,6 +9,7 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer
 from raystream.graphics.drawing import GATHERED, NOTED, UNIFORM, drawing_pipeline
 from raystream.graphics.screens import Screen, sampled
+from raystream.graphics.streams.programs import cover_screen
 
 __all__ = ["FragmentProgram"]
 
@@ -87,6 +88,7 @@ class FragmentProgram:
             for one in writes
         ]
         drawn = encoder.begin_render_pass(color_attachments=attachments)
+        cover_screen(drawn, *writes[0].size)
         self._pipeline.bind(drawn, [own, [one.binding for one in gathers]])
         drawn.draw(3)
         drawn.end()

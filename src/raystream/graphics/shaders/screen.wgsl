@@ -1,7 +1,8 @@
-// A triangle that covers the screen: to draw it is to run a kernel on every pixel's record.
+// A triangle that covers the screen: to draw it is to run a kernel on every pixel's record. It fills
+// the upper left half of a viewport twice as wide and as high; see streams/programs.py.
 
 @vertex
 fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {
     let corner = vec2f(f32((i << 1u) & 2u), f32(i & 2u));
-    return vec4f(2.0 * corner - 1.0, 0.0, 1.0);
+    return vec4f(corner.x - 1.0, 1.0 - corner.y, 0.0, 1.0);
 }

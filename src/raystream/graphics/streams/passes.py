@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.streams.programs import cover_screen
 from raystream.graphics.streams.textures import (
     TEXEL_BYTES,
     StencilTexture,
@@ -70,6 +71,7 @@ class StreamPasses:
         streams: Mapping[str, StreamTexture],
         dtypes: Mapping[str, Any],
     ) -> None:
+        self._shape = shape
         self.streams = dict(streams)
         self.scratch = {
             name: StreamTexture(opened, f"scratch {name}", shape, dtype)
@@ -158,7 +160,7 @@ class StreamPasses:
                 "stencil_clear_value": 0,
             }
         more = {} if queries is None else {"occlusion_query_set": queries}
-        return encoder.begin_render_pass(
+        run = encoder.begin_render_pass(
             color_attachments=[
                 {"view": textures[name].view, "load_op": load, "store_op": "store"}
                 for name in group
@@ -166,6 +168,8 @@ class StreamPasses:
             depth_stencil_attachment=states,
             **more,
         )
+        cover_screen(run, self._shape.width, self._shape.height)
+        return run
 
 
 #: Of a kernel's draws in the buffer of arguments: four words, 3 corners and 0 or 1 instances.

@@ -12,7 +12,7 @@ from raystream.graphics.fusing import device_constants
 from raystream.graphics.pipelines import shader_module
 from raystream.graphics.streams.textures import StencilTexture
 
-__all__ = ["Program", "Stencil", "bind", "fragment_pipeline", "layout_of"]
+__all__ = ["Program", "Stencil", "bind", "cover_screen", "fragment_pipeline", "layout_of"]
 
 #: What a program may be bound to, as WebGPU's layouts call it.
 _BINDINGS: Mapping[str, Mapping[str, Any]] = {
@@ -130,6 +130,17 @@ def bind(
     return opened.device.create_bind_group(
         layout=layout_of(opened, layout, is_compute=is_compute), entries=entries
     )
+
+
+def cover_screen(run: Any, width: int, height: int) -> None:
+    """Set a render pass's viewport so that the triangle of cover.wgsl covers its textures.
+
+    A triangle that reaches beyond the viewport may be clipped to a rectangle, and that be drawn as
+    two triangles: blocks of pixels on their diagonal are computed twice. Mesa's software driver
+    lets loops of their pixels that are not drawn run on and on. So the viewport is twice as wide
+    and as high as the textures, and nothing is clipped.
+    """
+    run.set_viewport(0, 0, 2 * width, 2 * height, 0.0, 1.0)
 
 
 def fragment_pipeline(
