@@ -123,6 +123,7 @@ def narrow(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_every_kernel_gives_the_same_bits(narrow):
     here = answers()
     assert list(narrow["answers"]) == list(here)
@@ -130,6 +131,7 @@ def test_every_kernel_gives_the_same_bits(narrow):
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_every_kernel_is_written_in_generic_instructions(narrow):
     names = " ".join(narrow["instructions"])
     for kernel in ("trace_wavefront", "trace_packets", "trace_streams", "first_hit"):
