@@ -16,7 +16,7 @@ from raystream.graphics import source
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass import loops, plan
 from raystream.graphics.multipass.kernels import KERNELS, STREAMS, kernels_of
-from raystream.graphics.streams.programs import Stencil
+from raystream.graphics.streams.stencil import Stencil
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
 from raystream.kernels.tally import COLUMNS
 from raystream.machines.schedulers import Threshold
@@ -232,9 +232,9 @@ def test_streams_keep_their_records(opened, count):
     for dtype in (np.float32, np.uint32):
         stream = StreamTexture(opened, "numbers", shape, dtype)
         records = np.arange(3 * count).reshape(count, 3).astype(dtype)
-        stream.write(records)
-        assert_same_bits(stream.read(count)[:, :3], records)
-        assert not stream.read(count)[:, 3].any()
+        stream.write_records(records)
+        assert_same_bits(stream.read_records(count)[:, :3], records)
+        assert not stream.read_records(count)[:, 3].any()
 
 
 def test_streams_larger_than_a_texture_are_refused(opened, monkeypatch):

@@ -29,7 +29,7 @@ BEGINNING = re.compile(r"^// ([a-z0-9_/]+\.wgsl)$", re.MULTILINE)
 SOMETIMES = {"fragment/texels_found.wgsl", "fragment/texels_place.wgsl"}
 
 #: Those of pictures, which `test_raster` and `test_bounces` compile.
-OF_PICTURES = ("bounces/", "raster/", "screen.wgsl", "view.wgsl", "no_rows.wgsl")
+OF_PICTURES = ("bounces/", "raster/", "view.wgsl", "no_rows.wgsl")
 
 #: Tracers that have other files than those of the agreement.
 MORE_TRACERS = (

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 
 from raystream.graphics.adapters import OpenDevice, open_device
-from raystream.graphics.buffers import Buffer, uniform, upload
+from raystream.graphics.buffers import Buffer, uniform, upload, whole
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import form_of
-from raystream.graphics.forms.base import numbers
 from raystream.graphics.fragments import FragmentProgram
 from raystream.graphics.guarding import guarded
+from raystream.graphics.pipelines import Program
 from raystream.graphics.records import Query
-from raystream.graphics.screens import FLOATS, WORDS, Screen, clear_screen, new_screen, read_screen
 from raystream.graphics.source import shader_source
 from raystream.graphics.surfaces import SurfaceArrays, check_surfaces
+from raystream.graphics.textures import FLOATS, WORDS, Texture, sampled
 from raystream.graphics.views import check_pinhole, packed_view
 from raystream.render.arguments import check_camera, check_size, make_tracer
 from raystream.render.image import Image
@@ -119,10 +119,10 @@ class _Pipeline:
         min_weight: float,
     ) -> None:
         self._opened, self._size, self._form = opened, size, form_of(structure)
-        form, extreme = self._form, float(structure.triangles.extreme)
+        form = self._form
         names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
         self._tree = upload(opened, zip(names, form.arrays, strict=True))
-        self._search = uniform(opened, numbers(extreme, 0, form.budget, 0) + form.tree)
+        self._search = uniform(opened, form.params(structure.triangles.extreme))
         self._arrays = SurfaceArrays(scene, view, opened)
         packed = packed_view(view, size, scene.triangles)
         self._params = [
@@ -139,19 +139,16 @@ class _Pipeline:
 
         def program(name: str, reads: Sequence[str], writes: Sequence[str], count: int) -> Any:
             source = shader_source("screen.wgsl", f"bounces/{name}.wgsl")
-            return FragmentProgram(opened, name, source, reads=reads, writes=writes, gathers=count)
+            layouts = [("uniform", *map(sampled, reads)), ("gather",) * count]
+            return FragmentProgram(opened, name, Program(source, name, layouts), writes)
 
         def search(query: Query) -> Any:
-            return FragmentProgram(
-                opened,
-                "trace",
-                form.source("screen.wgsl", "bounces/trace.wgsl"),
-                reads=[FLOATS, FLOATS],
-                writes=[WORDS],
-                gathers=len(form.arrays),
-                notes=True,
-                constants={"QUERY": float(query), **form.constants},
-            )
+            source = form.source("screen.wgsl", "bounces/trace.wgsl")
+            rays = sampled(FLOATS), sampled(FLOATS)
+            layouts = [("uniform", *rays, "scatter"), ("gather",) * len(form.arrays)]
+            constants = {"QUERY": float(query), **form.constants}
+            program = Program(source, "trace", layouts, constants)
+            return FragmentProgram(opened, "trace", program, [WORDS])
 
         hit = [FLOATS, WORDS]
         self._eye = program("eye", [], [FLOATS, FLOATS], 0)
@@ -163,8 +160,8 @@ class _Pipeline:
         self._mirror = program("mirror", [*hit, FLOATS], [FLOATS, FLOATS], seen)
 
     def _make_screens(self) -> None:
-        def screens(name: str, count: int, kind: str = FLOATS) -> list[Screen]:
-            return [new_screen(self._opened, self._size, kind, name) for _ in range(count)]
+        def screens(name: str, count: int, kind: str = FLOATS) -> list[Texture]:
+            return [Texture(self._opened, name, self._size, kind) for _ in range(count)]
 
         # Pairs of which one is read while the other is written.
         self._rays, self._next_rays = screens("rays", 2), screens("next rays", 2)
@@ -183,15 +180,15 @@ class _Pipeline:
         """Run all programs, and read the picture once."""
         self._failures.write(np.zeros(2, np.uint32))
         encoder = self._opened.device.create_command_encoder()
-        clear_screen(encoder, self._buffer[0], 0.0)
-        clear_screen(encoder, self._buffer[1], 1.0)
+        self._buffer[0].clear(encoder, 0.0)
+        self._buffer[1].clear(encoder, 1.0)
         self._draw(encoder, self._eye, [], self._rays)
         for _ in range(iterations):
             self._iterate_once(encoder)
             # Each iteration is given to the device by itself: drivers take long ones for hung.
             self._opened.device.queue.submit([encoder.finish()])
             encoder = self._opened.device.create_command_encoder()
-        pixels = read_screen(self._opened, self._buffer[0])[..., :3]
+        pixels = self._buffer[0].read()[..., :3]
         failures = self._failures.read(np.uint32, (2,))
         for count, what in zip(failures.tolist(), self._failed, strict=True):
             if count:
@@ -219,18 +216,22 @@ class _Pipeline:
         self._draw(encoder, self._mirror, [*hit, self._buffer[1]], self._next_rays, surfaces)
         self._rays, self._next_rays = self._next_rays, self._rays
 
-    def _trace(self, encoder: Any, program: Any, rays: Sequence[Screen], found: Screen) -> None:
-        program.draw(encoder, self._search, rays, [found], self._tree, self._failures)
+    def _trace(
+        self, encoder: Any, program: FragmentProgram, rays: Sequence[Texture], found: Texture
+    ) -> None:
+        own = [whole(self._search), *(one.view for one in rays), self._failures.binding]
+        program.draw(encoder, [own, [one.binding for one in self._tree]], [found])
         self._pass_count += 1
 
     def _draw(
         self,
         encoder: Any,
         program: FragmentProgram,
-        reads: Sequence[Screen],
-        writes: Sequence[Screen],
+        reads: Sequence[Texture],
+        writes: Sequence[Texture],
         gathers: Sequence[Buffer] = (),
         number: int = 0,
     ) -> None:
-        program.draw(encoder, self._params[number], reads, writes, gathers)
+        own = [whole(self._params[number]), *(one.view for one in reads)]
+        program.draw(encoder, [own, [one.binding for one in gathers]], writes)
         self._pass_count += 1

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.endings import hit_counts
+from raystream.graphics.fragments import FragmentProgram
+from raystream.graphics.pipelines import Program
 from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
 from raystream.graphics.ray_textures import FRAME, RayTextures
 from raystream.graphics.records import Query
-from raystream.graphics.streams.programs import Program, bind, cover_screen, fragment_pipeline
 from raystream.kernels.queries import LocalRays
 from raystream.structures import Structure
 
@@ -49,7 +50,7 @@ class Branching(GraphicsQueries):
         super().__init__(structure, opened, rays_at_once)
         self._textures = RayTextures(opened, self._form)
         self._latest = Query.FIRST_HIT
-        self._pipeline(Query.FIRST_HIT, False, False)  # whatever is wrong is said now
+        self._program(Query.FIRST_HIT, False, False)  # whatever is wrong is said now
 
     def _run(
         self,
@@ -67,22 +68,12 @@ class Branching(GraphicsQueries):
         textures.load(rays, chunk, wanted, rows, tallies is not None)
         textures.write_params(self.structure.triangles.extreme)
         encoder = device.create_command_encoder()
-        run = encoder.begin_render_pass(
-            color_attachments=[
-                {"view": one.view, "load_op": "clear", "store_op": "store"}
-                for one in (textures.state, textures.found)
-            ]
-        )
-        run.set_pipeline(self._pipeline(query, surfaces, tallies is not None))
         frame = [textures.params, *(one.view for one in textures.inputs)]
-        groups = [bind(self.opened, FRAME, frame), *textures.groups(query, tallies is not None)]
-        for number, group in enumerate(groups):
-            run.set_bind_group(number, group)
-        cover_screen(run, textures.shape.width, textures.shape.height)
-        run.draw(3)
-        run.end()
+        groups = [frame, *textures.resources(query, tallies is not None)]
+        program = self._program(query, surfaces, tallies is not None)
+        program.draw(encoder, groups, [textures.state, textures.found])
         device.queue.submit([encoder.finish()])
-        endings = textures.state.read(len(wanted))[:, 1]
+        endings = textures.state.read_records(len(wanted))[:, 1]
         counts = hit_counts(endings, self._form, self.opened)
         if tallies is not None:
             tallies[chunk] += textures.read_tallies()
@@ -91,7 +82,7 @@ class Branching(GraphicsQueries):
     def _rows(self, count: int) -> NDArray[Any]:
         return self._textures.read_rows(self._latest, count)
 
-    def _pipeline(self, query: Query, surfaces: bool, counts: bool) -> Any:
+    def _program(self, query: Query, surfaces: bool, counts: bool) -> FragmentProgram:
         instead = self._textures.instead(query, counts)
         instead["fragment/texels.wgsl"] = "fragment/texels_found.wgsl"
         source = self._form.source("fragment/branching.wgsl", instead=instead)
@@ -101,7 +92,7 @@ class Branching(GraphicsQueries):
             **self._form.constants,
         }
         layouts = [FRAME, *self._textures.layouts(query, counts)]
-        targets = [(one.format, True) for one in (self._textures.state, self._textures.found)]
+        program = Program(source, "trace", layouts, constants)
+        formats = [one.format for one in (self._textures.state, self._textures.found)]
         name = f"{self._form.name}, {query.name}"
-        program = Program(source, "trace", constants, layouts)
-        return fragment_pipeline(self.opened, name, program, targets, None)
+        return FragmentProgram(self.opened, name, program, formats)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 
-__all__ = ["Buffer", "ReadBack", "uniform", "upload"]
+__all__ = ["Buffer", "ReadBack", "uniform", "upload", "whole"]
 
 #: A binding holds at least one element, of at most so many bytes, and whole words.
 _LEAST_BYTES = 64
@@ -155,6 +155,11 @@ def uniform(opened: OpenDevice, content: bytes) -> Any:
     return opened.device.create_buffer_with_data(
         data=padded, usage=wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST
     )
+
+
+def whole(buffer: Any) -> dict[str, Any]:
+    """A wgpu buffer as a resource of a bind group."""
+    return {"buffer": buffer, "offset": 0, "size": buffer.size}
 
 
 def _storage() -> int:

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.buffers import Buffer, ReadBack, uniform, upload
+from raystream.graphics.buffers import Buffer, ReadBack, uniform, upload, whole
 from raystream.graphics.endings import hit_counts
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms.base import Form, numbers
-from raystream.graphics.pipelines import bind_group, compute_pipeline
+from raystream.graphics.forms.base import Form
+from raystream.graphics.pipelines import Program, bind, compute_pipeline
 from raystream.graphics.records import RAY_BYTES, ROW, Query
 
 __all__ = ["Dispatches", "Found", "Task"]
@@ -20,12 +20,14 @@ __all__ = ["Dispatches", "Found", "Task"]
 #: Invocations of a workgroup; see compute.wgsl.
 _GROUP_SIZE = 64
 
-#: Bytes of a ray's tally, and of the uniform before the structure's part.
+#: Bytes of a ray's tally.
 _TALLY_BYTES = 32
-_PARAMS_BYTES = 32
 
 #: The shared buffers, by their bindings from 1 on.
 _NAMES = ("rays", "wanted", "rows", "endings", "tallies")
+
+#: Group 0: the uniform, and these.
+_LAYOUT = ("uniform", "gather", "gather", "scatter", "scatter", "scatter")
 
 
 class Task(NamedTuple):
@@ -86,9 +88,10 @@ class Dispatches:
         names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
         self._arrays = upload(opened, zip(names, form.arrays, strict=True))
         self._buffers = {name: Buffer(opened, name) for name in _NAMES}
-        self._params = uniform(opened, bytes(_PARAMS_BYTES) + form.tree)
+        self._layouts = _LAYOUT, ("gather",) * len(self._arrays)
+        self._params = uniform(opened, form.params(extreme))
         self._read_back = ReadBack(opened)
-        self._groups: dict[Task, tuple[Any, Any]] = {}
+        self._groups: list[Any] = []
 
     def pipeline(self, task: Task) -> Any:
         """Compile what a task needs, once.
@@ -105,7 +108,8 @@ class Dispatches:
             **self._form.constants,
         }
         name = f"{self._form.name}, {task.query.name}"
-        return compute_pipeline(self._opened, self._source, name, constants)
+        program = Program(self._source, "trace", self._layouts, constants)
+        return compute_pipeline(self._opened, name, program)
 
     def run(
         self,
@@ -147,7 +151,7 @@ class Dispatches:
         )
         self._reserve(sizes)
         try:
-            memory = self._dispatch(task, pipeline, rays, capacity, wanted, sizes[2:])
+            memory = self._dispatch(pipeline, rays, capacity, wanted, sizes[2:])
         except Exception as error:  # wgpu wraps whatever a driver says
             raise GraphicsError(
                 f"device 'graphics': {self._opened.adapter} failed to trace {count:,} rays: {error}"
@@ -174,7 +178,6 @@ class Dispatches:
 
     def _dispatch(
         self,
-        task: Task,
         pipeline: Any,
         rays: NDArray[np.float32],
         capacity: int,
@@ -187,7 +190,9 @@ class Dispatches:
         most = self._opened.limits["max-compute-workgroups-per-dimension"]
         columns = min(groups, most)
         row_size = columns * _GROUP_SIZE
-        params = numbers(self._extreme, 0, count, row_size, self._form.budget, capacity)
+        params = self._form.params(
+            self._extreme, ray_count=count, row_size=row_size, capacity=capacity
+        )
         device = self._opened.device
         device.queue.write_buffer(self._params, 0, params)
         self._buffers["rays"].write(rays)
@@ -198,20 +203,19 @@ class Dispatches:
         encoder.clear_buffer(self._buffers["endings"].handle, 0, 4 * count)
         run = encoder.begin_compute_pass()
         run.set_pipeline(pipeline)
-        for number, group in enumerate(self._bound(task, pipeline)):
+        for number, group in enumerate(self._bound()):
             run.set_bind_group(number, group)
         run.dispatch_workgroups(columns, -(-groups // columns))
         run.end()
         results = [self._buffers[name] for name in ("rows", "endings", "tallies")]
         return self._read_back.read(encoder, list(zip(results, result_sizes, strict=True)))
 
-    def _bound(self, task: Task, pipeline: Any) -> tuple[Any, Any]:
-        if task not in self._groups:
-            params = {"buffer": self._params, "offset": 0, "size": self._params.size}
-            shared = [params, *(self._buffers[name].binding for name in _NAMES)]
+    def _bound(self) -> list[Any]:
+        if not self._groups:
+            shared = [whole(self._params), *(self._buffers[name].binding for name in _NAMES)]
             own = [buffer.binding for buffer in self._arrays]
-            self._groups[task] = (
-                bind_group(self._opened, pipeline, 0, shared),
-                bind_group(self._opened, pipeline, 1, own),
-            )
-        return self._groups[task]
+            self._groups = [
+                bind(self._opened, layout, resources, is_compute=True)
+                for layout, resources in zip(self._layouts, (shared, own), strict=True)
+            ]
+        return self._groups

@@ -1,21 +1,19 @@
-"""Fragment programs: kernels whose streams are textures, run by drawing over the whole picture."""
+"""Fragment programs: kernels whose streams are textures, run by drawing over all their texels."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.buffers import Buffer
-from raystream.graphics.drawing import GATHERED, NOTED, UNIFORM, drawing_pipeline
-from raystream.graphics.screens import Screen, sampled
-from raystream.graphics.streams.programs import cover_screen
+from raystream.graphics.pipelines import Program, bind, fragment_pipeline
+from raystream.graphics.textures import Texture
 
-__all__ = ["FragmentProgram"]
+__all__ = ["FragmentProgram", "cover_screen"]
 
 
 class FragmentProgram:
-    """A fragment program over all pixels: it gathers from textures and writes others.
+    """A fragment program over all texels: it gathers from textures and writes others.
 
     It draws one triangle that covers the screen, see ``screen.wgsl``.
 
@@ -23,17 +21,11 @@ class FragmentProgram:
     ----------
     opened : OpenDevice
     name : str
-        Its entry point, and for errors.
-    source : str
+        For errors.
+    program : Program
         With ``screen.wgsl``.
-    reads, writes : sequence of str
-        Formats of the textures it reads, bindings 1 and up of group 0, and writes.
-    gathers : int
-        Storage buffers that it reads: bindings 0 and up of group 1.
-    notes : bool
-        Whether it writes a storage buffer: the last binding of group 0.
-    constants : mapping of str to float, optional
-        Values of ``override`` declarations.
+    formats : sequence of str
+        Of the textures it writes.
 
     Raises
     ------
@@ -42,53 +34,46 @@ class FragmentProgram:
     """
 
     def __init__(
-        self,
-        opened: OpenDevice,
-        name: str,
-        source: str,
-        *,
-        reads: Sequence[str],
-        writes: Sequence[str],
-        gathers: int = 0,
-        notes: bool = False,
-        constants: Mapping[str, float] | None = None,
+        self, opened: OpenDevice, name: str, program: Program, formats: Sequence[str]
     ) -> None:
-        own = [UNIFORM, *map(sampled, reads), *[NOTED] * notes]
-        groups = own, [GATHERED] * gathers
-        self._pipeline = drawing_pipeline(
-            opened, source, ("cover", name), groups, writes, constants=constants
-        )
+        targets = [(one, True) for one in formats]
+        self._opened = opened
+        self._layouts = program.layouts
+        self._pipeline = fragment_pipeline(opened, name, program, targets)
 
     def draw(
-        self,
-        encoder: Any,
-        params: Any,
-        reads: Sequence[Screen],
-        writes: Sequence[Screen],
-        gathers: Sequence[Buffer] = (),
-        notes: Buffer | None = None,
+        self, encoder: Any, groups: Sequence[Sequence[Any]], writes: Sequence[Texture]
     ) -> None:
-        """Run it over all pixels, in a pass of its own.
+        """Run it over all texels, in a pass of its own.
 
         Parameters
         ----------
         encoder : GPUCommandEncoder
-        params : GPUBuffer
-            The uniform, binding 0.
-        reads, writes : sequence of Screen
-            None may be in both.
-        gathers : sequence of Buffer
-        notes : Buffer, optional
+        groups : sequence of sequence
+            Of each group its resources: none of the textures that are written.
+        writes : sequence of Texture
+            All of one size.
         """
-        own = [{"buffer": params, "size": params.size}, *(one.view for one in reads)]
-        if notes is not None:
-            own.append(notes.binding)
         attachments = [
             {"view": one.view, "clear_value": (0,) * 4, "load_op": "clear", "store_op": "store"}
             for one in writes
         ]
         drawn = encoder.begin_render_pass(color_attachments=attachments)
-        cover_screen(drawn, *writes[0].size)
-        self._pipeline.bind(drawn, [own, [one.binding for one in gathers]])
+        cover_screen(drawn, writes[0].size)
+        drawn.set_pipeline(self._pipeline)
+        for number, (layout, own) in enumerate(zip(self._layouts, groups, strict=True)):
+            drawn.set_bind_group(number, bind(self._opened, layout, own))
         drawn.draw(3)
         drawn.end()
+
+
+def cover_screen(run: Any, size: tuple[int, int]) -> None:
+    """Set a render pass's viewport so that the triangle of screen.wgsl covers its textures.
+
+    A triangle that reaches beyond the viewport may be clipped to a rectangle, and that be drawn as
+    two triangles: blocks of pixels on their diagonal are computed twice. Mesa's software driver
+    lets loops of their pixels that are not drawn run on and on. So the viewport is twice as wide
+    and as high as the textures, and nothing is clipped.
+    """
+    width, height = size
+    run.set_viewport(0, 0, 2 * width, 2 * height, 0.0, 1.0)

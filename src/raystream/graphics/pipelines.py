@@ -2,18 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 from weakref import WeakKeyDictionary
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.fusing import device_constants
 
-__all__ = ["bind_group", "compute_pipeline", "shader_module"]
+__all__ = [
+    "DepthStencil",
+    "Layout",
+    "Program",
+    "bind",
+    "compute_pipeline",
+    "fragment_pipeline",
+    "shader_module",
+]
 
-#: Of each device: modules and pipelines by what they were made of.
+#: What the bindings of a group are, one after the other.
+Layout = tuple[str, ...]
+
+#: What a program may be bound to, as WebGPU's layouts call it.
+_BINDINGS: Mapping[str, Mapping[str, Any]] = {
+    "uniform": {"buffer": {"type": "uniform"}},
+    "gather": {"buffer": {"type": "read-only-storage"}},
+    "scatter": {"buffer": {"type": "storage"}},
+    "float": {"texture": {"sample_type": "unfilterable-float"}},
+    "uint": {"texture": {"sample_type": "uint"}},
+    "sint": {"texture": {"sample_type": "sint"}},
+}
+
+#: Of each device: modules, layouts and pipelines by what they were made of.
 _MADE: WeakKeyDictionary[OpenDevice, dict[Any, Any]] = WeakKeyDictionary()
+
+
+class Program(NamedTuple):
+    """A shader, as pipelines are made of it.
+
+    Attributes
+    ----------
+    source : str
+        WGSL.
+    entry : str
+        The name of its function; of a fragment program also for errors.
+    layouts : sequence of Layout
+        Of each group what it is bound to: "uniform", "gather" and "scatter" are buffers, the
+        others textures.
+    constants : mapping of str to float
+        Values of ``override`` declarations.
+    vertex : str
+        The function that places triangles, of a fragment program.
+    """
+
+    source: str
+    entry: str
+    layouts: Sequence[Layout]
+    constants: Mapping[str, float] = {}
+    vertex: str = "cover"
+
+
+class DepthStencil(Protocol):
+    """What a draw does with depth or stencil; hashable."""
+
+    def description(self) -> dict[str, Any]:
+        """As wgpu takes it."""
 
 
 def shader_module(opened: OpenDevice, source: str, name: str) -> Any:
@@ -33,50 +86,140 @@ def shader_module(opened: OpenDevice, source: str, name: str) -> Any:
     return made[source]
 
 
-def compute_pipeline(
-    opened: OpenDevice, source: str, name: str, constants: Mapping[str, float]
-) -> Any:
-    """A compute pipeline whose entry point is ``trace``.
+def compute_pipeline(opened: OpenDevice, name: str, program: Program) -> Any:
+    """A compute pipeline.
 
     Parameters
     ----------
     opened : OpenDevice
-    source : str
     name : str
         For errors.
-    constants : mapping of str to float
-        Values of ``override`` declarations.
+    program : Program
 
     Raises
     ------
     GraphicsError
         If it does not compile.
     """
+    constants = device_constants(opened, program.source, program.constants)
+
+    def make(module: Any, layout: Any) -> Any:
+        return opened.device.create_compute_pipeline(
+            layout=layout,
+            compute={"module": module, "entry_point": program.entry, "constants": constants},
+            label=name,
+        )
+
+    return _made(opened, name, program, constants, None, make)
+
+
+def fragment_pipeline(
+    opened: OpenDevice,
+    name: str,
+    program: Program,
+    targets: Sequence[tuple[str, bool]],
+    depth_stencil: DepthStencil | None = None,
+) -> Any:
+    """A render pipeline that draws triangles.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    name : str
+        For errors.
+    program : Program
+    targets : sequence of (str, bool)
+        Format of each target, and whether the program writes it.
+    depth_stencil : DepthStencil, optional
+
+    Raises
+    ------
+    GraphicsError
+        If it does not compile.
+    """
+    import wgpu
+
+    constants = device_constants(opened, program.source, program.constants)
+
+    def make(module: Any, layout: Any) -> Any:
+        return opened.device.create_render_pipeline(
+            layout=layout,
+            vertex={"module": module, "entry_point": program.vertex, "constants": constants},
+            primitive={"topology": "triangle-list", "cull_mode": "none"},
+            depth_stencil=None if depth_stencil is None else depth_stencil.description(),
+            fragment={
+                "module": module,
+                "entry_point": program.entry,
+                "constants": constants,
+                "targets": [
+                    {"format": texel, "write_mask": wgpu.ColorWrite.ALL if is_written else 0}
+                    for texel, is_written in targets
+                ],
+            },
+            label=name,
+        )
+
+    return _made(opened, name, program, constants, (tuple(targets), depth_stencil), make)
+
+
+def _made(
+    opened: OpenDevice,
+    name: str,
+    program: Program,
+    constants: Mapping[str, float],
+    drawn: tuple[Any, ...] | None,
+    make: Callable[[Any, Any], Any],
+) -> Any:
+    """A pipeline that was made before, or a new one, of a module and a layout.
+
+    Besides the program it depends on what is drawn, None for a compute pipeline.
+    """
     made = _MADE.setdefault(opened, {})
-    constants = device_constants(opened, source, constants)
-    key = source, tuple(sorted(constants.items()))
+    entries = program.entry, program.vertex, tuple(program.layouts)
+    key = program.source, *entries, tuple(sorted(constants.items())), drawn
     if key not in made:
-        module = shader_module(opened, source, name)
+        module = shader_module(opened, program.source, name)
+        groups = [_layout_of(opened, one, drawn is None) for one in program.layouts]
         try:
-            made[key] = opened.device.create_compute_pipeline(
-                layout="auto",
-                compute={"module": module, "entry_point": "trace", "constants": constants},
-                label=name,
-            )
+            layout = opened.device.create_pipeline_layout(bind_group_layouts=groups)
+            made[key] = make(module, layout)
         except Exception as error:  # wgpu wraps whatever the driver says
             raise GraphicsError(f"shader {name}: gives no pipeline: {error}") from error
     return made[key]
 
 
-def bind_group(
-    opened: OpenDevice, pipeline: Any, number: int, resources: Sequence[Mapping[str, Any] | None]
+def _layout_of(opened: OpenDevice, layout: Layout, is_compute: bool) -> Any:
+    made = _MADE.setdefault(opened, {})
+    key = "layout", layout, is_compute
+    if key not in made:
+        import wgpu
+
+        stage = wgpu.ShaderStage
+        drawing = stage.FRAGMENT | stage.VERTEX
+        made[key] = opened.device.create_bind_group_layout(
+            entries=[
+                {
+                    "binding": number,
+                    "visibility": stage.COMPUTE
+                    if is_compute
+                    # Vertex programs write no buffers.
+                    else (stage.FRAGMENT if kind == "scatter" else drawing),
+                    **_BINDINGS[kind],
+                }
+                for number, kind in enumerate(layout)
+            ]
+        )
+    return made[key]
+
+
+def bind(
+    opened: OpenDevice, layout: Layout, resources: Sequence[Any], *, is_compute: bool = False
 ) -> Any:
-    """Bind resources to a pipeline's group, by their binding numbers; None for those it lacks."""
+    """Bind resources to a group of a layout: a compute program's, or a fragment program's."""
     entries = [
-        {"binding": binding, "resource": resource}
-        for binding, resource in enumerate(resources)
-        if resource is not None
+        {"binding": number, "resource": resource}
+        for (number, resource), _ in zip(enumerate(resources), layout, strict=True)
     ]
     return opened.device.create_bind_group(
-        layout=pipeline.get_bind_group_layout(number), entries=entries
+        layout=_layout_of(opened, layout, is_compute), entries=entries
     )

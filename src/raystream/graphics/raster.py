@@ -6,6 +6,7 @@ buffer finds the visible surfaces, and rays what follows: see `shadow_caster`.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,13 +14,13 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.graphics.adapters import OpenDevice, open_device
-from raystream.graphics.buffers import Buffer, uniform, upload
-from raystream.graphics.drawing import GATHERED, UNIFORM, drawing_pipeline
+from raystream.graphics.buffers import Buffer, uniform, upload, whole
 from raystream.graphics.forms.base import numbers
 from raystream.graphics.fragments import FragmentProgram
 from raystream.graphics.guarding import guarded
-from raystream.graphics.screens import IDS, WORDS, Screen, new_screen, read_screen
+from raystream.graphics.pipelines import Program, bind, fragment_pipeline
 from raystream.graphics.source import shader_source
+from raystream.graphics.textures import IDS, WORDS, Texture, new_texture, sampled
 from raystream.graphics.views import check_pinhole, packed_view
 from raystream.render.arguments import check_camera, check_size
 from raystream.scene.camera import Camera
@@ -28,6 +29,10 @@ from raystream.scene.scene import Scene
 __all__ = ["Visibility", "visibility"]
 
 _DEPTH = "depth32float"
+
+#: What both programs are bound to: the triangles' numbers and corners, and a picture.
+_PROJECTED = [("uniform",), ("gather", "gather")]
+_RESOLVED = [("uniform", sampled(IDS)), ("gather",)]
 
 #: Triangles in a draw: its vertices are counted in 32 bits, and drivers take long ones for hung.
 _TRIANGLES_AT_ONCE = 1 << 20
@@ -114,57 +119,55 @@ class _Raster:
             ("the corners of triangles", triangles.corners),
         ]
         self._buffers: list[Buffer] = upload(opened, arrays)
-        self._resolve = FragmentProgram(
-            opened,
-            "resolve",
-            shader_source("screen.wgsl", "raster/resolve.wgsl"),
-            reads=[IDS],
-            writes=[WORDS],
-            gathers=1,
-        )
-        self._pipeline = drawing_pipeline(
-            opened,
-            shader_source("raster/raster.wgsl"),
-            ("project", "note"),
-            [[UNIFORM], [GATHERED] * 2],
-            [IDS],
-            depth={"format": _DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
-        )
+        resolve = Program(shader_source("screen.wgsl", "raster/resolve.wgsl"), "resolve", _RESOLVED)
+        self._resolve = FragmentProgram(opened, "resolve", resolve, [WORDS])
+        project = Program(shader_source("raster/raster.wgsl"), "note", _PROJECTED, vertex="project")
+        self._pipeline = fragment_pipeline(opened, "raster", project, [(IDS, True)], _Nearest())
 
     def draw(self, view: Camera, size: tuple[int, int]) -> NDArray[np.uint32]:
         """Shape (H, W, 4): t, u and v as bits, and prim_id."""
         opened = self._opened
         packed = packed_view(view, size, self._triangles)
-        seen = new_screen(opened, size, IDS, "numbers of triangles")
-        depth = new_screen(opened, size, _DEPTH, "depth")
-        found = new_screen(opened, size, WORDS, "hits")
+        seen = Texture(opened, "numbers of triangles", size, IDS)
+        found = Texture(opened, "hits", size, WORDS)
         encoder = opened.device.create_command_encoder()
         params = uniform(opened, numbers(self._triangles.extreme, 0, 0, 0) + packed)
-        self._rasterise(encoder, params, seen, depth)
-        self._resolve.draw(encoder, params, [seen], [found], self._buffers[1:])
+        self._rasterise(encoder, params, seen)
+        groups = [[whole(params), seen.view], [self._buffers[1].binding]]
+        self._resolve.draw(encoder, groups, [found])
         opened.device.queue.submit([encoder.finish()])
-        return read_screen(opened, found)
+        return found.read()
 
-    def _rasterise(self, encoder: Any, params: Any, seen: Screen, depth: Screen) -> None:
-        count = len(self._triangles.prim_ids)
-        own = [{"buffer": params, "size": params.size}]
+    def _rasterise(self, encoder: Any, params: Any, seen: Texture) -> None:
+        import wgpu
+
+        opened = self._opened
+        usage = wgpu.TextureUsage.RENDER_ATTACHMENT
+        depth = new_texture(opened, "depth", seen.size, _DEPTH, usage)
+        colors = {"view": seen.view, "clear_value": (-1, 0, 0, 0)}
         drawn = encoder.begin_render_pass(
-            color_attachments=[
-                {
-                    "view": seen.view,
-                    "load_op": "clear",
-                    "store_op": "store",
-                    "clear_value": (-1, 0, 0, 0),
-                }
-            ],
+            color_attachments=[colors | {"load_op": "clear", "store_op": "store"}],
             depth_stencil_attachment={
-                "view": depth.view,
+                "view": depth.create_view(),
                 "depth_clear_value": 0.0,
                 "depth_load_op": "clear",
                 "depth_store_op": "discard",
             },
         )
-        self._pipeline.bind(drawn, [own, [one.binding for one in self._buffers]])
+        drawn.set_pipeline(self._pipeline)
+        groups = [whole(params)], [one.binding for one in self._buffers]
+        for number, (layout, own) in enumerate(zip(_PROJECTED, groups, strict=True)):
+            drawn.set_bind_group(number, bind(opened, layout, own))
+        count = len(self._triangles.prim_ids)
         for first in range(0, count, _TRIANGLES_AT_ONCE):
             drawn.draw(3 * min(_TRIANGLES_AT_ONCE, count - first), 1, 3 * first)
         drawn.end()
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """The depth test: of what is drawn the nearest is kept, whose depth is the largest."""
+
+    def description(self) -> dict[str, Any]:
+        """As wgpu takes it."""
+        return {"format": _DEPTH, "depth_write_enabled": True, "depth_compare": "greater"}

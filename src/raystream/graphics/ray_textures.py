@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.buffers import Buffer, uniform, upload
+from raystream.graphics.buffers import Buffer, uniform, upload, whole
 from raystream.graphics.forms import Form
-from raystream.graphics.forms.base import numbers
+from raystream.graphics.forms.base import TREE_AT
+from raystream.graphics.pipelines import Layout, bind
 from raystream.graphics.records import ROW, Query, packed_rays
-from raystream.graphics.streams.programs import bind
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
 from raystream.kernels.queries import LocalRays
 
@@ -23,9 +23,6 @@ FRAME = ("uniform", "float", "float", "uint")
 
 #: Group 2, where it writes buffers: rows, tallies and runs.
 _BUFFERS = ("scatter", "scatter", "scatter")
-
-#: Bytes of Params before the structure's Tree.
-_TREE_AT = 32
 
 
 class RayTextures:
@@ -55,8 +52,8 @@ class RayTextures:
         names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
         self._arrays = upload(opened, zip(names, form.arrays, strict=True))
         self._buffers = {name: Buffer(opened, name) for name in ("rows", "tallies", "runs")}
-        self._uniform = uniform(opened, bytes(_TREE_AT) + form.tree)
-        self.params = {"buffer": self._uniform, "offset": 0, "size": self._uniform.size}
+        self._uniform = uniform(opened, form.params(np.float32(0.0)))
+        self.params = whole(self._uniform)
         self.count = 0
         self._resize(StreamShape.for_count(1, opened))
 
@@ -86,7 +83,7 @@ class RayTextures:
             self._resize(shape)
         packed = packed_rays(rays, chunk)
         for stream, records in zip(self.inputs, (packed[:, 0], packed[:, 1], wanted), strict=True):
-            stream.write(records)
+            stream.write_records(records)
         self._buffers["rows"].reserve(ROW.itemsize * row_count)
         for name in ("tallies", "runs"):
             self._buffers[name].reserve(32 * self.count if counts else 0)
@@ -96,13 +93,13 @@ class RayTextures:
 
     def write_params(self, extreme: np.float32) -> None:
         """Say how many rays there are, and what all of them share."""
-        params = numbers(extreme, 0, self.count, self.shape.width, self._form.budget)
-        params += bytes(_TREE_AT - len(params)) + self._form.tree
+        width = self.shape.width
+        params = self._form.params(extreme, ray_count=self.count, row_size=width)
         self._opened.device.queue.write_buffer(self._uniform, 0, params)
 
     def write_tree(self, tree: bytes) -> None:
         """Put other constants of the structure in their place."""
-        self._opened.device.queue.write_buffer(self._uniform, _TREE_AT, tree)
+        self._opened.device.queue.write_buffer(self._uniform, TREE_AT, tree)
 
     @staticmethod
     def instead(query: Query, counts: bool) -> dict[str, str]:
@@ -114,19 +111,24 @@ class RayTextures:
             files["fragment/counting.wgsl"] = "fragment/not_counting.wgsl"
         return files
 
-    def layouts(self, query: Query, counts: bool) -> list[tuple[str, ...]]:
+    def layouts(self, query: Query, counts: bool) -> list[Layout]:
         """Of the groups after the first one."""
         gathers = ("gather",) * len(self._arrays)
         return [gathers, _BUFFERS] if query == Query.MULTI_HIT or counts else [gathers]
 
-    def groups(self, query: Query, counts: bool) -> list[Any]:
-        """These groups, bound to what is loaded."""
+    def resources(self, query: Query, counts: bool) -> list[list[Any]]:
+        """What these groups are bound to, as it is loaded."""
         own = [buffer.binding for buffer in self._arrays]
         written = [buffer.binding for buffer in self._buffers.values()]
-        layouts = self.layouts(query, counts)
+        return [own, written][: len(self.layouts(query, counts))]
+
+    def groups(self, query: Query, counts: bool) -> list[Any]:
+        """These groups, bound."""
         return [
             bind(self._opened, layout, resources)
-            for layout, resources in zip(layouts, (own, written), strict=False)
+            for layout, resources in zip(
+                self.layouts(query, counts), self.resources(query, counts), strict=True
+            )
         ]
 
     def read_rows(self, query: Query, count: int) -> NDArray[Any]:
@@ -134,9 +136,9 @@ class RayTextures:
         if query == Query.MULTI_HIT:
             return self._buffers["rows"].read(ROW, (count,))
         rows = np.empty(count, ROW)
-        hits = self.found.read(count)
+        hits = self.found.read_records(count)
         rows["t"], rows["u"], rows["v"] = hits[:, 0], hits[:, 1], hits[:, 2]
-        rows["prim_id"] = self.state.read(count)[:, 2].view(np.int32)
+        rows["prim_id"] = self.state.read_records(count)[:, 2].view(np.int32)
         return rows
 
     def read_tallies(self) -> NDArray[np.uint32]:

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from raystream.graphics.source import shader_source
 
-__all__ = ["Form", "budget_for", "numbers"]
+__all__ = ["TREE_AT", "Form", "budget_for", "numbers"]
+
+#: Bytes of the uniform ``Params`` before the structure's ``Tree``.
+TREE_AT = 32
 
 #: Searches take some steps whatever the structure is.
 _LEAST_BUDGET = 1 << 10
@@ -53,6 +56,13 @@ class Form:
     sizes: dict[str, int] = field(default_factory=dict)
     instead: dict[str, str] = field(default_factory=dict)
     lists_twice: bool = False
+
+    def params(
+        self, extreme: np.float32, *, ray_count: int = 0, row_size: int = 0, capacity: int = 0
+    ) -> bytes:
+        """The uniform ``Params``, see params.wgsl: what all rays of a search share."""
+        shared = numbers(extreme, 0, ray_count, row_size, self.budget, capacity)
+        return shared + bytes(TREE_AT - len(shared)) + self.tree
 
     def source(self, *names: str, instead: Mapping[str, str] | None = None) -> str:
         """A machine's shader files, put together with the structure's; see `shader_source`."""

@@ -187,7 +187,7 @@ class Multipass(GraphicsQueries):
         if self._constants is not None:
             self._constants.begin()
         self._loop(work)
-        state = streams.rays.state.read(len(wanted))
+        state = streams.rays.state.read_records(len(wanted))
         endings = np.where(state[:, 3] == 0, ENDLESS, state[:, 1] + np.uint32(1))
         found = hit_counts(endings, self._form, self.opened)
         if tallies is not None:

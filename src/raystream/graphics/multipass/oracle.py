@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.buffers import Buffer, uniform
+from raystream.graphics.buffers import Buffer, uniform, whole
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms.base import numbers
-from raystream.graphics.pipelines import shader_module
+from raystream.graphics.pipelines import Program, bind, compute_pipeline
 from raystream.graphics.source import shader_source
 from raystream.graphics.streams.kernel import FragmentKernel
-from raystream.graphics.streams.programs import bind, layout_of
 from raystream.graphics.streams.textures import StencilTexture, StreamShape
 from raystream.machines.records import RayState
 from raystream.machines.schedulers import SCHEDULERS
@@ -94,7 +93,6 @@ class Oracle:
         self._least = Buffer(opened, "thresholds")
         self._most_passes = most_passes
         self.arguments = _schedule_buffer(opened, 4 * (_HEAD_WORDS + 2 * most_passes))
-        self._pipelines: dict[tuple[str, int], Any] = {}
         self._group: Any = None
         self._groups = (0, 0)
 
@@ -109,8 +107,8 @@ class Oracle:
         self._opened.device.queue.write_buffer(self.arguments, 0, head)
         resources = [
             stencil.states,
-            {"buffer": self.arguments, "offset": 0, "size": self.arguments.size},
-            {"buffer": self._kernels, "offset": 0, "size": self._kernels.size},
+            whole(self.arguments),
+            whole(self._kernels),
             self._least.binding,
         ]
         self._group = bind(self._opened, _LAYOUT, resources, is_compute=True)
@@ -141,21 +139,10 @@ class Oracle:
         return Decided([(kernel, count) for kernel, count in ran], active_count)
 
     def _pipeline(self, entry: str, encoded: int) -> Any:
-        key = entry, encoded
-        if key not in self._pipelines:
-            name = "multipass/schedule.wgsl"
-            module = shader_module(self._opened, shader_source(name), name)
-            device = self._opened.device
-            layout = layout_of(self._opened, _LAYOUT, is_compute=True)
-            constants = {"SCHEDULER": float(self._scheduler), "ENCODED": float(encoded)}
-            try:
-                self._pipelines[key] = device.create_compute_pipeline(
-                    layout=device.create_pipeline_layout(bind_group_layouts=[layout]),
-                    compute={"module": module, "entry_point": entry, "constants": constants},
-                )
-            except Exception as error:  # wgpu wraps whatever the driver says
-                raise GraphicsError(f"shader {name}: gives no pipeline: {error}") from error
-        return self._pipelines[key]
+        name = "multipass/schedule.wgsl"
+        constants = {"SCHEDULER": float(self._scheduler), "ENCODED": float(encoded)}
+        program = Program(shader_source(name), entry, [_LAYOUT], constants)
+        return compute_pipeline(self._opened, name, program)
 
 
 def _schedule_buffer(opened: OpenDevice, byte_count: int) -> Any:

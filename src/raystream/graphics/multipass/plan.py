@@ -9,22 +9,23 @@ from typing import Any, NamedTuple
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.forms import Form
 from raystream.graphics.multipass.kernels import STREAMS, TraversalKernels
+from raystream.graphics.pipelines import Layout, Program, fragment_pipeline
 from raystream.graphics.ray_textures import FRAME
 from raystream.graphics.source import shader_source
 from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.graphics.streams.passes import Draw, groups_of
-from raystream.graphics.streams.programs import Program, Stencil, fragment_pipeline
+from raystream.graphics.streams.stencil import Stencil
+from raystream.graphics.textures import FLOATS, WORDS, sampled
 
 __all__ = ["LAYOUT", "STREAM_TYPES", "Plan", "Wish", "make_plan"]
 
 #: Types of the streams that kernels write.
 STREAM_TYPES = {"state": "uint32", "found": "float32", "place": "uint32", "span": "float32"}
 
-_KINDS = {"uint32": "uint", "float32": "float"}
-_FORMATS = {"uint32": "rgba32uint", "float32": "rgba32float"}
+_FORMATS = {"uint32": WORDS, "float32": FLOATS}
 
 #: Group 0 of a kernel: see multipass/frame.wgsl.
-LAYOUT = (*FRAME, *(_KINDS[STREAM_TYPES[name]] for name in STREAMS))
+LAYOUT = (*FRAME, *(sampled(_FORMATS[STREAM_TYPES[name]]) for name in STREAMS))
 
 #: What a kernel's program returns if it may write half of the streams at a time.
 _HALVES = ("fragment/texels_found.wgsl", "fragment/texels_place.wgsl")
@@ -40,7 +41,7 @@ class Wish(NamedTuple):
     instead : mapping of str to str
         See `source.shader_source`.
     constants : mapping of str to float
-    layouts : sequence of tuple of str
+    layouts : sequence of Layout
         Of the groups after the first one.
     counts : bool
         Whether programs count.
@@ -49,7 +50,7 @@ class Wish(NamedTuple):
     form: Form
     instead: Mapping[str, str]
     constants: Mapping[str, float]
-    layouts: Sequence[tuple[str, ...]]
+    layouts: Sequence[Layout]
     counts: bool
 
 
@@ -134,17 +135,17 @@ class _Maker:
         if self._wish.counts:
             constants["COUNTS"] = float(group == 0)
         layouts = [LAYOUT, *self._wish.layouts]
-        program = Program(self._sources[group], one.entry, constants, layouts)
+        program = Program(self._sources[group], one.entry, layouts, constants)
         return self._draw(group, program, Stencil(one.state), one.writes, number)
 
     def commit(self, group: int, number: int, one: FragmentKernel) -> Draw:
         """The copy of what it wrote."""
-        program = Program(self._shared_sources[group], "commit", {}, [LAYOUT])
+        program = Program(self._shared_sources[group], "commit", [LAYOUT])
         return self._draw(group, program, Stencil(one.state), one.writes, number)
 
     def begin(self, group: int) -> Draw:
         """The program that all rays begin with."""
-        program = Program(self._shared_sources[group], "begin", {}, [LAYOUT])
+        program = Program(self._shared_sources[group], "begin", [LAYOUT])
         stencil = Stencil(None, self.kernels[0].state)
         return self._draw(group, program, stencil, self.groups[group])
 
@@ -152,7 +153,7 @@ class _Maker:
         """What tells apart the rays that a kernel moves to a state."""
         # When all of a kernel's streams have been copied, so among the last group's draws.
         constants = {"NEXT": float(next_state)}
-        program = Program(self._shared_sources[-1], "classify", constants, [LAYOUT])
+        program = Program(self._shared_sources[-1], "classify", [LAYOUT], constants)
         return self._draw(len(self.groups) - 1, program, Stencil(state, next_state), (), number)
 
     def of_group(self, make: Any) -> list[list[Draw]]:

@@ -11,10 +11,10 @@ from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.forms import Form
 from raystream.graphics.multipass.kernels import STREAMS
 from raystream.graphics.multipass.plan import LAYOUT, STREAM_TYPES
+from raystream.graphics.pipelines import bind
 from raystream.graphics.ray_textures import RayTextures
 from raystream.graphics.records import Query
 from raystream.graphics.streams.passes import Bindings, StreamPasses
-from raystream.graphics.streams.programs import bind
 from raystream.graphics.streams.textures import StreamTexture
 from raystream.kernels.queries import LocalRays
 

@@ -6,10 +6,10 @@ struct Tree {
     node_count: u32,
 }
 
-// Nodes of 16 vectors, leaf blocks of 10: as raystream/structures/bvh/layout.py says. The bits of
+// Nodes of 16 vectors, and leaf blocks: as raystream/structures/bvh/layout.py says. The bits of
 // floats and of integers.
 @group(1) @binding(0) var<storage, read> nodes: array<vec4u>;
-@group(1) @binding(1) var<storage, read> leaves: array<vec4u>;
+@group(1) @binding(1) var<storage, read> blocks: array<vec4u>;
 
 const ROOT: i32 = 0;
 

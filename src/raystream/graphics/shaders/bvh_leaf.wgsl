@@ -1,9 +1,7 @@
 // The triangles of a leaf: blocks of four slots, in which the last ones may be empty. As
 // raystream/structures/bvh/block.py.
 
-const BLOCK: u32 = 10u;
-const IDS: u32 = 9u;
-const BLOCK_SIZE: u32 = 4u;
+//! include "block.wgsl"
 
 // The prim_id of an empty slot. One below is that of a triangle that cannot be hit any more.
 const NO_TRIANGLE: i32 = -1;
@@ -28,26 +26,12 @@ fn leaf_slots(link: i32) -> Slots {
     return Slots(BLOCK_SIZE * first, BLOCK_SIZE * (first + (bits & 7u) + 1u));
 }
 
-fn leaf_number(at: u32, lane: u32) -> f32 {
-    return bitcast<f32>(leaves[at][lane]);
-}
-
-fn leaf_corner(at: u32, lane: u32) -> vec3f {
-    return vec3f(leaf_number(at, lane), leaf_number(at + 1u, lane), leaf_number(at + 2u, lane));
-}
-
 fn triangle_in(slot: u32) -> Triangle {
-    let at = BLOCK * (slot / BLOCK_SIZE);
-    let lane = slot % BLOCK_SIZE;
-    return Triangle(
-        leaf_corner(at, lane),
-        leaf_corner(at + 3u, lane),
-        leaf_corner(at + 6u, lane),
-    );
+    return block_triangle(slot / BLOCK_SIZE, slot % BLOCK_SIZE);
 }
 
 fn prim_id_in(slot: u32) -> i32 {
-    return bitcast<i32>(leaves[BLOCK * (slot / BLOCK_SIZE) + IDS][slot % BLOCK_SIZE]);
+    return block_prim_id(slot / BLOCK_SIZE, slot % BLOCK_SIZE);
 }
 
 // The first slot whose triangle the ray crosses, or the end.

@@ -1,21 +1,7 @@
 // One ray from start to end in each invocation: all four queries, around a structure's search().
 
-struct Params {
-    // Largest absolute coordinate of the scene.
-    extreme: f32,
-    // 0: see exact.wgsl.
-    zero: u32,
-    ray_count: u32,
-    // Invocations in a row of workgroups, as one dimension may have too few.
-    row_size: u32,
-    // Steps and tests before a search counts as endless.
-    budget: u32,
-    // Hits wanted of each ray, but for MULTI_HIT.
-    capacity: u32,
-    @align(16) tree: Tree,
-}
+//! include "params.wgsl"
 
-@group(0) @binding(0) var<uniform> params: Params;
 // Origin and t_min, then direction and t_max, of each.
 @group(0) @binding(1) var<storage, read> rays: array<vec4f>;
 // For MULTI_HIT: of each ray the first of its rows, and how many hits are wanted.

@@ -1,5 +1,5 @@
 // A triangle that covers the screen: to draw it is to run a kernel on every pixel's record. It fills
-// the upper left half of a viewport twice as wide and as high; see streams/programs.py.
+// the upper left half of a viewport twice as wide and as high; see fragments.py.
 
 @vertex
 fn cover(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {

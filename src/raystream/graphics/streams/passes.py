@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.streams.programs import cover_screen
+from raystream.graphics.fragments import cover_screen
 from raystream.graphics.streams.textures import (
     TEXEL_BYTES,
     StencilTexture,
@@ -168,7 +168,7 @@ class StreamPasses:
             depth_stencil_attachment=states,
             **more,
         )
-        cover_screen(run, self._shape.width, self._shape.height)
+        cover_screen(run, self._shape)
         return run
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
+from raystream.graphics.textures import FLOATS, WORDS, Texture, new_texture
 
 __all__ = ["TEXEL_BYTES", "StencilTexture", "StreamShape", "StreamTexture"]
 
@@ -19,7 +20,7 @@ TEXEL_BYTES = 16
 #: Widths are multiples of this: rows of so many texels may be copied as they are.
 _COLUMNS = 16
 
-_FORMATS = {"f": "rgba32float", "u": "rgba32uint"}
+_FORMATS = {"f": FLOATS, "u": WORDS}
 
 
 class StreamShape(NamedTuple):
@@ -52,13 +53,8 @@ class StreamShape(NamedTuple):
             )
         return cls(width, height)
 
-    @property
-    def size(self) -> tuple[int, int, int]:
-        """As wgpu takes it."""
-        return self.width, self.height, 1
 
-
-class StreamTexture:
+class StreamTexture(Texture):
     """A stream as a texture.
 
     Parameters
@@ -69,60 +65,24 @@ class StreamTexture:
     shape : StreamShape
     dtype : dtype
         float32 or uint32.
-
-    Attributes
-    ----------
-    format : str
-        Of the texture, as WebGPU calls it.
-    view : GPUTextureView
     """
 
     def __init__(self, opened: OpenDevice, name: str, shape: StreamShape, dtype: Any) -> None:
-        import wgpu
+        super().__init__(opened, name, shape, _FORMATS[np.dtype(dtype).kind])
 
-        self._queue = opened.device.queue
-        self._dtype = np.dtype(dtype)
-        self._shape = shape
-        self.format = _FORMATS[self._dtype.kind]
-        self._texture = _create(
-            opened,
-            name,
-            shape,
-            self.format,
-            wgpu.TextureUsage.TEXTURE_BINDING
-            | wgpu.TextureUsage.RENDER_ATTACHMENT
-            | wgpu.TextureUsage.COPY_SRC
-            | wgpu.TextureUsage.COPY_DST,
-        )
-        self.view = self._texture.create_view()
-
-    def write(self, records: NDArray[Any]) -> None:
+    def write_records(self, records: NDArray[Any]) -> None:
         """Copy records to its beginning: shape (N, k), k up to 4; the rest of their rows is 0."""
-        width = self._shape.width
+        width = self.size[0]
         rows = -(-len(records) // width)
         if rows == 0:
             return
         texels = np.zeros((rows * width, 4), self._dtype)
         texels[: len(records), : records.shape[1]] = records
-        self._queue.write_texture(
-            {"texture": self._texture},
-            texels,
-            {"bytes_per_row": TEXEL_BYTES * width, "rows_per_image": rows},
-            (width, rows, 1),
-        )
+        self.write(texels.reshape(rows, width, 4))
 
-    def read(self, count: int) -> NDArray[Any]:
+    def read_records(self, count: int) -> NDArray[Any]:
         """Copy its first records back, when the device has done what it was given: (N, 4)."""
-        width = self._shape.width
-        rows = -(-count // width)
-        if rows == 0:
-            return np.empty((0, 4), self._dtype)
-        memory = self._queue.read_texture(
-            {"texture": self._texture},
-            {"bytes_per_row": TEXEL_BYTES * width, "rows_per_image": rows},
-            (width, rows, 1),
-        )
-        return np.frombuffer(memory, self._dtype).reshape(-1, 4)[:count]
+        return self.read(-(-count // self.size[0])).reshape(-1, 4)[:count]
 
 
 class StencilTexture:
@@ -142,16 +102,6 @@ class StencilTexture:
         import wgpu
 
         usage = wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.RENDER_ATTACHMENT
-        texture = _create(opened, "the stencil", shape, self.format, usage)
+        texture = new_texture(opened, "the stencil", shape, self.format, usage)
         self.view = texture.create_view()
         self.states = texture.create_view(aspect="stencil-only")
-
-
-def _create(opened: OpenDevice, name: str, shape: StreamShape, texel: str, usage: Any) -> Any:
-    try:
-        return opened.device.create_texture(size=shape.size, format=texel, usage=usage, label=name)
-    except Exception as error:  # wgpu wraps whatever a driver says
-        raise GraphicsError(
-            f"device 'graphics': {opened.adapter} has no memory for {name}, "
-            f"{shape.width} x {shape.height} texels: {error}"
-        ) from error

@@ -1,16 +1,8 @@
 // The traverser and intersector in one: a pixel's ray from start to end, as hardware with branches
 // can have it (Christen 2005, sections 5.4.3 and 5.4.4; Purcell 2002, section 2.2).
 
-struct Params {
-    extreme: f32,
-    // 0: see exact.wgsl.
-    zero: u32,
-    // Steps and tests before a search counts as endless.
-    budget: u32,
-    @align(16) tree: Tree,
-}
+//! include "params.wgsl"
 
-@group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var origins: texture_2d<f32>;
 @group(0) @binding(2) var directions: texture_2d<f32>;
 // Rays whose budget was spent, and rays whose loops were left too early.

@@ -1,19 +1,7 @@
 // What the fragment programs of a traversal share: the rays of a query, as textures.
 
-struct Params {
-    // Largest absolute coordinate of the scene.
-    extreme: f32,
-    // 0: see exact.wgsl.
-    zero: u32,
-    ray_count: u32,
-    // Rays in a row of the textures.
-    row_size: u32,
-    // Steps and tests before a search counts as endless.
-    budget: u32,
-    @align(16) tree: Tree,
-}
+//! include "params.wgsl"
 
-@group(0) @binding(0) var<uniform> params: Params;
 // Origin and t_min; direction and t_max.
 @group(0) @binding(1) var ray_origins: texture_2d<f32>;
 @group(0) @binding(2) var ray_directions: texture_2d<f32>;

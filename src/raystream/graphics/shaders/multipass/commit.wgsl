@@ -6,7 +6,7 @@
 //! include "fragment/texels.wgsl"
 //! include "multipass/states.wgsl"
 
-// What fragment/frame.wgsl has before the structure's Tree.
+// What params.wgsl has before the structure's Tree.
 struct Params {
     extreme: f32,
     zero: u32,

@@ -1,0 +1,132 @@
+"""Textures: a record of words in each texel, that fragment programs write and read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.errors import GraphicsError
+
+__all__ = ["FLOATS", "IDS", "WORDS", "Texture", "new_texture", "sampled"]
+
+#: Formats: four float32, four uint32, and one int32 of each texel.
+FLOATS, WORDS, IDS = "rgba32float", "rgba32uint", "r32sint"
+
+_DTYPES = {FLOATS: (np.float32, 4), WORDS: (np.uint32, 4), IDS: (np.int32, 1)}
+
+
+class Texture:
+    """A texture that fragment programs write, and read later.
+
+    Parameters
+    ----------
+    opened : OpenDevice
+    name : str
+        For errors.
+    size : (int, int)
+        Width and height in texels.
+    format : {FLOATS, WORDS, IDS}
+
+    Attributes
+    ----------
+    size : (int, int)
+    format : str
+    view : GPUTextureView
+
+    Raises
+    ------
+    GraphicsError
+        If it is larger than the device allows, or there is no memory for it.
+    """
+
+    def __init__(
+        self,
+        opened: OpenDevice,
+        name: str,
+        size: tuple[int, int],
+        format: str,  # noqa: A002
+    ) -> None:
+        import wgpu
+
+        usage = wgpu.TextureUsage
+        self.size = size
+        self.format = format
+        self._dtype, self._channels = _DTYPES[format]
+        self._queue = opened.device.queue
+        self._handle = new_texture(
+            opened,
+            name,
+            size,
+            format,
+            usage.RENDER_ATTACHMENT | usage.TEXTURE_BINDING | usage.COPY_SRC | usage.COPY_DST,
+        )
+        self.view = self._handle.create_view()
+
+    def _layout(self, rows: int) -> dict[str, int]:
+        bytes_per_row = self.size[0] * self._channels * np.dtype(self._dtype).itemsize
+        return {"bytes_per_row": bytes_per_row, "rows_per_image": rows}
+
+    def write(self, texels: NDArray[Any]) -> None:
+        """Copy texels to its first rows: shape (rows, width, channels), of its dtype."""
+        rows = len(texels)
+        self._queue.write_texture(
+            {"texture": self._handle},
+            np.ascontiguousarray(texels),
+            self._layout(rows),
+            (self.size[0], rows, 1),
+        )
+
+    def read(self, rows: int | None = None) -> NDArray[Any]:
+        """Copy its first rows back, or all, when the device has done what it was given.
+
+        Returns
+        -------
+        ndarray of shape (rows, width, channels)
+            Four float32, four uint32 or one int32 of each texel.
+        """
+        width, height = self.size
+        rows = height if rows is None else rows
+        if rows == 0:
+            return np.empty((0, width, self._channels), self._dtype)
+        memory = self._queue.read_texture(
+            {"texture": self._handle}, self._layout(rows), (width, rows, 1)
+        )
+        return np.frombuffer(memory, self._dtype).reshape(rows, width, self._channels)
+
+    def clear(self, encoder: Any, value: float) -> None:
+        """Set all its numbers."""
+        attachment = {"view": self.view, "clear_value": (value,) * 4}
+        attachment |= {"load_op": "clear", "store_op": "store"}
+        encoder.begin_render_pass(color_attachments=[attachment]).end()
+
+
+def new_texture(
+    opened: OpenDevice,
+    name: str,
+    size: tuple[int, int],
+    format: str,  # noqa: A002
+    usage: Any,
+) -> Any:
+    """Make a texture of any format, for any use; see `Texture` for arguments and errors."""
+    most = opened.limits["max-texture-dimension-2d"]
+    width, height = size
+    if max(size) > most:
+        raise GraphicsError(
+            f"device 'graphics': {name}, a picture of {width} x {height} texels, is larger than "
+            f"the {most:,} on a side that {opened.adapter} allows"
+        )
+    try:
+        return opened.device.create_texture(size=(*size, 1), format=format, usage=usage, label=name)
+    except Exception as error:  # wgpu wraps whatever a driver says
+        raise GraphicsError(
+            f"device 'graphics': {opened.adapter} has no memory for {name}, "
+            f"{width} x {height} texels: {error}"
+        ) from error
+
+
+def sampled(format: str) -> str:  # noqa: A002
+    """What a program that reads textures of a format is bound to: see `pipelines.Program`."""
+    return {WORDS: "uint", IDS: "sint"}.get(format, "float")
