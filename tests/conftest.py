@@ -186,6 +186,35 @@ GRAPHICS_TRACERS = {
 }
 
 
+CUDA = {"device": "cuda"}
+
+#: Every way to trace on CUDA, to be compared with brute force by the bits: on a GPU, or with few
+#: rays in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
+CUDA_TRACERS = {
+    "brute": {"structure": "brute", **CUDA},
+    "bvh": {"structure": "bvh", **CUDA},
+    "bvh, high": {"structure": "bvh", "quality": "high", **CUDA},
+    "grid": {"structure": "grid", **CUDA},
+    "grid, two levels": {"structure": "grid", "resolution": (2, 3, 2), "levels": 2, **CUDA},
+    "kdtree, stack": {"structure": "kdtree", **CUDA},
+    "kdtree, restart": {
+        "structure": "kdtree",
+        "traversal": "restart",
+        "intersection_cost": 12.0,
+        **CUDA,
+    },
+    "kdtree, backtrack": {
+        "structure": "kdtree",
+        "traversal": "backtrack",
+        "layout": "foley",
+        "traversal_cost": 8.0,
+        "intersection_cost": 1.0,
+        **CUDA,
+    },
+    "graph": {"structure": "graph", **CUDA},
+}
+
+
 @pytest.fixture(params=TRACERS)
 def make_tracer(request):
     """Make a tracer for a scene on the CPU, once for each structure and machine."""
@@ -224,6 +253,26 @@ def reason_against_graphics() -> str:
 def skip_without_adapter() -> None:
     """Skip the test that asks, with the reason, where wgpu or an adapter is missing."""
     if reason := reason_against_graphics():
+        pytest.skip(reason)
+
+
+@cache
+def reason_against_cuda() -> str:
+    """Why there is no CUDA device here, in a line; nothing if there is one."""
+    try:
+        from raystream.jit.cuda import CudaError, open_gpu
+    except ImportError as error:
+        return f"needs numba-cuda: {error}"
+    try:
+        open_gpu()
+    except CudaError as error:
+        return f"{error} (NUMBA_ENABLE_CUDASIM=1 simulates one)"
+    return ""
+
+
+def skip_without_cuda() -> None:
+    """Skip the test that asks, with the reason, where numba-cuda or a GPU is missing."""
+    if reason := reason_against_cuda():
         pytest.skip(reason)
 
 

@@ -23,6 +23,7 @@ ROOMS = (
     "tracer",
     "physics",
     "render",
+    "cuda",
     "graphics",
     "lab",
     "cluster",

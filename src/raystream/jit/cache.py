@@ -29,7 +29,7 @@ from numba.core.dispatcher import Dispatcher
 from raystream.core.cache_folder import cache_folder
 from raystream.jit.turns import Turns
 
-__all__ = ["KernelCache", "cache_folder", "keep_on_disk", "source_hash"]
+__all__ = ["KernelCache", "cache_folder", "keep_on_disk", "kernel_folder", "source_hash"]
 
 #: Folders of this many source versions stay; the least recently used go.
 KEPT_VERSIONS = 4
@@ -48,7 +48,7 @@ def source_hash() -> str:
 
 
 @cache
-def _kernel_folder() -> str:
+def kernel_folder() -> str:
     """Folder for this version's kernels; marks it as used and drops the oldest others."""
     parent = cache_folder() / "kernels"
     folder = parent / source_hash()
@@ -79,7 +79,7 @@ class _Locator(_CacheLocator):
         self._disambiguator = f"{path.parent.name}.{path.stem}-{code.co_firstlineno}"
 
     def get_cache_path(self) -> str:
-        return _kernel_folder()
+        return kernel_folder()
 
     def get_source_stamp(self) -> str:
         return source_hash()

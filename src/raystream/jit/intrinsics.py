@@ -13,6 +13,7 @@ __all__ = [
     "bits_above",
     "corners_at",
     "high_product",
+    "int32_at",
     "row_address",
     "stay_out_of_line",
     "sum_above",
@@ -34,6 +35,30 @@ def stay_out_of_line(typing_context: Any) -> Any:
     return types.void(), generate
 
 
+def _array_at(context: Any, builder: Any, array: Any, at: Any, shape: list[Any]) -> Any:
+    """An array without an owner that begins at an address."""
+    size = context.get_value_type(types.intp)
+    ary = context.make_array(array)(context, builder)
+    element = context.get_data_type(array.dtype)
+    itemsize = context.get_abi_sizeof(element)
+    strides = [size(itemsize)]
+    for length in shape[:0:-1]:
+        strides.insert(0, builder.mul(strides[0], length))
+    attributes = {
+        "data": builder.inttoptr(at, element.as_pointer()),
+        "shape": cgutils.pack_array(builder, shape),
+        "strides": cgutils.pack_array(builder, strides),
+        "itemsize": size(itemsize),
+        "nitems": size(0),
+        "meminfo": None,
+        "parent": None,
+    }
+    for name, value in attributes.items():
+        empty = value is None
+        setattr(ary, name, cgutils.get_null_value(getattr(ary, name).type) if empty else value)
+    return ary._getvalue()
+
+
 @intrinsic
 def corners_at(typing_context: Any, at: Any) -> Any:
     """An array of shape (?, 3, 3), float32, that begins at an address, to be read only.
@@ -47,25 +72,22 @@ def corners_at(typing_context: Any, at: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         size = context.get_value_type(types.intp)
-        ary = context.make_array(array)(context, builder)
-        data = builder.inttoptr(arguments[0], context.get_data_type(types.float32).as_pointer())
-        shape = [size(0), size(3), size(3)]
-        strides = [size(36), size(12), size(4)]
-        attributes = {
-            "data": data,
-            "shape": cgutils.pack_array(builder, shape),
-            "strides": cgutils.pack_array(builder, strides),
-            "itemsize": size(4),
-            "nitems": size(0),
-            "meminfo": None,
-            "parent": None,
-        }
-        for name, value in attributes.items():
-            empty = value is None
-            setattr(ary, name, cgutils.get_null_value(getattr(ary, name).type) if empty else value)
-        return ary._getvalue()
+        return _array_at(context, builder, array, arguments[0], [size(0), size(3), size(3)])
 
     return array(at), generate
+
+
+@intrinsic
+def int32_at(typing_context: Any, at: Any, count: Any) -> Any:
+    """An array of `count` int32 that begins at an address, without an owner; see `corners_at`."""
+    if at != types.uint64 or count != types.uint64:
+        return None
+    array = types.Array(types.int32, 1, "C")
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _array_at(context, builder, array, arguments[0], [arguments[1]])
+
+    return array(at, count), generate
 
 
 @intrinsic

@@ -16,6 +16,7 @@ from raystream.core.rays import RayStatus
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import stay_out_of_line
+from raystream.jit.simd import next_above
 
 __all__ = ["FAR", "LocalRay", "SceneFrame", "localise", "world_t"]
 
@@ -110,6 +111,12 @@ def world_t(t, factor, offset):
     return min(max(world, -_LARGEST), _LARGEST)
 
 
+@device
+def _next(t, toward):
+    """The float32 next to t, above it if `toward` is positive, else below."""
+    return next_above(t) if toward > 0 else -next_above(-t)
+
+
 @device_call
 def _local_limit(t, factor, offset, toward):
     """The outermost local distance whose reported value is still within the limit t.
@@ -123,18 +130,18 @@ def _local_limit(t, factor, offset, toward):
     exact = np.float32((np.float64(t)) / factor)
     if offset == 0.0 and np.float64(exact) * factor == np.float64(t):
         return exact
-    step = np.float64(np.nextafter(t, np.float32(toward) * _INF)) - np.float64(t)
+    step = np.float64(_next(t, toward)) - np.float64(t)
     limit = np.float32((np.float64(t) + 0.5 * step - offset) / factor)
     # The two roundings above are off by a few steps at most.
     for _ in range(4):
-        beyond = np.nextafter(limit, np.float32(toward) * _INF)
+        beyond = _next(limit, toward)
         if (world_t(beyond, factor, offset) - t) * np.float32(toward) > 0.0:
             break
         limit = beyond
     for _ in range(8):
         if (world_t(limit, factor, offset) - t) * np.float32(toward) <= 0.0:
             break
-        limit = np.nextafter(limit, np.float32(-toward) * _INF)
+        limit = _next(limit, -toward)
     return limit
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import copy_sign
 
 __all__ = ["PAD", "TINY_DIRECTION", "Ray", "pick", "set_up"]
 
@@ -77,7 +78,7 @@ def pick(k, x, y, z):
 @device
 def _reciprocal(d, tiny):
     # copysign, not a comparison: -0 points to the negative side, as its neighbours do.
-    return np.copysign(_ONE / max(abs(d), tiny), d)
+    return copy_sign(_ONE / max(abs(d), tiny), d)
 
 
 @device
@@ -116,9 +117,9 @@ def set_up(ox, oy, oz, dx, dy, dz, extreme):
     inv_x = _reciprocal(dx, tiny)
     inv_y = _reciprocal(dy, tiny)
     inv_z = _reciprocal(dz, tiny)
-    pad_x = np.copysign(pad, dx)
-    pad_y = np.copysign(pad, dy)
-    pad_z = np.copysign(pad, dz)
+    pad_x = copy_sign(pad, dx)
+    pad_y = copy_sign(pad, dy)
+    pad_z = copy_sign(pad, dz)
 
     # Step 3: the shear. kz is not tiny, so its reciprocal is exact to one rounding.
     sz = pick(kz, inv_x, inv_y, inv_z)

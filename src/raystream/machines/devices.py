@@ -83,7 +83,7 @@ class Device(NamedTuple):
 DEVICES: dict[str, Device] = {"cpu": Device(build_structure, CPU_MACHINES)}
 
 #: Rooms that register their device when they are imported, which is when it is asked for.
-_ROOMS = {"graphics": "raystream.graphics"}
+_ROOMS = {"cuda": "raystream.cuda", "graphics": "raystream.graphics"}
 
 
 def register_device(

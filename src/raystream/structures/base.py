@@ -119,7 +119,15 @@ class Structure(BatchQueries):
     @property
     @abstractmethod
     def arrays(self) -> NamedTuple:
-        """The arrays that the traversal reads."""
+        """What the traversal is given: numbers, and addresses of arrays."""
+
+    @property
+    @abstractmethod
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """The arrays at these addresses, by the names that they have in `arrays`.
+
+        Where one is empty, the address may be 0; kernels are then never told to read it.
+        """
 
     @abstractmethod
     def saved_arrays(self) -> dict[str, NDArray[Any]]:

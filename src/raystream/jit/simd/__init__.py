@@ -55,6 +55,7 @@ from raystream.jit.simd.lanes import (
     select,
 )
 from raystream.jit.simd.memory import address, load, prefetch, scratch, store
+from raystream.jit.simd.numbers import next_above
 from raystream.jit.simd.records import load_records, store_records
 from raystream.jit.simd.triples import load_triples, store_past_cache, store_triples
 from raystream.jit.simd.types import (
@@ -124,6 +125,7 @@ __all__ = [
     "minimum",
     "narrow",
     "narrow_lanes",
+    "next_above",
     "permutation",
     "permute",
     "power",

@@ -12,6 +12,7 @@ from numba.core.errors import TypingError
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin
 
+from raystream.jit.simd.cuda_names import call_on_cuda, is_cuda
 from raystream.jit.simd.types import (
     VECTORS,
     VectorType,
@@ -206,7 +207,12 @@ _unary(operator.invert, (*_INTEGERS, "mask"), lambda builder, vector, x: builder
 
 
 def call_intrinsic(builder: Any, name: str, returns: Any, arguments: Any) -> Any:
-    """Call an LLVM intrinsic; a name that LLVM does not know crashes the process."""
+    """Call an LLVM intrinsic; a name that LLVM does not know crashes the process.
+
+    CUDA's compiler knows few of them: none of vectors, and some by names of its own.
+    """
+    if is_cuda(builder):
+        return call_on_cuda(builder, name, returns, arguments)
     function = builder.module.globals.get(name)
     if function is None:
         kind = ir.FunctionType(returns, [argument.type for argument in arguments])

@@ -13,6 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.types import VectorClass, VectorType, llvm_type, refuse
 
 __all__ = ["address", "load", "pointer_to", "prefetch", "scratch", "store"]
@@ -37,7 +38,8 @@ def pointer_to(builder: Any, address: Any, target: Any) -> Any:
     # LLVM takes a sum apart when it compiles a function, and may take the offset for the
     # pointer: where that turns out to be zero in a caller, it would conclude that null is read
     # and that the statement is never reached. (llvmlite does not know the attribute, LLVM does.)
-    set.add(builder.function.attributes, "null_pointer_is_valid")
+    if not is_cuda(builder):  # whose compiler knows neither
+        set.add(builder.function.attributes, "null_pointer_is_valid")
     return builder.inttoptr(address, target.as_pointer())
 
 

@@ -6,13 +6,14 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import ray_queries
 from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
-from raystream.structures.brute.traversal import BruteArrays, traverse
+from raystream.structures.brute.traversal import BruteAddresses, traverse
 
 __all__ = ["Brute"]
 
@@ -42,18 +43,26 @@ class Brute(Structure):
             corners = triangles.corners
         else:
             corners = triangles.corners[triangles.prim_ids]
-        self._arrays = BruteArrays(corners, triangles.prim_ids)
+        corners = np.ascontiguousarray(corners)
+        self._memory = {"corners": corners, "prim_ids": np.ascontiguousarray(triangles.prim_ids)}
+        corners_at, ids_at = (np.uint64(one.ctypes.data) for one in self._memory.values())
+        self._addresses = BruteAddresses(corners_at, ids_at, np.uint64(len(corners)))
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
-            byte_count=sum(array.nbytes for array in self._arrays),
+            byte_count=sum(array.nbytes for array in self._memory.values()),
         )
         if progress:
             progress(len(triangles.prim_ids), len(triangles.prim_ids))
 
     @property
-    def arrays(self) -> BruteArrays:
+    def arrays(self) -> BruteAddresses:
         """The triangles that can be hit, in the order of their numbers."""
-        return self._arrays
+        return self._addresses
+
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Corners and numbers."""
+        return self._memory
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """Nothing: it is the triangles themselves."""

@@ -5,38 +5,41 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
+from raystream.jit.intrinsics import corners_at, int32_at
 from raystream.kernels.leaf import test_triangles
 
-__all__ = ["BruteArrays", "traverse"]
+__all__ = ["BruteAddresses", "traverse"]
 
 
-class BruteArrays(NamedTuple):
-    """What the traversal reads.
+class BruteAddresses(NamedTuple):
+    """What the traversal reads; whoever calls it keeps the arrays alive.
 
     Attributes
     ----------
-    corners : ndarray of shape (A, 3, 3), float32
-    prim_ids : ndarray of shape (A,), int32
+    corners, prim_ids : uint64
+        Addresses of the triangles' vertices, 9 float32 each, and numbers, int32.
+    triangle_count : uint64
+        How many there are.
     """
 
-    corners: NDArray[np.float32]
-    prim_ids: NDArray[np.int32]
+    corners: np.uint64
+    prim_ids: np.uint64
+    triangle_count: np.uint64
 
 
 @device
-def traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
     """Test every triangle; see `kernels.queries.ray_queries` for the arguments."""
     count = np.uint64(0)
     if t_min <= t_max:
         count, _ = test_triangles(
             ray,
-            arrays.corners,
-            arrays.prim_ids,
+            corners_at(tree.corners),
+            int32_at(tree.prim_ids, tree.triangle_count),
             np.uint64(0),
-            np.uint64(len(arrays.prim_ids)),
+            tree.triangle_count,
             t_min,
             t_max,
             surfaces,

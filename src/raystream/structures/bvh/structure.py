@@ -121,6 +121,11 @@ class Bvh(Structure):
         return self._numbers.addresses
 
     @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Nodes and leaf blocks."""
+        return {"nodes": self.tree.nodes, "leaves": self.tree.leaves}
+
+    @property
     def lists_twice(self) -> bool:
         """Whether a triangle may be in several leaves."""
         return self._lists_twice

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma, load, store
+from raystream.jit.simd import fma, load, next_above, store
 from raystream.kernels.ray import pick
 from raystream.kernels.slab import box_interval
 
@@ -47,7 +47,6 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
-_INF = np.float32(np.inf)
 
 # Where words of a sector are, in bytes.
 _FIRST_BLOCK = np.uint64(12)
@@ -277,7 +276,7 @@ def enter(graph, ray, t_min, t_max):
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
     # A hit lies in its triangle's interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
-    return graph.rows != _NONE and t_in <= t_out, t_in, np.nextafter(t_out, _INF)
+    return graph.rows != _NONE and t_in <= t_out, t_in, next_above(t_out)
 
 
 @device

@@ -129,6 +129,11 @@ class Graph(Structure):
         """Where the graph is; the structure keeps it."""
         return self._addresses
 
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Sectors and links, leaf blocks, and bins."""
+        return {"rows": self._rows, "blocks": self.blocks, "bins": self.graph.bins}
+
     def start_sectors(
         self,
         rays: LocalRays,

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma
+from raystream.jit.simd import copy_sign, fma, round_down
 from raystream.kernels.ray import pick
 
 __all__ = [
@@ -93,7 +93,7 @@ def _distance(number, low, size, inv, middle):
 @device
 def _start(t, o, d, inv, middle, low, size, count):
     """The cell of an axis in which a ray is at distance t, as a float32."""
-    step = np.copysign(_ONE, inv)
+    step = copy_sign(_ONE, inv)
     ahead = _ONE if step > _ZERO else _ZERO
     first, last = _ZERO, count - _ONE
     if step < _ZERO:
@@ -101,7 +101,7 @@ def _start(t, o, d, inv, middle, low, size, count):
     # Step 1: a guess that is right but for rounding. A NaN, of a flat axis, becomes 0.
     guess = (fma(t, d, o) - low) / size
     guess = guess if guess > _ZERO else _ZERO
-    cell = np.floor(min(guess, count - _ONE))
+    cell = round_down(min(guess, count - _ONE))
     # Step 2: the right one, by the rule. One of the two loops is empty.
     while cell != last and _distance(cell + ahead, low, size, inv, middle) <= t:
         cell += step
@@ -149,9 +149,9 @@ def walk_through(lattice, ray):
         _middle(ray.near_z, ray.far_z),
     )
     step = (
-        np.copysign(_ONE, inv[0]),
-        np.copysign(_ONE, inv[1]),
-        np.copysign(_ONE, inv[2]),
+        copy_sign(_ONE, inv[0]),
+        copy_sign(_ONE, inv[1]),
+        copy_sign(_ONE, inv[2]),
     )
     end = (
         counts[0] if step[0] > _ZERO else _ZERO,

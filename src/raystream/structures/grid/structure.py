@@ -155,6 +155,12 @@ class Grid(Structure):
         """Where the grid is; the structure keeps it."""
         return self._addresses
 
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Lists of both levels, triangles, and the lattices within cells."""
+        names = GridAddresses._fields[-len(self._kept) :]
+        return dict(zip(names, self._kept, strict=True))
+
     def quality(self) -> dict[str, float]:
         """Cells, empty ones, and how long lists are; see `statistics`."""
         figures = statistics(self.lattice, self.lists, self.fine, len(self.triangles.prim_ids))

@@ -29,7 +29,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import first_bit, fma, load, store
+from raystream.jit.simd import first_bit, fma, load, next_above, store
 from raystream.kernels.collect import keep_hit
 from raystream.kernels.ray import pick
 from raystream.kernels.slab import box_interval
@@ -44,7 +44,6 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
 _ZERO = np.float32(0.0)
-_INF = np.float32(np.inf)
 _WORD = np.uint64(4)
 _SECOND_WORD = np.uint64(8)
 _AXIS_BITS = np.uint64(3)
@@ -97,7 +96,7 @@ def initialize(tree, ray, t_min, t_max):
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
     # A hit lies in its triangle's interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
-    t_end = np.nextafter(t_out, _INF)
+    t_end = next_above(t_out)
     is_active = tree.nodes != _NONE and t_in <= t_out
     return is_active, KdState(tree.root, t_in, t_end, t_end, _NONE, False)
 

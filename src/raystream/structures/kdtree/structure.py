@@ -129,34 +129,40 @@ class KdTree(Structure):
         self.blocks = filled_blocks(tree.prim_ids, triangles.corners)
         self.packed: PackedArrays | None = None
         self.extended: NDArray[np.float32] | None = None
-        self._held: list[NDArray[Any]] = [self.blocks]  # what addresses point to
-        nodes, leaves, extended, root = 0, 0, 0, 0
+        self._memory: dict[str, NDArray[Any]] = {"blocks": self.blocks}
+        root = 0
         if len(tree.nodes):
             if options["layout"] == "foley":
                 self.packed = pack(tree.nodes)
-                self._held += self.packed
-                nodes, leaves = self.packed.splits.ctypes.data, self.packed.leaves.ctypes.data
+                self._memory |= {"nodes": self.packed.splits, "leaves": self.packed.leaves}
                 root = 1 << LEAF_BIT if len(tree.nodes) == 1 else 0
             else:
-                self._held.append(tree.nodes)
-                nodes = tree.nodes.ctypes.data
+                self._memory["nodes"] = tree.nodes
             if options["traversal"] == "backtrack":
                 self.extended = extend(tree.nodes, self.packed is not None)
-                self._held.append(self.extended)
-                extended = self.extended.ctypes.data
+                self._memory["extended"] = self.extended
         (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
         self._addresses = KdAddresses(
-            np.uint64(nodes),
-            np.uint64(leaves),
-            np.uint64(extended),
-            np.uint64(self.blocks.ctypes.data),
+            self._address_of("nodes"),
+            self._address_of("leaves"),
+            self._address_of("extended"),
+            self._address_of("blocks"),
             np.uint64(root),
             np.uint64(TRAVERSALS.index(options["traversal"])),
             (low_x, low_y, low_z),
             (high_x, high_y, high_z),
         )
-        held = {id(array): array.nbytes for array in (*tree, *self._held)}
+        held = {id(array): array.nbytes for array in (*tree, *self._memory.values())}
         self.report = BuildReport(time.perf_counter() - started, sum(held.values()))
+
+    def _address_of(self, name: str) -> np.uint64:
+        array = self._memory.get(name)
+        return np.uint64(0 if array is None else array.ctypes.data)
+
+    @property
+    def memory(self) -> dict[str, NDArray[Any]]:
+        """Nodes, leaf blocks, and what the layout and the traversal need besides."""
+        return self._memory
 
     @property
     def arrays(self) -> KdAddresses:
@@ -199,7 +205,7 @@ class KdTree(Structure):
         if node_count == 0:
             return dict.fromkeys(("nodes", "leaves", "empty leaves", "references", "depth"), 0.0)
         found = walk(self.tree.nodes, self.triangles.bounds)
-        node_bytes = sum(array.nbytes for array in self._held[1:])
+        node_bytes = sum(array.nbytes for name, array in self._memory.items() if name != "blocks")
         cost = self.options["traversal_cost"] * found.splits_per_ray
         cost += self.options["intersection_cost"] * found.tests_per_ray
         return {

@@ -1,0 +1,260 @@
+"""The branching machine on CUDA: a thread takes a ray from start to end."""
+
+from __future__ import annotations
+
+import operator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.cuda.parts import Asked, Part, trace_parts
+from raystream.cuda.structures import kernels_of, place
+from raystream.cuda.threads import RETRY, SeenTables
+from raystream.jit.cuda import CudaError, Gpu
+from raystream.jit.threads import Progress, part_of
+from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.queries import UNLIMITED, LocalRays
+from raystream.kernels.ray_source import ResultAddresses
+from raystream.structures import Structure
+from raystream.structures.batches import BatchQueries
+from raystream.structures.found import allocate_hits
+
+__all__ = ["Branching"]
+
+#: Rays that are on the device together.
+RAYS_AT_ONCE = 1 << 21
+
+_NOWHERE = np.uint64(0)
+
+
+class Branching(BatchQueries):
+    """Traces rays on a GPU, one a thread, with the CPU's traversals.
+
+    Parameters
+    ----------
+    structure : Structure
+        Built on the CPU; what its traversal reads is copied to the device.
+    gpu : Gpu
+    rays_at_once : int
+        Most rays that are on the device together.
+
+    Raises
+    ------
+    CudaError
+        If there are no kernels for the structure, or no memory for it.
+    """
+
+    def __init__(self, structure: Structure, gpu: Gpu, *, rays_at_once: int = RAYS_AT_ONCE) -> None:
+        self.structure = structure
+        self.gpu = gpu
+        self.rays_at_once = operator.index(rays_at_once)
+        if self.rays_at_once < 1:
+            raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
+        self._kernels = kernels_of(structure.name)
+        self._resident = place(structure, gpu)
+        self._identity = SceneFrame.identity(structure.triangles)
+
+    @property
+    def frame(self) -> SceneFrame:
+        """The frame of the structure's triangles."""
+        return self.structure.frame
+
+    # ---- Whole batches, in world space.
+
+    def first_hit_batch(
+        self,
+        batch: RayBatch,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> HitArrays:
+        """Find the nearest hit of each ray; see `BatchQueries.first_hit_batch`."""
+        out = HitArrays.empty(len(batch))
+        self._first_hit(Asked(batch, self.frame, status, progress, tallies), out)
+        return out
+
+    def any_hit_batch(
+        self,
+        batch: RayBatch,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> NDArray[np.bool_]:
+        """Find whether anything is in each ray's way; see `BatchQueries.any_hit_batch`."""
+        return self._any_hit(Asked(batch, self.frame, status, progress, tallies))
+
+    def count_hits_batch(
+        self,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> NDArray[np.int64]:
+        """Count the hits of each ray; see `BatchQueries.count_hits_batch`."""
+        asked = Asked(batch, self.frame, status, progress, tallies)
+        return self._count_hits(asked, surfaces, limit)
+
+    def multi_hit_batch(
+        self,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        status: NDArray[np.uint8],
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> tuple[NDArray[np.int64], HitArrays]:
+        """Find the nearest hits of each ray; see `BatchQueries.multi_hit_batch`."""
+        splits = np.zeros(len(batch) + 1, np.int64)
+        if limit:
+            first_half = part_of(progress, 0, 2 * len(batch))
+            counts = self.count_hits_batch(batch, surfaces, limit, status, first_half, tallies)
+            np.cumsum(counts, out=splits[1:])
+        hits = allocate_hits(int(splits[-1]))
+        second_half = part_of(progress, len(batch), 2 * len(batch))
+        asked = Asked(batch, self.frame, status, second_half, tallies)
+        self._multi_hit(asked, surfaces, splits, hits)
+        return splits, hits
+
+    # ---- Local rays: those of the identity's frame.
+
+    def first_hit(
+        self,
+        rays: LocalRays,
+        out: HitArrays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> None:
+        """Find the nearest hit of each ray; see `BatchQueries.first_hit`."""
+        self._first_hit(self._local(rays, progress, tallies), out)
+
+    def any_hit(
+        self,
+        rays: LocalRays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> NDArray[np.bool_]:
+        """Find whether anything is in each ray's way; see `BatchQueries.any_hit`."""
+        return self._any_hit(self._local(rays, progress, tallies))
+
+    def count_hits(
+        self,
+        rays: LocalRays,
+        surfaces: bool,
+        limit: int = UNLIMITED,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> NDArray[np.int64]:
+        """Count the hits of each ray; see `BatchQueries.count_hits`."""
+        return self._count_hits(self._local(rays, progress, tallies), surfaces, limit)
+
+    def multi_hit(
+        self,
+        rays: LocalRays,
+        surfaces: bool,
+        splits: NDArray[np.int64],
+        out: HitArrays,
+        progress: Progress | None = None,
+        tallies: NDArray[np.uint32] | None = None,
+    ) -> None:
+        """Write the nearest hits of each ray; see `BatchQueries.multi_hit`."""
+        self._multi_hit(self._local(rays, progress, tallies), surfaces, splits, out)
+
+    def _local(
+        self, rays: LocalRays, progress: Progress | None, tallies: NDArray[np.uint32] | None
+    ) -> Asked:
+        batch = RayBatch(rays.origins, rays.directions, rays.t_min, rays.t_max)
+        return Asked(batch, self._identity, np.zeros(len(batch), np.uint8), progress, tallies)
+
+    # ---- What both come to.
+
+    def _first_hit(self, asked: Asked, out: HitArrays) -> None:
+        def answer(part: Part, _tables: SeenTables) -> bool:
+            hits = self.gpu.empty("hits", (4, part.count), np.float32)
+            t, u, v, prim_id = _rows(hits.address, part.count)
+            to = ResultAddresses(t, u, v, prim_id, _NOWHERE, part.status)
+            part.run(self._kernels.first_hit, to)
+            _copy(hits.host(), out.part(part.rows))
+            return True
+
+        trace_parts(asked, self.gpu, self._resident, self.rays_at_once, answer)
+
+    def _any_hit(self, asked: Asked) -> NDArray[np.bool_]:
+        seen = np.empty(len(asked.batch), np.bool_)
+
+        def answer(part: Part, _tables: SeenTables) -> bool:
+            found = self.gpu.empty("answers", part.count, np.uint8)
+            nowhere = _NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE
+            to = ResultAddresses(*nowhere, found.address, part.status)
+            part.run(self._kernels.any_hit, to)
+            seen[part.rows] = found.host() != 0
+            return True
+
+        trace_parts(asked, self.gpu, self._resident, self.rays_at_once, answer)
+        return seen
+
+    def _count_hits(self, asked: Asked, surfaces: bool, limit: int) -> NDArray[np.int64]:
+        counts = np.empty(len(asked.batch), np.int64)
+
+        def answer(part: Part, tables: SeenTables) -> bool:
+            found = self.gpu.empty("counts", part.count, np.int64)
+            wanted = bool(surfaces), np.uint64(limit)
+            part.run(self._kernels.count_hits, tables, *wanted, part.status, found.address)
+            counts[part.rows] = found.host()
+            return not (counts[part.rows] == RETRY).any()
+
+        trace_parts(
+            asked,
+            self.gpu,
+            self._resident,
+            self.rays_at_once,
+            answer,
+            lists_twice=self.structure.lists_twice,
+        )
+        return counts
+
+    def _multi_hit(
+        self, asked: Asked, surfaces: bool, splits: NDArray[np.int64], out: HitArrays
+    ) -> None:
+        def answer(part: Part, tables: SeenTables) -> bool:
+            wanted = splits[part.rows.start : part.rows.stop + 1]
+            rows = slice(int(wanted[0]), int(wanted[-1]))
+            own = self.gpu.upload("splits", wanted - wanted[0])
+            hits = self.gpu.empty("hits", (4, rows.stop - rows.start), np.float32)
+            found = self.gpu.empty("counts", part.count, np.int64)
+            t, u, v, prim_id = _rows(hits.address, rows.stop - rows.start)
+            to = HitAddresses(t, u, v, prim_id)
+            more = bool(surfaces), own.address, to, found.address
+            part.run(self._kernels.multi_hit, tables, *more)
+            counts = found.host()
+            if (counts == RETRY).any():
+                return False
+            if not np.array_equal(counts, np.diff(wanted)):
+                raise CudaError(
+                    f"device 'cuda': {self.gpu.name} found fewer hits than it had counted"
+                )
+            _copy(hits.host(), out.part(rows))
+            return True
+
+        trace_parts(
+            asked,
+            self.gpu,
+            self._resident,
+            self.rays_at_once,
+            answer,
+            lists_twice=self.structure.lists_twice,
+            splits=splits,
+        )
+
+
+def _rows(address: np.uint64, count: int) -> list[np.uint64]:
+    """Addresses of four rows of `count` words."""
+    return [address + np.uint64(4 * count * k) for k in range(4)]
+
+
+def _copy(rows: NDArray[np.float32], out: HitArrays) -> None:
+    for column, row in zip(out, HitArrays.rows_of(rows), strict=True):
+        column[:] = row

@@ -1,0 +1,55 @@
+"""All kernels with arguments of the right types: to be compiled where no device is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raystream.cuda.structures import kernels_of
+from raystream.cuda.threads import SeenTables
+from raystream.jit.cuda import RangeKernel
+from raystream.kernels.collect import HitAddresses
+from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.scene.scene import Scene
+from raystream.structures import build_structure
+
+__all__ = ["catalogue_of"]
+
+_AT = np.uint64(0)
+
+
+def catalogue_of(
+    name: str, scene: Scene, *, counters: bool = False, **options: Any
+) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
+    """The kernels of a structure, and arguments that are good for their types alone.
+
+    Parameters
+    ----------
+    name : str
+        The structure's.
+    scene : Scene
+        Any: the structure is built of it.
+    counters : bool
+        Whether rays are counted.
+    **options
+        Of the structure.
+
+    Returns
+    -------
+    dict
+        By query.
+    """
+    structure = build_structure(name, scene.triangles, **options)
+    kernels = kernels_of(name)
+    source = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
+    shared = source, structure.frame, structure.arrays, _AT if counters else None
+    tables = SeenTables(_AT, _AT)
+    hits = HitAddresses(_AT, _AT, _AT, _AT)
+    more: dict[str, tuple[Any, ...]] = {
+        "first_hit": (ResultAddresses(*[_AT] * 6),),
+        "any_hit": (ResultAddresses(*[_AT] * 6),),
+        "count_hits": (tables, True, _AT, _AT, _AT),
+        "multi_hit": (tables, True, _AT, hits, _AT),
+    }
+    return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}

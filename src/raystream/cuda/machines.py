@@ -1,0 +1,61 @@
+"""The machines of the CUDA device, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from raystream.core.errors import RaystreamError
+from raystream.machines.counting import Counting
+from raystream.machines.devices import Machines
+from raystream.structures import Structure
+from raystream.structures.batches import BatchQueries
+
+if TYPE_CHECKING:
+    from raystream.jit.cuda import Gpu
+
+__all__ = ["CUDA_MACHINES", "OPTIONS"]
+
+#: Options of each machine.
+OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType({"branching": ("gpu", "rays_at_once")})
+
+
+def _open(number: int) -> Gpu:
+    try:
+        from raystream.jit.cuda import open_gpu
+    except ImportError as error:
+        raise RaystreamError(
+            "device 'cuda': needs numba-cuda; pip install 'raystream[cuda]', or use device='cpu'"
+        ) from error
+    return open_gpu(number)
+
+
+class _CudaMachines:
+    names: tuple[str, ...] = tuple(OPTIONS)
+
+    def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of a tracer's options that are a machine's.
+
+        The device is opened, too: where there is none, no structure need be built to say so.
+        """
+        if machine not in OPTIONS:
+            known = ", ".join(map(repr, OPTIONS))
+            raise ValueError(f"machine: expected one of {known} on device 'cuda', got {machine!r}")
+        own = {name: value for name, value in options.items() if name in OPTIONS[machine]}
+        _open(own.get("gpu", 0))
+        return own
+
+    def make(
+        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
+    ) -> BatchQueries | Counting:
+        """Make a machine for a structure that was built on the CPU."""
+        from raystream.cuda.branching import Branching
+
+        rest = dict(options)
+        del machine  # there is one
+        made = Branching(structure, _open(rest.pop("gpu", 0)), **rest)
+        return Counting(made) if counters else made
+
+
+CUDA_MACHINES: Machines = _CudaMachines()

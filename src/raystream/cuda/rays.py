@@ -1,0 +1,61 @@
+"""Rays in a GPU's memory, as kernels read them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.jit.cuda import DeviceArray, Gpu
+from raystream.kernels.ray_source import RaySource
+
+__all__ = ["ResidentRays", "place_rays"]
+
+
+class ResidentRays(NamedTuple):
+    """Some rays of a batch on a device.
+
+    Attributes
+    ----------
+    source : RaySource
+    arrays : tuple of DeviceArray
+        To be kept until they are traced.
+    """
+
+    source: RaySource
+    arrays: tuple[DeviceArray, ...]
+
+
+def place_rays(batch: RayBatch, rows: slice, gpu: Gpu) -> ResidentRays:
+    """Copy some rays of a batch to a device; what all of them share is copied once.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for them.
+    """
+    vectors = [_given(array, rows) for array in (batch.origins, batch.directions)]
+    limits = [limit if len(limit) == 1 else limit[rows] for limit in batch.limits]
+    named = zip(("origins", "directions", "t_min", "t_max"), (*vectors, *limits), strict=True)
+    placed = [gpu.upload(name, array) for name, array in named]
+    steps = [np.uint64(one.shape[0] > 1) * _row_bytes(one) for one in placed]
+    origins, directions, t_min, t_max = (one.address for one in placed)
+    doubles = [one.dtype.itemsize == 8 for one in placed]
+    source = RaySource(
+        *(origins, steps[0], doubles[0], directions, steps[1], doubles[1]),
+        *(t_min, steps[2], t_max, steps[3]),
+    )
+    return ResidentRays(source, tuple(placed))
+
+
+def _given(array: NDArray[Any], rows: slice) -> NDArray[Any]:
+    """Rows of an array; one if all are the same."""
+    if len(array) > 1 and array.strides[0] == 0:
+        return np.ascontiguousarray(array[:1])
+    return np.ascontiguousarray(array[rows])
+
+
+def _row_bytes(array: DeviceArray) -> np.uint64:
+    return np.uint64(array.dtype.itemsize * int(np.prod(array.shape[1:], dtype=np.int64)))

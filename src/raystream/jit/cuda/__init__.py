@@ -1,0 +1,23 @@
+"""CUDA: functions compiled for NVIDIA's GPUs, kept on disk, and launched.
+
+Importing it needs ``numba-cuda``, but neither a GPU nor a driver: kernels are compiled without
+one, and run in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
+"""
+
+from raystream.jit.cuda.compiler import CAPABILITIES, Compiled, compile_function
+from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu, gpu_count, open_gpu
+from raystream.jit.cuda.kernels import RangeKernel
+from raystream.jit.cuda.simulation import is_simulated
+
+__all__ = [
+    "CAPABILITIES",
+    "Compiled",
+    "CudaError",
+    "DeviceArray",
+    "Gpu",
+    "RangeKernel",
+    "compile_function",
+    "gpu_count",
+    "is_simulated",
+    "open_gpu",
+]

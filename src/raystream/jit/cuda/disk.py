@@ -1,0 +1,52 @@
+"""PTX on disk: beside the CPU's kernels, in the folder of this version of the sources."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from raystream.core.whole_file import replacing
+from raystream.jit.cache import kernel_folder
+from raystream.jit.fingerprint import fingerprint
+
+__all__ = ["kept", "path_of"]
+
+
+def path_of(
+    function: Callable[..., Any], arguments: Sequence[Any], capability: Any, version: str
+) -> Path | None:
+    """The file of a compiled function; None if changes of it could not be noticed.
+
+    Parameters
+    ----------
+    function : callable
+    arguments : sequence
+        Numba's types.
+    capability : (int, int)
+    version : str
+        Of the compiler.
+    """
+    known = fingerprint(function)
+    if known is None:
+        return None
+    text = f"{known} {[str(one) for one in arguments]} {capability} {version}"
+    digest = hashlib.sha256(text.encode()).hexdigest()[:32]
+    return Path(kernel_folder()) / f"{function.__name__}-{digest}.ptx"
+
+
+def kept(path: Path | None, make: Callable[[], str]) -> str:
+    """The text of a file; if there is none, it is made, and kept if the folder can be written."""
+    if path is None:
+        return make()
+    try:
+        return path.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError):
+        text = make()
+    try:
+        with replacing(path) as file:
+            file.write_text(text, encoding="ascii")
+    except OSError:
+        pass  # read-only: it is compiled in each process
+    return text

@@ -1,0 +1,97 @@
+"""RangeKernel: a function of one number, run for each number of a range on a thread each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import cuda
+
+from raystream.jit.cuda.arguments import flat, type_of
+from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
+from raystream.jit.cuda.gpu import Gpu
+from raystream.jit.cuda.simulation import is_simulated
+
+__all__ = ["RangeKernel"]
+
+#: Threads of a block: four warps.
+_BLOCK_SIZE = 128
+
+
+def _over_range(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A kernel that calls a function with its thread's number, if it is below `count`."""
+
+    def run(count: Any, arguments: Any) -> None:
+        i = np.uint64(cuda.grid(1))
+        if i < count:
+            function(i, *arguments)
+
+    run.__name__ = run.__qualname__ = getattr(function, "__name__", "run")
+    return run
+
+
+class RangeKernel:
+    """Runs a function for each number of a range.
+
+    Parameters
+    ----------
+    function : callable
+        Compiled by `jit.cpu.kernel` or `device`: ``function(i, *arguments)``, which returns
+        nothing. `i` is a uint64; arguments are numbers of NumPy's types, addresses among them,
+        None, and (named) tuples of these.
+
+    Notes
+    -----
+    In the simulator the function runs as it was compiled for the CPU, and addresses are the host's.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._run = _over_range(function)
+        self._loaded: dict[Any, Any] = {}
+
+    @property
+    def name(self) -> str:
+        """The function's."""
+        return self._run.__name__
+
+    def compiled(self, arguments: tuple[Any, ...], capability: Capability) -> Compiled:
+        """PTX for arguments of such types; needs no device.
+
+        Raises
+        ------
+        numba.core.errors.NumbaError
+            If it does not compile.
+        """
+        return compile_function(self._run, (type_of(np.uint64(0)), type_of(arguments)), capability)
+
+    def launch(self, gpu: Gpu, count: int, arguments: tuple[Any, ...], stream: Any = None) -> None:
+        """Begin to run it; whoever wants the results waits for them.
+
+        Parameters
+        ----------
+        gpu : Gpu
+        count : int
+            Length of the range.
+        arguments : tuple
+            After `i`.
+        stream : cuda.core.Stream, optional
+            Without it, the device's own.
+
+        Raises
+        ------
+        CudaError
+            If it does not compile, or cannot be launched.
+        """
+        if count == 0:
+            return
+        block_count = -(-count // _BLOCK_SIZE)
+        if is_simulated():
+            cuda.jit(self._run)[block_count, _BLOCK_SIZE](np.uint64(count), arguments)
+            return
+        key = gpu.number, type_of(arguments)
+        if key not in self._loaded:
+            self._loaded[key] = gpu.load(self.compiled(arguments, gpu.capability))
+        values = [np.uint64(count), *flat(arguments)]
+        gpu.launch(self._loaded[key], block_count, _BLOCK_SIZE, values, stream)

@@ -1,0 +1,102 @@
+"""Every structure on CUDA, in every query, has brute force's bits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from cases import CASES
+from conftest import CUDA_TRACERS
+from raystream.jit.cuda import is_simulated
+from test_agreement import answers_of, assert_expected, case_of, rays_of
+
+#: The simulator takes a tenth of a millisecond to begin a thread.
+SIMULATED_RAYS = 24
+
+
+def few_of(case):
+    """Some rays of a case, spread over all of them; all, on a GPU."""
+    if not is_simulated():
+        return case
+    rows = np.linspace(0, len(case.origins) - 1, SIMULATED_RAYS).astype(int)
+    t_min, t_max = (limit[rows] for limit in case.limits())
+    return replace(
+        case,
+        origins=case.origins[rows],
+        directions=case.directions[rows],
+        t_min=t_min,
+        t_max=t_max,
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("tracer", CUDA_TRACERS)
+def test_structures_equal_brute_force(gpu, tracer, name):
+    case = few_of(case_of(name))
+    made = rs.Tracer(case.scene, **CUDA_TRACERS[tracer])
+    answers = answers_of(made, rays_of(case), is_brief=is_simulated())
+    assert_expected(answers, answers_of(rs.Tracer(case.scene, "brute"), rays_of(case)))
+
+
+@pytest.mark.parametrize("tracer", CUDA_TRACERS)
+def test_rays_meet_what_they_meet_on_the_cpu(gpu, tracer):
+    case = few_of(case_of("random_soup"))
+    options = {**CUDA_TRACERS[tracer], "counters": True}
+    ours = rs.Tracer(case.scene, **options)
+    theirs = rs.Tracer(case.scene, **{**options, "device": "cpu"})
+    for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
+        for one in (ours, theirs):
+            getattr(one, query)(**rays_of(case))
+        for column in ("steps", "leaves", "tests", "restarts", "backtracks", "shadings"):
+            found, expected = (getattr(one.counters, column) for one in (ours, theirs))
+            assert found.tolist() == expected.tolist(), (query, column)
+
+
+def test_rays_come_in_any_layout(gpu):
+    """Both dtypes, strides, one direction for all, and limits a ray; in parts."""
+    case = few_of(case_of("closed_mesh"))
+    scene, oracle = case.scene, rs.Tracer(case.scene, "brute")
+    tracer = rs.Tracer(scene, "kdtree", "cuda", rays_at_once=7)
+    wide = np.zeros((len(case.origins), 6), np.float32)
+    wide[:, ::2] = case.origins
+    t_max = np.linspace(0.5, 3.0, len(wide))
+    for origins, directions, limit in (
+        (case.origins, case.directions, np.inf),
+        (wide[:, ::2], case.directions.astype(np.float32), t_max),
+        (case.origins[::-1], [0.0, 0.0, -1.0], t_max[::-1]),
+        (case.origins[0], case.directions, 2.0),
+    ):
+        ours, theirs = (one.first_hit(origins, directions, t_max=limit) for one in (tracer, oracle))
+        for column in ("t", "u", "v", "prim_id", "status"):
+            assert getattr(ours, column).tobytes() == getattr(theirs, column).tobytes()
+
+
+def test_invalid_rays_miss(gpu):
+    case = few_of(case_of("closed_mesh"))
+    origins, directions = case.origins.copy(), case.directions.copy()
+    origins[0, 1], directions[1] = np.nan, 0.0
+    hits = rs.Tracer(case.scene, "grid", "cuda").first_hit(origins, directions)
+    assert hits.status.tolist()[:3] == [1, 1, 0]
+    assert hits.prim_id[:2].tolist() == [-1, -1]
+    assert np.isinf(hits.t[:2]).all()
+
+
+def test_no_rays_and_no_triangles(gpu):
+    empty = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
+    for structure in ("brute", "bvh", "grid", "kdtree", "graph"):
+        tracer = rs.Tracer(empty, structure, "cuda")
+        assert not tracer.any_hit([[0.0, 0.0, 0.0]], [0.0, 0.0, 1.0]).any()
+        assert len(tracer.multi_hit(np.zeros((0, 3)), np.zeros((0, 3))).t) == 0
+
+
+def test_progress_is_reported(gpu):
+    case = few_of(case_of("random_soup"))
+    seen = []
+    tracer = rs.Tracer(case.scene, "grid", "cuda", rays_at_once=10)
+    tracer.multi_hit(**rays_of(case), progress=lambda *done: seen.append(done))
+    assert seen[-1][0] == seen[-1][1]
+    assert len(seen) > 4
+    assert seen == sorted(seen)

@@ -1,0 +1,74 @@
+"""Kernels are compiled without a device; and products and sums are not fused."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated
+from raystream.jit.cuda.arguments import flat
+from raystream.jit.simd import load, store
+
+pytest.importorskip("numba_cuda")
+if is_simulated():
+    pytest.skip("the simulator has no compiler", allow_module_level=True)
+
+from raystream.cuda.catalogue import catalogue_of
+from raystream.cuda.structures import STRUCTURES
+
+QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
+
+
+def parameters_of(compiled):
+    """Types of a kernel's parameters."""
+    text = compiled.ptx[compiled.ptx.index(f".visible .entry {compiled.entry}") :]
+    return re.findall(r"\.param \.(\w+)", text[: text.index("{")])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return rs.load("cornell")
+
+
+@pytest.mark.parametrize("query", QUERIES)
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_every_kernel_compiles(scene, name, query):
+    made, arguments = catalogue_of(name, scene)[query]
+    compiled = made.compiled(arguments, CAPABILITIES[0])
+    assert f".target sm_{CAPABILITIES[0][0]}{CAPABILITIES[0][1]}" in compiled.ptx
+    assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
+    # In float64 there is nothing to fuse on purpose.
+    assert "fma.rn.f64" not in compiled.ptx
+
+
+@kernel
+def _multiply_and_add(i, x, to):
+    a = load(np.float32, x + np.uint64(4) * i)
+    store(to + np.uint64(4) * i, a * a + a)
+
+
+def test_nothing_is_fused():
+    zero = np.uint64(0)
+    ptx = RangeKernel(_multiply_and_add).compiled((zero, zero), (7, 5)).ptx
+    assert "fma" not in ptx
+    assert "mul.rn.f32" in ptx
+    assert "add.rn.f32" in ptx
+
+
+def test_code_is_kept_on_disk(tmp_path, monkeypatch):
+    from raystream.jit.cuda import compiler, disk
+
+    monkeypatch.setattr(disk, "kernel_folder", lambda: str(tmp_path))
+    zero = np.uint64(0)
+    one = RangeKernel(_multiply_and_add)
+    first = one.compiled((zero, zero), (7, 5))
+    (file,) = tmp_path.iterdir()
+    assert file.read_text() == first.ptx
+    monkeypatch.setattr(compiler, "_ptx_of", None)
+    assert one.compiled((zero, zero), (7, 5)) == first
+    with pytest.raises(TypeError):  # other arguments, other code
+        one.compiled((zero, np.float32(0.0)), (7, 5))

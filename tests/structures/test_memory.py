@@ -1,0 +1,18 @@
+"""What structures say of their memory: the arrays at the addresses that traversals get."""
+
+from __future__ import annotations
+
+import pytest
+
+import raystream as rs
+from conftest import TRACERS
+
+
+@pytest.mark.parametrize("tracer", TRACERS)
+def test_addresses_are_those_of_the_arrays(tracer):
+    structure = rs.Tracer(rs.load("cornell"), **TRACERS[tracer]).structure
+    assert structure.memory
+    for name, array in structure.memory.items():
+        assert array.flags.c_contiguous
+        assert int(getattr(structure.arrays, name)) in (array.ctypes.data, 0)
+        assert int(getattr(structure.arrays, name)) or structure.name == "grid"
