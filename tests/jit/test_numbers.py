@@ -23,7 +23,7 @@ def test_the_next_float_is_numpys(rng):
     values = np.concatenate([np.array(special, np.float32), bits.view(np.float32)])
     out = np.empty_like(values)
     _next_above(values, out)
-    with np.errstate(over="ignore"):
+    with np.errstate(all="ignore"):
         expected = np.nextafter(values, np.float32(np.inf))
     known = ~np.isnan(values)
     assert out[known].tobytes() == expected[known].tobytes()
