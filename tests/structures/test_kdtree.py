@@ -62,7 +62,7 @@ def test_bytes_are_reported(traversal, layout):
     if traversal == "backtrack":
         node_bytes += 32 * splits
     assert quality["bytes per node"] == node_bytes / quality["nodes"]
-    held = {id(array): array.nbytes for array in (*structure.tree, *structure._held)}
+    held = {id(array): array.nbytes for array in (*structure.tree, *structure.memory.values())}
     assert structure.report.byte_count == sum(held.values())
     assert structure.report.seconds > 0
     assert quality["cost"] > quality["splits per ray"] > 1
