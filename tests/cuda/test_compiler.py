@@ -43,6 +43,10 @@ def test_every_kernel_compiles(scene, name, query):
     assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
     # In float64 there is nothing to fuse on purpose.
     assert "fma.rn.f64" not in compiled.ptx
+    # Nothing is left to be found by a linker, such as a function that only CPUs have.
+    assert ".extern .func" not in compiled.ptx
+    # Small numbers are not flushed to 0; divisions and roots are those of IEEE 754.
+    assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
 
 
 @kernel

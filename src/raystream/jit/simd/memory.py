@@ -129,11 +129,16 @@ def scratch(typing_context: Any, size: Any) -> Any:
 
 @intrinsic
 def prefetch(typing_context: Any, at: Any) -> Any:
-    """Ask for the cache line at an address; any address will do, it is never an error."""
+    """Ask for the cache line at an address; any address will do, it is never an error.
+
+    On CUDA it does nothing: other threads run while one waits.
+    """
     if at != types.uint64:
         refuse("prefetch", "a uint64 as address", at)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        if is_cuda(builder):
+            return context.get_dummy_value()
         byte_pointer = ir.IntType(8).as_pointer()
         kind = ir.FunctionType(ir.VoidType(), [byte_pointer, _I32, _I32, _I32])
         name = "llvm.prefetch.p0"
