@@ -34,9 +34,10 @@ class Tracer(Queries):
         Its triangles are copied: later changes of the scene's arrays have no effect.
     structure : {"bvh", "kdtree", "graph", "grid", "brute"}
         Acceleration structure. All return the same bits; ``"brute"`` tests every triangle.
-    device : {"cpu", "graphics"}
-        Where rays are traced: on the processor's cores, or on a GPU by way of Vulkan, Metal or
-        Direct3D 12 (``pip install raystream[graphics]``).
+    device : {"cpu", "graphics", "cuda"}
+        Where rays are traced: on the processor's cores; on a GPU by way of Vulkan, Metal or
+        Direct3D 12 (``pip install raystream[graphics]``); or on an NVIDIA GPU by way of CUDA
+        (``pip install raystream[cuda]``).
     machine : {"branching", "multipass", "compute"}, optional
         How the structure is traversed: one ray from start to end on each thread; or all rays
         step by step, in passes (Purcell 2002, section 2.2). All return the same bits on one
@@ -58,6 +59,8 @@ class Tracer(Queries):
         If a name is unknown or an option is out of range.
     TypeError
         If `scene` is no scene, or the structure has no such option.
+    RaystreamError
+        If the device is not there, or cannot hold the structure.
 
     Notes
     -----

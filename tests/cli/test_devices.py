@@ -1,4 +1,4 @@
-"""``--device graphics``, and ``raystream info --devices``."""
+"""``--device graphics`` and ``cuda``, and ``raystream info --devices``."""
 
 from __future__ import annotations
 
@@ -159,6 +159,38 @@ def test_an_adapter_that_is_not_there(run, monkeypatch, adapter):
     assert graphics["adapters"]
     assert not any(one["is_usual"] for one in graphics["adapters"])
     assert "none is called 'abacus'" in graphics["error"]
+
+
+GPUS = [
+    SimpleNamespace(number=0, name="Fast", capability=(9, 0), byte_count=85 * 10**9, error=None),
+    SimpleNamespace(number=1, name="Old", capability=(6, 1), byte_count=4 * 10**9, error="too old"),
+]
+
+
+def test_gpus_of_cuda_are_listed(run, monkeypatch):
+    monkeypatch.setattr("raystream.cuda.machines.list_gpus", lambda: (GPUS, (12, 9)))
+    cuda = run("info", "--devices", "--json").figures["cuda"]
+    assert (cuda["driver"], cuda["error"]) == ("12.9", None)
+    assert list(cuda["gpus"][0].values()) == [0, "Fast", "9.0", 85 * 10**9, None]
+    lines = run("info", "--devices").out.splitlines()
+    assert "driver for CUDA 12.9" in lines[-3]
+    assert lines[-2].split() == ["0", "Fast", "9.0", "85.0", "GB"]
+    assert lines[-1].split() == ["1", "Old", "6.1", "4.0", "GB", "too", "old"]
+
+
+def test_no_cuda(run, square, rays, monkeypatch):
+    """Said in one line; the CPU is used as ever."""
+    monkeypatch.setitem(sys.modules, "raystream.jit.cuda", None)
+    reason = "device 'cuda': needs numba-cuda; pip install 'raystream[cuda]'"
+    cuda = run("info", "--devices", "--json").figures["cuda"]
+    assert cuda["gpus"] == []
+    assert cuda["error"].startswith(reason)
+    assert f"no CUDA: {reason}" in run("info", "--devices").out
+    for command in COMMANDS.values():
+        asked = *command, "--structure", "grid"
+        assert run(*asked, "--device", "cuda").complaint.startswith(reason)
+        assert run(*asked).code == 0
+        assert run(*asked, "--gpu", 0).complaint == "--gpu: only with --device cuda"
 
 
 @pytest.mark.parametrize("arguments", [[], ["cornell", "--devices"]])

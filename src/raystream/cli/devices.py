@@ -18,8 +18,8 @@ LIMITS = {
 
 
 def show_devices(json: bool) -> None:
-    """Print the processor and the graphics adapters, or why there are none."""
-    figures = {"cpu": _processor(), "graphics": _graphics()}
+    """Print the processor, the graphics adapters and the CUDA GPUs, or why there are none."""
+    figures = {"cpu": _processor(), "graphics": _graphics(), "cuda": _cuda()}
     if json:
         write_json(figures)
         return
@@ -34,6 +34,29 @@ def show_devices(json: bool) -> None:
         write_line(set_table(columns, [_row(one) for one in graphics["adapters"]]))
     if graphics["error"]:
         write_line(f"no graphics: {graphics['error']}")
+    _show_cuda(figures["cuda"])
+
+
+def _show_cuda(cuda: dict[str, Any]) -> None:
+    from rich.filesize import decimal
+
+    if cuda["error"]:
+        write_line(f"no CUDA: {cuda['error']}")
+        return
+    write_line()
+    rows = [
+        (
+            one["number"],
+            one["name"],
+            one["capability"] or "",
+            decimal(one["memory"]) if one["memory"] else "",
+            one["error"] or "",
+        )
+        for one in cuda["gpus"]
+    ]
+    driver = f", driver for CUDA {cuda['driver']}" if cuda["driver"] else ""
+    columns = ["gpu", f"CUDA GPU{driver}", "capability", "memory", "not usable"]
+    write_line(set_table(columns if any(row[-1] for row in rows) else [*columns[:-1], ""], rows))
 
 
 def _processor() -> dict[str, Any]:
@@ -72,6 +95,31 @@ def _graphics() -> dict[str, Any]:
         for one in found
     ]
     return {"adapters": listed, "error": reason}
+
+
+def _cuda() -> dict[str, Any]:
+    from raystream.core.errors import RaystreamError
+    from raystream.cuda.machines import list_gpus
+
+    try:
+        found, driver = list_gpus()
+    except RaystreamError as error:
+        return {"gpus": [], "driver": None, "error": one_line(str(error))}
+    listed = [
+        {
+            "number": one.number,
+            "name": one_line(one.name),
+            "capability": _version(one.capability),
+            "memory": one.byte_count,
+            "error": None if one.error is None else one_line(one.error),
+        }
+        for one in found
+    ]
+    return {"gpus": listed, "driver": _version(driver), "error": None}
+
+
+def _version(numbers: tuple[int, int] | None) -> str | None:
+    return None if numbers is None else ".".join(map(str, numbers))
 
 
 def _row(adapter: dict[str, Any]) -> tuple[str, ...]:

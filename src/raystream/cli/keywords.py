@@ -14,7 +14,7 @@ from raystream.core.errors import RaystreamError
 __all__ = ["blame_options", "machine_figures", "parse_keywords", "tracer_options"]
 
 #: Options of `Tracer` that the command line has by their names.
-FLAGS = ("structure", "device", "adapter", "traversal", "machine", "scheduler")
+FLAGS = ("structure", "device", "adapter", "gpu", "traversal", "machine", "scheduler")
 
 
 def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
     return parsed
 
 
-def tracer_options(words: Sequence[str], device: str, **named: str | None) -> dict[str, Any]:
+def tracer_options(words: Sequence[str], device: str, **named: str | int | None) -> dict[str, Any]:
     """Options of `Tracer` from ``--option``, and from options of the command line.
 
     Parameters
@@ -49,8 +49,8 @@ def tracer_options(words: Sequence[str], device: str, **named: str | None) -> di
     device : str
         What ``--device`` was given.
     **named
-        ``adapter``, ``traversal``, ``machine``, ``scheduler``: what the option of that name was
-        given, or None.
+        ``adapter``, ``gpu``, ``traversal``, ``machine``, ``scheduler``: what the option of that
+        name was given, or None.
 
     Raises
     ------
@@ -68,6 +68,8 @@ def tracer_options(words: Sequence[str], device: str, **named: str | None) -> di
         raise BadInputError("--scheduler: only with --machine multipass")
     if named.get("adapter") is not None and device != "graphics":
         raise BadInputError("--adapter: only with --device graphics")
+    if named.get("gpu") is not None and device != "cuda":
+        raise BadInputError("--gpu: only with --device cuda")
     return parsed
 
 

@@ -35,6 +35,7 @@ __all__ = [
     "USUAL_MACHINES",
     "Adapter",
     "Device",
+    "Gpu",
     "Json",
     "Machine",
     "SceneName",
@@ -67,9 +68,9 @@ STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")
 TRAVERSALS = ("stack", "restart", "backtrack")
 MACHINES = ("branching", "multipass", "compute")
 SCHEDULERS = ("threshold", "naive", "most-work", "double")
-DEVICES = ("cpu", "graphics")
+DEVICES = ("cpu", "graphics", "cuda")
 #: Of each device, the machine that traces without --machine.
-USUAL_MACHINES = {"cpu": "branching", "graphics": "compute"}
+USUAL_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PAPERS = ("purcell", "foley", "rayforce", "christen")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
@@ -207,7 +208,7 @@ Device = Annotated[
     str,
     typer.Option(
         help="Where rays are traced: cpu; or graphics, a GPU by way of Vulkan, Metal or Direct3D "
-        "12 (see raystream info --devices).",
+        "12; or cuda, an NVIDIA GPU (see raystream info --devices).",
         metavar="NAME",
         callback=one_of(DEVICES),
         autocompletion=complete(DEVICES),
@@ -219,6 +220,15 @@ Adapter = Annotated[
         help="With --device graphics: a part of the adapter's name; without it, what "
         "RAYSTREAM_ADAPTER says, or the best one.",
         metavar="NAME",
+        show_default=False,
+    ),
+]
+Gpu = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        help="With --device cuda: which GPU, as CUDA numbers them; without it, 0.",
+        metavar="N",
         show_default=False,
     ),
 ]

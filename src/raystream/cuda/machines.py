@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import operator
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +15,46 @@ from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
 
 if TYPE_CHECKING:
-    from raystream.jit.cuda import Gpu
+    from raystream.jit.cuda import Gpu, GpuFacts
 
-__all__ = ["CUDA_MACHINES", "OPTIONS"]
+__all__ = ["CUDA_MACHINES", "OPTIONS", "list_gpus"]
 
 #: Options of each machine.
 OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType({"branching": ("gpu", "rays_at_once")})
 
 
-def _open(number: int) -> Gpu:
+@contextlib.contextmanager
+def _needing_package() -> Iterator[None]:
     try:
-        from raystream.jit.cuda import open_gpu
+        yield
     except ImportError as error:
         raise RaystreamError(
-            "device 'cuda': needs numba-cuda; pip install 'raystream[cuda]', or use device='cpu'"
+            "device 'cuda': needs numba-cuda; pip install 'raystream[cuda]', or use device='cpu' "
+            "or 'graphics'"
         ) from error
-    return open_gpu(number)
+
+
+def _open(number: Any) -> Gpu:
+    with _needing_package():
+        from raystream.jit.cuda import open_gpu
+    try:
+        index = operator.index(number)
+    except TypeError:
+        raise TypeError(f"gpu: expected a number, got {number!r}") from None
+    return open_gpu(index)
+
+
+def list_gpus() -> tuple[list[GpuFacts], tuple[int, int] | None]:
+    """All GPUs, and the version of CUDA that the driver is for, None in the simulator.
+
+    Raises
+    ------
+    RaystreamError
+        If there is none, or no driver, or ``numba-cuda`` is not installed.
+    """
+    with _needing_package():
+        from raystream.jit.cuda import driver_version, gpu_facts
+    return gpu_facts(), driver_version()
 
 
 class _CudaMachines:

@@ -7,6 +7,7 @@ one, and run in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 from raystream.jit.cuda.compiler import CAPABILITIES, Compiled, compile_function
 from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu, gpu_count, open_gpu
 from raystream.jit.cuda.kernels import RangeKernel
+from raystream.jit.cuda.listing import GpuFacts, driver_version, gpu_facts
 from raystream.jit.cuda.simulation import is_simulated
 
 __all__ = [
@@ -15,9 +16,12 @@ __all__ = [
     "CudaError",
     "DeviceArray",
     "Gpu",
+    "GpuFacts",
     "RangeKernel",
     "compile_function",
+    "driver_version",
     "gpu_count",
+    "gpu_facts",
     "is_simulated",
     "open_gpu",
 ]

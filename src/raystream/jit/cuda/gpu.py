@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.jit.cuda.compiler import CAPABILITIES, Capability, Compiled
+from raystream.jit.cuda.reasons import code_of, reason_of
 from raystream.jit.cuda.simulation import is_simulated
 
 __all__ = ["CudaError", "DeviceArray", "Gpu", "gpu_count", "open_gpu"]
@@ -137,10 +138,10 @@ class Gpu:
             with cuda.gpus[self.number]:
                 self._device.set_current()
                 yield
-        except CudaError:
+        except (CudaError, MemoryError):  # the latter is the host's
             raise
         except Exception as error:  # the driver's
-            raise CudaError(f"device 'cuda': {self.name}: {what}: {_reason(error)}") from error
+            raise CudaError(f"device 'cuda': {self.name}: {what}: {reason_of(error)}") from error
 
     def upload(self, name: str, array: NDArray[Any]) -> DeviceArray:
         """Copy an array to the device.
@@ -176,7 +177,7 @@ class Gpu:
                 try:
                     flat = cuda.device_array(length, dtype)
                 except Exception as error:  # the driver's
-                    if "OUT_OF_MEMORY" in str(error):
+                    if code_of(error) == "OUT_OF_MEMORY":
                         raise CudaError(self._no_memory(name, byte_count)) from error
                     raise
         flat = flat if count else flat[:0]
@@ -192,7 +193,7 @@ class Gpu:
         """
         from cuda.core import ObjectCode
 
-        with self.doing(f"loading {compiled.entry}, for which the driver may be too old"):
+        with self.doing(f"loading {compiled.entry}"):
             code = ObjectCode.from_ptx(compiled.ptx.encode(), name=compiled.entry)
             return code.get_kernel(compiled.entry)
 
@@ -253,12 +254,19 @@ def open_gpu(number: int = 0) -> Gpu:
     Raises
     ------
     CudaError
-        If there is none.
+        If there is none, or it is too old.
     """
     count = gpu_count()
     if not 0 <= number < count:
         raise CudaError(f"gpu: expected a number from 0 to {count - 1}, got {number}")
-    return Gpu(number)
+    gpu = Gpu(number)
+    if gpu.capability < CAPABILITIES[0]:
+        given, least = (".".join(map(str, one)) for one in (gpu.capability, CAPABILITIES[0]))
+        raise CudaError(
+            f"device 'cuda': {gpu.name} has compute capability {given}; kernels need {least} or "
+            "more; use device='cpu' or 'graphics'"
+        )
+    return gpu
 
 
 def gpu_count() -> int:
@@ -274,12 +282,9 @@ def gpu_count() -> int:
     try:
         count = len(cuda.gpus)
     except Exception as error:  # no driver, or too old a one
-        raise CudaError(f"device 'cuda': {_reason(error)}; use device='cpu'") from error
+        raise CudaError(
+            f"device 'cuda': {reason_of(error)}; use device='cpu' or 'graphics'"
+        ) from error
     if count == 0:
         raise CudaError("device 'cuda': there is no NVIDIA GPU; use device='cpu' or 'graphics'")
     return count
-
-
-def _reason(error: Exception) -> str:
-    """What an error of the driver's says, in a line."""
-    return " ".join(str(error).split()).rstrip(":. ") or type(error).__name__

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,9 @@ __all__ = ["RangeKernel"]
 
 #: Threads of a block: four warps.
 _BLOCK_SIZE = 128
+
+#: The simulator runs one kernel at a time.
+_simulator = threading.Lock()
 
 
 def _over_range(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -88,10 +92,13 @@ class RangeKernel:
             return
         block_count = -(-count // _BLOCK_SIZE)
         if is_simulated():
-            cuda.jit(self._run)[block_count, _BLOCK_SIZE](np.uint64(count), arguments)
+            with _simulator:
+                cuda.jit(self._run)[block_count, _BLOCK_SIZE](np.uint64(count), arguments)
             return
         key = gpu.number, type_of(arguments)
         if key not in self._loaded:
-            self._loaded[key] = gpu.load(self.compiled(arguments, gpu.capability))
+            with gpu.doing(f"compiling {self.name}"):
+                compiled = self.compiled(arguments, gpu.capability)
+            self._loaded[key] = gpu.load(compiled)
         values = [np.uint64(count), *flat(arguments)]
         gpu.launch(self._loaded[key], block_count, _BLOCK_SIZE, values, stream)

@@ -1,0 +1,285 @@
+"""What goes wrong with CUDA is one clear error; tracers on the CPU go on in the same process."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import reason_against_cuda
+from raystream.core.errors import RaystreamError
+
+pytest.importorskip("numba_cuda")
+
+from raystream.cuda.structures import kernels_of
+from raystream.jit.cuda import (
+    Compiled,
+    CudaError,
+    RangeKernel,
+    driver_version,
+    gpu,
+    gpu_facts,
+    kernels,
+    listing,
+    open_gpu,
+)
+from raystream.jit.cuda.reasons import reason_of
+
+SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+RAY = [[0.25, 0.25, 1.0]], [0.0, 0.0, -1.0]
+
+
+class Memory(np.ndarray):
+    """An array of a device that is none."""
+
+    def copy_to_host(self):
+        Driver.now.may("copy")
+        return np.array(self)
+
+    def copy_to_device(self, given):
+        self[...] = given
+
+    @property
+    def __cuda_array_interface__(self):
+        return {"data": (self.ctypes.data, False)}
+
+
+class Driver:
+    """A driver that fails where it is told to.
+
+    Attributes
+    ----------
+    failing : dict
+        Messages of its errors, by what is asked.
+    capability : (int, int)
+    count : int
+        Of its devices.
+    """
+
+    now: Driver
+
+    def __init__(self):
+        self.failing, self.capability, self.count = {}, (9, 0), 2
+
+    def may(self, what):
+        if what in self.failing:
+            raise RuntimeError(self.failing[what])
+
+    @property
+    def gpus(self):
+        self.may("init")
+        return [contextlib.nullcontext()] * self.count
+
+    def current_context(self, _number):
+        self.may("open")
+        return SimpleNamespace(get_memory_info=lambda: SimpleNamespace(total=10**9))
+
+    def device_array(self, length, dtype):
+        self.may("allocate")
+        return np.zeros(length, dtype).view(Memory)
+
+    def device(self, number):
+        return SimpleNamespace(
+            name=f"Fake {number}", compute_capability=self.capability, set_current=lambda: None
+        )
+
+    def load(self, _ptx, name):
+        self.may("load")
+        return SimpleNamespace(get_kernel=lambda _entry: name)
+
+    def launch(self, *_arguments):
+        self.may("launch")
+
+    def sync(self):
+        self.may("sync")
+
+
+@pytest.fixture
+def driver(monkeypatch):
+    """In place of CUDA and of cuda.core; its kernels do nothing."""
+    made = Driver.now = Driver()
+    core = SimpleNamespace(
+        Device=made.device,
+        LEGACY_DEFAULT_STREAM=made,
+        LaunchConfig=lambda **_sizes: None,
+        ObjectCode=SimpleNamespace(from_ptx=made.load),
+        launch=made.launch,
+    )
+    monkeypatch.setitem(sys.modules, "cuda.core", core)
+    for module in (gpu, kernels, listing):
+        monkeypatch.setattr(module, "is_simulated", lambda: False)
+    for module in (gpu, kernels):
+        monkeypatch.setattr(module, "cuda", made)
+    monkeypatch.setattr(RangeKernel, "compiled", lambda *_: Compiled("first_hit", ""))
+    for one in kernels_of("brute"):
+        monkeypatch.setattr(one, "_loaded", {})
+    open_gpu.cache_clear()
+    yield made
+    open_gpu.cache_clear()
+
+
+def complaint(**options):
+    """What a first hit on CUDA ends with, in a line; the CPU answers afterwards."""
+    with pytest.raises(RaystreamError) as caught:
+        rs.Tracer(SCENE, "brute", "cuda", **options).first_hit(*RAY)
+    assert rs.Tracer(SCENE, "brute").first_hit(*RAY).prim_id.tolist() == [0]
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_nothing_fails(driver):
+    """The fake driver goes all the way, so that what fails below is what was told to."""
+    assert np.isfinite(rs.Tracer(SCENE, "brute", "cuda").first_hit(*RAY).t)
+
+
+def test_no_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "raystream.jit.cuda", None)
+    assert complaint() == (
+        "device 'cuda': needs numba-cuda; pip install 'raystream[cuda]', or use device='cpu' or "
+        "'graphics'"
+    )
+
+
+def test_no_driver_here():
+    """What Numba itself says on a machine without one."""
+    if not (reason := reason_against_cuda()):
+        pytest.skip("there is a device")
+    assert complaint() == reason.removesuffix(" (NUMBA_ENABLE_CUDASIM=1 simulates one)")
+    assert reason.startswith("device 'cuda': there is no NVIDIA ")
+
+
+#: Where the driver fails, what it says, and what is to be read.
+FAILURES = {
+    "no driver": (
+        "init",
+        "Error at driver init:\nCUDA driver library cannot be found.\nEnsure that",
+        "device 'cuda': there is no NVIDIA driver; use device='cpu' or 'graphics'",
+    ),
+    "no GPU": (
+        "init",
+        "Error at driver init: Call to cuInit results in CUDA_ERROR_NO_DEVICE (100)",
+        "device 'cuda': there is no NVIDIA GPU that this process may use",
+    ),
+    "a driver without a function": (
+        "open",
+        'Function "cuKernelGetName" not found',
+        "device 'cuda': Fake 0: opening it: the driver is too old; install a newer one",
+    ),
+    "an old driver": (
+        "load",
+        "CUDA_ERROR_UNSUPPORTED_PTX_VERSION: This indicates that the PTX was compiled with",
+        "loading first_hit: the driver is older than the compiler that made the kernel; install",
+    ),
+    "no memory": (
+        "allocate",
+        "Call to cuMemAlloc results in CUDA_ERROR_OUT_OF_MEMORY",
+        "device 'cuda': Fake 0 has no memory for brute, ",
+    ),
+    "no memory for stacks": (
+        "launch",
+        "CUDA_ERROR_OUT_OF_MEMORY: The API call failed because it was unable to allocate",
+        "launching a kernel: there is no memory for it; trace a smaller scene, or fewer rays",
+    ),
+    "a kernel that takes too long": (
+        "sync",
+        "CUDA_ERROR_LAUNCH_TIMEOUT: This indicates that the device kernel took too long",
+        "running a kernel: it took longer than this GPU may be busy",
+    ),
+    "a kernel that reads what is not there": (
+        "copy",
+        "Call to cuMemcpyDtoH results in CUDA_ERROR_ILLEGAL_ADDRESS",
+        "reading hits: it read or wrote where no memory is, and was stopped. CUDA cannot be used",
+    ),
+    "anything else": ("sync", "Something\n  new:", "device 'cuda': Fake 0: running a kernel: "),
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_what_the_driver_says(driver, name):
+    step, message, expected = FAILURES[name]
+    driver.failing[step] = message
+    assert expected in complaint()
+    # A new tracer works as soon as the driver does.
+    driver.failing.clear()
+    rs.Tracer(SCENE, "brute", "cuda").first_hit(*RAY)
+
+
+def test_no_device(driver):
+    driver.count = 0
+    assert "there is no NVIDIA GPU" in complaint()
+
+
+def test_another_device(driver):
+    assert complaint(gpu=2) == "gpu: expected a number from 0 to 1, got 2"
+    rs.Tracer(SCENE, "brute", "cuda", gpu=1).first_hit(*RAY)
+    with pytest.raises(TypeError, match="gpu: expected a number, got 'first'"):
+        rs.Tracer(SCENE, "brute", "cuda", gpu="first")
+
+
+def test_an_old_gpu(driver):
+    driver.capability = (6, 1)
+    assert "Fake 0 has compute capability 6.1; kernels need 7.5 or more" in complaint()
+
+
+def test_scenes_larger_than_the_device(driver, monkeypatch):
+    asked = []
+    monkeypatch.setattr(driver, "device_array", lambda length, _: asked.append(length))
+    with pytest.raises(CudaError, match="has no memory for rays, 40,000,000,000 bytes; trace a"):
+        open_gpu().empty("rays", (10**10,), np.float32)
+    assert asked == []
+
+
+def test_the_host_s_memory_is_not_the_device_s(driver, monkeypatch):
+    def copy(_memory):
+        raise MemoryError
+
+    monkeypatch.setattr(Memory, "copy_to_host", copy)
+    with pytest.raises(MemoryError):
+        rs.Tracer(SCENE, "brute", "cuda").first_hit(*RAY)
+
+
+def test_ctrl_c(driver, monkeypatch):
+    """Between two parts, or while one is waited for."""
+    tracer = rs.Tracer(SCENE, "brute", "cuda", rays_at_once=1)
+    rays = np.repeat(RAY[0], 3, axis=0), RAY[1]
+    done = []
+
+    def stop(*rays_done):
+        done.append(rays_done)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tracer.first_hit(*rays, progress=stop)
+    assert done == [(1, 3)]
+    with monkeypatch.context() as patched:
+        patched.setattr(driver, "sync", stop)
+        with pytest.raises(KeyboardInterrupt):
+            tracer.first_hit(*rays)
+    assert len(tracer.first_hit(*rays).t) == 3
+
+
+def test_devices_are_listed_with_what_keeps_them_from_use(driver):
+    assert [tuple(one) for one in gpu_facts()] == [
+        (0, "Fake 0", (9, 0), 10**9, None),
+        (1, "Fake 1", (9, 0), 10**9, None),
+    ]
+    open_gpu.cache_clear()
+    driver.capability = (5, 2)
+    assert "kernels need 7.5" in gpu_facts()[0].error
+    driver.failing["open"] = "CUDA_ERROR_OUT_OF_MEMORY"
+    (first, _) = gpu_facts()
+    assert (first.name, first.capability) == ("GPU 0", None)
+    assert "no memory" in first.error
+    driver.failing["init"] = "CUDA_ERROR_NO_DEVICE"
+    with pytest.raises(CudaError, match="no NVIDIA GPU that this process may use"):
+        driver_version()
+
+
+def test_errors_without_words_and_with_too_many():
+    assert reason_of(OSError()) == "OSError"
+    assert len(reason_of(OSError("word\n" * 1000))) < 400
