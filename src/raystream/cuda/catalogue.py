@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.cuda.structures import kernels_of
+from raystream.cuda.structures import STRUCTURES, kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.collect import HitAddresses
@@ -14,7 +14,7 @@ from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
 from raystream.structures import build_structure
 
-__all__ = ["catalogue_of"]
+__all__ = ["catalogue_of", "whole_catalogue"]
 
 _AT = np.uint64(0)
 
@@ -53,3 +53,24 @@ def catalogue_of(
         "multi_hit": (tables, True, _AT, hits, _AT),
     }
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
+
+
+def whole_catalogue(
+    scene: Scene,
+) -> dict[tuple[str, str], tuple[RangeKernel, tuple[Any, ...]]]:
+    """All kernels that there are, and arguments that are good for their types alone.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    dict
+        By structure, or whatever they serve, and kernel.
+    """
+    return {
+        (name, query): listed
+        for name in STRUCTURES
+        for query, listed in catalogue_of(name, scene).items()
+    }

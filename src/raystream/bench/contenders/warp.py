@@ -1,4 +1,4 @@
-"""NVIDIA Warp on the CPU, as a contender."""
+"""NVIDIA Warp on the CPU or on a GPU, as a contender."""
 
 # No postponed annotations: Warp reads those of its kernels.
 
@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import Contender, FirstHits, Geometry, Rays
+from raystream.bench.contenders.base import AbsentError, Contender, FirstHits, Geometry, Rays
 
 __all__ = ["Warp"]
 
@@ -44,13 +44,32 @@ def _any(
 
 
 class Warp(Contender):
-    """``mesh_query_ray`` and ``mesh_query_ray_anyhit`` in a kernel."""
+    """``mesh_query_ray`` and ``mesh_query_ray_anyhit`` in a kernel.
+
+    Parameters
+    ----------
+    threads : int
+        Of no effect.
+    options : mapping
+        ``device``, ``"cpu"`` without it, or ``"cuda"``; and ``constructor``, how the mesh's tree is
+        built, such as ``"sah"``: without it, as Warp does.
+
+    Attributes
+    ----------
+    kernel_seconds : float or None
+        Of the latest query's kernel on a GPU, without what is copied.
+    """
 
     queries = frozenset(("first", "any"))
     notes = "on the CPU its kernels run on one thread; no query for all hits"
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
         self._mesh: Any = None
+        self._device = str(options.get("device", "cpu"))
+        self._constructor = options.get("constructor")
+        self.kernel_seconds: float | None = None
+        if self._device != "cpu" and not wp.is_cuda_available():
+            raise AbsentError("Warp finds no GPU")
 
     @property
     def version(self) -> str:
@@ -58,11 +77,13 @@ class Warp(Contender):
         return str(wp.config.version)
 
     def build(self, geometry: Geometry) -> None:
-        """Make a mesh, with the default way to build."""
+        """Make a mesh, with the default way to build unless told otherwise."""
         self._mesh = wp.Mesh(
-            points=_array(geometry.vertices, wp.vec3),
-            indices=_array(geometry.faces.ravel(), wp.int32),
+            points=self._array(geometry.vertices, wp.vec3),
+            indices=self._array(geometry.faces.ravel(), wp.int32),
+            bvh_constructor=self._constructor,
         )
+        wp.synchronize()
 
     def release(self) -> None:
         """Forget what was built."""
@@ -70,33 +91,35 @@ class Warp(Contender):
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
         """Find the nearest hit of each ray."""
-        t = np.empty(len(rays), np.float32)
-        prim_id = np.empty(len(rays), np.int32)
-        self._launch(_first, rays, [_array(t, wp.float32), _array(prim_id, wp.int32)])
-        return FirstHits(t, prim_id)
+        t = wp.empty(len(rays), dtype=wp.float32, device=self._device)
+        prim_id = wp.empty(len(rays), dtype=wp.int32, device=self._device)
+        self._launch(_first, rays, [t, prim_id])
+        return FirstHits(t.numpy(), prim_id.numpy())
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
         """Find whether anything is in each ray's way."""
-        seen = np.empty(len(rays), np.bool_)
-        self._launch(_any, rays, [_array(seen, wp.bool)])
-        return seen
+        seen = wp.empty(len(rays), dtype=wp.bool, device=self._device)
+        self._launch(_any, rays, [seen])
+        answer: NDArray[np.bool_] = seen.numpy()
+        return answer
 
     def _launch(self, kernel: Any, rays: Rays, outputs: list[Any]) -> None:
         origins, directions = rays.rows()
-        wp.launch(
-            kernel,
-            dim=len(rays),
-            inputs=[
-                self._mesh.id,
-                _array(origins, wp.vec3),
-                _array(directions, wp.vec3),
-                min(rays.t_max, float(np.finfo(np.float32).max)),
-            ],
-            outputs=outputs,
-            device="cpu",
-        )
+        inputs = [
+            self._mesh.id,
+            self._array(origins, wp.vec3),
+            self._array(directions, wp.vec3),
+            min(rays.t_max, float(np.finfo(np.float32).max)),
+        ]
+        begin = end = None
+        if self._device != "cpu":
+            stream = wp.get_stream(self._device)
+            begin = stream.record_event(wp.Event(self._device, enable_timing=True))
+        wp.launch(kernel, dim=len(rays), inputs=inputs, outputs=outputs, device=self._device)
+        if begin is not None:
+            end = stream.record_event(wp.Event(self._device, enable_timing=True))
+            self.kernel_seconds = wp.get_event_elapsed_time(begin, end) / 1e3
 
-
-def _array(array: NDArray[Any], dtype: Any) -> Any:
-    """Share an array's memory with Warp."""
-    return wp.array(array, dtype=dtype, device="cpu", copy=False)
+    def _array(self, array: NDArray[Any], dtype: Any) -> Any:
+        """Share an array's memory with Warp, or copy it to the GPU."""
+        return wp.array(array, dtype=dtype, device=self._device, copy=self._device != "cpu")

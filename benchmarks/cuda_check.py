@@ -1,0 +1,306 @@
+"""Checks and measures raystream on a machine with an NVIDIA GPU, in one command of eight minutes.
+
+    pip install -e ".[test]" warp-lang
+    RAYSTREAM_SCENES=/path/to/models python benchmarks/cuda_check.py --json cuda_check.json
+
+Each step is a process of its own with a time limit, and one that fails, as a kernel that is stopped
+takes CUDA with it, does not keep the others from running:
+
+    machine      what ``raystream info --devices`` lists
+    agreement    tests/cuda: every structure, query and case, CUDA's bits against the CPU's
+    sanitizer    compute-sanitizer's memcheck while a small scene is asked everything
+    speed        benchmarks/cuda_speed.py for each scene, beside NVIDIA Warp
+
+Ends with 0 if nothing failed, 1 if something did, and 2 where there is no GPU. ``--tiny`` tries the
+script itself, in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``) too.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+#: Seconds for everything, and for each step; a step gets no more than is left, and is left out
+#: with less than the least.
+TOTAL = 460
+LEAST = 5
+LIMITS = {"machine": 60, "agreement": 180, "sanitizer": 60, "speed": 60}
+
+#: A little of each step: some tests, and few rays.
+TINY_TESTS = "layout or invalid"
+TINY = ["--size", "6x4", "--per-hit", "2", "--repeats", "1", "--part", "64", "--ours", "grid"]
+
+#: Models of public research, and built-in scenes of up to ten million triangles.
+SCENES = (
+    *("conference", "sibenik", "sponza", "bunny"),
+    *("forest:1000000", "forest:10000000"),
+)
+
+
+class Check:
+    """Steps, how they ended, and how much time is left.
+
+    Parameters
+    ----------
+    path : Path or None
+        File for the results, written after each step.
+    total : float
+        Seconds for everything.
+
+    Attributes
+    ----------
+    results : dict
+    """
+
+    def __init__(self, path, total):
+        self._path = path
+        self._end = time.monotonic() + total
+        self.results = {"steps": []}
+
+    def run(self, name, command, limit, summary, accepted=(0,)):
+        """Run a step; ``summary(returncode, out, err)`` says in a line what came of it."""
+        given = min(limit, self._end - time.monotonic())
+        started = time.monotonic()
+        out = err = ""
+        if given < LEAST:
+            status, line = "left out", "no time was left"
+        else:
+            try:
+                done = _run(command, given)
+                out, err = done.stdout, done.stderr
+                status = "passed" if done.returncode in accepted else "failed"
+                line = summary(done.returncode, out, err)
+            except subprocess.TimeoutExpired as error:
+                out, err = (_text(one) for one in (error.stdout, error.stderr))
+                status, line = "timed out", f"not done after {given:.0f} s"
+            except (OSError, ValueError, LookupError) as error:  # or what it said is no answer
+                status, line = "failed", f"{type(error).__name__}: {error}"
+        self.keep(name, status, line, time.monotonic() - started, out, err)
+        return status == "passed"
+
+    def keep(self, name, status, line, seconds=0.0, out="", err=""):
+        """Note how a step ended, and say it."""
+        step = {"step": name, "status": status, "seconds": round(seconds, 1), "line": line}
+        if status in ("failed", "timed out"):
+            step["output"] = (out + err)[-4000:]
+        self.results["steps"].append(step)
+        print(f"{name:22}{status:10}{seconds:>7.1f} s  {line}", flush=True)
+        self.write()
+
+    def write(self):
+        """Write the results as they are."""
+        if self._path:
+            self._path.write_text(json.dumps(self.results, indent=1) + "\n")
+
+
+def _run(command, limit):
+    """Run a process; kill it and its children at the limit."""
+    source = str(ROOT / "src")
+    paths = os.pathsep.join(filter(None, [source, os.environ.get("PYTHONPATH")]))
+    process = subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": paths},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        out, err = process.communicate(timeout=limit)
+    except BaseException as error:
+        os.killpg(process.pid, 9)
+        out, err = process.communicate()
+        if isinstance(error, subprocess.TimeoutExpired):
+            raise subprocess.TimeoutExpired(command, limit, out, err) from None
+        raise
+    return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def _text(said):
+    return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
+
+
+def _last_line(out, err):
+    lines = [*out.split("\n"), *err.split("\n")]
+    return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+
+
+def agreement(check, tiny):
+    """The whole agreement fixture and all other tests of the device."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder, "report.xml")
+        processes = 0 if tiny else min(8, max(2, (os.cpu_count() or 2) // 2))
+        command = [sys.executable, "-m", "pytest", "-q", "-m", "", "-p", "no:cacheprovider"]
+        command += [f"--numprocesses={processes}", f"--junitxml={report}"]
+        command += ["tests/cuda/test_agreement.py", "-k", TINY_TESTS] if tiny else ["tests/cuda"]
+
+        def summary(_code, out, err):
+            try:
+                (suite,) = ET.parse(report).iter("testsuite")
+            except (OSError, ValueError, ET.ParseError):
+                return _last_line(out, err)
+            counts = {
+                key: int(suite.get(key)) for key in ("tests", "failures", "errors", "skipped")
+            }
+            check.results["agreement"] = counts
+            return ", ".join(f"{count:,} {name}" for name, count in counts.items())
+
+        check.run("agreement", command, LIMITS["agreement"], summary)
+
+
+def sanitizer(check, tiny):
+    """A small scene under the memory checker, if there is one."""
+    tool = find_sanitizer()
+    command = [sys.executable, str(Path(__file__)), "--small", *(["--tiny"] if tiny else [])]
+    if tool:
+        options = ["--tool", "memcheck", "--error-exitcode", "9", "--print-limit", "5"]
+        command = [tool, *options, *command]
+    elif not tiny:
+        check.keep("sanitizer", "left out", "compute-sanitizer: not found; it is in CUDA's toolkit")
+        return
+    check.run("sanitizer" if tool else "small scene", command, LIMITS["sanitizer"], _small_summary)
+
+
+def _small_summary(_code, out, err):
+    found = [line.strip("= ") for line in out.split("\n") if "ERROR SUMMARY" in line]
+    return found[0] if found else _last_line(out, err)
+
+
+def find_sanitizer():
+    """Path of compute-sanitizer, or None."""
+    for folder in (os.environ.get("CUDA_HOME"), "/usr/local/cuda"):
+        path = Path(folder or "/nowhere", "bin", "compute-sanitizer")
+        if path.is_file():
+            return str(path)
+    return shutil.which("compute-sanitizer")
+
+
+def small(tiny):
+    """Ask a small scene everything: what the sanitizer watches."""
+    import numpy as np
+
+    import raystream as rs
+    from raystream.cuda.structures import STRUCTURES
+
+    scene = rs.load("cornell")
+    side = 3 if tiny else 24
+    rays = [np.ascontiguousarray(one).reshape(-1, 3) for one in scene.camera.rays(side, side)]
+    rays[0] = np.broadcast_to(rays[0], (side * side, 3))
+    names = ["brute", "grid"] if tiny else list(STRUCTURES)
+    wrong = 0
+    for name in names:
+        ours, theirs = (rs.Tracer(scene, name, device) for device in ("cuda", "cpu"))
+        for query in ("first_hit", "any_hit", "count_hits", "multi_hit"):
+            found, expected = (getattr(one, query)(*rays) for one in (ours, theirs))
+            wrong += not _same(found, expected)
+    print(f"{len(names)} structures, {wrong} queries with other bits than the CPU's")
+    return 1 if wrong else 0
+
+
+def _same(ours, theirs):
+    columns = [name for name in ("t", "prim_id", "ray_splits") if hasattr(ours, name)]
+    if not columns:
+        return ours.tobytes() == theirs.tobytes()
+    return all(getattr(ours, one).tobytes() == getattr(theirs, one).tobytes() for one in columns)
+
+
+def speed(check, scenes, more):
+    """Rays per second, a process for each scene; what was measured before a limit is kept."""
+    check.results["speed"] = []
+    for scene in scenes:
+        with tempfile.TemporaryDirectory() as folder:
+            kept = Path(folder, "speed.json")
+            command = [sys.executable, str(ROOT / "benchmarks" / "cuda_speed.py"), scene]
+            command += ["--json", str(kept), *more]
+            check.run(f"speed, {scene}", command, LIMITS["speed"], _speed_summary)
+            if kept.is_file():
+                check.results["speed"] += json.loads(kept.read_text())["scenes"]
+                check.write()
+
+
+def _speed_summary(code, out, err):
+    return _last_line("", err) if code else f"{max(len(out.splitlines()) - 1, 0)} rows"
+
+
+def table(check):
+    """The rates for people: a line for each scene and set of rays."""
+    scenes = check.results.get("speed", [])
+    labels = list(dict.fromkeys(row["contender"] for one in scenes for row in one["rows"]))
+    if not labels:
+        return
+    print("\nMrays/s of the kernels alone; in brackets with all copies")
+    print(f"{'scene':18}{'rays':9}" + "".join(f"{label:>24}" for label in labels))
+    for one in scenes:
+        for name in dict.fromkeys(row["set"] for row in one["rows"]):
+            cells = {row["contender"]: row for row in one["rows"] if row["set"] == name}
+            shown = "".join(f"{_cell(cells.get(label)):>24}" for label in labels)
+            print(f"{one['scene']:18}{name:9}{shown}")
+
+
+def _cell(row):
+    if row is None:
+        return "-"
+    rate, whole = row["mrays_per_second"], row["mrays_per_second_whole"]
+    return f"{'-' if rate is None else format(rate, ',.1f')} ({whole:,.3g})"
+
+
+def reason_against():
+    """Why there is nothing to check here; None if there is a GPU, or a simulated one."""
+    sys.path.insert(0, str(ROOT / "src"))
+    try:
+        from raystream.jit.cuda import CudaError, open_gpu
+    except ImportError as error:
+        return f"needs numba-cuda: pip install 'raystream[cuda]' ({error})"
+    try:
+        open_gpu()
+    except CudaError as error:
+        return str(error)
+    return None
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, help="file for the results")
+    parser.add_argument("--scene", action="append", help=f"without it: {', '.join(SCENES)}")
+    parser.add_argument("--ours", action="append", help="as for cuda_speed.py")
+    parser.add_argument("--seconds", type=float, default=TOTAL, help="for everything")
+    parser.add_argument("--tiny", action="store_true", help="a little of each step")
+    parser.add_argument("--small", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if reason := reason_against():
+        print(f"cuda_check: {reason}", file=sys.stderr)
+        return 2
+    if arguments.small:
+        return small(arguments.tiny)
+    check = Check(arguments.json, arguments.seconds)
+    listing = [sys.executable, "-m", "raystream", "info", "--devices", "--json"]
+
+    def listed(_code, out, err):
+        check.results["machine"] = json.loads(out)
+        gpus = check.results["machine"]["cuda"]["gpus"]
+        return ", ".join(one["name"] for one in gpus) or _last_line(out, err)
+
+    check.run("machine", listing, LIMITS["machine"], listed)
+    agreement(check, arguments.tiny)
+    sanitizer(check, arguments.tiny)
+    more = TINY if arguments.tiny else []
+    for word in arguments.ours or []:
+        more = [*more, "--ours", word]
+    scenes = arguments.scene or (["cornell"] if arguments.tiny else SCENES)
+    speed(check, scenes, more)
+    table(check)
+    is_bad = [one["status"] in ("failed", "timed out") for one in check.results["steps"]]
+    return 1 if any(is_bad) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
