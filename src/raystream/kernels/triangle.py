@@ -20,9 +20,10 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
+from raystream.kernels.ray import pick
 from raystream.kernels.slab import box_interval
 
-__all__ = ["intersect"]
+__all__ = ["intersect", "intersect_corners"]
 
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
@@ -41,9 +42,8 @@ def _orders_first(ax, ay, bx, by):
 
 
 @device
-def _own_interval(ray, corners, i):
-    """The padded slab interval of triangle i."""
-    a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+def _own_interval(ray, a, b, c):
+    """The padded slab interval of a triangle."""
     return box_interval(
         ray,
         min(a[0], b[0], c[0]),
@@ -56,17 +56,16 @@ def _own_interval(ray, corners, i):
 
 
 @device
-def _plane_distance(ray, corners, i):
-    """Distance to the triangle's plane, in float64 of the corners as they are.
+def _plane_distance(ray, a, b, c):
+    """Distance to the plane of corners in the order of the frame, in float64 as they are.
 
     The corners' images would do for small triangles. But they are rounded at the size of the
     triangle: near a corner of the ray's own neighbourhood, a ground of many kilometres would
     lose all digits of a distance of a metre.
     """
-    a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
-    ax, ay, az = np.float64(a[ray.kx]), np.float64(a[ray.ky]), np.float64(a[ray.kz])
-    px, py, pz = b[ray.kx] - ax, b[ray.ky] - ay, b[ray.kz] - az
-    qx, qy, qz = c[ray.kx] - ax, c[ray.ky] - ay, c[ray.kz] - az
+    ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
+    px, py, pz = b[0] - ax, b[1] - ay, b[2] - az
+    qx, qy, qz = c[0] - ax, c[1] - ay, c[2] - az
     nx = py * qz - pz * qy
     ny = pz * qx - px * qz
     nz = px * qy - py * qx
@@ -107,15 +106,39 @@ def intersect(ray, corners, i, surfaces):
         the interval of every box around the triangle; weights of vertices 1 and 2.
     """
     a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
-    az = a[ray.kz] - ray.oz
-    bz = b[ray.kz] - ray.oz
-    cz = c[ray.kz] - ray.oz
-    ax = (a[ray.kx] - ray.ox) - ray.sx * az
-    ay = (a[ray.ky] - ray.oy) - ray.sy * az
-    bx = (b[ray.kx] - ray.ox) - ray.sx * bz
-    by = (b[ray.ky] - ray.oy) - ray.sy * bz
-    cx = (c[ray.kx] - ray.ox) - ray.sx * cz
-    cy = (c[ray.ky] - ray.oy) - ray.sy * cz
+    in_frame = (
+        (a[ray.kx], a[ray.ky], a[ray.kz]),
+        (b[ray.kx], b[ray.ky], b[ray.kz]),
+        (c[ray.kx], c[ray.ky], c[ray.kz]),
+    )
+    return _intersect(ray, a, b, c, in_frame, surfaces)
+
+
+@device
+def intersect_corners(ray, a, b, c, surfaces):
+    """As `intersect`, of corners that were read: tuples of three float32, local frame."""
+    kx, ky, kz = ray.kx, ray.ky, ray.kz
+    in_frame = (
+        (pick(kx, *a), pick(ky, *a), pick(kz, *a)),
+        (pick(kx, *b), pick(ky, *b), pick(kz, *b)),
+        (pick(kx, *c), pick(ky, *c), pick(kz, *c)),
+    )
+    return _intersect(ray, a, b, c, in_frame, surfaces)
+
+
+@device
+def _intersect(ray, a, b, c, in_frame, surfaces):
+    """The test, of corners in the world's order and in the frame's."""
+    p, q, r = in_frame
+    az = p[2] - ray.oz
+    bz = q[2] - ray.oz
+    cz = r[2] - ray.oz
+    ax = (p[0] - ray.ox) - ray.sx * az
+    ay = (p[1] - ray.oy) - ray.sy * az
+    bx = (q[0] - ray.ox) - ray.sx * bz
+    by = (q[1] - ray.oy) - ray.sy * bz
+    cx = (r[0] - ray.ox) - ray.sx * cz
+    cy = (r[1] - ray.oy) - ray.sy * cz
 
     # Step 1: signs in float32. Different ones are surely different.
     U = _edge(cx, cy, bx, by)
@@ -142,8 +165,8 @@ def intersect(ray, corners, i, surfaces):
 
     # Step 3: the distance to the plane, clamped. (Seen edge-on it is not finite, and the
     # clamp, written so that a NaN becomes t_in, decides.) Adding zero turns -0 into 0.
-    t = _plane_distance(ray, corners, i)
-    t_in, t_out = _own_interval(ray, corners, i)
+    t = _plane_distance(ray, p, q, r)
+    t_in, t_out = _own_interval(ray, a, b, c)
     t = t if t > t_in else t_in
     t = (t if t < t_out else t_out) + _ZERO
     return t_in <= t_out, t, np.float32(V * scale) + _ZERO, np.float32(W * scale) + _ZERO

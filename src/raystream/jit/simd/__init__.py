@@ -54,7 +54,7 @@ from raystream.jit.simd.lanes import (
     reduce_min,
     select,
 )
-from raystream.jit.simd.memory import address, load, prefetch, scratch, store
+from raystream.jit.simd.memory import address, load, load_constant, prefetch, scratch, store
 from raystream.jit.simd.numbers import next_above
 from raystream.jit.simd.records import load_records, store_records
 from raystream.jit.simd.triples import load_triples, store_past_cache, store_triples
@@ -115,6 +115,7 @@ __all__ = [
     "lane_numbers",
     "lanes_from_bits",
     "load",
+    "load_constant",
     "load_records",
     "load_triples",
     "logarithm",

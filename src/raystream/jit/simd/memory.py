@@ -16,13 +16,16 @@ from numba.extending import intrinsic
 from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.types import VectorClass, VectorType, llvm_type, refuse
 
-__all__ = ["address", "load", "pointer_to", "prefetch", "scratch", "store"]
+__all__ = ["address", "load", "load_constant", "pointer_to", "prefetch", "scratch", "store"]
 
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 
 #: Stack memory starts at a multiple of this: a cache line, and the widest vector.
 _SCRATCH_ALIGNMENT = 64
+
+#: What CUDA calls the address space of a device's memory.
+_GLOBAL = 1
 
 
 #: Numbers that can be in memory: those with as many bits there as in a register.
@@ -85,6 +88,32 @@ def load(typing_context: Any, type_: Any, at: Any) -> Any:
         target = _memory_type(context, loaded)
         value = builder.load(pointer_to(builder, arguments[1], target))
         value.align = _alignment(loaded)
+        return value
+
+    return loaded(type_, at), generate
+
+
+@intrinsic
+def load_constant(typing_context: Any, type_: Any, at: Any) -> Any:
+    """Read a vector whose address is a multiple of its size, which nothing writes meanwhile.
+
+    On CUDA it is read from the device's memory, by one instruction for 16 bytes, past the caches
+    that would notice a change.
+    """
+    loaded = type_.instance_type if isinstance(type_, VectorClass) else None
+    if loaded is None or not _storable(loaded):
+        refuse("load_constant", "a vector type", type_)
+    if at != types.uint64:
+        refuse("load_constant", "a uint64 as address", at)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        target = llvm_type(loaded)
+        if is_cuda(builder):
+            value = builder.load(builder.inttoptr(arguments[1], target.as_pointer(_GLOBAL)))
+            value.set_metadata("invariant.load", builder.module.add_metadata([]))
+        else:
+            value = builder.load(pointer_to(builder, arguments[1], target))
+        value.align = _alignment(loaded) * loaded.lane_count
         return value
 
     return loaded(type_, at), generate
