@@ -8,6 +8,7 @@ from raystream.jit.cuda.compiler import CAPABILITIES, Compiled, compile_function
 from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu, gpu_count, open_gpu
 from raystream.jit.cuda.kernels import RangeKernel
 from raystream.jit.cuda.listing import GpuFacts, driver_version, gpu_facts
+from raystream.jit.cuda.persistent import PersistentKernel
 from raystream.jit.cuda.simulation import is_simulated
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "DeviceArray",
     "Gpu",
     "GpuFacts",
+    "PersistentKernel",
     "RangeKernel",
     "compile_function",
     "driver_version",

@@ -228,6 +228,18 @@ class Gpu:
         with self.doing("launching a kernel"):
             launch(stream or self._stream, config, kernel, *values)
 
+    def most_blocks(self, kernel: Any, block_size: int) -> int:
+        """How many blocks of a kernel the device runs at once, at least 1.
+
+        Raises
+        ------
+        CudaError
+            If the driver does not say.
+        """
+        with self.doing("asking how many threads it runs"):
+            each = kernel.occupancy.max_active_blocks_per_multiprocessor(block_size, 0)
+            return max(1, int(each) * int(self._device.properties.multiprocessor_count))
+
     def wait(self, stream: Any = None) -> None:
         """Wait until all that was begun is done.
 

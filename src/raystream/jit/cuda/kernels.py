@@ -45,13 +45,18 @@ class RangeKernel:
         nothing. `i` is a uint64; arguments are numbers of NumPy's types, addresses among them,
         None, and (named) tuples of these.
 
+    Attributes
+    ----------
+    function : callable
+        The same: for tests that run it on the CPU.
+
     Notes
     -----
     In the simulator the function runs as it was compiled for the CPU, and addresses are the host's.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+        self.function = function
         self._run = _over_range(function)
         self._loaded: dict[Any, Any] = {}
 
