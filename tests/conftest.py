@@ -192,8 +192,10 @@ CUDA = {"device": "cuda"}
 #: rays in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 CUDA_TRACERS = {
     "brute": {"structure": "brute", **CUDA},
-    "bvh": {"structure": "bvh", **CUDA},
-    "bvh, high": {"structure": "bvh", "quality": "high", **CUDA},
+    "bvh": {"structure": "bvh", "kernel": "wide", **CUDA},
+    "bvh, high": {"structure": "bvh", "kernel": "wide", "quality": "high", **CUDA},
+    "bvh, compressed": {"structure": "bvh", "kernel": "compressed", "quality": "high", **CUDA},
+    "bvh, binary": {"structure": "bvh", "kernel": "binary", "launch": "persistent", **CUDA},
     "grid": {"structure": "grid", **CUDA},
     "grid, two levels": {"structure": "grid", "resolution": (2, 3, 2), "levels": 2, **CUDA},
     "kdtree, stack": {"structure": "kdtree", **CUDA},

@@ -39,21 +39,38 @@ class Branching(BatchQueries):
     gpu : Gpu
     rays_at_once : int
         Most rays that are on the device together.
+    kernel : {"auto", "compressed", "binary", "wide"}
+        Of a BVH: how it is laid out on the device, and traced.
+    launch : {"range", "persistent"}
+        How threads get their rays: each has one; or as many as the device runs at once stay, and
+        warps fetch more rays.
 
     Raises
     ------
     CudaError
         If there are no kernels for the structure, or no memory for it.
+    ValueError
+        If an option is out of range.
+    TypeError
+        If `kernel` is given for a structure that is no BVH.
     """
 
-    def __init__(self, structure: Structure, gpu: Gpu, *, rays_at_once: int = RAYS_AT_ONCE) -> None:
+    def __init__(
+        self,
+        structure: Structure,
+        gpu: Gpu,
+        *,
+        rays_at_once: int = RAYS_AT_ONCE,
+        kernel: str = "auto",
+        launch: str = "range",
+    ) -> None:
         self.structure = structure
         self.gpu = gpu
         self.rays_at_once = operator.index(rays_at_once)
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
-        self._kernels = kernels_of(structure.name)
-        self._resident = place(structure, gpu)
+        self._kernels = kernels_of(structure.name, kernel, launch)
+        self._resident = place(structure, gpu, kernel)
         self._identity = SceneFrame.identity(structure.triangles)
 
     @property

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.structures import STRUCTURES, kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import RangeKernel
@@ -20,7 +21,13 @@ _AT = np.uint64(0)
 
 
 def catalogue_of(
-    name: str, scene: Scene, *, counters: bool = False, **options: Any
+    name: str,
+    scene: Scene,
+    *,
+    counters: bool = False,
+    kernel: str = "auto",
+    launch: str = "range",
+    **options: Any,
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels of a structure, and arguments that are good for their types alone.
 
@@ -32,6 +39,8 @@ def catalogue_of(
         Any: the structure is built of it.
     counters : bool
         Whether rays are counted.
+    kernel, launch : str
+        See `Branching`.
     **options
         Of the structure.
 
@@ -41,9 +50,10 @@ def catalogue_of(
         By query.
     """
     structure = build_structure(name, scene.triangles, **options)
-    kernels = kernels_of(name)
+    kernels = kernels_of(name, kernel, launch)
+    tree = lay_out(structure, kernel).tree
     source = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
-    shared = source, structure.frame, structure.arrays, _AT if counters else None
+    shared = source, structure.frame, tree, _AT if counters else None
     tables = SeenTables(_AT, _AT)
     hits = HitAddresses(_AT, _AT, _AT, _AT)
     more: dict[str, tuple[Any, ...]] = {
@@ -69,8 +79,11 @@ def whole_catalogue(
     dict
         By structure, or whatever they serve, and kernel.
     """
+    ways = [(name, name, {}) for name in STRUCTURES if name != "bvh"]
+    ways += [(f"bvh, {kernel}", "bvh", {"kernel": kernel}) for kernel in KERNELS]
+    ways += [("bvh, persistent", "bvh", {"launch": "persistent"})]
     return {
-        (name, query): listed
-        for name in STRUCTURES
-        for query, listed in catalogue_of(name, scene).items()
+        (way, query): listed
+        for way, name, options in ways
+        for query, listed in catalogue_of(name, scene, **options).items()
     }

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from raystream.core.errors import RaystreamError
+from raystream.cuda.bvh.kernels import kernel_of
 from raystream.machines.counting import Counting
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 __all__ = ["CUDA_MACHINES", "OPTIONS", "list_gpus"]
 
 #: Options of each machine.
-OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType({"branching": ("gpu", "rays_at_once")})
+OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"branching": ("gpu", "rays_at_once", "kernel", "launch")}
+)
 
 
 @contextlib.contextmanager
@@ -69,6 +72,7 @@ class _CudaMachines:
             known = ", ".join(map(repr, OPTIONS))
             raise ValueError(f"machine: expected one of {known} on device 'cuda', got {machine!r}")
         own = {name: value for name, value in options.items() if name in OPTIONS[machine]}
+        kernel_of("bvh", own.get("kernel", "auto"))  # whether there is one of that name
         _open(own.get("gpu", 0))
         return own
 

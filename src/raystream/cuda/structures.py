@@ -2,64 +2,97 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
+from raystream.cuda.bvh.kernels import kernel_of, lay_out, search_of
 from raystream.cuda.threads import ThreadQueries, thread_queries
-from raystream.jit.cuda import CudaError, DeviceArray, Gpu
+from raystream.jit.cuda import CudaError, DeviceArray, Gpu, PersistentKernel, RangeKernel
 from raystream.structures import Structure
 
-__all__ = ["STRUCTURES", "Resident", "kernels_of", "place"]
+__all__ = ["LAUNCHES", "STRUCTURES", "Resident", "kernels_of", "place"]
+
+#: How threads get their rays: each one of a range, or whenever a warp is done with the last ones.
+LAUNCHES = {"range": RangeKernel, "persistent": PersistentKernel}
+
+_Launcher = Callable[[Callable[..., Any]], RangeKernel]
 
 
-def _brute() -> ThreadQueries:
+def _brute(launcher: _Launcher) -> ThreadQueries:
     from raystream.structures.brute.traversal import traverse
 
-    return thread_queries(traverse, 8)
+    return thread_queries(traverse, 8, launcher)
 
 
-def _bvh() -> ThreadQueries:
-    from raystream.structures.bvh.traversal import STACK_BYTES, traverse
+def _bvh(launcher: _Launcher, kernel: str) -> ThreadQueries:
+    traverse, stack_bytes = search_of(kernel)
+    return thread_queries(traverse, stack_bytes, launcher)
 
-    return thread_queries(traverse, STACK_BYTES)
 
-
-def _graph() -> ThreadQueries:
+def _graph(launcher: _Launcher) -> ThreadQueries:
     from raystream.structures.graph.traversal import STACK_BYTES, traverse
 
-    return thread_queries(traverse, STACK_BYTES)
+    return thread_queries(traverse, STACK_BYTES, launcher)
 
 
-def _grid() -> ThreadQueries:
+def _grid(launcher: _Launcher) -> ThreadQueries:
     from raystream.structures.grid.traversal import STACK_BYTES, traverse
 
-    return thread_queries(traverse, STACK_BYTES)
+    return thread_queries(traverse, STACK_BYTES, launcher)
 
 
-def _kdtree() -> ThreadQueries:
+def _kdtree(launcher: _Launcher) -> ThreadQueries:
     from raystream.structures.kdtree.state import STACK_BYTES
     from raystream.structures.kdtree.traversal import traverse
 
-    return thread_queries(traverse, STACK_BYTES)
+    return thread_queries(traverse, STACK_BYTES, launcher)
 
 
-#: Those that have kernels, and what makes these.
-STRUCTURES = {"brute": _brute, "bvh": _bvh, "graph": _graph, "grid": _grid, "kdtree": _kdtree}
+#: Those that have kernels, and what makes these; a BVH has several, see `bvh.kernels`.
+STRUCTURES: dict[str, Callable[..., ThreadQueries]] = {
+    "brute": _brute,
+    "bvh": _bvh,
+    "graph": _graph,
+    "grid": _grid,
+    "kdtree": _kdtree,
+}
 
 
-@cache
-def kernels_of(name: str) -> ThreadQueries:
+def kernels_of(name: str, kernel: str = "auto", launch: str = "range") -> ThreadQueries:
     """The kernels of a structure.
+
+    Parameters
+    ----------
+    name : str
+        The structure's.
+    kernel : str
+        Of a BVH, see `bvh.kernels.KERNELS`.
+    launch : str
+        One of `LAUNCHES`.
 
     Raises
     ------
     CudaError
         If there are none.
+    ValueError
+        If there is no kernel or launch of that name.
+    TypeError
+        If a kernel is asked for, and the structure is no BVH.
     """
     if name not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
         raise CudaError(f"device 'cuda': has the structures {known}, not {name!r}")
-    return STRUCTURES[name]()
+    if launch not in LAUNCHES:
+        known = ", ".join(map(repr, LAUNCHES))
+        raise ValueError(f"launch: expected one of {known}, got {launch!r}")
+    return _made(name, kernel_of(name, kernel), launch)
+
+
+@cache
+def _made(name: str, kernel: str | None, launch: str) -> ThreadQueries:
+    chosen = () if kernel is None else (kernel,)
+    return STRUCTURES[name](LAUNCHES[launch], *chosen)
 
 
 class Resident(NamedTuple):
@@ -77,18 +110,25 @@ class Resident(NamedTuple):
     arrays: tuple[DeviceArray, ...]
 
 
-def place(structure: Structure, gpu: Gpu) -> Resident:
+def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
     """Copy what a structure's traversal reads to a device.
+
+    Parameters
+    ----------
+    structure : Structure
+    gpu : Gpu
+    kernel : str
+        Of a BVH, as for `kernels_of`.
 
     Raises
     ------
     CudaError
         If there is no memory for it.
     """
-    tree: Any = structure.arrays
+    tree, memory = lay_out(structure, kernel)
     arrays = {
         name: gpu.upload(f"{structure.name}, {name}", array)
-        for name, array in structure.memory.items()
+        for name, array in memory.items()
         if getattr(tree, name)  # nothing is at address 0
     }
     addresses = {name: one.address for name, one in arrays.items()}

@@ -88,7 +88,11 @@ def _set_up(ray, frame):
     return set_up(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.extreme)
 
 
-def thread_queries(traverse: Callable[..., Any], stack_bytes: int) -> ThreadQueries:
+def thread_queries(
+    traverse: Callable[..., Any],
+    stack_bytes: int,
+    launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
+) -> ThreadQueries:
     """Make the kernels of a structure.
 
     Parameters
@@ -97,6 +101,8 @@ def thread_queries(traverse: Callable[..., Any], stack_bytes: int) -> ThreadQuer
         See `kernels.queries.ray_queries`.
     stack_bytes : int
         Of the memory that it is given.
+    launcher : callable
+        `RangeKernel` or `PersistentKernel`.
 
     Returns
     -------
@@ -227,8 +233,5 @@ def thread_queries(traverse: Callable[..., Any], stack_bytes: int) -> ThreadQuer
             store(at, world_t(load(np.float32, at), ray.factor, ray.offset))
 
     return ThreadQueries(
-        RangeKernel(first_hit),
-        RangeKernel(any_hit),
-        RangeKernel(count_hits),
-        RangeKernel(multi_hit),
+        launcher(first_hit), launcher(any_hit), launcher(count_hits), launcher(multi_hit)
     )

@@ -1,0 +1,122 @@
+"""One ray through the binary layout: while there are nodes, then while there are leaves.
+
+The threads of a warp stay together where all of them visit nodes, or all test triangles. So a
+thread goes on through nodes until it comes to a leaf, and through leaves until it comes to a node.
+
+References
+----------
+Aila, Laine, "Understanding the Efficiency of Ray Traversal on GPUs", High Performance Graphics
+2009: the while-while kernel. Its speculative form asks the other threads of a warp.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
+from raystream.jit.cpu import device
+from raystream.jit.simd import address, f32x4, float_as_bits, lane, load, load_constant, store
+from raystream.kernels.slab import box_interval
+from raystream.kernels.tally import LEAVES, STEPS, add_to
+from raystream.structures.bvh.steps import is_over
+
+__all__ = ["traverse"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_ENTRY = np.uint64(4)
+_NODE = np.uint64(64)
+_ROOT = np.int32(0)
+_DONE = np.int32(2**31 - 1)
+
+
+@device
+def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+    """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
+    count, t_far = _NONE, t_max
+    if tree.nodes == _NONE or not (t_min <= t_max):
+        return count
+    table, room = address(seen), np.uint64(len(seen)) - _ONE
+    link, top = _ROOT, stack
+    while link != _DONE:
+        while link >= _ROOT and link != _DONE:
+            add_to(tally, STEPS, _ONE)
+            at = tree.nodes + np.uint64(link) * _NODE
+            link, top = _visit(at, ray, t_min, t_far, stack, top)
+        while link < _ROOT:
+            add_to(tally, LEAVES, _ONE)
+            triangle = tree.triangles + np.uint64(~link) * TRIANGLE
+            while True:
+                count, t_far, is_last = test_triangle(
+                    triangle,
+                    ray,
+                    t_min,
+                    t_far,
+                    surfaces,
+                    keep,
+                    count,
+                    capacity,
+                    first,
+                    out,
+                    table,
+                    room,
+                    tally,
+                )
+                if is_over(count, capacity, keep):
+                    return count
+                if is_last:
+                    break
+                triangle += TRIANGLE
+            link, top = _pop(stack, top)
+    return count
+
+
+@device
+def _visit(at, ray, t_min, t_far, stack, top):
+    """Go on to the nearer child of a node that the ray enters; the other one waits.
+
+    Parameters
+    ----------
+    at : uint64
+        Address of the node.
+    ray : Ray
+    t_min, t_far : float32
+    stack, top : uint64
+
+    Returns
+    -------
+    link : int32
+        A node or leaf, or `_DONE`.
+    top : uint64
+    """
+    left = load_constant(f32x4, at)
+    right = load_constant(f32x4, at + np.uint64(16))
+    both = load_constant(f32x4, at + np.uint64(32))
+    links = float_as_bits(load_constant(f32x4, at + np.uint64(48)))
+    left_in, left_out = _interval(ray, left, lane(both, 0), lane(both, 1))
+    right_in, right_out = _interval(ray, right, lane(both, 2), lane(both, 3))
+    enters_left = max(left_in, t_min) <= min(left_out, t_far)
+    enters_right = max(right_in, t_min) <= min(right_out, t_far)
+    near, far = lane(links, 0), lane(links, 1)
+    if not (enters_left or enters_right):
+        return _pop(stack, top)
+    if enters_right and (not enters_left or right_in < left_in):
+        near, far = far, near
+    if enters_left and enters_right:
+        store(top, far)
+        top += _ENTRY
+    return near, top
+
+
+@device
+def _interval(ray, box, low_z, high_z):
+    return box_interval(ray, lane(box, 0), lane(box, 2), low_z, lane(box, 1), lane(box, 3), high_z)
+
+
+@device
+def _pop(stack, top):
+    """The child that waits for the shortest time, or `_DONE`."""
+    if top == stack:
+        return _DONE, top
+    top -= _ENTRY
+    return load(np.int32, top), top

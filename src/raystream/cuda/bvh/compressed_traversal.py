@@ -1,0 +1,232 @@
+"""One ray through the compressed layout: a stack of what is left of nodes.
+
+Planes are not decoded: the distance to p + q s is fma(q, s inv, base), with base = p inv + near.
+That is one fused operation a plane, as for a box that is not compressed. The product s inv is
+exact, since s is a power of two; base is rounded, so it is moved down, or up for the far planes, by
+more than its error. Rounding is monotone: a ray enters a quantised box not later, and leaves it not
+earlier, than the exact box within it, bit for bit, and what the CPU's traversal may rely on
+(`kernels.slab.box_interval`) holds here.
+
+A search's state is the group of the children of a node that are still to be visited: the row of
+the first child node, which slots are nodes, and which of these were entered, in the order in which
+this ray takes them. Its triangles are tested before the next node is visited; the papers' test of
+whether enough threads of a warp take part is left out, since it asks the other threads.
+
+References
+----------
+Ylitie, Karras, Laine 2017, section 4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    address,
+    bits_as_float,
+    count_bits,
+    first_bit,
+    fma,
+    lane,
+    load,
+    load_constant,
+    store,
+    u32x4,
+)
+from raystream.kernels.tally import LEAVES, STEPS, add_to
+from raystream.structures.bvh.steps import is_over
+
+__all__ = ["traverse"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_ENTRY = np.uint64(8)
+_NODE = np.uint64(80)
+_QUARTER = np.uint64(16)
+_ZERO = np.float32(0.0)
+_NO_BITS = np.uint32(0)
+_ONE_BIT = np.uint32(1)
+_BYTE = np.uint32(255)
+_EIGHT = np.uint32(8)
+_FIVE = np.uint32(5)
+_OFFSET = np.uint32(31)
+_EXPONENT_AT = np.uint32(23)
+_IS_NODE = np.uint32(7)
+
+#: More than a unit in the last place of a float32, whatever its size.
+_UNIT = np.float32(2.0**-23)
+_LEAST = np.float32(2.0**-149)
+
+
+@device
+def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+    """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
+    count, t_far = _NONE, t_max
+    if tree.nodes == _NONE or not (t_min <= t_max):
+        return count
+    table, room = address(seen), np.uint64(len(seen)) - _ONE
+    turned = _octant(ray)
+    # The root, as the only child of a node.
+    base, inner, hits = _NO_BITS, _ONE_BIT, np.uint32(_ONE_BIT << turned)
+    top = stack
+    while True:
+        # Step 1: the nearest node of the group; the rest of it waits.
+        bit = np.uint32(first_bit(np.uint64(hits)))
+        hits = np.uint32(hits & (hits - _ONE_BIT))
+        before = np.uint32((_ONE_BIT << np.uint32(bit ^ turned)) - _ONE_BIT)
+        node = np.uint64(base) + count_bits(np.uint64(np.uint32(inner & before)))
+        if hits != _NO_BITS:
+            store(top, base)
+            store(top + np.uint64(4), np.uint32((hits << _EIGHT) | inner))
+            top += _ENTRY
+        add_to(tally, STEPS, _ONE)
+        at = tree.nodes + node * _NODE
+        base, inner, hits, triangle, pending = _visit(at, ray, turned, t_min, t_far, tally)
+        # Step 2: the triangles of its leaves.
+        triangle = tree.triangles + triangle * TRIANGLE
+        while pending != _NO_BITS:
+            place = first_bit(np.uint64(pending))
+            pending = np.uint32(pending & (pending - _ONE_BIT))
+            count, t_far, _ = test_triangle(
+                triangle + place * TRIANGLE,
+                ray,
+                t_min,
+                t_far,
+                surfaces,
+                keep,
+                count,
+                capacity,
+                first,
+                out,
+                table,
+                room,
+                tally,
+            )
+            if is_over(count, capacity, keep):
+                return count
+        # Step 3: the next group.
+        if hits == _NO_BITS:
+            if top == stack:
+                return count
+            top -= _ENTRY
+            base = load(np.uint32, top)
+            hits = load(np.uint32, top + np.uint64(4))
+            inner = np.uint32(hits & _BYTE)
+            hits = np.uint32(hits >> _EIGHT)
+
+
+@device
+def _octant(ray):
+    """Bit k is set if the ray's direction is negative along axis k."""
+    x = _ONE_BIT if ray.inv_x < _ZERO else _NO_BITS
+    y = np.uint32(2) if ray.inv_y < _ZERO else _NO_BITS
+    z = np.uint32(4) if ray.inv_z < _ZERO else _NO_BITS
+    return np.uint32(x | y | z)
+
+
+@device
+def _visit(at, ray, turned, t_min, t_far, tally):
+    """Test the boxes of a node's children.
+
+    Parameters
+    ----------
+    at : uint64
+        Address of the node.
+    ray : Ray
+    turned : uint32
+        See `_octant`.
+    t_min, t_far : float32
+    tally : uint64 or None
+
+    Returns
+    -------
+    base, inner, hits : uint32
+        Row of the first child node; slots that are nodes; those entered, in the ray's order.
+    triangle : uint64
+        Row of the first triangle.
+    pending : uint32
+        The triangles of the leaves entered, by their places after the first one.
+    """
+    head = load_constant(u32x4, at)
+    links = load_constant(u32x4, at + _QUARTER)
+    planes = load_constant(u32x4, at + np.uint64(32))
+    more = load_constant(u32x4, at + np.uint64(48))
+    rest = load_constant(u32x4, at + np.uint64(64))
+    exponents = lane(head, 3)
+    axes = (
+        _axis(lane(head, 0), exponents, ray.inv_x, ray.near_x, ray.far_x),
+        _axis(lane(head, 1), np.uint32(exponents >> _EIGHT), ray.inv_y, ray.near_y, ray.far_y),
+        _axis(
+            lane(head, 2), np.uint32(exponents >> np.uint32(16)), ray.inv_z, ray.near_z, ray.far_z
+        ),
+    )
+    back_x, back_y, back_z = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
+    hits, pending = _NO_BITS, _NO_BITS
+    hits, pending = _visit_four(
+        lane(links, 2),
+        _NO_BITS,
+        _ordered(back_x, lane(planes, 0), lane(more, 2)),
+        _ordered(back_y, lane(planes, 2), lane(rest, 0)),
+        _ordered(back_z, lane(more, 0), lane(rest, 2)),
+        *(axes, turned, t_min, t_far, hits, pending, tally),
+    )
+    hits, pending = _visit_four(
+        lane(links, 3),
+        np.uint32(4),
+        _ordered(back_x, lane(planes, 1), lane(more, 3)),
+        _ordered(back_y, lane(planes, 3), lane(rest, 1)),
+        _ordered(back_z, lane(more, 1), lane(rest, 3)),
+        *(axes, turned, t_min, t_far, hits, pending, tally),
+    )
+    inner = np.uint32(exponents >> np.uint32(24))
+    return lane(links, 0), inner, hits, np.uint64(lane(links, 1)), pending
+
+
+@device
+def _axis(origin, exponent, inv, near, far):
+    """What a plane's byte is multiplied with, and what is added for near and for far planes."""
+    step = bits_as_float(np.int32((exponent & _BYTE) << _EXPONENT_AT))
+    p = bits_as_float(np.int32(origin))
+    first, last = fma(p, inv, near), fma(p, inv, far)
+    return step * inv, first - fma(abs(first), _UNIT, _LEAST), last + fma(abs(last), _UNIT, _LEAST)
+
+
+@device
+def _ordered(is_back, low, high):
+    """The bytes of the planes that a ray meets first, and last."""
+    return (high, low) if is_back else (low, high)
+
+
+@device
+def _visit_four(kinds, first, x, y, z, axes, turned, t_min, t_far, hits, pending, tally):
+    """Test the boxes of four slots, from number `first` on; returns `hits` and `pending`."""
+    for k in range(np.uint32(4)):
+        shift = np.uint32(k << np.uint32(3))
+        kind = np.uint32(np.uint32(kinds >> shift) & _BYTE)
+        t_in = max(
+            fma(_byte(x[0], shift), axes[0][0], axes[0][1]),
+            fma(_byte(y[0], shift), axes[1][0], axes[1][1]),
+            fma(_byte(z[0], shift), axes[2][0], axes[2][1]),
+        )
+        t_out = min(
+            fma(_byte(x[1], shift), axes[0][0], axes[0][2]),
+            fma(_byte(y[1], shift), axes[1][0], axes[1][2]),
+            fma(_byte(z[1], shift), axes[2][0], axes[2][2]),
+        )
+        if kind != _NO_BITS and max(t_in, t_min) <= min(t_out, t_far):
+            size = np.uint32(kind >> _FIVE)
+            if size == _IS_NODE:
+                hits = np.uint32(hits | (_ONE_BIT << np.uint32((first + k) ^ turned)))
+            else:
+                add_to(tally, LEAVES, _ONE)
+                triangles = np.uint32((_ONE_BIT << size) - _ONE_BIT)
+                pending = np.uint32(pending | (triangles << np.uint32(kind & _OFFSET)))
+    return hits, pending
+
+
+@device
+def _byte(word, shift):
+    """A byte of a word as a float32."""
+    return np.float32(np.uint32(np.uint32(word >> shift) & _BYTE))

@@ -1,0 +1,99 @@
+"""How a BVH is traced on a GPU: the CPU's layout, or one made for GPUs, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.structures import Structure
+
+__all__ = ["AUTO", "KERNELS", "LaidOut", "kernel_of", "lay_out", "search_of"]
+
+#: What ``kernel="auto"`` stands for. Which is fastest has not been measured on a GPU. This one
+#: reads the fewest bytes, in a third of the binary kernel's steps, and has the smallest stack:
+#: counts are in docs/decisions/0022-bvh-on-cuda.rst.
+AUTO = "compressed"
+
+#: Options of ``kernel``.
+KERNELS = ("auto", "compressed", "binary", "wide")
+
+
+class LaidOut(NamedTuple):
+    """What a traversal reads, in the host's memory.
+
+    Attributes
+    ----------
+    tree : NamedTuple
+        Addresses; 0 where there is nothing.
+    arrays : mapping of str to ndarray
+        What is there.
+    """
+
+    tree: Any
+    arrays: Mapping[str, NDArray[Any]]
+
+
+def kernel_of(structure: str, kernel: str) -> str | None:
+    """Which kernel traces a structure; None for those that have one.
+
+    Raises
+    ------
+    TypeError
+        If one is chosen of a structure that is no BVH.
+    ValueError
+        If there is none of that name.
+    """
+    if structure != "bvh":
+        if kernel != "auto":
+            raise TypeError(
+                f"{structure}: has no option 'kernel' on device 'cuda', which is one of 'bvh'"
+            )
+        return None
+    if kernel not in KERNELS:
+        known = ", ".join(map(repr, KERNELS))
+        raise ValueError(f"kernel: expected one of {known} on device 'cuda', got {kernel!r}")
+    return AUTO if kernel == "auto" else kernel
+
+
+def search_of(kernel: str) -> tuple[Callable[..., Any], int]:
+    """The traversal of a kernel that `kernel_of` gave, and the bytes of its stack."""
+    if kernel == "compressed":
+        from raystream.cuda.bvh import compressed, compressed_traversal
+
+        return compressed_traversal.traverse, compressed.STACK_BYTES
+    if kernel == "binary":
+        from raystream.cuda.bvh import binary, binary_traversal
+
+        return binary_traversal.traverse, binary.STACK_BYTES
+    from raystream.structures.bvh import traversal
+
+    return traversal.traverse, traversal.STACK_BYTES
+
+
+def lay_out(structure: Structure, kernel: str = "auto") -> LaidOut:
+    """What the kernel of a structure reads.
+
+    Raises
+    ------
+    TypeError, ValueError
+        See `kernel_of`.
+    """
+    chosen = kernel_of(structure.name, kernel)
+    if chosen is None or chosen == "wide":
+        return LaidOut(structure.arrays, structure.memory)
+    kind, arrays = _make(chosen, structure)
+    places = [array.ctypes.data if array.size else 0 for array in arrays.values()]
+    return LaidOut(kind(*map(np.uint64, places)), arrays)
+
+
+def _make(kernel: str, bvh: Any) -> tuple[Callable[..., Any], Mapping[str, NDArray[Any]]]:
+    if kernel == "compressed":
+        from raystream.cuda.bvh.compressed import compress
+
+        return compress(bvh.tree)
+    from raystream.cuda.bvh.binary import unfold
+
+    return unfold(bvh.tree)

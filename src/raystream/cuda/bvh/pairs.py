@@ -1,0 +1,194 @@
+"""Binary trees within wide nodes: which children go together, and the nodes written."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.cuda.bvh.entries import COUNT, HIGH, LINK, LOW
+from raystream.cuda.bvh.triangles import TRIANGLE, copy_leaf
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address
+from raystream.structures.bvh.layout import WIDTH
+
+__all__ = ["depth_of", "write_pairs"]
+
+_SETS = 1 << WIDTH
+_LINKS = 12
+_ONE = np.uint64(1)
+_INF = np.float32(np.inf)
+
+
+@device
+def _size(members):
+    """How many children are in a set, up to 255."""
+    size = 0
+    while members != np.uint64(0):
+        members &= members - _ONE
+        size += 1
+    return size
+
+
+@device
+def _half_area(box):
+    x = np.float64(box[3]) - np.float64(box[0])
+    y = np.float64(box[4]) - np.float64(box[1])
+    z = np.float64(box[5]) - np.float64(box[2])
+    return x * y + y * z + z * x
+
+
+@device
+def _choose(count, is_balanced, boxes, costs, choices):
+    """The best tree of each set of children: in `choices`, the part that is left.
+
+    Costs are the areas of the boxes of all pairs.
+    """
+    for members in range(_ONE, _ONE << count):
+        size = _size(members)
+        if size == 1:
+            costs[members] = 0.0
+            continue
+        # Rounded up to a power of two, a part has at most half of the set's size.
+        most = size - 1
+        if is_balanced:
+            most = 1
+            while most + most < size:
+                most += most
+        least, choice = np.inf, np.uint64(0)
+        # The lowest member is left: no tree is looked at twice.
+        lowest = members & (~members + _ONE)
+        part = (members - _ONE) & members
+        while part != np.uint64(0):
+            other = members ^ part
+            is_allowed = not is_balanced or (_size(part) <= most and _size(other) <= most)
+            if part & lowest != np.uint64(0) and is_allowed:
+                cost = costs[part] + costs[other]
+                if cost < least or choice == np.uint64(0):
+                    least, choice = cost, part
+            part = (part - _ONE) & members
+        costs[members] = least + _half_area(boxes[members])
+        choices[members] = choice
+
+
+@device
+def _unite(entries, row, count, boxes):
+    """Boxes of all sets of children."""
+    for members in range(_ONE, _ONE << count):
+        rest = members & (members - _ONE)
+        last = np.uint64(0)
+        while (members >> last) & _ONE == np.uint64(0):
+            last += _ONE
+        for axis in range(np.uint64(3)):
+            low = entries[row, last, np.uint64(LOW) + axis]
+            high = entries[row, last, np.uint64(HIGH) + axis]
+            if rest != np.uint64(0):
+                low = min(low, boxes[rest, axis])
+                high = max(high, boxes[rest, axis + np.uint64(3)])
+            boxes[members, axis], boxes[members, axis + np.uint64(3)] = low, high
+
+
+@device
+def _put_child(nodes, links, node, side, box, link):
+    at = np.uint64(4) * side
+    nodes[node, at], nodes[node, at + _ONE] = box[0], box[3]
+    nodes[node, at + np.uint64(2)], nodes[node, at + np.uint64(3)] = box[1], box[4]
+    at = np.uint64(8) + np.uint64(2) * side
+    nodes[node, at], nodes[node, at + _ONE] = box[2], box[5]
+    links[node, np.uint64(_LINKS) + side] = link
+
+
+@kernel
+def write_pairs(
+    begin,
+    end,
+    is_balanced,
+    first_nodes,
+    first_triangles,
+    entries,
+    words,
+    leaves,
+    nodes,
+    links,
+    triangles,
+):
+    """Write the binary nodes of some wide ones, and the triangles of their leaves.
+
+    Parameters
+    ----------
+    begin, end : int
+        Rows of `entries`.
+    is_balanced : bool
+        Whether trees may have no more levels than needed.
+    first_nodes, first_triangles : ndarray of shape (M + 1,), int64
+        Where each wide node's begin.
+    entries, words : ndarray of shape (M, 8, 8), float32 and int32
+        See `entries.list_entries`.
+    leaves : ndarray
+        The CPU's leaf blocks.
+    nodes, links : ndarray of shape (R, 16), float32 and int32
+        The same memory; written.
+    triangles : ndarray of shape (T, 12), float32
+        Written.
+    """
+    leaf_at, triangle_at = address(leaves), address(triangles)
+    boxes = np.empty((_SETS, 6), np.float32)
+    costs, choices = np.empty(_SETS, np.float64), np.empty(_SETS, np.uint64)
+    own = np.empty(WIDTH, np.int32)
+    pending_sets, pending_nodes = np.empty(WIDTH, np.uint64), np.empty(WIDTH, np.uint64)
+    nothing = np.array([_INF, _INF, _INF, -_INF, -_INF, -_INF], np.float32)
+    for row in range(np.uint64(begin), np.uint64(end)):
+        # Step 1: the leaves' triangles, and what children are as links of binary nodes.
+        to = triangle_at + np.uint64(first_triangles[row]) * TRIANGLE
+        triangle, count = first_triangles[row], np.uint64(0)
+        while count < np.uint64(WIDTH) and words[row, count, LINK] != 0:
+            link = words[row, count, LINK]
+            if link > 0:
+                own[count] = first_nodes[link]
+            else:
+                own[count] = ~triangle
+                triangle += words[row, count, COUNT]
+                to = copy_leaf(leaf_at, link, to)
+            count += _ONE
+        # Step 2: the best trees.
+        _unite(entries, row, count, boxes)
+        _choose(count, is_balanced, boxes, costs, choices)
+        # Step 3: nodes, from the root; later rows for later levels.
+        node = np.uint64(first_nodes[row])
+        if count <= _ONE:
+            _put_child(nodes, links, node, np.uint64(0), nothing, 0)
+            _put_child(nodes, links, node, _ONE, nothing, 0)
+            if count == _ONE:
+                _put_child(nodes, links, node, np.uint64(0), boxes[1], own[0])
+            continue
+        pending_sets[0], pending_nodes[0] = (_ONE << count) - _ONE, node
+        top = 1
+        while top != 0:
+            top -= 1
+            members, parent = pending_sets[top], pending_nodes[top]
+            part = choices[members]
+            for side in range(np.uint64(2)):
+                if part & (part - _ONE) == np.uint64(0):
+                    child = np.uint64(0)
+                    while (part >> child) & _ONE == np.uint64(0):
+                        child += _ONE
+                    link = own[child]
+                else:
+                    node += _ONE
+                    link = np.int32(node)
+                    pending_sets[top], pending_nodes[top] = part, node
+                    top += 1
+                _put_child(nodes, links, parent, side, boxes[part], link)
+                part = members ^ part
+
+
+@kernel
+def depth_of(links, depths):
+    """Nodes on the longest path; `depths` are zeros, and changed."""
+    deepest = 0
+    for node in range(len(links)):  # parents come before their children
+        depth = depths[node] + 1
+        deepest = max(deepest, depth)
+        for side in range(2):
+            link = links[node, _LINKS + side]
+            if link > 0:
+                depths[link] = depth
+    return deepest

@@ -1,0 +1,129 @@
+"""Triangles as a GPU reads them, one by one: three times 16 bytes each.
+
+Corner 0 and prim_id; corner 1, and whether it is the last one of its leaf; corner 2, and nothing.
+A warp's threads test triangles of different leaves: blocks of four, as the CPU has them, would
+have a thread test the empty places, too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
+from raystream.kernels.collect import keep_hit
+from raystream.kernels.queries import AGAIN
+from raystream.kernels.seen import FULL, OLD, mark_seen
+from raystream.kernels.tally import TESTS, add_to
+from raystream.kernels.triangle import intersect_corners
+from raystream.structures.bvh.layout import BLOCK_SIZE
+from raystream.structures.bvh.wide import BLOCK, PRIM_IDS, leaf_address, leaf_end
+
+__all__ = ["TRIANGLE", "TRIANGLE_FLOATS", "copy_leaf", "test_triangle"]
+
+#: Bytes of a triangle, and of what is read at once.
+TRIANGLE = np.uint64(48)
+TRIANGLE_FLOATS = int(TRIANGLE) // 4
+_QUARTER = np.uint64(16)
+_HALF = np.uint64(32)
+
+_LAST = np.uint64(28)
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+
+
+@device
+def copy_leaf(leaves, child, to):
+    """Write the triangles of a leaf that can be hit.
+
+    Parameters
+    ----------
+    leaves : uint64
+        Address of the CPU's leaf blocks.
+    child : int32
+        A leaf, as in `BvhArrays`.
+    to : uint64
+        Address of the first triangle.
+
+    Returns
+    -------
+    uint64
+        Address after the last one.
+    """
+    first = to
+    block = leaf_address(leaves, child)
+    end = leaf_end(block, child)
+    while block != end:
+        for k in range(np.uint64(BLOCK_SIZE)):
+            at = block + (k << _WORD)
+            prim_id = load(np.int32, at + PRIM_IDS)
+            x = load(np.float32, at)
+            if prim_id >= np.int32(0) and x == x:
+                for corner in range(np.uint64(3)):
+                    for axis in range(np.uint64(3)):
+                        number = load(np.float32, at + (corner * np.uint64(3) + axis) * _QUARTER)
+                        store(to + corner * _QUARTER + (axis << _WORD), number)
+                store(to + np.uint64(12), prim_id)
+                store(to + _LAST, np.int32(0))
+                store(to + np.uint64(44), np.int32(0))
+                to += TRIANGLE
+        block += BLOCK
+    if to != first:
+        store(to - TRIANGLE + _LAST, np.int32(1))
+    return to
+
+
+@device
+def test_triangle(
+    at, ray, t_min, t_far, surfaces, keep, count, capacity, first, out, table, room, tally
+):
+    """Test a triangle, and keep or count its hit.
+
+    Parameters
+    ----------
+    at : uint64
+        Address.
+    ray : Ray
+    t_min, t_far : float32
+        Closed interval in which a hit is wanted.
+    surfaces, keep, count, capacity, first, out
+        See `kernels.leaf.test_triangles`.
+    table, room : uint64
+        See `structures.bvh.steps.intersect_block`.
+    tally : uint64 or None
+        See `kernels.tally`.
+
+    Returns
+    -------
+    count : uint64
+        `AGAIN` if the set is full; see `structures.bvh.steps.is_over`.
+    t_far : float32
+    is_last : bool
+        Whether the triangle is the last one of its leaf.
+    """
+    add_to(tally, TESTS, _ONE)
+    a = load_constant(f32x4, at)
+    b = load_constant(f32x4, at + _QUARTER)
+    c = load_constant(f32x4, at + _HALF)
+    is_last = lane(float_as_bits(b), 3) != np.int32(0)
+    hit, t, u, v = intersect_corners(ray, _corner(a), _corner(b), _corner(c), surfaces)
+    # Written so that a NaN would fail.
+    if hit and t >= t_min and t <= t_far:
+        prim_id = lane(float_as_bits(a), 3)
+        if room != _NONE:
+            answer = mark_seen(table, room, prim_id)
+            if answer == OLD:
+                return count, t_far, is_last
+            if answer == FULL:
+                return AGAIN, t_far, is_last
+        if keep:
+            count, t_far = keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far)
+        else:
+            count += _ONE
+    return count, t_far, is_last
+
+
+@device
+def _corner(numbers):
+    return lane(numbers, 0), lane(numbers, 1), lane(numbers, 2)
