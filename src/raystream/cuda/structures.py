@@ -123,13 +123,18 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
     Raises
     ------
     CudaError
-        If there is no memory for it.
+        If there is no memory for all of it: then nothing was copied.
     """
-    tree, memory = lay_out(structure, kernel)
-    arrays = {
-        name: gpu.upload(f"{structure.name}, {name}", array)
-        for name, array in memory.items()
-        if getattr(tree, name)  # nothing is at address 0
-    }
+    tree, given = lay_out(structure, kernel)
+    # Nothing is at address 0.
+    memory = {name: one for name, one in given.items() if getattr(tree, name)}
+    wanted, free = sum(one.nbytes for one in memory.values()), gpu.free_byte_count()
+    if wanted > free:
+        raise CudaError(
+            f"device 'cuda': the scene takes {wanted:,} bytes as {structure.name!r}, and "
+            f"{gpu.name} has {free:,} free; trace a smaller one, or use device='cpu'"
+        )
+    arrays = {name: gpu.upload(f"{structure.name}, {name}", one) for name, one in memory.items()}
+    gpu.wait()  # for whom other streams do not
     addresses = {name: one.address for name, one in arrays.items()}
     return Resident(tree._replace(**addresses), tuple(arrays.values()))

@@ -10,11 +10,13 @@ from raystream.jit.cuda.kernels import RangeKernel
 from raystream.jit.cuda.listing import GpuFacts, driver_version, gpu_facts
 from raystream.jit.cuda.persistent import PersistentKernel
 from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.cuda.streams import CudaStream
 
 __all__ = [
     "CAPABILITIES",
     "Compiled",
     "CudaError",
+    "CudaStream",
     "DeviceArray",
     "Gpu",
     "GpuFacts",

@@ -7,8 +7,11 @@ memory is the host's.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import math
+import operator
+import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -18,76 +21,17 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.jit.cuda.compiler import CAPABILITIES, Capability, Compiled
+from raystream.jit.cuda.in_flight import InFlight
+from raystream.jit.cuda.memory import DeviceArray, host_memory
 from raystream.jit.cuda.reasons import code_of, reason_of
 from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.cuda.streams import LEGACY, CudaStream
 
 __all__ = ["CudaError", "DeviceArray", "Gpu", "gpu_count", "open_gpu"]
 
 
 class CudaError(RaystreamError):
     """CUDA cannot do what it was asked for: it is not there, too small, or failed."""
-
-
-#: Arrays begin at multiples of so many bytes, as those of CUDA do: traversals need 256.
-_ALIGNMENT = 256
-
-
-class DeviceArray:
-    """An array in a GPU's memory, freed with this object.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    name : str
-        For errors.
-    memory : array of numba.cuda, or ndarray
-        An ndarray in the simulator.
-
-    Attributes
-    ----------
-    address : uint64
-    shape : tuple of int
-    dtype : dtype
-    """
-
-    def __init__(self, gpu: Gpu, name: str, memory: Any) -> None:
-        self._gpu, self._name, self._memory = gpu, name, memory
-        self.shape: tuple[int, ...] = memory.shape
-        self.dtype = np.dtype(memory.dtype)
-        if is_simulated():
-            self.address = np.uint64(memory.ctypes.data)
-        else:
-            self.address = np.uint64(memory.__cuda_array_interface__["data"][0] or 0)
-
-    def host(self) -> NDArray[Any]:
-        """A copy on the host, when the device has done what it was given.
-
-        Raises
-        ------
-        CudaError
-            If what it was given failed.
-        """
-        if is_simulated():
-            return np.array(self._memory)
-        with self._gpu.doing(f"reading {self._name}"):
-            return np.asarray(self._memory.copy_to_host())
-
-    def fill(self, array: NDArray[Any]) -> None:
-        """Copy an array of the host's to it, of its shape and dtype."""
-        given = np.ascontiguousarray(array, self.dtype)
-        if is_simulated():
-            self._memory[...] = given
-            return
-        with self._gpu.doing(f"writing {self._name}"):
-            self._memory.copy_to_device(given)
-
-
-def _aligned(length: int, dtype: Any) -> NDArray[Any]:
-    """Memory of the simulated device, that begins where a device's does."""
-    itemsize = np.dtype(dtype).itemsize
-    memory = np.empty(length * itemsize + _ALIGNMENT, np.uint8)
-    skipped = -memory.ctypes.data % _ALIGNMENT
-    return memory[skipped : skipped + length * itemsize].view(dtype)
 
 
 class Gpu:
@@ -105,25 +49,43 @@ class Gpu:
     capability : (int, int)
     byte_count : int
         Memory of the device.
+    stream : CudaStream
+        One that lives as long as this object, and waits for the legacy default stream as that
+        does for it: whoever follows either finds what was done in it.
+    in_flight : InFlight
+        Callers' arrays that it reads.
     """
 
     def __init__(self, number: int) -> None:
         self.number = number
         self.name = "CUDA simulator"
         self.capability: Capability = CAPABILITIES[0]
+        self.in_flight = InFlight()
         if is_simulated():
             self.byte_count = 2**62
+            self._legacy = self.stream = CudaStream(self, LEGACY)
             return
-        from cuda.core import LEGACY_DEFAULT_STREAM, Device
+        from cuda.core import Device
 
         self._device = Device(number)
-        # Numba's copies are in this one, too: so they are done before a kernel runs.
-        self._stream = LEGACY_DEFAULT_STREAM
         with self.doing("opening it"):
             self.name = str(self._device.name)
             major, minor = self._device.compute_capability
             self.capability = (int(major), int(minor))
             self.byte_count = int(cuda.current_context(number).get_memory_info().total)
+            # Numba's copies are in this one, too: so they are done before a kernel runs.
+            self._legacy = CudaStream(self, LEGACY)
+            self.stream = CudaStream.make(self, is_blocking=True)
+
+    @contextlib.contextmanager
+    def current(self) -> Iterator[None]:
+        """Use it as the current device of this thread."""
+        if is_simulated():
+            yield
+            return
+        with cuda.gpus[self.number]:
+            self._device.set_current()
+            yield
 
     @contextlib.contextmanager
     def doing(self, what: str) -> Iterator[None]:
@@ -135,12 +97,13 @@ class Gpu:
             If anything fails.
         """
         try:
-            with cuda.gpus[self.number]:
-                self._device.set_current()
+            with self.current():
                 yield
         except (CudaError, MemoryError):  # the latter is the host's
             raise
         except Exception as error:  # the driver's
+            if is_simulated():  # which has no driver
+                raise
             raise CudaError(f"device 'cuda': {self.name}: {what}: {reason_of(error)}") from error
 
     def upload(self, name: str, array: NDArray[Any]) -> DeviceArray:
@@ -164,24 +127,123 @@ class Gpu:
         CudaError
             If there is no memory for it.
         """
-        shape = tuple(np.atleast_1d(shape).tolist())
-        count = math.prod(shape)
-        byte_count = count * np.dtype(dtype).itemsize
-        if byte_count > self.byte_count:
-            raise CudaError(self._no_memory(name, byte_count))
-        length = max(count, 1)  # CUDA has no memory of 0 bytes
+        shape, byte_count = self._size_of(name, shape, dtype)
         if is_simulated():
-            flat = _aligned(length, dtype)
-        else:
-            with self.doing(f"making room for {name}"):
-                try:
-                    flat = cuda.device_array(length, dtype)
-                except Exception as error:  # the driver's
-                    if code_of(error) == "OUT_OF_MEMORY":
-                        raise CudaError(self._no_memory(name, byte_count)) from error
-                    raise
-        flat = flat if count else flat[:0]
-        return DeviceArray(self, name, flat if len(shape) == 1 else flat.reshape(shape))
+            memory, address = host_memory(byte_count)
+            return DeviceArray(self, name, memory, address, shape, dtype, self._legacy)
+        with self._making(name, byte_count):
+            owner = cuda.device_array(max(byte_count, 1), np.uint8)  # CUDA has none of 0 bytes
+            address = int(owner.__cuda_array_interface__["data"][0])
+        return DeviceArray(self, name, owner, address, shape, dtype, self._legacy)
+
+    def pooled(
+        self, name: str, shape: Any, dtype: Any, stream: CudaStream | None = None
+    ) -> DeviceArray:
+        """Make an array that nobody waits for, to have it or to free it; not initialised.
+
+        Its memory is the driver's pool's, which keeps what is free for the next one.
+
+        Parameters
+        ----------
+        name : str
+        shape : int or tuple of int
+        dtype : dtype
+        stream : CudaStream, optional
+            In whose order the memory is had and freed; without it, the device's `stream`.
+
+        Raises
+        ------
+        CudaError
+            If there is no memory for it.
+        """
+        order = stream or self.stream
+        shape, byte_count = self._size_of(name, shape, dtype)
+        if is_simulated():
+            memory, address = host_memory(byte_count)
+            return DeviceArray(self, name, memory, address, shape, dtype, order)
+        with self._making(name, byte_count):
+            owner = self._device.allocate(max(byte_count, 1), stream=order.native)
+        return DeviceArray(self, name, owner, int(owner.handle), shape, dtype, order)
+
+    def pinned(self, byte_count: int) -> NDArray[np.uint8]:
+        """Make memory on the host that the device copies from and to while others work.
+
+        Raises
+        ------
+        CudaError
+            If there is not so much.
+        """
+        if is_simulated():
+            return np.empty(byte_count, np.uint8)
+        with self.doing(f"pinning {byte_count:,} bytes of the host's memory"):
+            made: NDArray[np.uint8] = cuda.pinned_array(byte_count, np.uint8)
+            return made
+
+    def copy(self, to: Any, source: Any, byte_count: int, stream: CudaStream) -> None:
+        """Begin to copy bytes from one address to another, on the device or the host.
+
+        Raises
+        ------
+        CudaError
+            If that cannot be done.
+        """
+        if byte_count == 0:
+            return
+        if is_simulated():
+            ctypes.memmove(int(to), int(source), byte_count)
+            return
+        from cuda.bindings import driver
+
+        with self.doing("copying"):
+            _check(driver.cuMemcpyAsync(int(to), int(source), byte_count, stream.native.handle))
+
+    def clear(self, array: DeviceArray, stream: CudaStream) -> None:
+        """Begin to make all bytes of an array 0.
+
+        Raises
+        ------
+        CudaError
+            If that cannot be done.
+        """
+        if array.nbytes == 0:
+            return
+        if is_simulated():
+            ctypes.memset(int(array.address), 0, array.nbytes)
+            return
+        from cuda.bindings import driver
+
+        with self.doing("clearing memory"):
+            address, handle = int(array.address), stream.native.handle
+            _check(driver.cuMemsetD8Async(address, 0, array.nbytes, handle))
+
+    def number_of(self, address: int) -> int:
+        """The device that an address is on.
+
+        Raises
+        ------
+        CudaError
+            If it is on none.
+        """
+        if is_simulated() or address == 0:
+            return self.number
+        from cuda.bindings import driver
+
+        attribute = driver.CUpointer_attribute.CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
+        with self.doing("finding an array"):
+            return int(_check(driver.cuPointerGetAttribute(attribute, address)))
+
+    def free_byte_count(self) -> int:
+        """Memory that can be had now.
+
+        Raises
+        ------
+        CudaError
+            If the driver does not say.
+        """
+        if is_simulated():
+            return self.byte_count
+        with self.doing("asking for its memory"):
+            return int(cuda.current_context(self.number).get_memory_info().free)
 
     def load(self, compiled: Compiled) -> Any:
         """Make a kernel of PTX: the driver compiles it for this device.
@@ -226,7 +288,7 @@ class Gpu:
 
         config = LaunchConfig(grid=block_count, block=block_size)
         with self.doing("launching a kernel"):
-            launch(stream or self._stream, config, kernel, *values)
+            launch(stream or self._legacy.native, config, kernel, *values)
 
     def most_blocks(self, kernel: Any, block_size: int) -> int:
         """How many blocks of a kernel the device runs at once, at least 1.
@@ -250,7 +312,25 @@ class Gpu:
         """
         if not is_simulated():
             with self.doing("running a kernel"):
-                (stream or self._stream).sync()
+                (stream or self._legacy.native).sync()
+
+    def _size_of(self, name: str, shape: Any, dtype: Any) -> tuple[tuple[int, ...], int]:
+        """The shape, and bytes of an array that is no larger than the device."""
+        shape = tuple(map(operator.index, shape if isinstance(shape, tuple) else (shape,)))
+        byte_count = math.prod(shape) * np.dtype(dtype).itemsize
+        if byte_count > self.byte_count:
+            raise CudaError(self._no_memory(name, byte_count))
+        return shape, byte_count
+
+    @contextlib.contextmanager
+    def _making(self, name: str, byte_count: int) -> Iterator[None]:
+        with self.doing(f"making room for {name}"):
+            try:
+                yield
+            except Exception as error:  # the driver's
+                if code_of(error) == "OUT_OF_MEMORY":
+                    raise CudaError(self._no_memory(name, byte_count)) from error
+                raise
 
     def _no_memory(self, name: str, byte_count: int) -> str:
         return (
@@ -259,19 +339,26 @@ class Gpu:
         )
 
 
-@functools.cache
 def open_gpu(number: int = 0) -> Gpu:
     """A device by its number.
 
     Raises
     ------
     CudaError
-        If there is none, or it is too old.
+        If there is none of that number, or it is too old.
+    TypeError
+        If it is no integer.
     """
+    try:
+        wanted = operator.index(number)
+    except TypeError:
+        raise TypeError(f"gpu: expected the number of a device, got {number!r}") from None
     count = gpu_count()
-    if not 0 <= number < count:
-        raise CudaError(f"gpu: expected a number from 0 to {count - 1}, got {number}")
-    gpu = Gpu(number)
+    if not 0 <= wanted < count:
+        there = "there is one, 0" if count == 1 else f"there are {count}, from 0 to {count - 1}"
+        raise CudaError(f"gpu: no device has the number {wanted}; {there}")
+    with _opening:
+        gpu = _opened(wanted)
     if gpu.capability < CAPABILITIES[0]:
         given, least = (".".join(map(str, one)) for one in (gpu.capability, CAPABILITIES[0]))
         raise CudaError(
@@ -279,6 +366,12 @@ def open_gpu(number: int = 0) -> Gpu:
             "more; use device='cpu' or 'graphics'"
         )
     return gpu
+
+
+#: One thread opens a device.
+_opening = threading.Lock()
+
+_opened = functools.cache(Gpu)
 
 
 def gpu_count() -> int:
@@ -300,3 +393,13 @@ def gpu_count() -> int:
     if count == 0:
         raise CudaError("device 'cuda': there is no NVIDIA GPU; use device='cpu' or 'graphics'")
     return count
+
+
+def _check(answer: tuple[Any, ...]) -> Any:
+    """What the driver answered; its error as an exception."""
+    from cuda.bindings import driver
+
+    result, *values = answer
+    if result != driver.CUresult.CUDA_SUCCESS:
+        raise RuntimeError(result.name)
+    return values[0] if values else None
