@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
-from raystream.cuda.parts import Asked, Part, trace_parts
+from raystream.cuda.lanes import Lanes
+from raystream.cuda.parts import Answer, Asked, Part, trace_parts
 from raystream.cuda.structures import kernels_of, place
 from raystream.cuda.threads import RETRY, SeenTables
 from raystream.jit.cuda import CudaError, Gpu
@@ -23,8 +26,8 @@ from raystream.structures.found import allocate_hits
 
 __all__ = ["Branching"]
 
-#: Rays that are on the device together.
-RAYS_AT_ONCE = 1 << 21
+#: Rays of the host's that are on the device together.
+RAYS_AT_ONCE = 1 << 20
 
 _NOWHERE = np.uint64(0)
 
@@ -38,7 +41,8 @@ class Branching(BatchQueries):
         Built on the CPU; what its traversal reads is copied to the device.
     gpu : Gpu
     rays_at_once : int
-        Most rays that are on the device together.
+        Most rays of the host's that are on the device together: half of them are traced while
+        the others are copied.
     kernel : {"auto", "compressed", "binary", "wide"}
         Of a BVH: how it is laid out on the device, and traced.
     launch : {"range", "persistent"}
@@ -72,6 +76,7 @@ class Branching(BatchQueries):
         self._kernels = kernels_of(structure.name, kernel, launch)
         self._resident = place(structure, gpu, kernel)
         self._identity = SceneFrame.identity(structure.triangles)
+        self._lanes = Lanes(gpu)
 
     @property
     def frame(self) -> SceneFrame:
@@ -130,6 +135,8 @@ class Branching(BatchQueries):
             first_half = part_of(progress, 0, 2 * len(batch))
             counts = self.count_hits_batch(batch, surfaces, limit, status, first_half, tallies)
             np.cumsum(counts, out=splits[1:])
+        else:
+            self.any_hit_batch(batch, status)  # it tells which rays are invalid
         hits = allocate_hits(int(splits[-1]))
         second_half = part_of(progress, len(batch), 2 * len(batch))
         asked = Asked(batch, self.frame, status, second_half, tallies)
@@ -189,82 +196,91 @@ class Branching(BatchQueries):
     # ---- What both come to.
 
     def _first_hit(self, asked: Asked, out: HitArrays) -> None:
-        def answer(part: Part, _tables: SeenTables) -> bool:
-            hits = self.gpu.empty("hits", (4, part.count), np.float32)
+        def answer(part: Part, _tables: SeenTables) -> Callable[[], bool]:
+            hits = part.empty("hits", (4, part.count), np.float32)
             t, u, v, prim_id = _rows(hits.address, part.count)
             to = ResultAddresses(t, u, v, prim_id, _NOWHERE, part.status)
             part.run(self._kernels.first_hit, to)
-            _copy(hits.host(), out.part(part.rows))
-            return True
+            rows = part.lane.download(hits)
 
-        trace_parts(asked, self.gpu, self._resident, self.rays_at_once, answer)
+            def take() -> bool:
+                _copy(rows, out.part(part.rows))
+                return True
+
+            return take
+
+        self._trace(asked, answer)
 
     def _any_hit(self, asked: Asked) -> NDArray[np.bool_]:
         seen = np.empty(len(asked.batch), np.bool_)
 
-        def answer(part: Part, _tables: SeenTables) -> bool:
-            found = self.gpu.empty("answers", part.count, np.uint8)
+        def answer(part: Part, _tables: SeenTables) -> Callable[[], bool]:
+            found = part.empty("answers", part.count, np.bool_)
             nowhere = _NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE
             to = ResultAddresses(*nowhere, found.address, part.status)
             part.run(self._kernels.any_hit, to)
-            seen[part.rows] = found.host() != 0
-            return True
+            answers = part.lane.download(found)
 
-        trace_parts(asked, self.gpu, self._resident, self.rays_at_once, answer)
+            def take() -> bool:
+                seen[part.rows] = answers
+                return True
+
+            return take
+
+        self._trace(asked, answer)
         return seen
 
     def _count_hits(self, asked: Asked, surfaces: bool, limit: int) -> NDArray[np.int64]:
         counts = np.empty(len(asked.batch), np.int64)
 
-        def answer(part: Part, tables: SeenTables) -> bool:
-            found = self.gpu.empty("counts", part.count, np.int64)
+        def answer(part: Part, tables: SeenTables) -> Callable[[], bool]:
+            found = part.empty("counts", part.count, np.int64)
             wanted = bool(surfaces), np.uint64(limit)
             part.run(self._kernels.count_hits, tables, *wanted, part.status, found.address)
-            counts[part.rows] = found.host()
-            return not (counts[part.rows] == RETRY).any()
+            own = part.lane.download(found)
 
-        trace_parts(
-            asked,
-            self.gpu,
-            self._resident,
-            self.rays_at_once,
-            answer,
-            lists_twice=self.structure.lists_twice,
-        )
+            def take() -> bool:
+                counts[part.rows] = own
+                return not (own == RETRY).any()
+
+            return take
+
+        self._trace(asked, answer, lists_twice=self.structure.lists_twice)
         return counts
 
     def _multi_hit(
         self, asked: Asked, surfaces: bool, splits: NDArray[np.int64], out: HitArrays
     ) -> None:
-        def answer(part: Part, tables: SeenTables) -> bool:
+        def answer(part: Part, tables: SeenTables) -> Callable[[], bool]:
             wanted = splits[part.rows.start : part.rows.stop + 1]
             rows = slice(int(wanted[0]), int(wanted[-1]))
-            own = self.gpu.upload("splits", wanted - wanted[0])
-            hits = self.gpu.empty("hits", (4, rows.stop - rows.start), np.float32)
-            found = self.gpu.empty("counts", part.count, np.int64)
+            own = part.upload("splits", wanted - wanted[0])
+            hits = part.empty("hits", (4, rows.stop - rows.start), np.float32)
+            found = part.empty("counts", part.count, np.int64)
             t, u, v, prim_id = _rows(hits.address, rows.stop - rows.start)
             to = HitAddresses(t, u, v, prim_id)
             more = bool(surfaces), own.address, to, found.address
             part.run(self._kernels.multi_hit, tables, *more)
-            counts = found.host()
-            if (counts == RETRY).any():
-                return False
-            if not np.array_equal(counts, np.diff(wanted)):
-                raise CudaError(
-                    f"device 'cuda': {self.gpu.name} found fewer hits than it had counted"
-                )
-            _copy(hits.host(), out.part(rows))
-            return True
+            counts, columns = part.lane.download(found), part.lane.download(hits)
 
-        trace_parts(
-            asked,
-            self.gpu,
-            self._resident,
-            self.rays_at_once,
-            answer,
-            lists_twice=self.structure.lists_twice,
-            splits=splits,
-        )
+            def take() -> bool:
+                if (counts == RETRY).any():
+                    return False
+                if not np.array_equal(counts, np.diff(wanted)):
+                    raise CudaError(
+                        f"device 'cuda': {self.gpu.name} found fewer hits than it had counted"
+                    )
+                _copy(columns, out.part(rows))
+                return True
+
+            return take
+
+        lists_twice = self.structure.lists_twice
+        self._trace(asked, answer, lists_twice=lists_twice, splits=splits)
+
+    def _trace(self, asked: Asked, answer: Answer, **options: Any) -> None:
+        shared = self.gpu, self._resident, self._lanes, self.rays_at_once
+        trace_parts(asked, *shared, answer, **options)
 
 
 def _rows(address: np.uint64, count: int) -> list[np.uint64]:

@@ -1,7 +1,9 @@
-"""Parts of a batch: rays that are on a device together."""
+"""Parts of a batch on the host: copied to a device, traced and copied back, by turns."""
 
 from __future__ import annotations
 
+import itertools
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -9,26 +11,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
+from raystream.cuda.lanes import Lane, Lanes
 from raystream.cuda.rays import place_rays
 from raystream.cuda.structures import Resident
 from raystream.cuda.threads import SeenTables
-from raystream.jit.cuda import Gpu, RangeKernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.threads import Progress
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.seen import LEAST_ROOM
 
-__all__ = ["Asked", "Part", "parts_of", "trace_parts"]
+__all__ = [
+    "GROWTH",
+    "NO_TABLES",
+    "TABLE_BYTES",
+    "Answer",
+    "Asked",
+    "Part",
+    "parts_of",
+    "trace_parts",
+]
 
-#: Hits that are on the device together; a ray with more is traced by itself.
-_ROWS_AT_ONCE = 1 << 24
+#: Hits of a part; a ray with more is traced by itself.
+_ROWS_AT_ONCE = 1 << 22
 
-#: Bytes of the tables of triangles seen that are on the device together.
-_TABLE_BYTES = 1 << 28
+#: Bytes of a part's tables of triangles seen.
+TABLE_BYTES = 1 << 28
 
 #: How much more room rays get whose table was too small.
-_GROWTH = 8
+GROWTH = 8
 
-_NO_TABLES = SeenTables(np.uint64(0), np.uint64(0))
+NO_TABLES = SeenTables(np.uint64(0), np.uint64(0))
 
 
 class Asked(NamedTuple):
@@ -54,7 +66,7 @@ class Asked(NamedTuple):
 
 
 class Part:
-    """Some rays of a batch on a device.
+    """Some rays of a batch on a device: what is begun here is done after `finish`.
 
     Parameters
     ----------
@@ -64,11 +76,14 @@ class Part:
     gpu : Gpu
     resident : Resident
         The structure.
+    lane : Lane
+        Whose memory the rays and answers go through.
 
     Attributes
     ----------
     rows : slice
     count : int
+    lane : Lane
     status : uint64
         Address of the rays' status, one byte each.
 
@@ -78,30 +93,64 @@ class Part:
         If there is no memory for them.
     """
 
-    def __init__(self, asked: Asked, rows: slice, gpu: Gpu, resident: Resident) -> None:
+    def __init__(self, asked: Asked, rows: slice, gpu: Gpu, resident: Resident, lane: Lane) -> None:
         self.rows = rows
         self.count = rows.stop - rows.start
+        self.lane = lane
         self._asked, self._gpu, self._resident = asked, gpu, resident
-        self._rays = place_rays(asked.batch, rows, gpu)
-        self._status = gpu.upload("status", asked.status[rows])
+        lane.begin()
+        self._rays = place_rays(asked.batch, rows, lane.upload)
+        self._status = lane.upload("status", asked.status[rows])
         self.status = self._status.address
         self._tallies = None
         if asked.tallies is not None:
-            zeros = np.zeros((self.count, asked.tallies.shape[1]), np.uint32)
-            self._tallies = gpu.upload("tallies", zeros)
+            shape = self.count, asked.tallies.shape[1]
+            self._tallies = lane.cleared("tallies", shape, np.uint32)
+        self._kept: list[DeviceArray] = []
+        self._returned: list[NDArray[Any]] = []
+
+    def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
+        """Make an array on the device that exists as long as the part; not initialised."""
+        made = self.lane.empty(name, shape, dtype)
+        self._kept.append(made)
+        return made
+
+    def upload(self, name: str, array: NDArray[Any]) -> DeviceArray:
+        """Copy an array to the device that exists as long as the part."""
+        made = self.lane.upload(name, array)
+        self._kept.append(made)
+        return made
 
     def run(self, kernel: RangeKernel, *arguments: Any) -> None:
         """Run a kernel of `threads.ThreadQueries` for each ray; does not wait."""
         tallies = None if self._tallies is None else self._tallies.address
         shared = self._rays.source, self._asked.frame, self._resident.tree, tallies
-        kernel.launch(self._gpu, self.count, (*shared, *arguments))
+        stream = self.lane.stream.native
+        kernel.launch(self._gpu, self.count, (*shared, *arguments), stream)
 
-    def finish(self) -> None:
-        """Hand over what became of the rays, and what they met."""
-        self._gpu.wait()
-        self._asked.status[self.rows] = self._status.host()
-        if self._asked.tallies is not None and self._tallies is not None:
-            self._asked.tallies[self.rows] += self._tallies.host()
+    def bring_back(self) -> None:
+        """Begin to copy what became of the rays, and what they met, to the host."""
+        self._returned = [
+            self.lane.download(one) for one in (self._status, self._tallies) if one is not None
+        ]
+
+    def finish(self, take: Callable[[], bool]) -> bool:
+        """Wait for the part, and hand over what was brought back.
+
+        Parameters
+        ----------
+        take : callable
+            Takes what was found; False if that is not all.
+        """
+        self.lane.finish()
+        if not take():
+            return False
+        status, *tallies = self._returned
+        self._asked.status[self.rows] = status
+        for own in tallies:
+            assert self._asked.tallies is not None
+            self._asked.tallies[self.rows] += own
+        return True
 
 
 def parts_of(rows: slice, most: int, splits: NDArray[np.int64] | None = None) -> Iterator[slice]:
@@ -116,48 +165,77 @@ def parts_of(rows: slice, most: int, splits: NDArray[np.int64] | None = None) ->
         begin = end
 
 
+#: Begins to trace a part, with tables of triangles seen, and returns what takes the answers when
+#: they are there: False if some ray's table was too small.
+Answer = Callable[[Part, SeenTables], Callable[[], bool]]
+
+
 def trace_parts(
     asked: Asked,
     gpu: Gpu,
     resident: Resident,
+    lanes: Lanes,
     rays_at_once: int,
-    answer: Callable[[Part, SeenTables], bool],
+    answer: Answer,
     *,
     lists_twice: bool = False,
     splits: NDArray[np.int64] | None = None,
 ) -> None:
-    """Trace all rays of a query, some at a time.
+    """Trace all rays of a query, some at a time: while some are traced, others are copied.
 
     Parameters
     ----------
     asked : Asked
     gpu : Gpu
     resident : Resident
+    lanes : Lanes
+        What they are copied through.
     rays_at_once : int
-        Most rays of a part.
-    answer : callable
-        ``answer(part, tables)`` traces a part and keeps what it found; False if some ray's table
-        was too small: the part is then traced again with larger ones.
+        Most rays that are on the device together.
+    answer : Answer
+        A part whose tables were too small is traced again with larger ones.
     lists_twice : bool
         Whether rays need tables.
     splits : ndarray of shape (N + 1,), int64, optional
         Rows of hits for which there must be room.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory, or the device fails.
     """
 
-    def trace(rows: slice, room: int) -> None:
-        most = rays_at_once if room == 0 else min(rays_at_once, _TABLE_BYTES // (4 * room + 4))
-        for own in parts_of(rows, max(most, 1), splits):
-            part = Part(asked, own, gpu, resident)
-            tables, memory = _NO_TABLES, None
-            if room:
-                memory = gpu.empty("tables of triangles seen", (part.count, room + 1), np.int32)
-                tables = SeenTables(memory.address, np.uint64(room))
-            if answer(part, tables):
-                part.finish()
-            else:
-                del part, memory
-                trace(own, _GROWTH * room)
-            if asked.progress:
-                asked.progress(own.stop, len(asked.batch))
+    def parts(rows: slice, room: int) -> Iterator[slice]:
+        most = max(rays_at_once // len(turns), 1)
+        if room:
+            most = max(min(most, TABLE_BYTES // (4 * room + 4)), 1)
+        return parts_of(rows, most, splits)
 
-    trace(slice(0, len(asked.batch)), int(LEAST_ROOM) if lists_twice else 0)
+    def begin(rows: slice, room: int, lane: Lane) -> tuple[Part, int, Callable[[], bool]]:
+        part = Part(asked, rows, gpu, resident, lane)
+        tables = NO_TABLES
+        if room:
+            memory = part.empty("tables of triangles seen", (part.count, room + 1), np.int32)
+            tables = SeenTables(memory.address, np.uint64(room))
+        take = answer(part, tables)
+        part.bring_back()
+        return part, room, take
+
+    def finish(part: Part, room: int, take: Callable[[], bool]) -> None:
+        if not part.finish(take):
+            for rows in parts(part.rows, GROWTH * room):
+                finish(*begin(rows, GROWTH * room, part.lane))
+        elif asked.progress:
+            asked.progress(part.rows.stop, len(asked.batch))
+
+    with lanes.taken() as turns:
+        begun: deque[tuple[Part, int, Callable[[], bool]]] = deque()
+        room = int(LEAST_ROOM) if lists_twice else 0
+        for rows, lane in zip(
+            parts(slice(0, len(asked.batch)), room), itertools.cycle(turns), strict=False
+        ):
+            if len(begun) == len(turns):
+                finish(*begun.popleft())
+            begun.append(begin(rows, room, lane))
+        while begun:
+            finish(*begun.popleft())

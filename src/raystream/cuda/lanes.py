@@ -1,0 +1,158 @@
+"""Lanes: two streams that take turns, so that one copies while the other traces.
+
+A device copies from and to pinned memory of the host while it computes. So what goes to it is first
+put into such memory, and what comes back is taken out of it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cuda import CudaError, CudaStream, DeviceArray, Gpu
+
+__all__ = ["LANE_COUNT", "Lane", "Lanes"]
+
+#: One copies in or out while the other traces.
+LANE_COUNT = 2
+
+#: Pieces of pinned memory begin at multiples of so many bytes.
+_ALIGNMENT = 64
+
+
+class Lane:
+    """A stream with pinned memory, for one part of the rays after the other.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    """
+
+    def __init__(self, gpu: Gpu) -> None:
+        self._gpu = gpu
+        with gpu.doing("making a stream"):
+            self.stream = CudaStream.make(gpu, is_blocking=False)
+        self._pieces: list[NDArray[np.uint8]] = []
+        self._piece, self._used = 0, 0
+
+    def begin(self) -> None:
+        """Begin a new part: the memory of the latest one is free again."""
+        if len(self._pieces) > 1:  # what took several pieces gets one
+            byte_count = sum(map(len, self._pieces))
+            self._pieces = []  # before there is another
+            self._pieces = [self._gpu.pinned(byte_count)]
+        self._piece, self._used = 0, 0
+
+    def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
+        """Make an array on the device, not initialised.
+
+        Raises
+        ------
+        CudaError
+            If there is no memory for it.
+        """
+        return self._gpu.pooled(name, shape, dtype, self.stream)
+
+    def cleared(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
+        """Make an array of zeros on the device."""
+        made = self.empty(name, shape, dtype)
+        self._gpu.clear(made, self.stream)
+        return made
+
+    def upload(self, name: str, array: NDArray[Any]) -> DeviceArray:
+        """Begin to copy an array to the device; it may be changed at once.
+
+        Raises
+        ------
+        CudaError
+            If there is no memory for it.
+        """
+        pinned = self._pinned(array.shape, array.dtype)
+        np.copyto(pinned, array)
+        made = self.empty(name, array.shape, array.dtype)
+        self._gpu.copy(made.address, pinned.ctypes.data, pinned.nbytes, self.stream)
+        return made
+
+    def download(self, array: DeviceArray) -> NDArray[Any]:
+        """Begin to copy an array of this lane to the host.
+
+        Returns
+        -------
+        ndarray
+            It has the numbers after `finish`, until `begin`.
+        """
+        pinned = self._pinned(array.shape, array.dtype)
+        self._gpu.copy(pinned.ctypes.data, array.address, pinned.nbytes, self.stream)
+        return pinned
+
+    def finish(self) -> None:
+        """Wait until all that was begun is done.
+
+        Raises
+        ------
+        CudaError
+            If some of it failed.
+        """
+        self.stream.sync()
+
+    def _pinned(self, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+        """Some pinned memory, that nothing else has before `begin`."""
+        dtype = np.dtype(dtype)
+        byte_count = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+        while self._piece < len(self._pieces):
+            piece = self._pieces[self._piece]
+            if self._used + byte_count <= len(piece):
+                break
+            self._piece, self._used = self._piece + 1, 0
+        else:
+            piece = self._gpu.pinned(max(byte_count, 1 << 16))
+            self._pieces.append(piece)
+        first, self._used = self._used, -(-(self._used + byte_count) // _ALIGNMENT) * _ALIGNMENT
+        return piece[first : first + byte_count].view(dtype).reshape(shape)
+
+
+class Lanes:
+    """The lanes of a machine, kept from query to query.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    """
+
+    def __init__(self, gpu: Gpu) -> None:
+        self._gpu = gpu
+        self._free: list[Lane] = []
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def taken(self) -> Iterator[list[Lane]]:
+        """Lanes for one query: queries in other threads have others.
+
+        However it ends, they are empty then.
+        """
+        with self._lock:
+            lanes = [self._free.pop() for _ in range(min(LANE_COUNT, len(self._free)))]
+        try:
+            while len(lanes) < LANE_COUNT:
+                lanes.append(Lane(self._gpu))
+            yield lanes
+        except BaseException:
+            self._empty(lanes)
+            raise
+        with self._lock:
+            self._free += lanes
+
+    def _empty(self, lanes: list[Lane]) -> None:
+        """Wait for what an exception left behind, for whose memory is freed next."""
+        try:
+            for lane in lanes:
+                lane.finish()
+        except CudaError:  # the device is lost: so are they
+            return
+        with self._lock:
+            self._free += lanes

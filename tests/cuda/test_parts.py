@@ -1,0 +1,78 @@
+"""Rays from the host, in parts that take turns: the same bits, whatever happens meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import assert_same_bits
+from raystream.cuda import parts
+from test_agreement import case_of
+
+#: A simulated thread takes a tenth of a millisecond.
+RAYS = 24
+
+#: A structure that may list a triangle several times, so that rays need tables.
+TWICE = {"structure": "bvh", "quality": "high"}
+
+COLUMNS = ("t", "u", "v", "prim_id", "status")
+
+
+@pytest.fixture(scope="module")
+def case():
+    return case_of("random_soup")
+
+
+@pytest.fixture
+def rays(case):
+    rows = np.linspace(0, len(case.origins) - 1, RAYS).astype(int)
+    return case.origins[rows].astype(np.float32), case.directions[rows].astype(np.float32)
+
+
+@pytest.fixture
+def oracle(case):
+    return rs.Tracer(case.scene, "brute")
+
+
+def assert_same(ours, theirs, *names):
+    for name in names:
+        assert_same_bits(getattr(ours, name), getattr(theirs, name))
+
+
+def test_invalid_rays_have_a_status_where_no_hit_is_wanted(gpu, case, oracle, rays):
+    origins, directions = rays
+    origins[0, 1], directions[1] = np.nan, 0.0
+    many = rs.Tracer(case.scene, "brute", "cuda").multi_hit(origins, directions, max_hits=0)
+    assert many.status.tolist() == [1, 1, *[0] * (RAYS - 2)]
+    assert_same(many, oracle.multi_hit(origins, directions, max_hits=0), "ray_splits", *COLUMNS)
+
+
+def test_parts_whose_tables_are_too_small_are_traced_again(gpu, case, oracle, rays, monkeypatch):
+    monkeypatch.setattr(parts, "LEAST_ROOM", np.uint64(2))
+    monkeypatch.setattr(parts, "TABLE_BYTES", 300)
+    tracer = rs.Tracer(case.scene, device="cuda", rays_at_once=14, **TWICE)
+    steps: list[tuple[int, int]] = []
+    many = tracer.multi_hit(*rays, progress=lambda *done: steps.append(done))
+    assert_same(many, oracle.multi_hit(*rays), "ray_splits", *COLUMNS)
+    assert steps == sorted(steps)
+    assert steps[-1] == (2 * RAYS, 2 * RAYS)
+    # Tables for 7 rays a part, then for 4, then for one: so parts were divided.
+    assert len(steps) > 2 * -(-RAYS // 7)
+
+
+def test_an_interrupt_leaves_nothing_behind(gpu, case, oracle, rays):
+    tracer = rs.Tracer(case.scene, "brute", "cuda", rays_at_once=6)
+    lanes = tracer._machine._lanes
+
+    def interrupt(done, count):
+        assert not lanes._free  # they are in use
+        if done > 8:
+            raise KeyboardInterrupt
+
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            tracer.first_hit(*rays, progress=interrupt)
+        assert len(lanes._free) == 2
+    assert_same(tracer.first_hit(*rays), oracle.first_hit(*rays), *COLUMNS)
+    assert len(lanes._free) == 2
