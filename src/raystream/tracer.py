@@ -34,10 +34,10 @@ class Tracer(Queries):
         Its triangles are copied: later changes of the scene's arrays have no effect.
     structure : {"bvh", "kdtree", "graph", "grid", "brute"}
         Acceleration structure. All return the same bits; ``"brute"`` tests every triangle.
-    device : {"cpu", "graphics", "cuda"}
-        Where rays are traced: on the processor's cores; on a GPU by way of Vulkan, Metal or
-        Direct3D 12 (``pip install raystream[graphics]``); or on an NVIDIA GPU by way of CUDA
-        (``pip install raystream[cuda]``).
+    device : {"cpu", "cuda", "graphics"}
+        Where rays are traced: on the processor's cores; on an NVIDIA GPU (``pip install
+        raystream[cuda]``), of several on that with the number ``gpu=``; or on a GPU by way of
+        Vulkan, Metal or Direct3D 12 (``pip install raystream[graphics]``).
     machine : {"branching", "multipass", "compute"}, optional
         How the structure is traversed: one ray from start to end on each thread; or all rays
         step by step, in passes (Purcell 2002, section 2.2). All return the same bits on one
@@ -71,6 +71,13 @@ class Tracer(Queries):
     lengths. `t_min` and `t_max` are numbers or arrays that broadcast to S; the interval is
     closed, and rounded to float32. A ray with a NaN, infinite or zero direction is no error:
     it misses, and its status is ``RayStatus.INVALID``.
+
+    With ``device="cuda"`` rays may be arrays on the tracer's GPU, by DLPack or
+    ``__cuda_array_interface__`` (CuPy, PyTorch, JAX, Numba), of float32 or float64; numbers and
+    single vectors may still come from the host. They are read where they are, and must not
+    change before that is done: it is in the order of the CUDA stream that they name, else of
+    the default one. Answers stay on the GPU, in arrays of their own that such libraries view
+    without a copy; ``host()`` makes NumPy's. A query may return before they are filled.
 
     A ray through a shared edge hits both triangles, never neither [1]_. Degenerate
     triangles, and triangles with a NaN or infinite vertex, are never hit: where one of

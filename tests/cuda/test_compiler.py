@@ -17,7 +17,7 @@ pytest.importorskip("numba_cuda")
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 
-from raystream.cuda.catalogue import catalogue_of
+from raystream.cuda.catalogue import ARRAY_KERNELS, catalogue_of
 from raystream.cuda.structures import STRUCTURES
 
 QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
@@ -75,6 +75,13 @@ def test_every_kernel_compiles(scene, name, query):
     assert ".extern .func" not in compiled.ptx
     # Small numbers are not flushed to 0; divisions and roots are those of IEEE 754.
     assert not re.search(r"\.(ftz|approx|full)\b", compiled.ptx)
+
+
+@pytest.mark.parametrize("name", ARRAY_KERNELS)
+def test_every_kernel_over_arrays_compiles(name):
+    made, arguments = ARRAY_KERNELS[name]
+    compiled = made.compiled(arguments, CAPABILITIES[0])
+    assert len(parameters_of(compiled)) == 1 + len(list(flat(arguments)))
 
 
 @kernel

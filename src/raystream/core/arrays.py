@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["as_host_array", "as_real_array"]
+__all__ = ["as_host_array", "as_real_array", "is_on_gpu"]
 
 #: DLPack device types whose memory NumPy can read: kDLCPU, kDLCUDAHost, kDLROCMHost.
 _HOST_DEVICE_TYPES = (1, 3, 11)
@@ -33,10 +33,11 @@ def as_host_array(name: str, values: Any) -> NDArray[Any]:
     """
     if isinstance(values, np.ndarray):
         return values
-    if _is_on_gpu(values):
+    if is_on_gpu(values):
         raise TypeError(
-            f"{name}: the array is on a GPU, and this tracer runs on the CPU; "
-            "copy it to the host first (.get(), .cpu() or copy_to_host())"
+            f"{name}: the array is on a GPU, where only the queries of device='cuda' read it, "
+            "without filters and counters; copy it to the host first (.get(), .cpu(), "
+            ".host() or copy_to_host())"
         )
     if hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__"):
         try:
@@ -49,13 +50,23 @@ def as_host_array(name: str, values: Any) -> NDArray[Any]:
         raise TypeError(f"{name}: cannot be read as an array ({error})") from error
 
 
-def _is_on_gpu(values: Any) -> bool:
+def is_on_gpu(values: Any) -> bool:
+    """Whether an object says that its numbers are in a GPU's memory.
+
+    It has a DLPack device that NumPy cannot read, or ``__cuda_array_interface__``.
+    """
+    if isinstance(values, np.ndarray | float | int):
+        return False
     if hasattr(values, "__dlpack_device__"):
         try:
-            return int(values.__dlpack_device__()[0]) not in _HOST_DEVICE_TYPES
-        except Exception:  # an exporter that cannot say: the conversion decides
+            if int(values.__dlpack_device__()[0]) not in _HOST_DEVICE_TYPES:
+                return True
+        except Exception:  # an exporter that cannot say: the rest decides
             pass
-    return hasattr(values, "__cuda_array_interface__")
+    try:
+        return hasattr(values, "__cuda_array_interface__")
+    except Exception:  # PyTorch's, of a tensor that requires grad
+        return False
 
 
 def as_real_array(name: str, values: Any) -> NDArray[Any]:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
+from raystream.cuda.device_queries import DeviceQueries, DeviceScene
+from raystream.cuda.device_rays import usual_limits
 from raystream.cuda.lanes import Lanes
 from raystream.cuda.parts import Answer, Asked, Part, trace_parts
 from raystream.cuda.structures import kernels_of, place
@@ -42,7 +44,7 @@ class Branching(BatchQueries):
     gpu : Gpu
     rays_at_once : int
         Most rays of the host's that are on the device together: half of them are traced while
-        the others are copied.
+        the others are copied. Rays in arrays on the device are traced all together.
     kernel : {"auto", "compressed", "binary", "wide"}
         Of a BVH: how it is laid out on the device, and traced.
     launch : {"range", "persistent"}
@@ -77,11 +79,25 @@ class Branching(BatchQueries):
         self._resident = place(structure, gpu, kernel)
         self._identity = SceneFrame.identity(structure.triangles)
         self._lanes = Lanes(gpu)
+        usual_limits(gpu)  # now, for no query should wait for them
 
     @property
     def frame(self) -> SceneFrame:
         """The frame of the structure's triangles."""
         return self.structure.frame
+
+    def on_device(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> DeviceQueries:
+        """Answer for rays that are in the device's memory; see `place_device_rays`."""
+        structure = self.structure
+        scene = DeviceScene(
+            self.gpu,
+            self._kernels,
+            self._resident,
+            self.frame,
+            structure.triangles,
+            structure.lists_twice,
+        )
+        return DeviceQueries(scene, origins, directions, t_min, t_max)
 
     # ---- Whole batches, in world space.
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
+from raystream.cuda.packing import DIRECTIONS, PACK
+from raystream.cuda.scan import NOTE, SPREAD, SUM_CHUNKS
 from raystream.cuda.structures import STRUCTURES, kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import RangeKernel
@@ -15,9 +17,17 @@ from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
 from raystream.structures import build_structure
 
-__all__ = ["catalogue_of", "whole_catalogue"]
+__all__ = ["ARRAY_KERNELS", "catalogue_of", "whole_catalogue"]
 
 _AT = np.uint64(0)
+
+#: Kernels for rays in arrays on the device, of whatever structure; by name.
+ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
+    "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
+    "sum_chunks": (SUM_CHUNKS, (_AT, _AT, _AT)),
+    "spread": (SPREAD, (_AT, _AT, _AT, _AT)),
+    "note": (NOTE, (_AT, np.int64(0), _AT)),
+}
 
 
 def catalogue_of(
@@ -79,11 +89,14 @@ def whole_catalogue(
     dict
         By structure, or whatever they serve, and kernel.
     """
-    ways = [(name, name, {}) for name in STRUCTURES if name != "bvh"]
-    ways += [(f"bvh, {kernel}", "bvh", {"kernel": kernel}) for kernel in KERNELS]
-    ways += [("bvh, persistent", "bvh", {"launch": "persistent"})]
-    return {
-        (way, query): listed
+    ways: list[tuple[str, str, dict[str, Any]]] = [
+        *((name, name, {}) for name in STRUCTURES if name != "bvh"),
+        *((f"bvh, {one}", "bvh", {"kernel": one}) for one in KERNELS if one != "auto"),
+        ("bvh, persistent", "bvh", {"launch": "persistent"}),
+    ]
+    listed = {
+        (way, query): one
         for way, name, options in ways
-        for query, listed in catalogue_of(name, scene, **options).items()
+        for query, one in catalogue_of(name, scene, **options).items()
     }
+    return listed | {("arrays", name): one for name, one in ARRAY_KERNELS.items()}

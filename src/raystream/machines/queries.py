@@ -13,6 +13,7 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import UNLIMITED
+from raystream.machines.on_device import OnDevice, on_device
 from raystream.machines.programs import Traces, is_surfaces
 from raystream.programs.filters import Bound, count_filtered, filter_first, multi_filtered
 
@@ -56,7 +57,8 @@ class Queries(Traces):
         -------
         Hits
             ``t``, ``u``, ``v`` of shape S, float32, and ``prim_id`` of shape S, int32. A
-            miss has ``t = inf`` and ``prim_id = -1``.
+            miss has ``t = inf`` and ``prim_id = -1``. Of rays in arrays on a GPU:
+            `raystream.cuda.device_hits.DeviceHits`, there.
 
         Raises
         ------
@@ -69,6 +71,9 @@ class Queries(Traces):
         -----
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
+        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        if there is not None:
+            return there.first_hit(progress)
         batch = RayBatch(origins, directions, t_min, t_max)
         status = np.zeros(len(batch), np.uint8)
         shape = batch.shape
@@ -107,13 +112,17 @@ class Queries(Traces):
         Returns
         -------
         ndarray of shape S, bool
-            Exactly where `first_hit` would report a hit.
+            Exactly where `first_hit` would report a hit. Of rays in arrays on a GPU: an array
+            there, a `raystream.jit.cuda.DeviceArray`.
 
         Raises
         ------
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
+        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        if there is not None:
+            return there.any_hit(progress)
         batch = RayBatch(origins, directions, t_min, t_max)
         status = np.zeros(len(batch), np.uint8)
         chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
@@ -151,14 +160,18 @@ class Queries(Traces):
         Returns
         -------
         ndarray of shape S, int64
+            Of rays in arrays on a GPU: an array there, a `raystream.jit.cuda.DeviceArray`.
 
         Raises
         ------
         ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown.
         """
-        batch = RayBatch(origins, directions, t_min, t_max)
         surfaces = is_surfaces(crossings)
+        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        if there is not None:
+            return there.count_hits(surfaces, progress)
+        batch = RayBatch(origins, directions, t_min, t_max)
         chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
         if chosen is not None:
             ask = self._ask_hits(surfaces)
@@ -198,7 +211,8 @@ class Queries(Traces):
         -------
         MultiHits
             ``ray_splits`` of shape (N + 1,), int64, delimits each ray's rows of ``t``,
-            ``u``, ``v`` (float32) and ``prim_id`` (int32).
+            ``u``, ``v`` (float32) and ``prim_id`` (int32). Of rays in arrays on a GPU:
+            `raystream.cuda.device_hits.DeviceMultiHits`, there.
 
         Raises
         ------
@@ -214,11 +228,14 @@ class Queries(Traces):
         t, before it is rounded to float32: the lower prim_id comes first. No hit is found
         twice and none is lost between two others, however close.
         """
-        batch = RayBatch(origins, directions, t_min, t_max)
         surfaces = is_surfaces(crossings)
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
+        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        if there is not None:
+            return there.multi_hit(surfaces, limit, progress)
+        batch = RayBatch(origins, directions, t_min, t_max)
         status = np.zeros(len(batch), np.uint8)
         chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
         if chosen is None or limit == 0:
@@ -227,3 +244,9 @@ class Queries(Traces):
             ask = self._ask_hits(surfaces)
             splits, hits = multi_filtered(chosen, ask, batch, limit, status, progress)
         return MultiHits(splits, *hits, status.reshape(batch.shape), self.structure.triangles)
+
+    def _on_device(self, on_hit: object, skip_prim_ids: object, *rays: Any) -> OnDevice | None:
+        """Who answers for rays on a GPU, if they are not filtered; else None."""
+        if on_hit is not None or skip_prim_ids is not None:
+            return None
+        return on_device(self._machine, *rays)

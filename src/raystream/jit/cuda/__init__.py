@@ -11,6 +11,8 @@ from raystream.jit.cuda.listing import GpuFacts, driver_version, gpu_facts
 from raystream.jit.cuda.persistent import PersistentKernel
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import CudaStream
+from raystream.jit.cuda.views import DeviceView, stream_of, view_of
+from raystream.jit.cuda.work import Work
 
 __all__ = [
     "CAPABILITIES",
@@ -18,14 +20,18 @@ __all__ = [
     "CudaError",
     "CudaStream",
     "DeviceArray",
+    "DeviceView",
     "Gpu",
     "GpuFacts",
     "PersistentKernel",
     "RangeKernel",
+    "Work",
     "compile_function",
     "driver_version",
     "gpu_count",
     "gpu_facts",
     "is_simulated",
     "open_gpu",
+    "stream_of",
+    "view_of",
 ]

@@ -1,0 +1,98 @@
+"""DeviceHits and DeviceMultiHits: what the queries return for rays that are on the device."""
+
+from __future__ import annotations
+
+from raystream.core.hits import Hits, MultiHits
+from raystream.core.triangles import Triangles
+from raystream.jit.cuda import DeviceArray
+
+__all__ = ["DeviceHits", "DeviceMultiHits"]
+
+
+class DeviceHits:
+    """The nearest hit of each ray, in the rays' leading shape S, on the rays' device.
+
+    The arrays belong to this object; libraries that view them keep them. They may be filled
+    later than the query returned: they order that by the streams that they are handed on with,
+    and whoever reads addresses follows the stream of ``__cuda_array_interface__``.
+
+    Attributes
+    ----------
+    t, u, v : DeviceArray of shape S, float32
+        Distance in direction lengths (a miss has inf), and the weights of vertices 1 and 2
+        (a miss has 0).
+    prim_id : DeviceArray of shape S, int32
+        Triangle, counted over the whole scene; a miss has -1.
+    status : DeviceArray of shape S, uint8
+        A `RayStatus` for each ray.
+    """
+
+    def __init__(
+        self,
+        t: DeviceArray,
+        u: DeviceArray,
+        v: DeviceArray,
+        prim_id: DeviceArray,
+        status: DeviceArray,
+        triangles: Triangles,
+    ) -> None:
+        self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
+        self._triangles = triangles
+
+    def host(self) -> Hits:
+        """The same as NumPy arrays; this waits for the device.
+
+        Raises
+        ------
+        CudaError
+            If the query failed there.
+        """
+        t, u, v = self.t.host(), self.u.host(), self.v.host()
+        return Hits(t, u, v, self.prim_id.host(), self.status.host(), self._triangles)
+
+    def __repr__(self) -> str:
+        return f"DeviceHits(shape={self.t.shape})"
+
+
+class DeviceMultiHits:
+    """Many hits of each ray, by increasing distance, on the rays' device.
+
+    See `DeviceHits` for whose the arrays are.
+
+    Attributes
+    ----------
+    ray_splits : DeviceArray of shape (N + 1,), int64
+        Ray i owns the rows ray_splits[i] to ray_splits[i + 1] of the other arrays.
+    t, u, v : DeviceArray of shape (K,), float32
+    prim_id : DeviceArray of shape (K,), int32
+    status : DeviceArray of shape S, uint8
+        See `MultiHits`.
+    """
+
+    def __init__(
+        self,
+        ray_splits: DeviceArray,
+        t: DeviceArray,
+        u: DeviceArray,
+        v: DeviceArray,
+        prim_id: DeviceArray,
+        status: DeviceArray,
+        triangles: Triangles,
+    ) -> None:
+        self.ray_splits = ray_splits
+        self.t, self.u, self.v, self.prim_id, self.status = t, u, v, prim_id, status
+        self._triangles = triangles
+
+    def host(self) -> MultiHits:
+        """The same as NumPy arrays; this waits for the device.
+
+        Raises
+        ------
+        CudaError
+            If the query failed there.
+        """
+        hits = self.t.host(), self.u.host(), self.v.host(), self.prim_id.host()
+        return MultiHits(self.ray_splits.host(), *hits, self.status.host(), self._triangles)
+
+    def __repr__(self) -> str:
+        return f"DeviceMultiHits({len(self.t):,} hits of {len(self.ray_splits) - 1:,} rays)"

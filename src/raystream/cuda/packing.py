@@ -1,0 +1,89 @@
+"""Packing rays on the device, where one step does not lead from each to the next."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import DeviceView, RangeKernel, Work
+from raystream.jit.simd import load, store
+
+__all__ = ["PACK", "pack"]
+
+#: Directions that an array may be left with.
+DIRECTIONS = 4
+
+_ZERO, _ONE, _WIDE = np.uint64(0), np.uint64(1), np.uint64(8)
+
+
+@kernel
+def _pack(i, at, lengths, strides, width, last, given_bytes, kept_bytes, to):
+    rest = i
+    for k in range(DIRECTIONS):  # from the innermost
+        at += rest % lengths[k] * strides[k]
+        rest = rest // lengths[k]
+    to += i * width * kept_bytes
+    for _ in range(width):
+        if kept_bytes == _WIDE:
+            store(to, load(np.float64, at))
+        elif given_bytes == _WIDE:
+            store(to, np.float32(load(np.float64, at)))
+        else:
+            store(to, load(np.float32, at))
+        at += last
+        to += kept_bytes
+
+
+#: Copies one row of `pack`.
+PACK = RangeKernel(_pack)
+
+
+def pack(
+    work: Work, name: str, view: DeviceView, runs: list[tuple[int, int]], last: int, count: int
+) -> tuple[np.uint64, np.uint64]:
+    """Copy an array to memory without gaps; one number a ray becomes float32.
+
+    Parameters
+    ----------
+    work : Work
+    name : str
+        The argument, for errors.
+    view : DeviceView
+        Of vectors, shape S + (3,), or limits, S + (1,).
+    runs : list of (int, int)
+        Lengths and strides of S, broadcast, outermost first; none if all rays share a value.
+    last : int
+        Stride of the last direction.
+    count : int
+        Rays.
+
+    Returns
+    -------
+    address, step : uint64
+
+    Raises
+    ------
+    ValueError
+        If it lies in more directions than are of any use.
+    CudaError
+        If there is no memory.
+    """
+    if len(runs) > DIRECTIONS:
+        raise ValueError(f"{name}: the array's strides are too many; make it contiguous")
+    width = view.shape[-1]
+    row_count = count if runs else 1
+    dtype = view.dtype if width == 3 else np.dtype(np.float32)
+    made = work.empty(name, (row_count, width), dtype)
+    full = [*runs[::-1], *[(1, 0)] * (DIRECTIONS - len(runs))]
+    arguments = (
+        np.uint64(view.address),
+        tuple(np.uint64(length) for length, _ in full),
+        tuple(np.uint64(stride % 2**64) for _, stride in full),
+        np.uint64(width),
+        np.uint64(last % 2**64),
+        np.uint64(view.dtype.itemsize),
+        np.uint64(dtype.itemsize),
+        made.address,
+    )
+    work.launch(PACK, row_count if count else 0, arguments)
+    return made.address, np.uint64(width * dtype.itemsize if runs else 0)

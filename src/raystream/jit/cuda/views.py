@@ -1,0 +1,165 @@
+"""Views of arrays that other libraries have on a GPU: where their numbers are, without a copy.
+
+By ``__cuda_array_interface__``, of which version 3 names the stream that the array is made in, or
+by DLPack, where we name ours and the exporter lets it wait.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.core.arrays import is_on_gpu
+from raystream.jit.cuda.gpu import CudaError, Gpu
+from raystream.jit.cuda.streams import LEGACY, CudaStream
+from raystream.jit.cuda.work import Work
+
+__all__ = ["DeviceView", "stream_of", "view_of"]
+
+#: DLPack's name of memory that all devices and the host share.
+_MANAGED = 13
+
+
+class DeviceView(NamedTuple):
+    """Where an array's numbers are.
+
+    Attributes
+    ----------
+    address : int
+        Of the first one.
+    shape : tuple of int
+    strides : tuple of int
+        Bytes from one to the next, in each direction.
+    dtype : dtype
+    """
+
+    address: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+def stream_of(gpu: Gpu, arrays: Mapping[str, Any]) -> CudaStream:
+    """The stream to work in: that of the first array which names one, else the default one.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    arrays : mapping
+        By name; those on the host have none.
+    """
+    for values in arrays.values():
+        if is_on_gpu(values):
+            handle = _handle(_interface(values))
+            if handle is not None:
+                return CudaStream(gpu, handle)
+    return CudaStream(gpu, LEGACY)
+
+
+def view_of(work: Work, name: str, values: Any) -> DeviceView:
+    """View an array on the device that work is done on, in the order of its stream.
+
+    Parameters
+    ----------
+    work : Work
+        It waits for the array, and keeps it if nothing else does until it was read.
+    name : str
+        The argument, for errors.
+    values : object
+        With ``__cuda_array_interface__`` or DLPack.
+
+    Raises
+    ------
+    TypeError
+        If it cannot be viewed.
+    CudaError
+        If it is on another device.
+    """
+    interface = _interface(values)
+    if interface is not None and (
+        _handle(interface) is not None or not hasattr(values, "__dlpack__")
+    ):
+        return _by_interface(work, name, interface)
+    return _by_dlpack(work, name, values)
+
+
+def _interface(values: Any) -> Mapping[str, Any] | None:
+    try:
+        interface: Mapping[str, Any] | None = getattr(values, "__cuda_array_interface__", None)
+    except Exception:  # such as of a PyTorch tensor that requires grad: DLPack says more
+        return None
+    return interface
+
+
+def _handle(interface: Mapping[str, Any] | None) -> int | None:
+    """The stream that an array names, if any; 0, which should not be, is the default one."""
+    handle = None if interface is None else interface.get("stream")
+    return None if handle is None else int(handle) or LEGACY
+
+
+def _by_interface(work: Work, name: str, interface: Mapping[str, Any]) -> DeviceView:
+    try:
+        if interface.get("mask") is not None:
+            raise ValueError("it has a mask")
+        address = int(interface["data"][0] or 0)
+        shape = tuple(map(int, interface["shape"]))
+        dtype = np.dtype(interface["typestr"])
+        given = interface.get("strides")
+        strides = _packed(shape, dtype) if given is None else tuple(map(int, given))
+        if len(strides) != len(shape):
+            raise ValueError(f"it has {len(shape)} dimensions and {len(strides)} strides")
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise _unreadable(name, error) from error
+    _check_device(work.gpu, name, work.gpu.number_of(address))
+    handle = _handle(interface)
+    if handle is not None and handle != work.stream.handle:
+        work.borrow(CudaStream(work.gpu, handle))
+    return DeviceView(address, shape, strides, dtype)
+
+
+def _by_dlpack(work: Work, name: str, values: Any) -> DeviceView:
+    from cuda.core.utils import StridedMemoryView
+
+    gpu = work.gpu
+    try:
+        kind, number = map(int, values.__dlpack_device__())
+    except Exception as error:  # whatever the exporter raises
+        raise _unreadable(name, error) from error
+    if kind != _MANAGED:
+        _check_device(gpu, name, number)
+    try:
+        with gpu.current():
+            view = StridedMemoryView.from_dlpack(values, stream_ptr=work.stream.handle)
+        dtype = np.dtype(view.dtype)
+        shape = tuple(map(int, view.shape))
+        strides = view.strides
+    except Exception as error:  # whatever the exporter raises
+        raise _unreadable(name, error) from error
+    work.keep(view)
+    steps = _packed(shape, dtype)
+    if strides is not None:
+        steps = tuple(int(stride) * dtype.itemsize for stride in strides)
+    return DeviceView(int(view.ptr), shape, steps, dtype)
+
+
+def _packed(shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, ...]:
+    """Strides of an array without gaps."""
+    strides = [dtype.itemsize]
+    for length in shape[:0:-1]:
+        strides.append(strides[-1] * length)
+    return tuple(strides[::-1]) if shape else ()
+
+
+def _check_device(gpu: Gpu, name: str, number: int) -> None:
+    if number != gpu.number:
+        raise CudaError(
+            f"{name}: the array is on GPU {number}, and this tracer on GPU {gpu.number}; "
+            f"copy it there, or make a tracer with gpu={number}"
+        )
+
+
+def _unreadable(name: str, error: Exception) -> TypeError:
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return TypeError(f"{name}: cannot be read as an array on a GPU ({reason})")
