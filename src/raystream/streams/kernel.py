@@ -16,7 +16,7 @@ from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
 from raystream.streams.condition import Condition, as_condition
 from raystream.streams.constants import changed_constant
 from raystream.streams.counters import Counters, Pass
-from raystream.streams.declarations import INDEX, declare
+from raystream.streams.declarations import INDEX, Declarations, declare
 from raystream.streams.source import compile_kernel
 from raystream.streams.stream import Stream
 
@@ -113,6 +113,11 @@ class Kernel:
         """The constants as they are now."""
         return MappingProxyType(self._declared.constants)
 
+    @property
+    def declared(self) -> Declarations:
+        """What it reads and writes."""
+        return self._declared
+
     def set_constants(self, **values: Any) -> None:
         """Change constants; nothing is compiled again.
 
@@ -194,7 +199,7 @@ class Kernel:
             first = np.zeros(1 + len(self._declared.gathers), np.int64)
             first[0] = run_count
             run_count, *gathered = sum(counted, first).tolist()
-            counters.passes.append(self._pass(condition, total, run_count, gathered))
+            counters.passes.append(self.pass_of(condition, total, run_count, gathered))
         return total
 
     def loop(
@@ -276,10 +281,19 @@ class Kernel:
             arguments.append(condition.value)
         return arguments
 
-    def _pass(
-        self, condition: Condition | None, written: int, run: int, gathered: list[int]
+    def pass_of(
+        self, condition: Condition | None, written: int, run: int, gathered: Sequence[int]
     ) -> Pass:
-        """The record of a pass: words follow from the counts."""
+        """The record of a pass: words follow from the counts.
+
+        Parameters
+        ----------
+        condition : Condition or None
+        written, run : int
+            Records written, and those that the function ran on.
+        gathered : sequence of int
+            Records read of each gather array.
+        """
         read: dict[str, int] = {}
         wrote: dict[str, int] = {}
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from raystream.core.errors import RaystreamError
 from raystream.jit.cuda.compiler import CAPABILITIES, Capability, Compiled
 from raystream.jit.cuda.in_flight import InFlight
+from raystream.jit.cuda.linking import SET_CONDITION, link
 from raystream.jit.cuda.memory import DeviceArray, host_memory
 from raystream.jit.cuda.reasons import code_of, reason_of
 from raystream.jit.cuda.simulation import is_simulated
@@ -257,6 +258,8 @@ class Gpu:
 
         with self.doing(f"loading {compiled.entry}"):
             code = ObjectCode.from_ptx(compiled.ptx.encode(), name=compiled.entry)
+            if SET_CONDITION in compiled.ptx:
+                code = link(code, self.capability)
             return code.get_kernel(compiled.entry)
 
     def launch(
@@ -301,6 +304,17 @@ class Gpu:
         with self.doing("asking how many threads it runs"):
             each = kernel.occupancy.max_active_blocks_per_multiprocessor(block_size, 0)
             return max(1, int(each) * int(self._device.properties.multiprocessor_count))
+
+    def launch_graph(self, graph: Any) -> None:
+        """Begin to run a graph, a `cuda.core.graph.Graph`.
+
+        Raises
+        ------
+        CudaError
+            If it cannot be launched.
+        """
+        with self.doing("launching a graph"):
+            graph.launch(self._legacy.native)
 
     def wait(self, stream: Any = None) -> None:
         """Wait until all that was begun is done.

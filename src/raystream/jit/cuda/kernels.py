@@ -93,17 +93,47 @@ class RangeKernel:
         CudaError
             If it does not compile, or cannot be launched.
         """
+        self.prepared(gpu, count, arguments, stream)()
+
+    def prepared(
+        self, gpu: Gpu, count: int, arguments: tuple[Any, ...], stream: Any = None
+    ) -> Callable[[], None]:
+        """What `launch` does, to be done often: the function that does it.
+
+        Raises
+        ------
+        CudaError
+            If it does not compile.
+        """
         if count == 0:
-            return
-        block_count = -(-count // _BLOCK_SIZE)
+            return lambda: None
         if is_simulated():
-            with _simulator:
-                cuda.jit(self._run)[block_count, _BLOCK_SIZE](np.uint64(count), arguments)
-            return
+            # A thread that has nothing to do takes as long as another.
+            block_size = min(count, _BLOCK_SIZE)
+            run = cuda.jit(self._run)[-(-count // block_size), block_size]
+
+            def simulate() -> None:
+                with _simulator:
+                    run(np.uint64(count), arguments)
+
+            return simulate
+        loaded, block_count, block_size, values = self.loaded(gpu, count, arguments)
+        return lambda: gpu.launch(loaded, block_count, block_size, values, stream)
+
+    def loaded(
+        self, gpu: Gpu, count: int, arguments: tuple[Any, ...]
+    ) -> tuple[Any, int, int, list[Any]]:
+        """What a device is to launch: kernel, blocks, threads of a block, and numbers.
+
+        Raises
+        ------
+        CudaError
+            If it does not compile.
+        """
         key = gpu.number, type_of(arguments)
         if key not in self._loaded:
             with gpu.doing(f"compiling {self.name}"):
                 compiled = self.compiled(arguments, gpu.capability)
             self._loaded[key] = gpu.load(compiled)
         values = [np.uint64(count), *flat(arguments)]
-        gpu.launch(self._loaded[key], block_count, _BLOCK_SIZE, values, stream)
+        return self._loaded[key], -(-count // _BLOCK_SIZE), _BLOCK_SIZE, values
