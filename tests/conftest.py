@@ -214,6 +214,15 @@ CUDA_TRACERS = {
         **CUDA,
     },
     "graph": {"structure": "graph", **CUDA},
+    "bvh, high, multipass": {
+        "structure": "bvh",
+        "quality": "high",
+        **CUDA,
+        **MULTIPASS,
+        "traversal_steps": 8,
+        "intersections": 8,
+        "compaction": True,
+    },
 }
 
 

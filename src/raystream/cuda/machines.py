@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from raystream.core.errors import RaystreamError
 from raystream.cuda.bvh.kernels import kernel_of
+from raystream.machines import MULTIPASS_OPTIONS
 from raystream.machines.counting import Counting
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
@@ -20,9 +21,14 @@ if TYPE_CHECKING:
 
 __all__ = ["CUDA_MACHINES", "OPTIONS", "list_gpus"]
 
+_SHARED = ("gpu", "rays_at_once")
+
 #: Options of each machine.
 OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"branching": ("gpu", "rays_at_once", "kernel", "launch")}
+    {
+        "branching": (*_SHARED, "kernel", "launch"),
+        "multipass": (*_SHARED, *MULTIPASS_OPTIONS, "loop", "max_passes"),
+    }
 )
 
 
@@ -72,6 +78,12 @@ class _CudaMachines:
             known = ", ".join(map(repr, OPTIONS))
             raise ValueError(f"machine: expected one of {known} on device 'cuda', got {machine!r}")
         own = {name: value for name, value in options.items() if name in OPTIONS[machine]}
+        for name in options:
+            homes = [one for one, names in OPTIONS.items() if name in names]
+            if homes and machine not in homes:
+                raise TypeError(
+                    f"{machine}: has no option {name!r}; it is one of machine={homes[0]!r}"
+                )
         kernel_of("bvh", own.get("kernel", "auto"))  # whether there is one of that name
         _open(own.get("gpu", 0))
         return own
@@ -80,11 +92,17 @@ class _CudaMachines:
         self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
     ) -> BatchQueries | Counting:
         """Make a machine for a structure that was built on the CPU."""
-        from raystream.cuda.branching import Branching
-
         rest = dict(options)
-        del machine  # there is one
-        made = Branching(structure, _open(rest.pop("gpu", 0)), **rest)
+        gpu = _open(rest.pop("gpu", 0))
+        made: BatchQueries
+        if machine == "multipass":
+            from raystream.cuda.multipass import Multipass
+
+            made = Multipass(structure, gpu, **rest)
+        else:
+            from raystream.cuda.branching import Branching
+
+            made = Branching(structure, gpu, **rest)
         return Counting(made) if counters else made
 
 

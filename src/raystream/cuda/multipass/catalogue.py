@@ -1,0 +1,63 @@
+"""All kernels of the machine with arguments of the right types: to be compiled without a device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raystream.cuda.multipass.control import rules_of
+from raystream.cuda.multipass.kernels import rays
+from raystream.cuda.multipass.kernels.choose import DECIDE, DECIDE_IN_LOOP
+from raystream.cuda.multipass.passes import pass_of
+from raystream.jit.cuda import RangeKernel
+from raystream.kernels.collect import HitAddresses
+from raystream.kernels.ray_source import RaySource
+from raystream.machines.records import Query
+from raystream.machines.schedulers import USUAL_THRESHOLD
+from raystream.machines.steps import steps_of
+from raystream.scene.scene import Scene
+from raystream.structures import build_structure
+
+__all__ = ["multipass_catalogue_of"]
+
+_AT = np.uint64(0)
+
+
+def multipass_catalogue_of(
+    name: str, scene: Scene, **options: Any
+) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
+    """The kernels for a structure, and arguments that are good for their types alone.
+
+    Parameters
+    ----------
+    name : str
+        The structure's.
+    scene : Scene
+        Any: the structure is built of it.
+    **options
+        Of the structure.
+
+    Returns
+    -------
+    dict
+        By name. All but ``"pass"`` are the same for every structure.
+    """
+    structure = build_structure(name, scene.triangles, **options)
+    steps = steps_of(structure)
+    source = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
+    hits = HitAddresses(_AT, _AT, _AT, _AT)
+    wanted = rays.Wanted(_AT, _AT)
+    query = Query(np.float32(1.0), True, True, True, hits, *(_AT,) * 6)
+    rules = rules_of(steps.kernels, "threshold", USUAL_THRESHOLD, compacts=False)
+    return {
+        "pass": (pass_of(steps), (*(_AT,) * 8, steps.tree, query)),
+        "decide": (DECIDE, (_AT, rules)),
+        "decide in loop": (DECIDE_IN_LOOP, (_AT, rules, _AT)),
+        "begin": (rays.BEGIN, (source, structure.frame, *(_AT,) * 7, wanted, _AT)),
+        "finish": (rays.FINISH, (_AT, _AT, _AT, hits)),
+        "finish many": (rays.FINISH_MANY, (*(_AT,) * 5, wanted, hits)),
+        "count kept": (rays.COUNT_KEPT, (_AT,) * 4),
+        "scan": (rays.SCAN, (_AT,) * 2),
+        "keep": (rays.KEEP, (_AT,) * 5),
+    }

@@ -1,0 +1,1 @@
+"""What the multipass machine runs on the device, compiled from Python."""

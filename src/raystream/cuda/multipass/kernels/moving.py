@@ -1,0 +1,44 @@
+"""What a thread does of a pass besides its ray's step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.cuda.multipass.control import CHOSEN, COUNTS, STATES
+from raystream.jit.cpu import device
+from raystream.jit.cuda import add_together
+from raystream.jit.simd import load
+
+__all__ = ["chosen_kernel", "is_waiting", "move", "row_of"]
+
+_ZERO = np.uint64(0)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_MORE, _LESS = np.uint32(1), np.uint32(2**32 - 1)
+
+
+@device
+def row_of(rows, i):
+    """Number of the ray that thread i takes."""
+    if rows == _ZERO:
+        return i
+    return np.uint64(load(np.uint32, rows + (i << _WORD)))
+
+
+@device
+def chosen_kernel(control):
+    """Number of the kernel that runs."""
+    return load(np.uint32, control + CHOSEN)
+
+
+@device
+def is_waiting(control, chosen, now):
+    """Whether a ray in this state waits for the kernel."""
+    return load(np.uint32, control + STATES + (np.uint64(chosen) << _WORD)) == np.uint32(now)
+
+
+@device
+def move(control, now, then):
+    """Count a ray that goes from one state to another."""
+    if then != now:
+        add_together(control + COUNTS + (np.uint64(now) << _WORD), _LESS)
+        add_together(control + COUNTS + (np.uint64(then) << _WORD), _MORE)

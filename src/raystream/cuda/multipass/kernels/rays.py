@@ -1,0 +1,164 @@
+"""Before the first pass and after the last: rays into streams, hits out of them; and compaction."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.core.rays import RayStatus
+from raystream.cuda.multipass.kernels.moving import row_of
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.simd import load, store
+from raystream.kernels.local_ray import world_t
+from raystream.kernels.ray_source import load_ray
+from raystream.machines.records import RayState
+
+__all__ = ["BEGIN", "CHUNK", "COUNT_KEPT", "FINISH", "FINISH_MANY", "KEEP", "SCAN", "Wanted"]
+
+_ZERO = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)  # one of eight
+_INF = np.float32(np.inf)
+_NOUGHT = np.float32(0.0)
+_MISS = np.int32(-1)
+_VALID = np.uint8(RayStatus.VALID)
+_STARTING = np.uint8(RayState.STARTING)
+_OVERFLOWN = np.uint8(RayState.OVERFLOWN)
+_DONE = np.uint8(RayState.DONE)
+
+#: Records that a thread takes when rays are dropped.
+CHUNK = np.uint64(256)
+
+
+class Wanted(NamedTuple):
+    """How many hits rays want.
+
+    Attributes
+    ----------
+    splits : uint64
+        Address of int64 numbers: ray i wants rows splits[i] to splits[i + 1]; 0 if all want the
+        same.
+    limit : uint64
+        As many each, and ray i's first row is i.
+    """
+
+    splits: np.uint64
+    limit: np.uint64
+
+
+@device
+def _rows_of(wanted, i):
+    """The first of the rows that ray i wants, and how many."""
+    if wanted.splits == _ZERO:
+        return i, wanted.limit
+    first = np.uint64(load(np.int64, wanted.splits + (i << _LONG)))
+    return first, np.uint64(load(np.int64, wanted.splits + ((i + _ONE) << _LONG))) - first
+
+
+@kernel
+def _begin(i, source, frame, rows, capacity, ray, wanted, found, state, world, wish, status):
+    """Turn a ray of the caller's into records of `machines.records`, see `cuda.columns`."""
+    row = row_of(rows, i)
+    given = load_ray(source, row, frame)
+    if given.status != _VALID:
+        store(status + row, given.status)
+    word = capacity << _WORD
+    at = ray + (row << _WORD)
+    store(at, given.ox)
+    store(at + word, given.oy)
+    store(at + word * np.uint64(2), given.oz)
+    store(at + word * np.uint64(3), given.dx)
+    store(at + word * np.uint64(4), given.dy)
+    store(at + word * np.uint64(5), given.dz)
+    store(at + word * np.uint64(6), given.t_min)
+    store(at + word * np.uint64(7), given.t_max)
+    first, count = _rows_of(wish, row)
+    at = wanted + (row << _LONG)
+    store(at, first)
+    store(at + (capacity << _LONG), count)
+    store(wanted + (capacity << np.uint64(4)) + (row << _WORD), np.uint32(row))
+    store(found + (row << _WORD), np.uint32(0))
+    store(found + word + (row << _WORD), _NOUGHT)
+    store(state + row, _STARTING)
+    # A hit's t is the local ray's: these turn it into the caller's.
+    store(world + (row << _LONG), given.factor)
+    store(world + (capacity << _LONG) + (row << _LONG), given.offset)
+
+
+@device
+def _to_world(at, world, capacity, row):
+    """Turn the t at an address into one of the caller's ray."""
+    factor = load(np.float64, world + (row << _LONG))
+    offset = load(np.float64, world + (capacity << _LONG) + (row << _LONG))
+    store(at, world_t(load(np.float32, at), factor, offset))
+
+
+@kernel
+def _finish(i, capacity, found, world, hits):
+    """Write a miss, or turn the hit's t into the caller's."""
+    at = i << _WORD
+    if load(np.uint32, found + at) == np.uint32(0):
+        store(hits.t + at, _INF)
+        store(hits.u + at, _NOUGHT)
+        store(hits.v + at, _NOUGHT)
+        store(hits.prim_id + at, _MISS)
+    else:
+        _to_world(hits.t + at, world, capacity, i)
+
+
+@kernel
+def _finish_many(i, rows, capacity, found, state, world, wish, hits):
+    """Turn a ray's distances into the caller's."""
+    row = row_of(rows, i)
+    if load(np.uint8, state + row) == _OVERFLOWN:
+        return  # it is traced again
+    first, most = _rows_of(wish, row)
+    count = min(np.uint64(load(np.uint32, found + (row << _WORD))), most)
+    for k in range(first, first + count):
+        _to_world(hits.t + (k << _WORD), world, capacity, row)
+
+
+@device
+def _is_kept(rows, state, k):
+    return load(np.uint8, state + row_of(rows, k)) != _DONE
+
+
+@kernel
+def _count_kept(i, rows, length, state, sums):
+    """Count the rays that have not ended, of a chunk of them."""
+    count = np.uint32(0)
+    for k in range(i * CHUNK, min((i + _ONE) * CHUNK, length)):
+        if _is_kept(rows, state, k):
+            count = np.uint32(count + np.uint32(1))
+    store(sums + (i << _WORD), count)
+
+
+@kernel
+def _scan(i, count, sums):  # noqa: ARG001 (there is one)
+    """Turn counts into sums of those before, on one thread."""
+    total = np.uint32(0)
+    for k in range(count):
+        at = sums + (k << _WORD)
+        own = load(np.uint32, at)
+        store(at, total)
+        total = np.uint32(total + own)
+
+
+@kernel
+def _keep(i, rows, length, state, sums, kept):
+    """List the rays that have not ended, in their order."""
+    to = np.uint64(load(np.uint32, sums + (i << _WORD)))
+    for k in range(i * CHUNK, min((i + _ONE) * CHUNK, length)):
+        if _is_kept(rows, state, k):
+            store(kept + (to << _WORD), np.uint32(row_of(rows, k)))
+            to += _ONE
+
+
+#: Over rays: records, and what becomes of hits.
+BEGIN, FINISH, FINISH_MANY = RangeKernel(_begin), RangeKernel(_finish), RangeKernel(_finish_many)
+
+#: Over chunks of rays, one after the other; `SCAN` over one number.
+COUNT_KEPT, SCAN, KEEP = RangeKernel(_count_kept), RangeKernel(_scan), RangeKernel(_keep)

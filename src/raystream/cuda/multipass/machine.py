@@ -1,0 +1,351 @@
+"""The multipass machine on CUDA: in each pass one kernel, chosen by the device."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import operator
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.rays import RayBatch
+from raystream.cuda.branching import Branching
+from raystream.cuda.multipass.control import (
+    Ran,
+    read_active,
+    read_ended,
+    read_passes,
+    rules_of,
+)
+from raystream.cuda.multipass.kernels.rays import FINISH, FINISH_MANY, Wanted
+from raystream.cuda.multipass.loops import LOOPS
+from raystream.cuda.multipass.part import PassPart
+from raystream.cuda.multipass.passes import columns_of
+from raystream.cuda.multipass.ray_streams import RayStreams, Wish, ray_bytes
+from raystream.cuda.multipass.tree import ResidentSteps
+from raystream.cuda.parts import Asked, parts_of
+from raystream.jit.cuda import CudaError, DeviceArray, Gpu
+from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.machines.passes import Passes
+from raystream.machines.records import RayState
+from raystream.machines.schedulers import (
+    SCHEDULERS,
+    USUAL_THRESHOLD,
+    Scheduler,
+    make_scheduler,
+)
+from raystream.machines.steps import steps_of
+from raystream.machines.steps.base import StepKernel, Steps
+from raystream.streams import Pass
+from raystream.structures import Structure
+
+__all__ = ["MAX_PASSES", "Multipass"]
+
+#: Most passes of some rays.
+MAX_PASSES = 1 << 20
+
+#: Rays that are traced together, and memory for their streams.
+_RAYS_AT_ONCE = 1 << 21
+_MOST_BYTES = 1 << 31
+
+_NOWHERE = np.uint64(0)
+_ONE_EACH = Wanted(_NOWHERE, np.uint64(1))
+
+
+class Multipass(Branching):
+    """Runs each step of a traversal over all rays that wait for it, on a GPU.
+
+    As `machines.Multipass`, with the same kernels, states, schedulers and passes. But the device
+    counts the rays that wait and chooses (`control`), and the host looks at times whether any ray
+    is left.
+
+    Parameters
+    ----------
+    structure : Structure
+        Built on the CPU; its arrays are copied to the device.
+    gpu : Gpu
+    scheduler : {"threshold", "naive", "most-work", "double"}
+        How the next kernel is chosen; see `machines.schedulers`. Objects choose on the CPU alone.
+    threshold : float
+        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
+        intersection.
+    traversal_steps, intersections : int
+        Steps and triangles (in trees: blocks of up to four) that a ray does in one pass.
+    compaction : bool
+        Shade the rays whose search has ended, and drop them from the streams, whenever they are
+        half of them. Passes count as on the CPU; threads for rays that were dropped are begun until
+        the host looks.
+    max_passes : int
+        Most passes of the rays that are traced together.
+    rays_at_once : int
+        Most rays that are traced together.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for the structure. When tracing: if rays are left after `max_passes`.
+    ValueError, TypeError
+        If an option is out of range, or the structure has no kernels.
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        gpu: Gpu,
+        *,
+        scheduler: str | Scheduler = "threshold",
+        threshold: float = USUAL_THRESHOLD,
+        traversal_steps: int = 1,
+        intersections: int = 1,
+        compaction: bool = False,
+        loop: str = "batches",
+        max_passes: int = MAX_PASSES,
+        rays_at_once: int = _RAYS_AT_ONCE,
+    ) -> None:
+        make_scheduler(scheduler, threshold)  # whatever is wrong is said here
+        if not isinstance(scheduler, str):
+            known = ", ".join(map(repr, SCHEDULERS))
+            raise TypeError(
+                f"scheduler: the device knows {known}; {scheduler!r:.60} needs device='cpu'"
+            )
+        if loop not in list(LOOPS):
+            raise ValueError(f"loop: expected one of {', '.join(map(repr, LOOPS))}, got {loop!r}")
+        steps = steps_of(structure)
+        self.loop = loop
+        self.traversal_steps = _at_least_one("traversal_steps", traversal_steps)
+        self.intersections = _at_least_one("intersections", intersections)
+        self.max_passes = _at_least_one("max_passes", max_passes)
+        self.compaction = bool(compaction)
+        self.passes: Passes | None = None
+        self._rules = rules_of(steps.kernels, scheduler, threshold, self.compaction)
+        # The steps are those of the CPU's own layout.
+        own = {"kernel": "wide"} if structure.name == "bvh" else {}
+        super().__init__(structure, gpu, rays_at_once=rays_at_once, **own)
+        self._steps = ResidentSteps(structure, gpu, self._resident)
+
+    def recording(self, passes: Passes) -> Multipass:
+        """The same machine, which adds its passes to a record."""
+        machine = copy.copy(self)
+        machine.passes = passes
+        return machine
+
+    # ---- Queries.
+
+    def _first_hit(self, asked: Asked, out: HitArrays) -> None:
+        for part in self._parts(asked, self._steps.usual):
+            memory, hits = _hits_of(self.gpu, part.count)
+            wish = Wish(False, True, True, _ONE_EACH, hits=hits)
+            streams = self._trace(self._steps.usual, part, wish, asked)
+            FINISH.launch(
+                self.gpu,
+                part.count,
+                (streams.capacity, streams.found, streams.world, hits),
+            )
+            _copy(memory, out.part(part.rows))
+            _finish(part, asked)
+
+    def _any_hit(self, asked: Asked) -> NDArray[np.bool_]:
+        seen = np.empty(len(asked.batch), np.bool_)
+        for part in self._parts(asked, self._steps.usual):
+            wish = Wish(False, False, True, _ONE_EACH)
+            seen[part.rows] = self._trace(self._steps.usual, part, wish, asked).counts() != 0
+            _finish(part, asked)
+        return seen
+
+    def _count_hits(
+        self, asked: Asked, surfaces: bool, limit: int, steps: Steps | None = None
+    ) -> NDArray[np.int64]:
+        steps = steps or self._steps.usual
+        counts = np.empty(len(asked.batch), np.int64)
+        for part in self._parts(asked, steps):
+            wish = Wish(surfaces, False, False, Wanted(_NOWHERE, np.uint64(limit)))
+            streams = self._trace(steps, part, wish, asked)
+            counts[part.rows] = streams.counts()
+            overflown = streams.overflown()
+            _finish(part, asked, overflown)
+            if len(overflown):
+                rows = part.rows.start + overflown
+                again = _some_of(asked, rows)
+                counts[rows] = self._count_hits(again, surfaces, limit, self._steps.grown(steps))
+                _add_tallies(asked, rows, again)
+        return counts
+
+    def _multi_hit(
+        self,
+        asked: Asked,
+        surfaces: bool,
+        splits: NDArray[np.int64],
+        out: HitArrays,
+        steps: Steps | None = None,
+    ) -> None:
+        steps = steps or self._steps.usual
+        for part in self._parts(asked, steps, splits):
+            wanted = splits[part.rows.start : part.rows.stop + 1]
+            capacity = np.diff(wanted)
+            rows = slice(int(wanted[0]), int(wanted[-1]))
+            own = self.gpu.upload("splits", wanted - wanted[0])
+            memory, hits = _hits_of(self.gpu, rows.stop - rows.start)
+            want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
+            wish = Wish(surfaces, True, True, Wanted(own.address, _NOWHERE), want_any, hits)
+            streams = self._trace(steps, part, wish, asked)
+            FINISH_MANY.launch(
+                self.gpu,
+                part.count,
+                (
+                    *(_NOWHERE, streams.capacity, streams.found, streams.state),
+                    *(streams.world, wish.wanted, hits),
+                ),
+            )
+            counts, overflown = streams.counts(), streams.overflown()
+            counts[capacity == 0] = 0
+            counts[overflown] = capacity[overflown]
+            if not np.array_equal(counts, capacity):
+                raise CudaError(
+                    f"device 'cuda': {self.gpu.name} found fewer hits than it had counted"
+                )
+            _copy(memory, out.part(rows))
+            _finish(part, asked, overflown)
+            if len(overflown):
+                again = part.rows.start + overflown
+                self._multi_hit_again(asked, again, surfaces, splits, out, steps)
+
+    def _multi_hit_again(
+        self,
+        asked: Asked,
+        rows: NDArray[Any],
+        surfaces: bool,
+        splits: NDArray[np.int64],
+        out: HitArrays,
+        steps: Steps,
+    ) -> None:
+        """Trace some rays with more memory, and put their hits where they belong."""
+        again, capacity = _some_of(asked, rows), np.diff(splits)[rows]
+        own = np.concatenate([[0], np.cumsum(capacity)])
+        hits = HitArrays.empty(int(own[-1]))
+        self._multi_hit(again, surfaces, own, hits, self._steps.grown(steps))
+        to = np.repeat(splits[rows] - own[:-1], capacity) + np.arange(own[-1])
+        for column, values in zip(out, hits, strict=True):
+            column[to] = values
+        _add_tallies(asked, rows, again)
+
+    # ---- What they come to.
+
+    def _parts(
+        self, asked: Asked, steps: Steps, splits: NDArray[np.int64] | None = None
+    ) -> Iterator[PassPart]:
+        """As many rays at a time as there is memory for."""
+        byte_count = min(_MOST_BYTES, self.gpu.byte_count // 4)
+        most = max(1, min(self.rays_at_once, byte_count // ray_bytes(steps)))
+        for rows in parts_of(slice(0, len(asked.batch)), most, splits):
+            yield PassPart(asked, rows, self.gpu)
+
+    def _trace(self, steps: Steps, part: PassPart, wish: Wish, asked: Asked) -> RayStreams:
+        """Trace rays for which there is memory, until none is active."""
+        streams = RayStreams(
+            self.gpu,
+            steps,
+            part,
+            wish,
+            (self.traversal_steps, self.intersections),
+            np.float32(self.structure.triangles.extreme),
+        )
+        if streams.length:
+            self._run(steps, streams, part, asked)
+            runs = streams.runs()
+            if self.passes is not None and runs is not None:
+                at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
+                self.passes.add_bound(steps.kernels, runs, at_once)
+        return streams
+
+    def _run(self, steps: Steps, streams: RayStreams, part: PassPart, asked: Asked) -> None:
+        """Pass after pass; the host looks at times how far they went."""
+        loop, known = LOOPS[self.loop](streams, self._rules), 0
+        while True:
+            words = loop.run(self.max_passes - known)
+            ran = read_passes(words, known)
+            known += len(ran)
+            self._note(steps, ran)
+            active = read_active(words)
+            if asked.progress:
+                asked.progress(part.rows.stop - active, len(asked.batch))
+            if not active:
+                return
+            if known >= self.max_passes:
+                raise CudaError(
+                    f"device 'cuda', machine 'multipass': {active:,} rays are still active after "
+                    f"{known:,} passes; max_passes is {self.max_passes:,}"
+                )
+            kept = active + read_ended(words, RayState.OVERFLOWN)
+            if self.compaction and 2 * kept <= streams.length:
+                streams.drop_ended(kept)
+                loop.renew()
+
+    def _note(self, steps: Steps, ran: Sequence[Ran]) -> None:
+        if self.passes is not None:
+            words = _words_of(steps)
+            for one in ran:
+                kernel = steps.kernels[one.kernel]
+                self.passes.counters.passes.append(_pass(kernel, one, words))
+
+
+def _words_of(steps: Steps) -> dict[str, int]:
+    """Words of each stream's records."""
+    return {name: columns.layout.word_count for name, columns in columns_of(steps).items()}
+
+
+def _pass(kernel: StepKernel, ran: Ran, words: dict[str, int]) -> Pass:
+    """The record of a pass, as `streams.Kernel` would make it."""
+    count = ran.run_count
+    names = inspect.signature(kernel.function).parameters
+    read = {name: count * words[name] for name in names if name in words}
+    written = {name: count * words[name] for name in kernel.outputs}
+    return Pass(
+        kernel.name,
+        ran.record_count,
+        count,
+        count,
+        {**read, "state": ran.record_count},
+        {**written, "state": count},
+    )
+
+
+def _finish(part: PassPart, asked: Asked, but: NDArray[Any] | None = None) -> None:
+    """Hand over what became of rays, but not what those met that are traced again."""
+    part.finish(but)
+    if asked.progress:
+        asked.progress(part.rows.stop, len(asked.batch))
+
+
+def _some_of(asked: Asked, rows: NDArray[Any]) -> Asked:
+    """Some of the rays, to be traced again."""
+    batch = asked.batch
+    limits = [one if len(one) == 1 else one[rows] for one in batch.limits]
+    some = RayBatch(batch.origins[rows], batch.directions[rows], *limits)
+    tallies = None if asked.tallies is None else np.zeros_like(asked.tallies[rows])
+    return Asked(some, asked.frame, np.zeros(len(rows), np.uint8), None, tallies)
+
+
+def _add_tallies(asked: Asked, rows: NDArray[Any], again: Asked) -> None:
+    if asked.tallies is not None and again.tallies is not None:
+        asked.tallies[rows] += again.tallies
+
+
+def _hits_of(gpu: Gpu, count: int) -> tuple[DeviceArray, HitAddresses]:
+    """Room for hits, and where its rows are."""
+    memory = gpu.empty("hits", (4, count), np.float32)
+    return memory, HitAddresses(*(memory.address + np.uint64(4 * count * k) for k in range(4)))
+
+
+def _copy(hits: DeviceArray, out: HitArrays) -> None:
+    for column, row in zip(out, HitArrays.rows_of(hits.host()), strict=True):
+        column[:] = row
+
+
+def _at_least_one(name: str, number: int) -> int:
+    number = operator.index(number)
+    if number < 1:
+        raise ValueError(f"{name}: expected at least 1, got {number}")
+    return number

@@ -1,0 +1,72 @@
+"""Rays of a batch on a device, for as many passes as they take."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.cuda.parts import Asked
+from raystream.cuda.rays import place_rays
+from raystream.jit.cuda import Gpu
+
+__all__ = ["PassPart"]
+
+
+class PassPart:
+    """Some rays of a batch on a device.
+
+    Parameters
+    ----------
+    asked : Asked
+    rows : slice
+        Which.
+    gpu : Gpu
+
+    Attributes
+    ----------
+    rows : slice
+    count : int
+    status : uint64
+        Address of the rays' status, one byte each.
+    source : RaySource
+    frame : SceneFrame
+    tallies : uint64 or None
+        Address of what they meet, if it is counted.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for them.
+    """
+
+    def __init__(self, asked: Asked, rows: slice, gpu: Gpu) -> None:
+        self.rows = rows
+        self.count = rows.stop - rows.start
+        self._asked, self._gpu = asked, gpu
+        self._rays = place_rays(asked.batch, rows, gpu.upload)
+        self._status = gpu.upload("status", asked.status[rows])
+        self.status = self._status.address
+        self.source, self.frame = self._rays.source, asked.frame
+        self.tallies: np.uint64 | None = None
+        if asked.tallies is not None:
+            zeros = np.zeros((self.count, asked.tallies.shape[1]), np.uint32)
+            self._tallies = gpu.upload("tallies", zeros)
+            self.tallies = self._tallies.address
+
+    def finish(self, but: NDArray[Any] | None = None) -> None:
+        """Hand over what became of the rays, and what they met.
+
+        Parameters
+        ----------
+        but : ndarray of int, optional
+            Numbers of rays, in this part, of which it does not matter what they met.
+        """
+        self._gpu.wait()
+        self._asked.status[self.rows] = self._status.host()
+        if self._asked.tallies is not None:
+            tallies = self._tallies.host()
+            if but is not None:
+                tallies[but] = 0
+            self._asked.tallies[self.rows] += tallies

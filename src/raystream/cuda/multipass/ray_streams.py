@@ -1,0 +1,224 @@
+"""The rays of a query in a GPU's memory: their streams, and what is done to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.cuda.columns import capacity_of
+from raystream.cuda.multipass.control import Rules, begin_control, read_ended
+from raystream.cuda.multipass.kernels.choose import DECIDE, DECIDE_IN_LOOP
+from raystream.cuda.multipass.kernels.rays import (
+    BEGIN,
+    CHUNK,
+    COUNT_KEPT,
+    KEEP,
+    SCAN,
+    Wanted,
+)
+from raystream.cuda.multipass.part import PassPart
+from raystream.cuda.multipass.passes import STREAMS, columns_of, pass_of
+from raystream.jit.cuda import DeviceLoop, Gpu, Launch
+from raystream.kernels.collect import HitAddresses
+from raystream.kernels.tally import new_tallies
+from raystream.machines.records import Query, RayState
+from raystream.machines.steps.base import StepKernel, Steps
+
+__all__ = ["RayStreams", "Wish", "ray_bytes"]
+
+_NOWHERE = np.uint64(0)
+
+
+class Wish(NamedTuple):
+    """What is wanted of rays.
+
+    Attributes
+    ----------
+    surfaces, keep, hands_over : bool
+        See `machines.records.Query`.
+    wanted : Wanted
+    rows : ndarray of uint32, or None
+        Numbers of the rays that want anything; None if all do.
+    hits : HitAddresses
+        Where hits are kept.
+    """
+
+    surfaces: bool
+    keep: bool
+    hands_over: bool
+    wanted: Wanted
+    rows: NDArray[np.uint32] | None = None
+    hits: HitAddresses = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
+
+
+def ray_bytes(steps: Steps) -> int:
+    """Memory that a ray takes, with counters, besides its hits."""
+    return sum(one.byte_count for one in columns_of(steps).values()) + steps.stack_bytes + 96
+
+
+class RayStreams:
+    """Rays, each in the state that says which kernel runs on it next.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    steps : Steps
+        With addresses on the device.
+    part : PassPart
+        The rays.
+    wish : Wish
+    limits : (int, int)
+        Steps, and triangles tested, in a pass.
+    extreme : float32
+        See `Query`.
+
+    Attributes
+    ----------
+    length : int
+        Rays that passes look at.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for them.
+    """
+
+    def __init__(
+        self,
+        gpu: Gpu,
+        steps: Steps,
+        part: PassPart,
+        wish: Wish,
+        limits: tuple[int, int],
+        extreme: np.float32,
+    ) -> None:
+        self._gpu, self._steps, self._wish = gpu, steps, wish
+        count = part.count
+        self._count = count
+        self.capacity = np.uint64(capacity_of(count))
+        self._columns = columns_of(steps)
+        self._streams = {
+            name: columns.empty(gpu, f"stream {name!r}", count)
+            for name, columns in self._columns.items()
+        }
+        # Rays that want nothing have ended.
+        self._state = gpu.upload("states", np.full(count, RayState.DONE, np.uint8))
+        self._world = gpu.empty("factors", 2 * int(self.capacity), np.float64)
+        self._runs = None
+        if part.tallies is not None:
+            self._runs = gpu.upload("runs", new_tallies(count))
+        self._stacks = gpu.empty("stacks", count * steps.stack_bytes, np.uint8)
+        self._rows = None if wish.rows is None else gpu.upload("rows", wish.rows)
+        self.length = count if wish.rows is None else len(wish.rows)
+        self._query = Query(
+            extreme,
+            bool(wish.surfaces),
+            wish.keep,
+            wish.hands_over,
+            wish.hits,
+            _NOWHERE if part.tallies is None else part.tallies,
+            _NOWHERE if self._runs is None else self._runs.address,
+            self._stacks.address,
+            np.uint64(steps.stack_bytes),
+            *map(np.uint64, limits),
+        )
+        self._control = gpu.upload("control", begin_control(steps.kernels, self.length))
+        self._begin(part)
+
+    @property
+    def world(self) -> np.uint64:
+        """Address of what turns local distances into the caller's, two float64 columns."""
+        return self._world.address
+
+    @property
+    def state(self) -> np.uint64:
+        """Address of the rays' states."""
+        return self._state.address
+
+    @property
+    def found(self) -> np.uint64:
+        """Address of the stream ``found``."""
+        return self._streams["found"].address
+
+    @property
+    def rows(self) -> np.uint64:
+        """Address of the numbers of the rays that passes look at; 0 if they look at all."""
+        return _NOWHERE if self._rows is None else self._rows.address
+
+    @property
+    def kernels(self) -> tuple[StepKernel, ...]:
+        """The kernels of the traversal."""
+        return self._steps.kernels
+
+    def prepared(self, rules: Rules) -> list[Callable[[], None]]:
+        """What begins a pass: to choose a kernel, and to run it if any ray waits."""
+        choose = DECIDE.prepared(self._gpu, 1, (self._control.address, rules))
+        return [choose, self._pass.kernel.prepared(self._gpu, *self._pass[1:])]
+
+    def loop(self, rules: Rules) -> DeviceLoop:
+        """Passes, until no ray waits or the host wants to look; see `control.write_wishes`."""
+
+        def launches(condition: np.uint64) -> list[Launch]:
+            arguments = self._control.address, rules, condition
+            return [Launch(DECIDE_IN_LOOP, 1, arguments), self._pass]
+
+        return DeviceLoop(self._gpu, launches)
+
+    @property
+    def _pass(self) -> Launch:
+        streams = (self._streams[name].address for name in STREAMS)
+        first = self._control.address, self.rows, self.capacity
+        arguments = *first, *streams, self.state, self._steps.tree, self._query
+        return Launch(pass_of(self._steps), self.length, arguments)
+
+    def tell(self, words: NDArray[np.uint32]) -> None:
+        """Write the words of `control`, while nothing runs."""
+        self._control.fill(words)
+
+    def look(self) -> NDArray[np.uint32]:
+        """The words of `control`, when the passes that were begun are done."""
+        return self._control.host()
+
+    def drop_ended(self, kept_count: int) -> None:
+        """Let passes look no more at rays that have ended.
+
+        Parameters
+        ----------
+        kept_count : int
+            How many have not.
+        """
+        chunk_count = -(-self.length // int(CHUNK))
+        sums = self._gpu.empty("sums", chunk_count, np.uint32)
+        kept = self._gpu.empty("rows", kept_count, np.uint32)
+        length = np.uint64(self.length)
+        shared = self.rows, length, self.state, sums.address
+        COUNT_KEPT.launch(self._gpu, chunk_count, shared)
+        SCAN.launch(self._gpu, 1, (np.uint64(chunk_count), sums.address))
+        KEEP.launch(self._gpu, chunk_count, (*shared, kept.address))
+        self._gpu.wait()  # before memory is given back
+        self._rows, self.length = kept, kept_count
+
+    def counts(self) -> NDArray[np.uint32]:
+        """Hits of each ray."""
+        found = np.zeros(self._count, self._columns["found"].layout.dtype)
+        self._columns["found"].read(self._streams["found"], found)
+        counts: NDArray[np.uint32] = found["count"]
+        return counts
+
+    def runs(self) -> NDArray[np.uint32] | None:
+        """How often each kernel ran on each ray, if that was counted: shape (N, 8)."""
+        return None if self._runs is None else self._runs.host()
+
+    def overflown(self) -> NDArray[Any]:
+        """Numbers of the rays that need more memory."""
+        if not read_ended(self.look(), RayState.OVERFLOWN):
+            return np.zeros(0, np.int64)
+        return np.flatnonzero(self._state.host() == RayState.OVERFLOWN)
+
+    def _begin(self, part: PassPart) -> None:
+        streams = (self._streams[name].address for name in ("ray", "wanted", "found"))
+        own = self.rows, self.capacity, *streams, self.state, self.world, self._wish.wanted
+        BEGIN.launch(self._gpu, self.length, (part.source, part.frame, *own, part.status))

@@ -1,0 +1,65 @@
+"""What step functions get of a structure, with its arrays in a GPU's memory."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.cuda.structures import Resident
+from raystream.jit.cuda import Gpu
+from raystream.machines.steps import steps_of
+from raystream.machines.steps.base import Steps
+from raystream.structures import Structure
+
+__all__ = ["ResidentSteps"]
+
+
+class ResidentSteps:
+    """A structure's steps with addresses on a device.
+
+    Parameters
+    ----------
+    structure : Structure
+    gpu : Gpu
+    resident : Resident
+        The structure there.
+
+    Attributes
+    ----------
+    usual : Steps
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for what is not there yet.
+    """
+
+    def __init__(self, structure: Structure, gpu: Gpu, resident: Resident) -> None:
+        steps = steps_of(structure)
+        placed = {name: getattr(resident.tree, name) for name in structure.memory}
+        self._arrays = []
+        if structure.name == "brute":
+            # All triangles, by their numbers; the resident ones are those that can be hit.
+            triangles = structure.triangles
+            given = {"references": triangles.prim_ids, "corners": triangles.corners}
+            arrays = {
+                name: gpu.upload(f"brute, {name}", np.ascontiguousarray(one))
+                for name, one in given.items()
+            }
+            self._arrays = list(arrays.values())
+            placed = {name: one.address for name, one in arrays.items()}
+        self._placed = {name: placed[name] for name in steps.tree._fields if name in placed}
+        self.usual = self._there(steps)
+
+    def grown(self, steps: Steps) -> Steps:
+        """The same steps with more memory for each ray.
+
+        Raises
+        ------
+        AssertionError
+            If they need none: no ray overflows there.
+        """
+        assert steps.grow is not None
+        return self._there(steps.grow())
+
+    def _there(self, steps: Steps) -> Steps:
+        return steps._replace(tree=steps.tree._replace(**self._placed))
