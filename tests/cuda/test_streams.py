@@ -30,12 +30,12 @@ def particles(rng):
     return values
 
 
-def move(particle, i, weights, old, offset, table, speeds):
+def move(particle, i, weights, cube, old, offset, table, speeds):
     """Everything that a kernel may have: records, indices, gather arrays, constants."""
     if i == 4:
         return None
     x, y, z = particle.place
-    x += np.float32(weights[i, -1] + len(old) + speeds[1])
+    x += np.float32(weights[i, -1] + cube[1, i % 3, -2] + len(old) + speeds[1])
     y += np.float32(table.weights[particle.kind] * table.offset)
     z += old[(i + 1) % old.shape[0]].place[2]
     return (x, y, z), particle.kind + offset, not particle.is_old
@@ -52,6 +52,7 @@ def kernel_of(rng):
         gathers={
             "old": stream,
             "weights": weights,
+            "cube": rng.random((2, 3, 4)),
             "table": Table(np.array([1.0, 2.0, 3.0], np.float32), np.float32(0.5)),
         },
         constants={"offset": np.uint8(1), "speeds": (0.25, 0.5)},
@@ -90,13 +91,15 @@ def test_conditions_and_loops(gpu, where):
         return run(made, counters, (number, total))
 
     def on_cpu(made, counters, streams):
-        written = made.execute(counters=counters), made.loop()
+        few = np.arange(COUNT) > 6
+        written = made.execute(counters=counters), made.execute(where=few), made.loop()
         return written, counters.passes, [one.array.tolist() for one in streams]
 
     def on_gpu(made, counters, streams):
         memory = StreamMemory(gpu)
         there = memory.kernel(made)
-        written = there.execute(counters=counters), there.loop()
+        few = np.arange(COUNT) > 6
+        written = there.execute(counters=counters), there.execute(where=few), there.loop()
         return written, counters.passes, [memory.read(one).array.tolist() for one in streams]
 
     assert ask(on_gpu) == ask(on_cpu)

@@ -117,6 +117,12 @@ class StreamMemory:
             self.write(stream)
         return self._streams[id(stream)][1]
 
+    def place(self, stream: Stream) -> DeviceArray:
+        """A stream's records on the device; a copy, if no kernel has brought them there."""
+        if id(stream) in self._streams:
+            return self._streams[id(stream)][1].front
+        return Columns(stream.layout).upload(self.gpu, stream.label, stream.array)
+
     def table(self, gather: GatherArray) -> _Resident:
         """A gather array's records on the device, where an array is copied once."""
         if gather.stream is not None:
@@ -164,6 +170,7 @@ class CudaKernel:
         for stream in self._streams:
             memory.resident(stream)
         self._made: dict[tuple[str | None, int | None], RangeKernel] = {}
+        self._mask: DeviceArray | None = None
 
     def execute(self, *, where: Any = None, counters: Counters | None = None) -> int:
         """Run over all records, or those for which a condition holds.
@@ -251,7 +258,8 @@ class CudaKernel:
         arguments += declared.constants.values()
         if condition is not None:
             if place is None:
-                arguments.append(memory.resident(condition.stream).front.address)
+                self._mask = memory.place(condition.stream)  # kept until it was read
+                arguments.append(self._mask.address)
             arguments.append(condition.value)
         return self._made[key], tuple(arguments)
 
