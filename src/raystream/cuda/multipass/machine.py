@@ -138,7 +138,7 @@ class Multipass(Branching):
         for part in self._parts(asked, self._steps.usual):
             memory, hits = _hits_of(self.gpu, part.count)
             wish = Wish(False, True, True, _ONE_EACH, hits=hits)
-            streams = self._trace(self._steps.usual, part, wish, asked)
+            streams = self._run_all(self._steps.usual, part, wish, asked)
             FINISH.launch(
                 self.gpu,
                 part.count,
@@ -151,7 +151,7 @@ class Multipass(Branching):
         seen = np.empty(len(asked.batch), np.bool_)
         for part in self._parts(asked, self._steps.usual):
             wish = Wish(False, False, True, _ONE_EACH)
-            seen[part.rows] = self._trace(self._steps.usual, part, wish, asked).counts() != 0
+            seen[part.rows] = self._run_all(self._steps.usual, part, wish, asked).counts() != 0
             _finish(part, asked)
         return seen
 
@@ -162,7 +162,7 @@ class Multipass(Branching):
         counts = np.empty(len(asked.batch), np.int64)
         for part in self._parts(asked, steps):
             wish = Wish(surfaces, False, False, Wanted(_NOWHERE, np.uint64(limit)))
-            streams = self._trace(steps, part, wish, asked)
+            streams = self._run_all(steps, part, wish, asked)
             counts[part.rows] = streams.counts()
             overflown = streams.overflown()
             _finish(part, asked, overflown)
@@ -190,7 +190,7 @@ class Multipass(Branching):
             memory, hits = _hits_of(self.gpu, rows.stop - rows.start)
             want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
             wish = Wish(surfaces, True, True, Wanted(own.address, _NOWHERE), want_any, hits)
-            streams = self._trace(steps, part, wish, asked)
+            streams = self._run_all(steps, part, wish, asked)
             FINISH_MANY.launch(
                 self.gpu,
                 part.count,
@@ -242,7 +242,7 @@ class Multipass(Branching):
         for rows in parts_of(slice(0, len(asked.batch)), most, splits):
             yield PassPart(asked, rows, self.gpu)
 
-    def _trace(self, steps: Steps, part: PassPart, wish: Wish, asked: Asked) -> RayStreams:
+    def _run_all(self, steps: Steps, part: PassPart, wish: Wish, asked: Asked) -> RayStreams:
         """Trace rays for which there is memory, until none is active."""
         streams = RayStreams(
             self.gpu,
