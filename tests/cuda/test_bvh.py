@@ -23,7 +23,7 @@ from test_agreement import case_of, expected_of
 
 pytest.importorskip("numba_cuda")
 
-from raystream.cuda.bvh.binary import STACK_BYTES as BINARY_STACK
+from raystream.cuda.bvh import binary
 from raystream.cuda.bvh.binary import unfold
 from raystream.cuda.bvh.compressed import LEAF_SIZE, compress
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
@@ -185,14 +185,19 @@ def test_slots_are_the_best(rng, child_count):
     np.testing.assert_allclose(gains[children, slots].sum(), best)
 
 
-def test_too_deep_trees_are_balanced():
-    """A chain of nodes whose children are of falling size: the least area makes it a list."""
-    corners = np.repeat(4.0 ** np.arange(12), 3).reshape(-1, 3, 1) * np.eye(3)[[0, 1, 2]]
-    faces = np.arange(36).reshape(-1, 3)
-    structure = bvh_of(corners.reshape(-1, 3), faces, max_leaf_size=1)
-    nodes = unfold(structure.tree)[1]["nodes"]
-    depth = depth_of(nodes.view(np.int32), np.zeros(len(nodes), np.int32))
-    assert 4 < depth <= BINARY_STACK // 4
+def test_too_deep_trees_are_balanced(monkeypatch):
+    """Boxes each of which is four times the last one: the least area makes a list of them."""
+    corners = np.repeat(4.0 ** np.arange(12), 3).reshape(-1, 3, 1) * np.eye(3)
+    structure = bvh_of(corners.reshape(-1, 3), np.arange(36).reshape(-1, 3), max_leaf_size=1)
+
+    def depth():
+        links = unfold(structure.tree)[1]["nodes"].view(np.int32)
+        return depth_of(links, np.zeros(len(links), np.int32))
+
+    most = 3 * structure.quality()["depth"]
+    assert depth() > most
+    monkeypatch.setattr(binary, "STACK_BYTES", 0)
+    assert depth() <= most
     check_layout(structure, "binary")
 
 
