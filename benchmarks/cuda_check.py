@@ -7,8 +7,9 @@ Each step is a process of its own with a time limit, and one that fails, as a ke
 takes CUDA with it, does not keep the others from running:
 
     machine      what ``raystream info --devices`` lists
+    small scene  a small scene is asked everything, on the GPU and on the CPU
     agreement    tests/cuda: every structure, query and case, CUDA's bits against the CPU's
-    sanitizer    compute-sanitizer's memcheck while a small scene is asked everything
+    sanitizer    compute-sanitizer's memcheck while the small scene is asked again
     speed        benchmarks/cuda_speed.py for each scene, beside NVIDIA Warp
 
 Ends with 0 if nothing failed, 1 if something did, and 2 where there is no GPU. ``--tiny`` tries the
@@ -32,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: with less than the least.
 TOTAL = 460
 LEAST = 5
-LIMITS = {"machine": 60, "agreement": 180, "sanitizer": 60, "speed": 60}
+LIMITS = {"machine": 60, "small scene": 120, "agreement": 150, "sanitizer": 60, "speed": 60}
 
 #: A little of each step: some tests, and few rays.
 TINY_TESTS = "layout or invalid"
@@ -157,17 +158,24 @@ def agreement(check, tiny):
         check.run("agreement", command, LIMITS["agreement"], summary)
 
 
+def small_scene(check, tiny):
+    """A small scene is asked everything: that compiles most of what the other steps need."""
+    check.run("small scene", _small(tiny), LIMITS["small scene"], _small_summary)
+
+
 def sanitizer(check, tiny):
-    """A small scene under the memory checker, if there is one."""
+    """The same under the memory checker, if there is one."""
     tool = find_sanitizer()
-    command = [sys.executable, str(Path(__file__)), "--small", *(["--tiny"] if tiny else [])]
-    if tool:
-        options = ["--tool", "memcheck", "--error-exitcode", "9", "--print-limit", "5"]
-        command = [tool, *options, *command]
-    elif not tiny:
+    if tool is None:
         check.keep("sanitizer", "left out", "compute-sanitizer: not found; it is in CUDA's toolkit")
         return
-    check.run("sanitizer" if tool else "small scene", command, LIMITS["sanitizer"], _small_summary)
+    options = ["--tool", "memcheck", "--error-exitcode", "9", "--print-limit", "5"]
+    command = [tool, *options, *_small(tiny)]
+    check.run("sanitizer", command, LIMITS["sanitizer"], _small_summary)
+
+
+def _small(tiny):
+    return [sys.executable, str(Path(__file__)), "--small", *(["--tiny"] if tiny else [])]
 
 
 def _small_summary(_code, out, err):
@@ -185,7 +193,7 @@ def find_sanitizer():
 
 
 def small(tiny):
-    """Ask a small scene everything: what the sanitizer watches."""
+    """Ask a small scene everything, and compare the answers with the CPU's."""
     import numpy as np
 
     import raystream as rs
@@ -290,6 +298,7 @@ def main():
         return ", ".join(one["name"] for one in gpus) or _last_line(out, err)
 
     check.run("machine", listing, LIMITS["machine"], listed)
+    small_scene(check, arguments.tiny)
     agreement(check, arguments.tiny)
     sanitizer(check, arguments.tiny)
     more = TINY if arguments.tiny else []
