@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numba import cuda
 
-from raystream.jit.cuda.arguments import flat, type_of
+from raystream.jit.cuda.arguments import flat, kind_of, type_of
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.simulation import is_simulated
@@ -130,7 +130,7 @@ class RangeKernel:
         CudaError
             If it does not compile.
         """
-        key = gpu.number, type_of(arguments)
+        key = gpu.number, kind_of(arguments)
         if key not in self._loaded:
             with gpu.doing(f"compiling {self.name}"):
                 compiled = self.compiled(arguments, gpu.capability)

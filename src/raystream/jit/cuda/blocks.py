@@ -1,0 +1,105 @@
+"""BlockKernel: a function that blocks of threads run together, with memory that they share.
+
+Such functions use ``cuda``, which the simulator replaces: they are plain Python, and read and
+write the device's memory by the four functions here, which it calls as compiled for the CPU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import cuda, types
+
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
+from raystream.jit.cuda.gpu import Gpu
+from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.simd import load, store
+
+__all__ = ["BlockKernel", "Number", "get_32", "get_64", "put_32", "put_64"]
+
+#: What a launch takes: a number, or an address.
+Number = int | np.uint64
+
+_WORD = np.uint64(4)
+_LONG = np.uint64(8)
+
+
+@kernel
+def get_32(array, i):
+    """Row i of an array of uint32 at an address, as a uint64."""
+    return np.uint64(load(np.uint32, array + i * _WORD))
+
+
+@kernel
+def put_32(array, i, number):
+    """Write row i of an array of uint32 at an address."""
+    store(array + i * _WORD, np.uint32(number))
+
+
+@kernel
+def get_64(array, i):
+    """Row i of an array of uint64 at an address."""
+    return load(np.uint64, array + i * _LONG)
+
+
+@kernel
+def put_64(array, i, number):
+    """Write row i of an array of uint64 at an address."""
+    store(array + i * _LONG, number)
+
+
+class BlockKernel:
+    """Runs a function on blocks of threads.
+
+    Parameters
+    ----------
+    function : callable
+        Plain Python, which takes uint64 numbers, addresses among them, and returns nothing.
+    argument_count : int
+    block_size : int
+        Threads of a block.
+    """
+
+    def __init__(self, function: Callable[..., Any], argument_count: int, block_size: int) -> None:
+        self._function = function
+        self._types = (types.uint64,) * argument_count
+        self.block_size = block_size
+        self._loaded: dict[int, Any] = {}
+
+    def compiled(self, capability: Capability) -> Compiled:
+        """PTX; needs no device.
+
+        Raises
+        ------
+        numba.core.errors.NumbaError
+            If it does not compile.
+        """
+        return compile_function(self._function, self._types, capability)
+
+    def launch(self, gpu: Gpu, block_count: int, *numbers: Number, stream: Any = None) -> None:
+        """Begin to run it; whoever wants the results waits for them.
+
+        Parameters
+        ----------
+        gpu : Gpu
+        block_count : int
+        *numbers : int or uint64
+            Arguments of the function.
+        stream : cuda.core.Stream, optional
+            Without it, the device's own.
+
+        Raises
+        ------
+        CudaError
+            If it does not compile, or cannot be launched.
+        """
+        values = [np.uint64(number) for number in numbers]
+        if is_simulated():
+            cuda.jit(self._function)[block_count, self.block_size](*values)
+            return
+        if gpu.number not in self._loaded:
+            self._loaded[gpu.number] = gpu.load(self.compiled(gpu.capability))
+        gpu.launch(self._loaded[gpu.number], block_count, self.block_size, values, stream)
