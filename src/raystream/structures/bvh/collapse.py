@@ -40,12 +40,15 @@ from raystream.structures.bvh.tree import (
 )
 
 __all__ = [
+    "COST_BYTES",
     "COST_FLOATS",
     "LISTING_BYTES",
     "collapse_subtree",
     "collapse_top",
     "is_leaf",
+    "leaf_costs",
     "list_children",
+    "merge_costs",
 ]
 
 #: Costs of a node in 1 to 8 lanes, float32.

@@ -18,7 +18,7 @@ from raystream.structures.bvh.layout import (
 from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
 from raystream.structures.bvh.tree import LINK_BYTES, MAX_TREE_DEPTH, TOP_AT
 
-__all__ = ["READ_AHEAD", "emit"]
+__all__ = ["READ_AHEAD", "clear_leaf_block", "clear_node", "emit", "set_lane"]
 
 #: A wide node to be written: its binary node, its row, its depth (int32).
 _PENDING_BYTES = 12
@@ -37,7 +37,8 @@ READ_AHEAD = 8
 
 
 @device
-def _clear_node(node):
+def clear_node(node):
+    """Write a node without children."""
     for axis in range(np.uint64(3)):
         store(node + axis * np.uint64(64), f32x8(_INF))
         store(node + axis * np.uint64(64) + np.uint64(32), f32x8(-_INF))
@@ -46,7 +47,8 @@ def _clear_node(node):
 
 
 @device
-def _set_lane(node, lane, box, child):
+def set_lane(node, lane, box, child):
+    """Write a child of a node: its box, at an address, and its link."""
     at = node + lane * np.uint64(4)
     for axis in range(np.uint64(3)):
         plane = box + axis * np.uint64(4)
@@ -77,6 +79,15 @@ def _unique(record, count):
     return kept
 
 
+@device
+def clear_leaf_block(block):
+    """Write a block without triangles."""
+    for k in range(np.uint64(9)):
+        store(block + k * np.uint64(16), f32x4(_NAN))
+    for k in range(np.uint64(4)):
+        store(block + np.uint64(IDS_AT) + k * np.uint64(4), np.int32(-1))
+
+
 @device_call
 def _write_leaf(record, count, corners, to):
     """Write the blocks of a leaf from address `to` on."""
@@ -84,10 +95,7 @@ def _write_leaf(record, count, corners, to):
         lane = i & np.uint64(BLOCK_SIZE - 1)
         block = to + (i >> np.uint64(2)) * np.uint64(BLOCK_BYTES)
         if lane == np.uint64(0) and np.uint64(count) - i < np.uint64(BLOCK_SIZE):
-            for k in range(np.uint64(9)):
-                store(block + k * np.uint64(16), f32x4(_NAN))
-            for k in range(np.uint64(4)):
-                store(block + np.uint64(IDS_AT) + k * np.uint64(4), np.int32(-1))
+            clear_leaf_block(block)
         id_at = record + i * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
         prim_id = load(np.int32, id_at)
         # Corners are far apart: ask for those of a later record, often of another leaf.
@@ -180,7 +188,7 @@ def emit(
             depth = np.int32(load(np.int32, top + np.uint64(8)) + np.int32(1))
             deepest = max(deepest, depth)
             if write:
-                _clear_node(to)
+                clear_node(to)
             if parent == root and is_leaf(link_at, parent):
                 store(children, parent)  # the whole tree is one leaf
                 lane_count = np.uint64(1)
@@ -204,9 +212,7 @@ def emit(
                         count = _unique(record, count)
                     blocks = np.int32((count + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
                     if write:
-                        _set_lane(
-                            to, k, box, ~((block_end << np.int32(3)) | (blocks - np.int32(1)))
-                        )
+                        set_lane(to, k, box, ~((block_end << np.int32(3)) | (blocks - np.int32(1))))
                         _write_leaf(
                             record,
                             count,
@@ -216,14 +222,14 @@ def emit(
                     block_end = np.int32(block_end + blocks)
                 elif defers and not is_top:
                     if write:
-                        _set_lane(to, k, box, deferred_rows[deferred_count])
+                        set_lane(to, k, box, deferred_rows[deferred_count])
                     else:
                         deferred[deferred_count] = child
                         deferred_depths[deferred_count] = depth
                     deferred_count += np.uint64(1)
                 else:
                     if write:
-                        _set_lane(to, k, box, node_end + inner_count)
+                        set_lane(to, k, box, node_end + inner_count)
                     inner_count = np.int32(inner_count + 1)
                     store(children + np.uint64(inner_count - 1) * np.uint64(4), child)
             top += np.uint64(inner_count) * np.uint64(_PENDING_BYTES)

@@ -38,6 +38,7 @@ __all__ = [
     "no_box",
     "nothing",
     "with_record",
+    "write_record",
 ]
 
 RECORD_BYTES = 32
@@ -91,6 +92,24 @@ def half_area(box):
     return x * y + y * z + z * x
 
 
+@device
+def write_record(corners, prim_id, to):
+    """Write the record of a triangle, whose corners are among those at an address."""
+    three, one = lanes_from_bits(mask4, 7), f32x4(np.float32(1.0))
+    at = corners + np.uint64(prim_id) * np.uint64(36)
+    # Each vertex with the number before or after it as a fourth lane: nothing beyond
+    # the triangle is read.
+    a = load(f32x4, at)
+    b = load(f32x4, at + np.uint64(12))
+    c = _last_three(load(f32x4, at + np.uint64(20)))
+    negated = f32x4(np.float32(0.0))
+    low = maximum(negated - a, maximum(negated - b, negated - c))
+    high = maximum(a, maximum(b, c))
+    store(to, low)
+    store(to + np.uint64(16), select(three, high, one))
+    store(to + np.uint64(FIRST_AT), prim_id)
+
+
 @kernel
 def make_records(begin, end, corners, prim_ids, records, bounds):
     """Fill rows begin to end of `records`, and two boxes: around them, around their middles.
@@ -106,22 +125,9 @@ def make_records(begin, end, corners, prim_ids, records, bounds):
     """
     box, middles = no_box(), no_box()
     corner_address, record_address = address(corners), address(records)
-    three, one = lanes_from_bits(mask4, 7), f32x4(np.float32(1.0))
     for i in range(np.uint64(begin), np.uint64(end)):
-        prim_id = np.int32(prim_ids[i])
-        at = corner_address + np.uint64(prim_id) * np.uint64(36)
-        # Each vertex with the number before or after it as a fourth lane: nothing beyond
-        # the triangle is read.
-        a = load(f32x4, at)
-        b = load(f32x4, at + np.uint64(12))
-        c = _last_three(load(f32x4, at + np.uint64(20)))
-        negated = f32x4(np.float32(0.0))
-        low = maximum(negated - a, maximum(negated - b, negated - c))
-        high = maximum(a, maximum(b, c))
         to = record_address + i * np.uint64(RECORD_BYTES)
-        store(to, low)
-        store(to + np.uint64(16), select(three, high, one))
-        store(to + np.uint64(FIRST_AT), prim_id)
+        write_record(corner_address, np.int32(prim_ids[i]), to)
         record = load(f32x8, to)
         box = maximum(box, record)
         middles = maximum(middles, middle_bounds(record))

@@ -29,7 +29,7 @@ from raystream.structures.bvh.layout import (
     BvhArrays,
 )
 
-__all__ = ["refit"]
+__all__ = ["refit", "refit_leaves", "refit_node"]
 
 #: Nodes whose leaves one call of a kernel moves.
 _CHUNK = 1 << 9
@@ -72,34 +72,45 @@ def _refit_leaves(begin, end, corners, nodes, leaves):
     corner_at, node_at, leaf_at = address(corners), address(nodes), address(leaves)
     last_block = leaf_at + np.uint64(len(leaves)) * np.uint64(BLOCK_BYTES)
     for row in range(np.uint64(begin), np.uint64(end)):
-        node = node_at + row * np.uint64(NODE_BYTES)
-        for lane in range(np.uint64(WIDTH)):
-            link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
-            if link >= np.int32(0):
-                continue
-            block = leaf_at + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
-            end_block = block + np.uint64((~link & np.int32(7)) + np.int32(1)) * np.uint64(
-                BLOCK_BYTES
-            )
-            while block != end_block:
-                # The corners of the next leaf's triangles are far away: ask for them.
-                if block + np.uint64(2 * BLOCK_BYTES) < last_block:
-                    _ask_for(block + np.uint64(2 * BLOCK_BYTES), corner_at)
-                _copy_corners(block, corner_at)
-                block += np.uint64(BLOCK_BYTES)
-            block = leaf_at + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
-            for axis in range(np.uint64(3)):
-                low, high = f32x4(_INF), f32x4(-_INF)
-                at = block + axis * np.uint64(16)
-                while at < end_block:
-                    # NaN, of absent triangles, changes nothing: the second operand wins.
-                    for vertex in range(np.uint64(3)):
-                        plane = load(f32x4, at + vertex * np.uint64(48))
-                        low, high = minimum(plane, low), maximum(plane, high)
-                    at += np.uint64(BLOCK_BYTES)
-                to = node + axis * np.uint64(_AXIS_BYTES) + lane * np.uint64(4)
-                store(to, reduce_min(low))
-                store(to + np.uint64(_PLANE_BYTES), reduce_max(high))
+        refit_leaves(node_at + row * np.uint64(NODE_BYTES), corner_at, leaf_at, last_block)
+
+
+@device
+def refit_leaves(node, corners, leaves, last_block):
+    """Write the blocks of the leaves of a node, and their boxes into it.
+
+    Parameters
+    ----------
+    node, corners, leaves : uint64
+        Addresses of the node, and of all corners and blocks.
+    last_block : uint64
+        Address after the last block.
+    """
+    for lane in range(np.uint64(WIDTH)):
+        link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
+        if link >= np.int32(0):
+            continue
+        block = leaves + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
+        end_block = block + np.uint64((~link & np.int32(7)) + np.int32(1)) * np.uint64(BLOCK_BYTES)
+        while block != end_block:
+            # The corners of the next leaf's triangles are far away: ask for them.
+            if block + np.uint64(2 * BLOCK_BYTES) < last_block:
+                _ask_for(block + np.uint64(2 * BLOCK_BYTES), corners)
+            _copy_corners(block, corners)
+            block += np.uint64(BLOCK_BYTES)
+        block = leaves + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
+        for axis in range(np.uint64(3)):
+            low, high = f32x4(_INF), f32x4(-_INF)
+            at = block + axis * np.uint64(16)
+            while at < end_block:
+                # NaN, of absent triangles, changes nothing: the second operand wins.
+                for vertex in range(np.uint64(3)):
+                    plane = load(f32x4, at + vertex * np.uint64(48))
+                    low, high = minimum(plane, low), maximum(plane, high)
+                at += np.uint64(BLOCK_BYTES)
+            to = node + axis * np.uint64(_AXIS_BYTES) + lane * np.uint64(4)
+            store(to, reduce_min(low))
+            store(to + np.uint64(_PLANE_BYTES), reduce_max(high))
 
 
 @device
@@ -132,15 +143,26 @@ def _refit_nodes(nodes):
     while row != np.uint64(0):
         row -= np.uint64(1)
         # Children have greater rows: theirs are done.
-        node = node_at + row * np.uint64(NODE_BYTES)
-        for lane in range(np.uint64(WIDTH)):
-            link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
-            if link <= np.int32(0):
-                continue
-            child = node_at + np.uint64(link) * np.uint64(NODE_BYTES)
-            for axis in range(np.uint64(3)):
-                planes = axis * np.uint64(_AXIS_BYTES)
-                to = node + planes + lane * np.uint64(4)
-                store(to, reduce_min(load(f32x8, child + planes)))
-                highs = load(f32x8, child + planes + np.uint64(_PLANE_BYTES))
-                store(to + np.uint64(_PLANE_BYTES), reduce_max(highs))
+        refit_node(node_at + row * np.uint64(NODE_BYTES), node_at)
+
+
+@device
+def refit_node(node, nodes):
+    """Write the boxes of those children of a node that are nodes, from their children's.
+
+    Parameters
+    ----------
+    node, nodes : uint64
+        Addresses of the node, and of all nodes.
+    """
+    for lane in range(np.uint64(WIDTH)):
+        link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
+        if link <= np.int32(0):
+            continue
+        child = nodes + np.uint64(link) * np.uint64(NODE_BYTES)
+        for axis in range(np.uint64(3)):
+            planes = axis * np.uint64(_AXIS_BYTES)
+            to = node + planes + lane * np.uint64(4)
+            store(to, reduce_min(load(f32x8, child + planes)))
+            highs = load(f32x8, child + planes + np.uint64(_PLANE_BYTES))
+            store(to + np.uint64(_PLANE_BYTES), reduce_max(highs))

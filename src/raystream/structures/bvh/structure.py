@@ -34,7 +34,7 @@ from raystream.structures.bvh.steps import TreeAddresses, stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
 from raystream.structures.found import FoundVisitor
 
-__all__ = ["Bvh"]
+__all__ = ["Bvh", "hittable_corners", "trace_cost"]
 
 
 class Bvh(Structure):
@@ -174,10 +174,10 @@ class Bvh(Structure):
         old_cost = self.cost_when_built
         if self._holds(triangles):
             try:
-                refit(self.tree, _hittable_corners(triangles))
+                refit(self.tree, hittable_corners(triangles))
                 cost = trace_cost(self.tree)
             except BaseException:  # an interrupt: this structure stays as it was
-                refit(self.tree, _hittable_corners(self.triangles))
+                refit(self.tree, hittable_corners(self.triangles))
                 raise
             if cost <= max_cost_growth * old_cost:
                 moved = self._moved(triangles, started)
@@ -293,7 +293,7 @@ def trace_cost(tree: BvhArrays) -> float:
     return figures["nodes per ray"] + figures["blocks per ray"]
 
 
-def _hittable_corners(triangles: Triangles) -> NDArray[np.float32]:
+def hittable_corners(triangles: Triangles) -> NDArray[np.float32]:
     """Corners of all triangles; NaN for those that cannot be hit."""
     if len(triangles.prim_ids) == len(triangles):
         return triangles.corners

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ __all__ = [
     "add_up",
     "build_grid",
     "build_lists",
+    "choose_and_build",
     "find_layers",
     "most_references",
     "spread_layers",
@@ -35,6 +36,9 @@ _CHUNK = 1 << 13
 #: References for each triangle beyond which the automatic resolution is made coarser, and how
 #: many there may be in any case.
 _MOST_REFERENCES, _FEW_REFERENCES = 24, 1 << 20
+
+
+Lists = TypeVar("Lists")
 
 
 class TooManyError(Exception):
@@ -74,9 +78,40 @@ def build_grid(
     MemoryError
         If there is not enough memory.
     """
-    count = len(triangles.prim_ids)
-    if count == 0:
+    if len(triangles.prim_ids) == 0:
         return Lattice.of(triangles.bounds, (1, 1, 1)), GridArrays.empty(1)
+
+    def make(lattice: Lattice, most: int, option: str) -> GridArrays:
+        return build_lists(triangles, lattice, most, option, progress)
+
+    return choose_and_build(triangles, resolution, min_resolution, levels, make)
+
+
+def choose_and_build(
+    triangles: Triangles,
+    resolution: tuple[int, int, int] | None,
+    min_resolution: int | None,
+    levels: int,
+    make: Callable[[Lattice, int, str], Lists],
+) -> tuple[Lattice, Lists]:
+    """Choose a lattice, a coarser one if there are too many references, and make its lists.
+
+    Parameters
+    ----------
+    triangles : Triangles
+        At least one that can be hit.
+    resolution, min_resolution, levels
+        See `build_grid`.
+    make : callable
+        ``make(lattice, most, option)`` makes lists; `TooManyError` if there would be more than
+        `most` references.
+
+    Raises
+    ------
+    ValueError
+        If there are more references than a grid can have.
+    """
+    count = len(triangles.prim_ids)
     is_free = resolution is None and min_resolution is None
     option = "resolution" if min_resolution is None else "min_resolution"
     coarser = 0
@@ -85,7 +120,7 @@ def build_grid(
         # One cell needs one reference for each triangle, so coarsening comes to an end.
         most = most_references(count) if is_free else MAX_REFERENCES
         try:
-            return lattice, build_lists(triangles, lattice, most, option, progress)
+            return lattice, make(lattice, most, option)
         except TooManyError:
             if not is_free:
                 raise ValueError(

@@ -15,7 +15,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
-__all__ = ["range_along", "spread", "spread_within"]
+__all__ = ["each_cell", "range_along", "spread", "spread_within"]
 
 #: Rounding of the normal's product with an edge, as a share of the product of three edges:
 #: 18 products and sums of 2**-53 each, rounded up.
@@ -103,6 +103,37 @@ def spread(lattice, corners, i, first, last, cursors, references, is_fill):
     int64
         In how many cells it is.
     """
+    return each_cell(lattice, corners, i, first, last, _list_in, (cursors, references, is_fill))
+
+
+@device
+def _list_in(cell, i, _rank, to):
+    cursors, references, is_fill = to
+    at = cursors + np.uint64(4) * cell
+    cursor = load(np.uint32, at)
+    store(at, np.uint32(cursor + np.uint32(1)))
+    if is_fill:
+        store(references + np.uint64(4) * np.uint64(cursor), np.int32(i))
+
+
+@device
+def each_cell(lattice, corners, i, first, last, mark, to):
+    """Call a function for each cell that a triangle is listed in.
+
+    Parameters
+    ----------
+    lattice, corners, i, first, last
+        See `spread`.
+    mark : device function
+        ``mark(cell, i, rank, to)``: the cell's number and how many came before, uint64.
+    to
+        What it is given.
+
+    Returns
+    -------
+    int64
+        In how many cells it is.
+    """
     # Step 1: the plane, in float64 as `kernels.triangle` has it.
     ax, ay = np.float64(corners[i, 0, 0]), np.float64(corners[i, 0, 1])
     az = np.float64(corners[i, 0, 2])
@@ -158,10 +189,6 @@ def spread(lattice, corners, i, first, last, cursors, references, is_fill):
             for m in range(begin, end + _ONE):
                 if abs(away + slope * m) <= reach:
                     cell = stride[u] * m + stride[v] * j + stride[w] * k
-                    at = cursors + np.uint64(4) * np.uint64(cell)
-                    cursor = load(np.uint32, at)
-                    store(at, np.uint32(cursor + np.uint32(1)))
-                    if is_fill:
-                        store(references + np.uint64(4) * np.uint64(cursor), np.int32(i))
+                    mark(np.uint64(cell), i, np.uint64(total), to)
                     total += _ONE
     return total
