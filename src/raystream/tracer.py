@@ -114,8 +114,8 @@ class Tracer(Queries):
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
         own = self._set_machine(device, machine, counters, options)
-        rest = {name: value for name, value in options.items() if name not in own}
-        build = device_of(device).build
+        build, _, shared = device_of(device)
+        rest = {name: value for name, value in options.items() if name not in own or name in shared}
         self._set(scene, build(structure, scene.triangles, progress=progress, **rest))
 
     def _set_machine(

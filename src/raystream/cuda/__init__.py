@@ -1,12 +1,13 @@
 """The CUDA device: rays traced by NVIDIA's GPUs, with the CPU's own device functions.
 
-``pip install raystream[cuda]``. Structures are built on the CPU; the arrays that their traversals
-read are copied to the GPU.
+``pip install raystream[cuda]``. Structures are built on the CPU, and the arrays that their
+traversals read are copied to the GPU; ``build="device"`` builds them there.
 """
 
+from raystream.cuda.building import build_structure
 from raystream.cuda.machines import CUDA_MACHINES
 from raystream.machines.devices import register_device
 
 __all__ = ["CUDA_MACHINES"]
 
-register_device("cuda", machines=CUDA_MACHINES)
+register_device("cuda", build_structure, CUDA_MACHINES, shared_options=("gpu",))

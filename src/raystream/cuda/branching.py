@@ -14,7 +14,7 @@ from raystream.cuda.device_queries import DeviceQueries, DeviceScene
 from raystream.cuda.device_rays import usual_limits
 from raystream.cuda.lanes import Lanes
 from raystream.cuda.parts import Answer, Asked, Part, trace_parts
-from raystream.cuda.structures import kernels_of, place
+from raystream.cuda.structures import kernel_for, kernels_of, place
 from raystream.cuda.threads import RETRY, SeenTables
 from raystream.jit.cuda import CudaError, Gpu
 from raystream.jit.threads import Progress, part_of
@@ -75,6 +75,7 @@ class Branching(BatchQueries):
         self.rays_at_once = operator.index(rays_at_once)
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
+        kernel = kernel_for(structure, gpu, kernel)
         self._kernels = kernels_of(structure.name, kernel, launch)
         self._resident = place(structure, gpu, kernel)
         self._identity = SceneFrame.identity(structure.triangles)

@@ -19,7 +19,7 @@ from raystream.structures.batches import BatchQueries
 if TYPE_CHECKING:
     from raystream.jit.cuda import Gpu, GpuFacts
 
-__all__ = ["CUDA_MACHINES", "OPTIONS", "list_gpus"]
+__all__ = ["CUDA_MACHINES", "OPTIONS", "list_gpus", "open_device"]
 
 _SHARED = ("gpu", "rays_at_once")
 
@@ -43,7 +43,16 @@ def _needing_package() -> Iterator[None]:
         ) from error
 
 
-def _open(number: Any) -> Gpu:
+def open_device(number: Any = 0) -> Gpu:
+    """A GPU by its number.
+
+    Raises
+    ------
+    RaystreamError
+        If there is none, or numba-cuda is missing.
+    TypeError
+        If it is no integer.
+    """
     with _needing_package():
         from raystream.jit.cuda import open_gpu
     try:
@@ -85,7 +94,7 @@ class _CudaMachines:
                     f"{machine}: has no option {name!r}; it is one of machine={homes[0]!r}"
                 )
         kernel_of("bvh", own.get("kernel", "auto"))  # whether there is one of that name
-        _open(own.get("gpu", 0))
+        open_device(own.get("gpu", 0))
         return own
 
     def make(
@@ -93,7 +102,7 @@ class _CudaMachines:
     ) -> BatchQueries | Counting:
         """Make a machine for a structure that was built on the CPU."""
         rest = dict(options)
-        gpu = _open(rest.pop("gpu", 0))
+        gpu = open_device(rest.pop("gpu", 0))
         made: BatchQueries
         if machine == "multipass":
             from raystream.cuda.multipass import Multipass

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 from raystream.cuda.bvh.kernels import kernel_of, lay_out, search_of
 from raystream.cuda.threads import ThreadQueries, thread_queries
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu, PersistentKernel, RangeKernel
 from raystream.structures import Structure
 
-__all__ = ["LAUNCHES", "STRUCTURES", "Resident", "kernels_of", "place"]
+__all__ = [
+    "LAUNCHES",
+    "STRUCTURES",
+    "BuiltOnDevice",
+    "Resident",
+    "kernel_for",
+    "kernels_of",
+    "place",
+]
 
 #: How threads get their rays: each one of a range, or whenever a warp is done with the last ones.
 LAUNCHES = {"range": RangeKernel, "persistent": PersistentKernel}
@@ -110,8 +118,28 @@ class Resident(NamedTuple):
     arrays: tuple[DeviceArray, ...]
 
 
+@runtime_checkable
+class BuiltOnDevice(Protocol):
+    """A structure that is in a device's memory already.
+
+    Attributes
+    ----------
+    gpu : Gpu
+    resident : Resident
+    """
+
+    gpu: Gpu
+    resident: Resident
+
+
+def kernel_for(structure: Structure, gpu: Gpu, kernel: str) -> str:
+    """The kernel that ``"auto"`` stands for where a BVH was built on the device: its own layout."""
+    is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
+    return "wide" if kernel == "auto" and is_there and structure.name == "bvh" else kernel
+
+
 def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
-    """Copy what a structure's traversal reads to a device.
+    """Copy what a structure's traversal reads to a device, or find what was built there.
 
     Parameters
     ----------
@@ -125,6 +153,9 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
     CudaError
         If there is no memory for all of it: then nothing was copied.
     """
+    is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
+    if is_there and (structure.name != "bvh" or kernel == "wide"):
+        return cast("BuiltOnDevice", structure).resident
     tree, given = lay_out(structure, kernel)
     # Nothing is at address 0.
     memory = {name: one for name, one in given.items() if getattr(tree, name)}

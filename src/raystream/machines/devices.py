@@ -73,10 +73,13 @@ class Device(NamedTuple):
     build : callable
         A `DeviceFactory`.
     machines : Machines
+    shared_options : tuple of str
+        Options of machines that `build` is given, too.
     """
 
     build: DeviceFactory
     machines: Machines
+    shared_options: tuple[str, ...] = ()
 
 
 #: Devices by name: those that were asked for, or registered by others.
@@ -87,7 +90,10 @@ _ROOMS = {"cuda": "raystream.cuda", "graphics": "raystream.graphics"}
 
 
 def register_device(
-    name: str, build: DeviceFactory = build_structure, machines: Machines = CPU_MACHINES
+    name: str,
+    build: DeviceFactory = build_structure,
+    machines: Machines = CPU_MACHINES,
+    shared_options: tuple[str, ...] = (),
 ) -> None:
     """Make a device known by name.
 
@@ -100,8 +106,10 @@ def register_device(
         without it, structures are built on the CPU.
     machines : Machines, optional
         How the device traverses structures; without it, by the structures' own queries.
+    shared_options : tuple of str, optional
+        Options of machines that `build` is given, too.
     """
-    DEVICES[name] = Device(build, machines)
+    DEVICES[name] = Device(build, machines, shared_options)
 
 
 def device_of(name: str) -> Device:

@@ -1,0 +1,61 @@
+"""All kernels that build, with arguments of the right types: to be compiled where no device is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raystream.cuda.builders import clusters, linear, lists, moving, records, wide
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.cuda.blocks import BlockKernel
+from raystream.jit.cuda.radix import sort_kernels
+from raystream.jit.cuda.scan import scan_kernels
+from raystream.structures.grid.lattice import Lattice
+
+__all__ = ["block_catalogue", "build_catalogue"]
+
+_AT = np.uint64(0)
+
+
+def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
+    """Kernels by name, and arguments that are good for their types alone."""
+    one = (1.0, 1.0, 1.0)
+    lattice = lists.as_numbers(Lattice(one, one, one, (1, 1, 1), 1.0))
+    nodes = records.NodesAt(_AT, _AT, _AT, np.int64(1))
+    number = np.float64(0.0)
+    frame = records.KeyFrame((number, number, number), number, _AT)
+
+    def at(count: int) -> tuple[np.uint64, ...]:
+        return (_AT,) * count
+
+    chosen = [
+        (lists.KERNELS.count_cells, (lattice, *at(3))),
+        (lists.KERNELS.fill_pairs, (lattice, *at(5))),
+        (lists.KERNELS.find_split, at(3)),
+        (records.KERNELS.make_key, (*at(2), frame, *at(2))),
+        (records.KERNELS.make_leaf, (*at(2), nodes)),
+        (linear.KERNELS.link, at(4)),
+        (linear.KERNELS.clear, at(1)),
+        (linear.KERNELS.climb, (_AT, nodes, *at(2))),
+        (clusters.KERNELS.begin_cluster, (nodes, _AT)),
+        (clusters.KERNELS.find_match, (*at(3), False, _AT)),
+        (clusters.KERNELS.count_places, at(3)),
+        (clusters.KERNELS.merge, (*at(5), nodes, *at(3))),
+        (wide.KERNELS.count_lanes, (_AT, nodes, *at(2))),
+        (wide.KERNELS.give_rows, (*at(3), nodes, *at(4))),
+        (wide.KERNELS.write_node, (nodes, *at(6))),
+        (moving.KERNELS.move_leaves, at(4)),
+        (moving.KERNELS.move_nodes, at(2)),
+        (moving.KERNELS.add_costs, at(4)),
+    ]
+    return {kernel.name.strip("_"): (kernel, arguments) for kernel, arguments in chosen}
+
+
+def block_catalogue() -> dict[str, BlockKernel]:
+    """The kernels of scans and sorts, by name and the bits of their numbers."""
+    made = {}
+    for dtype in ("uint32", "uint64"):
+        steps = {**scan_kernels(dtype)._asdict(), **sort_kernels(dtype)._asdict()}
+        made.update({f"{name}_{dtype[4:]}": kernel for name, kernel in steps.items()})
+    return made

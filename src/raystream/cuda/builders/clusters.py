@@ -1,0 +1,187 @@
+"""A BVH of clusters: neighbours on the curve that fit together best become one, again and again.
+
+References
+----------
+Meister and Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy
+Construction", IEEE Transactions on Visualization and Computer Graphics 24(3), 2018.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.records import Nodes, join
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.scan import Scan
+from raystream.jit.simd import f32x8, load, maximum, store
+from raystream.structures.bvh.records import FIRST_AT, RECORD_BYTES, half_area
+
+__all__ = ["KERNELS", "RADIUS", "merge_clusters"]
+
+#: Clusters before and after each one among which it finds its match. With 16 and 32 trees are not
+#: better, and there are more rounds.
+RADIUS = 8
+
+#: Rounds between two looks at how many clusters are left. If so small a share of them was merged
+#: in these, the next one matches clusters by their places: for want of anything else, since trees
+#: of such rounds are worse.
+_ROUNDS, _LEAST_SHARE = 4, 0.25
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)  # one of eight
+_UPPER = np.uint64(32)
+_INF = np.float32(np.inf)
+
+
+@kernel
+def _begin_cluster(i, nodes, clusters):
+    """Make a cluster of leaf i."""
+    at = clusters + i * np.uint64(RECORD_BYTES)
+    store(at, load(f32x8, nodes.boxes + i * np.uint64(RECORD_BYTES)))
+    store(at + np.uint64(FIRST_AT), np.int32(i))
+
+
+@kernel
+def _find_match(i, count_at, clusters, radius, by_place, matches):
+    """Find the cluster near cluster i with which the box is smallest.
+
+    Of equal ones it is the one whose place differs in lower bits: so the pairs are in one order
+    for all, the first of which is always made, and equal triangles pair up.
+    """
+    count = load(np.uint64, count_at)
+    if i >= count:
+        return
+    match = i
+    if by_place:
+        match = i ^ _ONE if (i ^ _ONE) < count else i
+    else:
+        own = load(f32x8, clusters + i * np.uint64(RECORD_BYTES))
+        least = _INF
+        first = i - min(i, radius)
+        last = min(i + radius, count - _ONE)
+        for j in range(first, last + _ONE):
+            if j != i:
+                other = load(f32x8, clusters + j * np.uint64(RECORD_BYTES))
+                area = half_area(maximum(own, other))
+                if area < least or match == i or (area == least and (i ^ j) < (i ^ match)):
+                    match, least = j, area
+    store(matches + (i << _WORD), np.uint32(match))
+
+
+@kernel
+def _count_places(i, count_at, matches, places):
+    """Whether cluster i keeps a place (1), and makes a node (2**32), as the first of a pair."""
+    place = _NONE
+    if i < load(np.uint64, count_at):
+        match = np.uint64(load(np.uint32, matches + (i << _WORD)))
+        is_pair = match != i and np.uint64(load(np.uint32, matches + (match << _WORD))) == i
+        if not is_pair:
+            place = _ONE
+        elif i < match:
+            place = _ONE | (_ONE << _UPPER)
+    store(places + (i << _LONG), place)
+
+
+@kernel
+def _merge(i, count_at, bound, leaf_count, matches, places, nodes, clusters, to, to_count_at):
+    """Write cluster i, or the node that it makes with its match, where the scan says."""
+    count = load(np.uint64, count_at)
+    own = load(np.uint64, places + (i << _LONG))
+    after = load(np.uint64, places + ((i + _ONE) << _LONG))
+    if i + _ONE == bound:
+        store(to_count_at, after & np.uint64(0xFFFFFFFF))
+    if i >= count or own == after:
+        return
+    at = clusters + i * np.uint64(RECORD_BYTES)
+    new = to + (own & np.uint64(0xFFFFFFFF)) * np.uint64(RECORD_BYTES)
+    row = np.uint64(load(np.int32, at + np.uint64(FIRST_AT)))
+    if (own >> _UPPER) == (after >> _UPPER):
+        store(new, load(f32x8, at))
+        store(new + np.uint64(FIRST_AT), np.int32(row))
+        return
+    match = np.uint64(load(np.uint32, matches + (i << _WORD)))
+    other_at = clusters + match * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+    # So many nodes were made before this round as there are fewer clusters than leaves.
+    made = leaf_count + (leaf_count - count) + (own >> _UPPER)
+    join(nodes, made, row, np.uint64(load(np.int32, other_at)))
+    store(new, load(f32x8, nodes.boxes + made * np.uint64(RECORD_BYTES)))
+    store(new + np.uint64(FIRST_AT), np.int32(made))
+
+
+class _Kernels(NamedTuple):
+    begin_cluster: RangeKernel
+    find_match: RangeKernel
+    count_places: RangeKernel
+    merge: RangeKernel
+
+
+KERNELS = _Kernels(
+    RangeKernel(_begin_cluster),
+    RangeKernel(_find_match),
+    RangeKernel(_count_places),
+    RangeKernel(_merge),
+)
+
+
+def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
+    """Write the inner nodes of a tree; returns the root's row.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    nodes : Nodes
+        With its leaves, in the order of a curve.
+    radius : int
+        At least 1.
+
+    Notes
+    -----
+    The host looks at every fourth round how many clusters are left: a few milliseconds of a build
+    are waits. Where boxes grow from each one to the next, only the first pair of a row is made in
+    a round; if few are, clusters are matched by their places once, so that the number of rounds
+    is at most about ten times the logarithm of the number of triangles.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for it: 80 bytes for each leaf.
+    """
+    bound = nodes.leaf_count
+    clusters, to = (gpu.empty("clusters", (bound, RECORD_BYTES), np.uint8) for _ in range(2))
+    matches = gpu.empty("matches", bound, np.uint32)
+    places = gpu.empty("places", bound + 1, np.uint64)
+    counts, to_counts = (_number(gpu, bound) for _ in range(2))
+    scan = Scan(gpu, bound)
+    KERNELS.begin_cluster.launch(gpu, bound, (nodes.at, clusters.address))
+    by_place = False
+    while bound > 1:
+        for _ in range(_ROUNDS):
+            at = counts.address
+            searched = clusters.address, np.uint64(radius), by_place
+            KERNELS.find_match.launch(gpu, bound, (at, *searched, matches.address))
+            KERNELS.count_places.launch(gpu, bound, (at, matches.address, places.address))
+            scan.run(places.address, bound, places.address, np.uint64)
+            read = (
+                at,
+                np.uint64(bound),
+                np.uint64(nodes.leaf_count),
+                matches.address,
+                places.address,
+            )
+            written = to.address, to_counts.address
+            KERNELS.merge.launch(gpu, bound, (*read, nodes.at, clusters.address, *written))
+            clusters, to, counts, to_counts = to, clusters, to_counts, counts
+            by_place = False
+        left = int(counts.host()[0])
+        by_place = left > (1.0 - _LEAST_SHARE) * bound
+        bound = left
+    return max(0, 2 * nodes.leaf_count - 2)
+
+
+def _number(gpu: Gpu, number: int) -> DeviceArray:
+    return gpu.upload("number of clusters", np.array([number], np.uint64))

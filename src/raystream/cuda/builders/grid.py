@@ -1,0 +1,137 @@
+"""DeviceGrid: a uniform grid that was built on a device, and stays there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from raystream.core.triangles import Triangles
+from raystream.cuda.builders.lists import DeviceLists, build_lists
+from raystream.cuda.structures import Resident
+from raystream.jit.cuda import DeviceArray, Gpu
+from raystream.jit.threads import Progress
+from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.grid.build import choose_and_build
+from raystream.structures.grid.lattice import Lattice, chosen_resolution
+from raystream.structures.grid.layout import FineArrays, GridAddresses, GridArrays
+from raystream.structures.grid.structure import Grid
+
+__all__ = ["DeviceGrid", "build_grid"]
+
+_NOWHERE = np.uint64(0)
+
+
+class DeviceGrid(Grid):
+    """A grid in a device's memory; it is copied to the host when it is asked for there.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    gpu : Gpu
+    lattice : Lattice
+    lists : DeviceLists
+    corners : DeviceArray of shape (F, 3, 3), float32
+    options : mapping
+        To build it again.
+    started : float
+        When the build began, by `time.perf_counter`.
+    """
+
+    def __init__(
+        self,
+        triangles: Triangles,
+        gpu: Gpu,
+        lattice: Lattice,
+        lists: DeviceLists,
+        corners: DeviceArray,
+        options: Mapping[str, Any],
+        started: float,
+    ) -> None:
+        self.triangles, self.lattice, self.options = triangles, lattice, options
+        self.gpu = gpu
+        self.fine = FineArrays.none()
+        low, high, size, counts = (
+            (np.float32(x), np.float32(y), np.float32(z))
+            for x, y, z in (lattice.low, lattice.high, lattice.size, lattice.counts)
+        )
+        arrays = lists.splits, lists.references, corners
+        addresses = [one.address for one in arrays]
+        tree = GridAddresses(low, high, size, counts, *addresses, *[_NOWHERE] * 4)
+        self.resident = Resident(tree, arrays)
+        gpu.wait()
+        byte_count = 4 * (lists.splits.shape[0] + lists.references.shape[0])
+        self.report = BuildReport(time.perf_counter() - started, byte_count)
+
+    @cached_property
+    def _on_host(self) -> Grid:
+        """The same grid, whose arrays are on the host."""
+        splits, references, _ = self.resident.arrays
+        made = Grid.__new__(Grid)
+        lists = GridArrays(splits.host(), references.host())
+        made._set(self.triangles, self.lattice, lists, self.fine, self.options, 0.0)
+        return made
+
+    def __getattr__(self, name: str) -> Any:
+        # What only the host's queries and figures need, when they do.
+        if name in ("lists", "_kept", "_addresses"):
+            return getattr(self._on_host, name)
+        raise AttributeError(name)
+
+    def updated(
+        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
+    ) -> tuple[Structure, UpdateReport]:
+        """Build it anew, on the device; see `Structure.updated`. Costs are not said."""
+        del max_cost_growth, progress
+        rebuilt = build_grid(self.gpu, triangles, **self.options)
+        return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
+
+
+def build_grid(
+    gpu: Gpu,
+    triangles: Triangles,
+    *,
+    resolution: Any = None,
+    min_resolution: int | None = None,
+    levels: int = 1,
+) -> Grid:
+    """Build a grid on a device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    triangles : Triangles
+    resolution, min_resolution
+        See `Grid`.
+    levels : {1}
+        A second level is made on the CPU alone.
+
+    Returns
+    -------
+    Grid
+        Its arrays are those of the CPU's build, bit for bit.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of range, or the grid would be too large.
+    CudaError
+        If there is no memory for it.
+    """
+    if levels != 1:
+        raise ValueError(f"levels: expected 1 where build='device', got {levels}")
+    resolution, min_resolution = chosen_resolution(resolution, min_resolution)
+    options = {"resolution": resolution, "min_resolution": min_resolution, "levels": 1}
+    if len(triangles.prim_ids) == 0:
+        return Grid(triangles, **options)
+    started = time.perf_counter()
+    corners = gpu.upload("corners", triangles.corners)
+
+    def make(lattice: Lattice, most: int, _: str) -> DeviceLists:
+        return build_lists(gpu, triangles, corners, lattice, most)
+
+    lattice, lists = choose_and_build(triangles, resolution, min_resolution, 1, make)
+    return DeviceGrid(triangles, gpu, lattice, lists, corners, options, started)

@@ -1,0 +1,167 @@
+"""A linear BVH: the hierarchy that the bits of sorted keys make.
+
+References
+----------
+Karras, "Maximizing Parallelism in the Construction of BVHs, Octrees, and k-d Trees", High
+Performance Graphics 2012.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.records import Nodes, join
+from raystream.jit.atomics import add_atomically, fence
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.simd import load, store
+from raystream.structures.bvh.tree import LINK_BYTES, RIGHT_AT
+
+__all__ = ["KERNELS", "link_by_keys"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)  # one of eight
+_BITS = np.uint64(64)
+
+
+@device
+def _leading_zeros(number):
+    """Zeros above the highest bit of a uint64; 64 for 0."""
+    if number == _NONE:
+        return _BITS
+    zeros, step = _NONE, np.uint64(32)
+    while step != _NONE:
+        if number >> (_BITS - step) == _NONE:
+            zeros += step
+            number <<= step
+        step >>= _ONE
+    return zeros
+
+
+@device
+def _shared_bits(keys, i, j):
+    """How many bits two keys begin with together; equal ones are told apart by their rows."""
+    differs = load(np.uint64, keys + (i << _LONG)) ^ load(np.uint64, keys + (j << _LONG))
+    if differs == _NONE:
+        return _BITS + _leading_zeros(i ^ j)
+    return _leading_zeros(differs)
+
+
+@device
+def _last_row(keys, i, count, ahead):
+    """The other end of the range of inner node i, which begins with row i and goes up or down."""
+    if ahead:
+        room = count - _ONE - i
+        outside = _shared_bits(keys, i, i - _ONE) if i != _NONE else _NONE
+        is_first = i == _NONE
+    else:
+        room = i
+        outside = _shared_bits(keys, i, i + _ONE)
+        is_first = False
+    # Rows that share more bits with row i than the row before it does: a bound, then the end.
+    step = _ONE
+    while step < room and (
+        is_first or _shared_bits(keys, i, i + step if ahead else i - step) > outside
+    ):
+        step <<= _ONE
+    length = _NONE
+    while step != _NONE:
+        tried = length + step
+        if tried <= room and (
+            is_first or _shared_bits(keys, i, i + tried if ahead else i - tried) > outside
+        ):
+            length = tried
+        step >>= _ONE
+    return i + length if ahead else i - length
+
+
+@kernel
+def _link(i, keys, count, links, parents):
+    """Find the children of inner node i, in row count + i."""
+    ahead = i == _NONE
+    if not ahead:
+        ahead = _shared_bits(keys, i, i + _ONE) > _shared_bits(keys, i, i - _ONE)
+    other = _last_row(keys, i, count, ahead)
+    first, last = min(i, other), max(i, other)
+    # The last row that shares more bits with the first one than the last one does.
+    shared = _shared_bits(keys, first, last)
+    low, high = first, last
+    while high - low > _ONE:
+        middle = (low + high) >> _ONE
+        if _shared_bits(keys, first, middle) > shared:
+            low = middle
+        else:
+            high = middle
+    left = low if low == first else count + low
+    right = high if high == last else count + high
+    link = links + (count + i) * np.uint64(LINK_BYTES)
+    store(link, np.int32(left))
+    store(link + np.uint64(RIGHT_AT), np.int32(right))
+    store(parents + (left << _WORD), np.uint32(i))
+    store(parents + (right << _WORD), np.uint32(i))
+
+
+@kernel
+def _climb(i, count, nodes, parents, visits):
+    """Go up from leaf i, and write each inner node whose other child is written already."""
+    row = i
+    while row != count:  # the root's row
+        parent = np.uint64(load(np.uint32, parents + (row << _WORD)))
+        fence()
+        if add_atomically(visits + (parent << _WORD), np.uint32(1)) == np.uint32(0):
+            return  # whoever comes from the other child writes it
+        fence()
+        row = count + parent
+        link = nodes.links + row * np.uint64(LINK_BYTES)
+        left, right = load(np.int32, link), load(np.int32, link + np.uint64(RIGHT_AT))
+        join(nodes, row, np.uint64(left), np.uint64(right))
+
+
+@kernel
+def _clear(i, visits):
+    store(visits + (i << _WORD), np.uint32(0))
+
+
+class _Kernels(NamedTuple):
+    link: RangeKernel
+    clear: RangeKernel
+    climb: RangeKernel
+
+
+KERNELS = _Kernels(RangeKernel(_link), RangeKernel(_clear), RangeKernel(_climb))
+
+
+def link_by_keys(gpu: Gpu, keys: DeviceArray, nodes: Nodes) -> int:
+    """Begin to write the inner nodes of a tree; returns the root's row. Nothing waits for it.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    keys : DeviceArray of shape (N,), uint64
+        In increasing order.
+    nodes : Nodes
+        With its leaves.
+
+    Notes
+    -----
+    No path is longer than the bits of keys and rows that differ.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for it.
+    """
+    if nodes.leaf_count == 1:
+        return 0
+    count = np.uint64(nodes.leaf_count)
+    parents = gpu.empty("parents", 2 * nodes.leaf_count, np.uint32)
+    visits = gpu.empty("visits", nodes.leaf_count, np.uint32)
+    KERNELS.clear.launch(gpu, nodes.leaf_count, (visits.address,))
+    inner = keys.address, count, nodes.at.links, parents.address
+    KERNELS.link.launch(gpu, nodes.leaf_count - 1, inner)
+    KERNELS.climb.launch(gpu, nodes.leaf_count, (count, nodes.at, parents.address, visits.address))
+    return nodes.leaf_count

@@ -1,0 +1,177 @@
+"""The lists of a grid, made on the device: count, scan, fill, sort.
+
+A thread takes a triangle. First it counts the cells that the triangle is in; the counts are
+scanned; then it writes pairs of cell and triangle where the scan says. A stable sort by cell
+leaves the triangles of each cell in their order, as the CPU lists them.
+
+References
+----------
+Kalojanov and Slusallek, "A Parallel Algorithm for Construction of Uniform Grids", High Performance
+Graphics 2009.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.core.triangles import Triangles
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.cuda.scan import Scan
+from raystream.jit.intrinsics import corners_at
+from raystream.jit.simd import load, store
+from raystream.structures.grid.build import TooManyError
+from raystream.structures.grid.lattice import Lattice
+from raystream.structures.grid.overlap import each_cell, range_along
+
+__all__ = ["KERNELS", "DeviceLists", "as_numbers", "build_lists"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)  # one of eight
+
+
+class DeviceLists(NamedTuple):
+    """As `structures.grid.layout.GridArrays`, on a device.
+
+    Attributes
+    ----------
+    splits : DeviceArray of shape (C + 1,), uint32
+    references : DeviceArray of shape (R,), int32
+    """
+
+    splits: DeviceArray
+    references: DeviceArray
+
+
+@device
+def _visit(lattice, corners, prim_id, mark, to):
+    """Call `mark` for each cell of a triangle; returns how many there are."""
+    at = corners_at(corners)
+    first_x, last_x = range_along(lattice, at, prim_id, 0)
+    first_y, last_y = range_along(lattice, at, prim_id, 1)
+    first_z, last_z = range_along(lattice, at, prim_id, 2)
+    first, last = (first_x, first_y, first_z), (last_x, last_y, last_z)
+    return each_cell(lattice, at, prim_id, first, last, mark, to)
+
+
+@device
+def _pass(_cell, _prim_id, _rank, _to):
+    pass
+
+
+@device
+def _note(cell, prim_id, rank, to):
+    begin, cells, ids = to
+    at = (begin + rank) << _WORD
+    store(cells + at, np.uint32(cell))
+    store(ids + at, np.uint32(prim_id))
+
+
+@device
+def _prim_id(prim_ids, i):
+    return np.uint64(load(np.int32, prim_ids + (i << _WORD)))
+
+
+@kernel
+def _count_cells(i, lattice, corners, prim_ids, counts):
+    """Count the cells of the triangle in row i of `prim_ids`."""
+    total = _visit(lattice, corners, _prim_id(prim_ids, i), _pass, _NONE)
+    store(counts + (i << _LONG), np.uint64(total))
+
+
+@kernel
+def _fill_pairs(i, lattice, corners, prim_ids, begins, cells, ids):
+    """Write the cells of the triangle in row i of `prim_ids`, from its row of `begins` on."""
+    begin = load(np.uint64, begins + (i << _LONG))
+    _visit(lattice, corners, _prim_id(prim_ids, i), _note, (begin, cells, ids))
+
+
+@kernel
+def _find_split(i, cells, count, splits):
+    """Find the first of the sorted `cells` that is not below i."""
+    low, high = _NONE, count
+    while low < high:
+        middle = (low + high) >> _ONE
+        if np.uint64(load(np.uint32, cells + (middle << _WORD))) < i:
+            low = middle + _ONE
+        else:
+            high = middle
+    store(splits + (i << _WORD), np.uint32(low))
+
+
+class _Kernels(NamedTuple):
+    count_cells: RangeKernel
+    fill_pairs: RangeKernel
+    find_split: RangeKernel
+
+
+#: The steps that are kernels of their own.
+KERNELS = _Kernels(RangeKernel(_count_cells), RangeKernel(_fill_pairs), RangeKernel(_find_split))
+
+
+def build_lists(
+    gpu: Gpu, triangles: Triangles, corners: DeviceArray, lattice: Lattice, most: int
+) -> DeviceLists:
+    """List the triangles of each cell on a device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    triangles : Triangles
+        At least one that can be hit.
+    corners : DeviceArray of shape (F, 3, 3), float32
+        Those of the triangles.
+    lattice : Lattice
+    most : int
+        How many references there may be.
+
+    Returns
+    -------
+    DeviceLists
+        Those that `structures.grid.build.build_lists` makes, bit for bit.
+
+    Raises
+    ------
+    TooManyError
+        If there are more references.
+    CudaError
+        If there is no memory for them: 16 bytes for each while building.
+
+    Notes
+    -----
+    The host waits for the device once, to know how many references there are.
+    """
+    prim_ids = gpu.upload("prim_ids", triangles.prim_ids)
+    (count,) = prim_ids.shape
+    typed = as_numbers(lattice)
+    begins = gpu.empty("places of references", count + 1, np.uint64)
+    shared = typed, corners.address, prim_ids.address
+    KERNELS.count_cells.launch(gpu, count, (*shared, begins.address))
+    Scan(gpu, count).run(begins.address, count, begins.address, np.uint64)
+    total = int(begins.part(count, 1).host()[0])
+    if total > most:
+        raise TooManyError
+    cells = gpu.empty("cells of references", total, np.uint32)
+    ids = gpu.empty("references", total, np.int32)
+    KERNELS.fill_pairs.launch(gpu, count, (*shared, begins.address, cells.address, ids.address))
+    bits = (lattice.cell_count - 1).bit_length()
+    cells, ids = sort_pairs(gpu, cells, ids, bits)
+    splits = gpu.empty("splits", lattice.cell_count + 1, np.uint32)
+    wanted = cells.address, np.uint64(total), splits.address
+    KERNELS.find_split.launch(gpu, lattice.cell_count + 1, wanted)
+    return DeviceLists(splits, ids)
+
+
+def as_numbers(lattice: Lattice) -> Lattice:
+    """A lattice of NumPy's numbers, as kernels are given them."""
+    low, high, size = (
+        (np.float64(x), np.float64(y), np.float64(z))
+        for x, y, z in (lattice.low, lattice.high, lattice.size)
+    )
+    counts: Any = tuple(map(np.int64, lattice.counts))
+    return Lattice(low, high, size, counts, np.float64(lattice.growth))

@@ -1,0 +1,112 @@
+"""Refitting a BVH on the device to triangles that moved, and what tracing it then costs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.wide import WideTree
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.simd import load, store
+from raystream.structures.bvh.layout import BLOCK_BYTES, CHILDREN_AT, NODE_BYTES, WIDTH
+from raystream.structures.bvh.refit import refit_leaves, refit_node
+
+__all__ = ["KERNELS", "cost_of", "refit"]
+
+#: Threads that add up costs, each of some nodes.
+_ADDING_THREADS = 1 << 12
+
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)  # one of eight
+_AXIS_BYTES = np.uint64(64)
+_HIGH = np.uint64(32)
+
+
+@kernel
+def _move_leaves(row, nodes, leaves, block_count, corners):
+    """Write the leaves of a node, and their boxes."""
+    last_block = leaves + block_count * np.uint64(BLOCK_BYTES)
+    refit_leaves(nodes + row * np.uint64(NODE_BYTES), corners, leaves, last_block)
+
+
+@kernel
+def _move_nodes(i, first, nodes):
+    """Write the boxes of the children of node first + i that are nodes."""
+    refit_node(nodes + (first + i) * np.uint64(NODE_BYTES), nodes)
+
+
+@device
+def _extent(node, lane, axis):
+    at = node + np.uint64(axis) * _AXIS_BYTES + (lane << _WORD)
+    return np.float64(load(np.float32, at + _HIGH)) - np.float64(load(np.float32, at))
+
+
+@kernel
+def _add_costs(i, thread_count, node_count, nodes, costs):
+    """Add up the areas of the children of every so many nodes; of a leaf, for each block."""
+    total = 0.0
+    row = i
+    while row < node_count:
+        node = nodes + row * np.uint64(NODE_BYTES)
+        for lane in range(np.uint64(WIDTH)):
+            link = load(np.int32, node + np.uint64(CHILDREN_AT) + (lane << _WORD))
+            x, y, z = _extent(node, lane, 0), _extent(node, lane, 1), _extent(node, lane, 2)
+            area = x * y + y * z + z * x
+            if link > np.int32(0):
+                total += area
+            elif link < np.int32(0):
+                total += area * ((~link & np.int32(7)) + np.int32(1))
+        row += thread_count
+    store(costs + (i << _LONG), total)
+
+
+class _Kernels(NamedTuple):
+    move_leaves: RangeKernel
+    move_nodes: RangeKernel
+    add_costs: RangeKernel
+
+
+KERNELS = _Kernels(RangeKernel(_move_leaves), RangeKernel(_move_nodes), RangeKernel(_add_costs))
+
+
+def refit(gpu: Gpu, tree: WideTree, corners: DeviceArray) -> None:
+    """Begin to take over new positions of all triangles, in place; see `structures.bvh.refit`.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    tree : WideTree
+        Changed; no query may run meanwhile.
+    corners : DeviceArray of shape (F, 3, 3), float32
+        By prim_id; one with a NaN is never hit.
+
+    Raises
+    ------
+    CudaError
+        If it cannot be launched.
+    """
+    nodes, leaves, levels = tree
+    block_count = np.uint64(leaves.shape[0])
+    moved = nodes.address, leaves.address, block_count, corners.address
+    KERNELS.move_leaves.launch(gpu, nodes.shape[0], moved)
+    for first, end in zip(levels[-2::-1], levels[:0:-1], strict=True):
+        KERNELS.move_nodes.launch(gpu, end - first, (np.uint64(first), nodes.address))
+
+
+def cost_of(gpu: Gpu, tree: WideTree) -> float:
+    """Nodes and leaf blocks that a random line through the bounds meets; waits for the device.
+
+    The same, but for rounding, as `structures.bvh.structure.trace_cost`.
+    """
+    nodes = tree.nodes
+    thread_count = min(_ADDING_THREADS, nodes.shape[0])
+    costs = gpu.empty("costs", thread_count, np.float64)
+    counted = np.uint64(thread_count), np.uint64(nodes.shape[0])
+    KERNELS.add_costs.launch(gpu, thread_count, (*counted, nodes.address, costs.address))
+    root = nodes.part(0, nodes.shape[1]).host().reshape(-1, WIDTH)
+    low, high = root[0:6:2].min(axis=1), root[1:6:2].max(axis=1)
+    x, y, z = (high.astype(np.float64) - low).tolist()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(1.0 + np.float64(costs.host().sum()) / (x * y + y * z + z * x))

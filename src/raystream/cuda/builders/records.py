@@ -1,0 +1,235 @@
+"""Records in the order of a curve through space: the leaves of a linear BVH.
+
+Nodes are rows, as in `structures.bvh.tree`: the leaves come first, in the order of their keys, and
+then what is above them. A leaf's row has its prim_id where an inner node would have its first
+record.
+
+References
+----------
+Lauterbach, Garland, Sengupta, Luebke and Manocha, "Fast BVH Construction on GPUs", Computer
+Graphics Forum 28(2), 2009.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.core.triangles import Triangles
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.simd import f32x8, load, maximum, scratch, store
+from raystream.structures.bvh.collapse import COST_BYTES, leaf_costs, merge_costs
+from raystream.structures.bvh.records import COUNT_AT, RECORD_BYTES, write_record
+from raystream.structures.bvh.tree import LINK_BYTES, RIGHT_AT, TOP_AT
+
+__all__ = [
+    "COARSE_BITS",
+    "FINE_BITS",
+    "KERNELS",
+    "KeyFrame",
+    "Nodes",
+    "NodesAt",
+    "join",
+    "make_leaves",
+]
+
+#: Bits of a key along each axis; and where a tree must not become deep.
+FINE_BITS, COARSE_BITS = 16, 10
+
+#: Of a node and of a leaf block, as on the CPU.
+_PRICES = (np.float32(1.0), np.float32(1.0))
+
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)  # one of eight
+_AXES = np.uint64(3)
+
+
+class NodesAt(NamedTuple):
+    """Addresses of a binary tree's rows.
+
+    Attributes
+    ----------
+    boxes, links, costs : uint64
+        See `structures.bvh.tree` and `structures.bvh.collapse`.
+    max_leaf_size : int64
+    """
+
+    boxes: np.uint64
+    links: np.uint64
+    costs: np.uint64
+    max_leaf_size: np.int64
+
+
+class Nodes(NamedTuple):
+    """A binary tree on a device.
+
+    Attributes
+    ----------
+    at : NodesAt
+    leaf_count : int
+        N: rows N to 2 N - 2 are inner nodes.
+    arrays : tuple of DeviceArray
+        What is at the addresses.
+    """
+
+    at: NodesAt
+    leaf_count: int
+    arrays: tuple[DeviceArray, ...]
+
+    @classmethod
+    def allocate(cls, gpu: Gpu, count: int, max_leaf_size: int) -> Nodes:
+        """Make room for a tree of so many leaves.
+
+        Raises
+        ------
+        CudaError
+            If there is none: 80 bytes for each node.
+        """
+        rows = 2 * count
+        boxes = gpu.empty("boxes", (rows, RECORD_BYTES), np.uint8)
+        links = gpu.empty("links", (rows, LINK_BYTES), np.uint8)
+        costs = gpu.empty("costs", (rows, COST_BYTES), np.uint8)
+        addresses = boxes.address, links.address, costs.address
+        at = NodesAt(*addresses, np.int64(max_leaf_size))
+        return cls(at, count, (boxes, links, costs))
+
+
+class KeyFrame(NamedTuple):
+    """How keys are made of places.
+
+    Attributes
+    ----------
+    low : tuple of three float64
+        Twice the low corner of all triangles.
+    scale : float64
+        Steps of a key in twice a unit.
+    bits : uint64
+        Of each axis.
+    """
+
+    low: tuple[np.float64, np.float64, np.float64]
+    scale: np.float64
+    bits: np.uint64
+
+    @classmethod
+    def of(cls, triangles: Triangles, bits: int) -> KeyFrame:
+        """Cubes: as many steps along all axes in a unit."""
+        low, high = triangles.bounds.astype(np.float64)
+        longest = float((high - low).max())
+        x, y, z = 2.0 * low
+        scale = 2.0**bits / (2.0 * longest) if longest > 0.0 else 0.0
+        return cls((x, y, z), np.float64(scale), np.uint64(bits))
+
+
+@device
+def _step(place, low, frame):
+    """Number of the step in which twice a place is."""
+    steps = (place - low) * frame.scale
+    most = np.float64((_ONE << frame.bits) - _ONE)
+    return np.uint64(np.int64(min(max(steps, 0.0), most)))
+
+
+@device
+def _spread_bits(number):
+    """The bits of a number below 2**21, with two zeros after each."""
+    number = (number | (number << np.uint64(32))) & np.uint64(0x001F00000000FFFF)
+    number = (number | (number << np.uint64(16))) & np.uint64(0x001F0000FF0000FF)
+    number = (number | (number << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
+    number = (number | (number << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
+    return (number | (number << np.uint64(2))) & np.uint64(0x1249249249249249)
+
+
+@kernel
+def _make_key(i, corners, prim_ids, frame, keys, values):
+    """Write the key of the triangle in row i of `prim_ids`, and its prim_id."""
+    prim_id = load(np.int32, prim_ids + (i << _WORD))
+    record = scratch(32)
+    write_record(corners, prim_id, record)
+    key = np.uint64(0)
+    for axis in range(_AXES):
+        at = record + (axis << _WORD)
+        low, high = np.float64(-load(np.float32, at)), load(np.float32, at + np.uint64(16))
+        key |= _spread_bits(_step(low + np.float64(high), frame.low[axis], frame)) << axis
+    store(keys + (i << _LONG), key)
+    store(values + (i << _WORD), np.uint32(prim_id))
+
+
+@kernel
+def _make_leaf(i, corners, values, nodes):
+    """Write row i of the tree: a leaf of one triangle."""
+    box = nodes.boxes + i * np.uint64(RECORD_BYTES)
+    write_record(corners, load(np.int32, values + (i << _WORD)), box)
+    store(box + np.uint64(COUNT_AT), np.int32(1))
+    link = nodes.links + i * np.uint64(LINK_BYTES)
+    store(link, np.int32(-1))
+    store(link + np.uint64(TOP_AT), np.int32(0))
+    store(nodes.costs + i * np.uint64(COST_BYTES), leaf_costs(box, _PRICES[1]))
+
+
+@device
+def join(nodes, row, left, right):
+    """Write an inner node in a row: its children are two rows that are written."""
+    box = nodes.boxes + row * np.uint64(RECORD_BYTES)
+    link = nodes.links + row * np.uint64(LINK_BYTES)
+    left_box = nodes.boxes + left * np.uint64(RECORD_BYTES)
+    right_box = nodes.boxes + right * np.uint64(RECORD_BYTES)
+    count = load(np.int32, left_box + np.uint64(COUNT_AT))
+    count += load(np.int32, right_box + np.uint64(COUNT_AT))
+    store(box, maximum(load(f32x8, left_box), load(f32x8, right_box)))
+    store(box + np.uint64(COUNT_AT), np.int32(count))
+    store(link, np.int32(left))
+    store(link + np.uint64(RIGHT_AT), np.int32(right))
+    store(link + np.uint64(TOP_AT), np.int32(0))
+    left_costs = load(f32x8, nodes.costs + left * np.uint64(COST_BYTES))
+    right_costs = load(f32x8, nodes.costs + right * np.uint64(COST_BYTES))
+    costs = merge_costs(box, link, left_costs, right_costs, nodes.max_leaf_size, _PRICES)
+    store(nodes.costs + row * np.uint64(COST_BYTES), costs)
+
+
+class _Kernels(NamedTuple):
+    make_key: RangeKernel
+    make_leaf: RangeKernel
+
+
+KERNELS = _Kernels(RangeKernel(_make_key), RangeKernel(_make_leaf))
+
+
+def make_leaves(
+    gpu: Gpu, triangles: Triangles, corners: DeviceArray, nodes: Nodes, bits: int
+) -> DeviceArray:
+    """Begin to write the leaves of a tree, in the order of their keys.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    triangles : Triangles
+    corners : DeviceArray of shape (F, 3, 3), float32
+        Those of the triangles.
+    nodes : Nodes
+        Their rows are written.
+    bits : int
+        Of a key along each axis.
+
+    Returns
+    -------
+    DeviceArray of shape (N,), uint64
+        The keys, in increasing order.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for keys.
+    """
+    prim_ids = gpu.upload("prim_ids", triangles.prim_ids)
+    keys = gpu.empty("keys", nodes.leaf_count, np.uint64)
+    values = gpu.empty("triangles by key", nodes.leaf_count, np.uint32)
+    frame = KeyFrame.of(triangles, bits)
+    to = keys.address, values.address
+    KERNELS.make_key.launch(gpu, nodes.leaf_count, (corners.address, prim_ids.address, frame, *to))
+    keys, values = sort_pairs(gpu, keys, values, 3 * bits)
+    KERNELS.make_leaf.launch(gpu, nodes.leaf_count, (corners.address, values.address, nodes.at))
+    return keys

@@ -1,0 +1,245 @@
+"""From a binary tree on a device to the wide one that rays are traced in, level by level.
+
+Which binary nodes become wide ones was decided when each was written (`structures.bvh.collapse`).
+Here the wide nodes get rows: a level's after those of the level above, so that children come after
+their parents, and each level can be refitted at once.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.records import Nodes
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.scan import Scan
+from raystream.jit.simd import load, scratch, store
+from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
+from raystream.structures.bvh.emit import clear_leaf_block, clear_node, set_lane
+from raystream.structures.bvh.layout import (
+    BLOCK_BYTES,
+    BLOCK_FLOATS,
+    IDS_AT,
+    MAX_BLOCKS,
+    MAX_DEPTH,
+    MAX_LEAF_SIZE,
+    NODE_BYTES,
+    NODE_FLOATS,
+)
+from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
+from raystream.structures.bvh.tree import LINK_BYTES, RIGHT_AT
+
+__all__ = ["KERNELS", "TooDeepError", "WideTree", "make_wide"]
+
+_LANES_BYTES = 32
+_WALK_BYTES = 4 * (MAX_LEAF_SIZE + 1)
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)  # one of eight
+_UPPER = np.uint64(32)
+_LOWER = np.uint64(0xFFFFFFFF)
+_IN_BLOCK = np.uint64(3)
+_TRIANGLE_BYTES = np.uint64(36)
+
+
+class TooDeepError(Exception):
+    """A tree has more levels than its traversal can take."""
+
+
+class WideTree(NamedTuple):
+    """As `structures.bvh.layout.BvhArrays`, on a device.
+
+    Attributes
+    ----------
+    nodes : DeviceArray of shape (M, 64), float32
+    leaves : DeviceArray of shape (B, 40), float32
+    levels : tuple of int
+        Level i has the rows from levels[i] to levels[i + 1].
+    """
+
+    nodes: DeviceArray
+    leaves: DeviceArray
+    levels: tuple[int, ...]
+
+
+@device
+def _block_count(boxes, row):
+    """Leaf blocks of a binary node that becomes a leaf."""
+    count = load(np.int32, boxes + row * np.uint64(RECORD_BYTES) + np.uint64(COUNT_AT))
+    return (np.uint64(count) + _IN_BLOCK) >> np.uint64(2)
+
+
+@device
+def _fill_lanes(nodes, root, is_first, lanes):
+    """List the binary nodes in the lanes of a wide one, int32 each; returns how many."""
+    if is_first and is_leaf(nodes.links, root):
+        store(lanes, root)  # the whole tree is one leaf
+        return _ONE
+    return list_children(nodes.links, root, scratch(LISTING_BYTES), lanes)
+
+
+@device
+def _lane(lanes, k):
+    return load(np.int32, lanes + (k << _WORD))
+
+
+@kernel
+def _count_lanes(i, first, nodes, roots, counts):
+    """Count the children of wide node first + i that are nodes (1), and leaf blocks (2**32)."""
+    row = first + i
+    lanes = scratch(_LANES_BYTES)
+    root = load(np.int32, roots + (row << _WORD))
+    found = _NONE
+    for k in range(_fill_lanes(nodes, root, row == _NONE, lanes)):
+        child = _lane(lanes, k)
+        if is_leaf(nodes.links, child):
+            found += _block_count(nodes.boxes, np.uint64(child)) << _UPPER
+        else:
+            found += _ONE
+    store(counts + (i << _LONG), found)
+
+
+@kernel
+def _give_rows(i, first, level_end, first_block, nodes, counts, roots, first_children, blocks):
+    """Say where the children of wide node first + i go, and which binary nodes they are."""
+    row = first + i
+    lanes = scratch(_LANES_BYTES)
+    root = load(np.int32, roots + (row << _WORD))
+    before = load(np.uint64, counts + (i << _LONG))
+    child_row = level_end + (before & _LOWER)
+    store(first_children + (row << _WORD), np.uint32(child_row))
+    store(blocks + (row << _WORD), np.uint32(first_block + (before >> _UPPER)))
+    for k in range(_fill_lanes(nodes, root, row == _NONE, lanes)):
+        child = _lane(lanes, k)
+        if not is_leaf(nodes.links, child):
+            store(roots + (child_row << _WORD), child)
+            child_row += _ONE
+
+
+@device
+def _write_triangle(prim_id, place, corners, leaf):
+    """Copy a triangle to a place in the blocks of a leaf."""
+    block = leaf + (place >> np.uint64(2)) * np.uint64(BLOCK_BYTES)
+    if place & _IN_BLOCK == _NONE:
+        clear_leaf_block(block)
+    at = block + ((place & _IN_BLOCK) << _WORD)
+    corner = corners + np.uint64(prim_id) * _TRIANGLE_BYTES
+    for k in range(np.uint64(9)):
+        store(at + k * np.uint64(16), load(np.float32, corner + (k << _WORD)))
+    store(at + np.uint64(IDS_AT), prim_id)
+
+
+@device
+def _write_leaf(nodes, root, corners, leaf):
+    """Write the triangles below a binary node to a leaf; it has at most `MAX_LEAF_SIZE`."""
+    pending = scratch(_WALK_BYTES)
+    store(pending, root)
+    top, place = pending + np.uint64(4), _NONE
+    while top != pending:
+        top -= np.uint64(4)
+        row = np.uint64(load(np.int32, top))
+        link = nodes.links + row * np.uint64(LINK_BYTES)
+        left = load(np.int32, link)
+        if left < np.int32(0):
+            box = nodes.boxes + row * np.uint64(RECORD_BYTES)
+            _write_triangle(load(np.int32, box + np.uint64(FIRST_AT)), place, corners, leaf)
+            place += _ONE
+        else:
+            store(top, load(np.int32, link + np.uint64(RIGHT_AT)))
+            store(top + np.uint64(4), left)
+            top += np.uint64(8)
+
+
+@kernel
+def _write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves):
+    """Write a wide node, and its leaves."""
+    to = wide + row * np.uint64(NODE_BYTES)
+    lanes = scratch(_LANES_BYTES)
+    root = load(np.int32, roots + (row << _WORD))
+    child_row = load(np.uint32, first_children + (row << _WORD))
+    block = load(np.uint32, blocks + (row << _WORD))
+    clear_node(to)
+    for k in range(_fill_lanes(nodes, root, row == _NONE, lanes)):
+        child = _lane(lanes, k)
+        box = nodes.boxes + np.uint64(child) * np.uint64(RECORD_BYTES)
+        if is_leaf(nodes.links, child):
+            own = np.int32(_block_count(nodes.boxes, np.uint64(child)))
+            link = ~((np.int32(block) << np.int32(3)) | (own - np.int32(1)))
+            set_lane(to, k, box, np.int32(link))
+            leaf = leaves + np.uint64(block) * np.uint64(BLOCK_BYTES)
+            _write_leaf(nodes, child, corners, leaf)
+            block = np.uint32(block + np.uint32(own))
+        else:
+            set_lane(to, k, box, np.int32(child_row))
+            child_row = np.uint32(child_row + np.uint32(1))
+
+
+class _Kernels(NamedTuple):
+    count_lanes: RangeKernel
+    give_rows: RangeKernel
+    write_node: RangeKernel
+
+
+KERNELS = _Kernels(RangeKernel(_count_lanes), RangeKernel(_give_rows), RangeKernel(_write_node))
+
+
+def make_wide(gpu: Gpu, nodes: Nodes, root: int, corners: DeviceArray) -> WideTree:
+    """Make the wide tree of a binary one.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    nodes : Nodes
+        A whole tree.
+    root : int
+        The root's row.
+    corners : DeviceArray of shape (F, 3, 3), float32
+        Those of the triangles.
+
+    Raises
+    ------
+    TooDeepError
+        If it has more than `MAX_DEPTH` levels.
+    ValueError
+        If it would be too large for the layout.
+    CudaError
+        If there is no memory for it.
+
+    Notes
+    -----
+    The host waits for the device once a level, to know how many nodes the next one has.
+    """
+    room = max(1, nodes.leaf_count - 1)  # each wide node has two children or more
+    roots, first_children, blocks = (
+        gpu.empty(name, room, np.uint32) for name in ("roots", "first children", "first blocks")
+    )
+    counts = gpu.empty("children of a level", room + 1, np.uint64)
+    scan = Scan(gpu, room)
+    roots.part(0, 1).fill(np.array([root], np.uint32))
+    levels, block_total = [0, 1], 0
+    while levels[-1] != levels[-2]:
+        if len(levels) > MAX_DEPTH + 1:
+            raise TooDeepError
+        first, end = levels[-2:]
+        shared = nodes.at, roots.address
+        KERNELS.count_lanes.launch(gpu, end - first, (np.uint64(first), *shared, counts.address))
+        scan.run(counts.address, end - first, counts.address, np.uint64)
+        begins = np.uint64(first), np.uint64(end), np.uint64(block_total)
+        to = roots.address, first_children.address, blocks.address
+        KERNELS.give_rows.launch(gpu, end - first, (*begins, nodes.at, counts.address, *to))
+        found = int(counts.part(end - first, 1).host()[0])
+        levels.append(end + (found & 0xFFFFFFFF))
+        block_total += found >> 32
+        if block_total > MAX_BLOCKS:
+            raise ValueError(f"{block_total:,} leaf blocks are more than {MAX_BLOCKS:,}")
+    levels.pop()
+    wide = gpu.empty("nodes", (levels[-1], NODE_FLOATS), np.float32)
+    leaves = gpu.empty("leaves", (block_total, BLOCK_FLOATS), np.float32)
+    placed = roots.address, first_children.address, blocks.address
+    written = corners.address, wide.address, leaves.address
+    KERNELS.write_node.launch(gpu, levels[-1], (nodes.at, *placed, *written))
+    return WideTree(wide, leaves, tuple(levels))

@@ -1,0 +1,417 @@
+"""Structures built on the device: grids have the CPU's bits, BVHs are whole and answer alike.
+
+In the simulator a thread takes a tenth of a millisecond, and a block of threads that wait for each
+other a hundred times that. So most tests there run kernels in loops compiled for the CPU, and
+NumPy's sort and sum in place of the device's (`test_primitives` has those).
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from cases import CASES
+from conftest import skip_without_cuda
+from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated, open_gpu
+from raystream.jit.loops import compile_loop
+from raystream.structures.bvh.layout import BvhArrays, aligned_array, check_arrays
+from raystream.structures.bvh.refit import refit
+from raystream.structures.bvh.structure import hittable_corners, trace_cost
+from test_agreement import answers_of, assert_expected, case_of, rays_of
+
+METHODS = ("clusters", "linear")
+
+
+def _rows(address, count, dtype):
+    """An array at an address of the simulated device."""
+    room = ctypes.c_char * (count * np.dtype(dtype).itemsize)
+    return np.frombuffer(room.from_address(int(address)), dtype)
+
+
+_LOOP = """
+def loop(count, arguments):
+    for i in range(count):
+        function(i, *arguments)
+"""
+
+
+def _launch(kernel, _gpu, count, arguments, stream=None):
+    if count:
+        loop = compile_loop(_LOOP, kernel._function, {}, __name__)
+        loop(np.uint64(count), arguments)
+
+
+def _scan(_scan, values, count, out, dtype):
+    sums = np.cumsum(_rows(values, count, dtype), dtype=dtype)
+    to = _rows(out, count + 1, dtype)
+    to[0], to[1:] = 0, sums
+
+
+def _sort(_gpu, keys, values, _bits):
+    order = np.argsort(keys.host(), kind="stable")
+    keys.fill(keys.host()[order])
+    values.fill(values.host()[order])
+    return keys, values
+
+
+@pytest.fixture
+def simple_sort(monkeypatch):
+    """NumPy's sort and sum, where the device is simulated."""
+    if is_simulated():
+        from raystream.cuda.builders import lists, records
+        from raystream.jit.cuda.scan import Scan
+
+        monkeypatch.setattr(Scan, "run", _scan)
+        monkeypatch.setattr(lists, "sort_pairs", _sort)
+        monkeypatch.setattr(records, "sort_pairs", _sort)
+
+
+@pytest.fixture
+def device(simple_sort, monkeypatch):
+    """The device; a simulated one runs loops."""
+    skip_without_cuda()
+    if is_simulated():
+        monkeypatch.setattr(RangeKernel, "launch", _launch)
+    return open_gpu()
+
+
+def built(scene, structure, **options):
+    return rs.Tracer(scene, structure, "cuda", build="device", **options)
+
+
+def assert_same_lists(ours, theirs):
+    assert ours.lattice == theirs.lattice
+    for own, other in zip(ours.lists, theirs.lists, strict=True):
+        assert own.dtype == other.dtype
+        assert np.array_equal(own, other)
+
+
+def assert_whole(structure):
+    """Traversals can take the tree, and each triangle is in it once."""
+    triangles, tree = structure.triangles, structure.tree
+    check_arrays(tree._asdict(), triangles.prim_ids, triangles.corners)
+    assert sorted(tree.prim_ids[tree.prim_ids >= 0]) == triangles.prim_ids.tolist()
+
+
+# ---- Grids.
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_grids_are_the_cpus(device, name):
+    case = case_of(name)
+    ours = built(case.scene, "grid")
+    assert_same_lists(ours.structure, rs.Tracer(case.scene, "grid").structure)
+
+
+@pytest.mark.parametrize("options", [{"resolution": (1, 40, 3)}, {"min_resolution": 5}])
+def test_grids_of_a_given_resolution_are_the_cpus(device, options):
+    scene = case_of("closed_mesh").scene
+    ours = built(scene, "grid", **options).structure
+    assert_same_lists(ours, rs.Tracer(scene, "grid", **options).structure)
+    assert ours.options == {"resolution": None, "min_resolution": None, "levels": 1, **options}
+
+
+def test_grids_with_long_lists_get_coarser_as_on_the_cpu(device, monkeypatch):
+    scene = case_of("random_soup").scene
+    usual = rs.Tracer(scene, "grid").structure
+    most = len(usual.lists.references) // 2
+    monkeypatch.setattr("raystream.structures.grid.build.most_references", lambda _: most)
+    coarser = rs.Tracer(scene, "grid").structure
+    assert coarser.lattice.cell_count < usual.lattice.cell_count
+    assert_same_lists(built(scene, "grid").structure, coarser)
+
+
+def test_grids_in_the_simulator_itself(gpu):
+    """Nothing is replaced: counts, scans, pairs and sorts of a few triangles."""
+    scene = rs.load("cornell")
+    ours = built(scene, "grid", resolution=2).structure
+    assert_same_lists(ours, rs.Tracer(scene, "grid", resolution=2).structure)
+
+
+def test_moved_grids_are_built_anew(device):
+    scene = rs.load("cornell")
+    tracer = built(scene, "grid", resolution=(2, 3, 4))
+    moved = [mesh.vertices * 1.5 for mesh in scene.meshes]
+    assert tracer.update(moved).rebuilt
+    expected = rs.Tracer(scene, "grid", resolution=(2, 3, 4))
+    expected.update(moved, max_cost_growth=0.0)
+    assert_same_lists(tracer.structure, expected.structure)
+
+
+# ---- BVHs.
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("method", METHODS)
+def test_trees_are_whole(device, method, name):
+    scene = case_of(name).scene
+    structure = built(scene, "bvh", method=method).structure
+    assert_whole(structure)
+    if structure.cost_when_built == structure.cost_when_built:  # nan: a scene without area
+        assert structure.cost_when_built == pytest.approx(trace_cost(structure.tree))
+
+
+@pytest.mark.parametrize("structure", ["bvh", "grid"])
+def test_rays_find_what_brute_force_finds(gpu, simple_sort, structure):
+    """Nothing is in loops, since these queries are compiled already; a GPU takes all of them."""
+    case = case_of("degenerate_and_duplicate")
+    tracer, oracle = built(case.scene, structure), rs.Tracer(case.scene, "brute")
+    if is_simulated():
+        few = case.origins[::20], case.directions[::20]
+        ours, theirs = (one.first_hit(*few) for one in (tracer, oracle))
+        for column in ("t", "u", "v", "prim_id", "status"):
+            assert getattr(ours, column).tobytes() == getattr(theirs, column).tobytes()
+    else:
+        assert_expected(answers_of(tracer, rays_of(case)), answers_of(oracle, rays_of(case)))
+
+
+@pytest.mark.parametrize(("method", "most"), [("clusters", 1.1), ("linear", 1.3)])
+@pytest.mark.parametrize("scene", ["spheres", "cornell"])
+def test_trees_cost_about_what_the_cpus_fast_ones_do(device, scene, method, most):
+    scene = rs.load(scene)
+    fast = rs.Tracer(scene, "bvh", quality="fast").structure
+    assert_whole(structure := built(scene, "bvh", method=method).structure)
+    assert structure.cost_when_built <= most * trace_cost(fast.tree)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("size", [1, 3, 32])
+def test_leaves_are_no_larger_than_allowed(device, method, size):
+    structure = built(rs.load("cornell"), "bvh", method=method, max_leaf_size=size).structure
+    assert_whole(structure)
+    links = structure.tree.children
+    blocks = (~links[links < 0] & 7) + 1
+    assert blocks.max() <= -(-size // 4)
+    if size < 4:
+        assert (structure.tree.prim_ids >= 0).sum(axis=1).max() <= size
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_trees_in_the_simulator_itself(gpu, simple_sort, method):
+    """Threads run at once: those that climb meet in every node."""
+    assert_whole(built(rs.load("cornell"), "bvh", method=method).structure)
+
+
+def _row_of_triangles(places, sizes):
+    shape = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    corners = places[:, None, None] * [1.0, 0.0, 0.0] + sizes[:, None, None] * shape
+    return rs.Scene.from_arrays(corners.reshape(-1, 3), np.arange(3 * len(places)).reshape(-1, 3))
+
+
+@pytest.mark.parametrize(
+    ("places", "sizes"),
+    [
+        (np.zeros(300), np.ones(300)),
+        (np.arange(300.0) ** 2, np.arange(1.0, 301.0)),
+        (2.0 ** -np.arange(60.0), 0.4 * 2.0 ** -np.arange(60.0)),
+    ],
+    ids=["all the same", "each a little larger", "each half as large"],
+)
+def test_clusters_need_few_rounds(device, monkeypatch, places, sizes):
+    """In rows of triangles that grow, only the first two of the row fit best."""
+    from raystream.cuda.builders.clusters import KERNELS
+
+    rounds = []
+    usual = RangeKernel.launch
+
+    def launch(kernel, gpu, count, arguments, stream=None):
+        if kernel is KERNELS.find_match:
+            rounds.append(count)
+        usual(kernel, gpu, count, arguments, stream)
+
+    monkeypatch.setattr(RangeKernel, "launch", launch)
+    assert_whole(built(_row_of_triangles(places, sizes), "bvh").structure)
+    assert len(rounds) <= 10 * np.log2(len(places))
+
+
+def test_trees_that_are_too_deep_are_built_of_shorter_keys(device, monkeypatch):
+    from raystream.cuda.builders import bvh
+    from raystream.cuda.builders.records import COARSE_BITS
+    from raystream.cuda.builders.wide import TooDeepError
+
+    asked = []
+    usual = bvh._build
+
+    def build(*arguments):
+        asked.append(arguments[3:])
+        if len(asked) == 1:
+            raise TooDeepError
+        return usual(*arguments)
+
+    monkeypatch.setattr(bvh, "_build", build)
+    assert_whole(built(rs.load("cornell"), "bvh").structure)
+    assert asked[1] == ("linear", 4, COARSE_BITS)
+
+
+def test_levels_are_counted(device, monkeypatch):
+    from raystream.cuda.builders import wide
+
+    monkeypatch.setattr(wide, "MAX_DEPTH", 2)
+    assert built(rs.load("cornell"), "bvh").structure.quality()["depth"] == 2
+    monkeypatch.setattr(wide, "MAX_DEPTH", 1)
+    with pytest.raises(wide.TooDeepError):
+        built(rs.load("cornell"), "bvh")
+
+
+# ---- Moving triangles.
+
+
+def _copy_of(tree):
+    copies = BvhArrays(*(aligned_array(*array.shape) for array in tree))
+    for copy, array in zip(copies, tree, strict=True):
+        copy[:] = array
+    return copies
+
+
+def test_trees_are_refitted_as_on_the_cpu(device):
+    case = case_of("closed_mesh")
+    tracer = built(case.scene, "bvh")
+    expected = _copy_of(tracer.structure.tree)
+    moved = case.vertices + 0.05 * np.sin(7.0 * case.vertices[:, ::-1])
+    report = tracer.update(moved)
+    assert not report.rebuilt
+    refit(expected, tracer.structure.triangles.corners)
+    for ours, theirs in zip(tracer.structure.tree, expected, strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+    assert report.cost == pytest.approx(trace_cost(expected))
+    assert_whole(tracer.structure)
+    # What it costs is compared with when it was built, not with when it moved last.
+    assert tracer.update(case.vertices).cost_when_built == report.cost_when_built
+
+
+def test_trees_that_lost_their_shape_are_built_anew(device):
+    case = case_of("random_soup")
+    tracer = built(case.scene, "bvh", method="linear")
+    order = np.random.default_rng(5).permutation(len(case.vertices))
+    report = tracer.update(case.vertices[order], max_cost_growth=1.01)
+    assert report.rebuilt
+    assert tracer.structure.method == "linear"
+    assert_whole(tracer.structure)
+
+
+def test_triangles_that_cannot_be_hit_any_more_stay_in_the_tree(device):
+    case = case_of("random_soup")
+    tracer = built(case.scene, "bvh")
+    expected = _copy_of(tracer.structure.tree)
+    lost = expected.prim_ids[(expected.prim_ids >= 0).sum(axis=1) > 1][0, 0]
+    vertices = case.vertices.copy()
+    vertices[case.faces[lost]] = vertices[case.faces[lost, 0]]
+    assert not tracer.update(vertices, max_cost_growth=100.0).rebuilt
+    triangles, tree = tracer.structure.triangles, tracer.structure.tree
+    assert lost not in triangles.prim_ids
+    assert lost in tree.prim_ids
+    refit(expected, hittable_corners(triangles))
+    for ours, theirs in zip(tree, expected, strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+
+
+# ---- Around them.
+
+
+def test_what_was_built_is_not_copied(device):
+    from raystream.cuda.structures import place
+
+    for structure in ("bvh", "grid"):
+        tracer = built(rs.load("cornell"), structure)
+        assert place(tracer.structure, device) is tracer.structure.resident
+        assert "_on_host" not in tracer.structure.__dict__
+        assert tracer.structure.report.byte_count > 0
+
+
+def test_files_of_them_are_read_by_the_cpu(device, tmp_path):
+    scene = rs.load("cornell")
+    for structure in ("bvh", "grid"):
+        tracer = built(scene, structure)
+        tracer.save(tmp_path / "built.npz")
+        read = rs.Tracer.load(tmp_path / "built.npz", scene)
+        ours, theirs = (one.structure.quality() for one in (tracer, read))
+        ours.pop("bytes", None)  # those on the device
+        assert ours.items() <= theirs.items()
+
+
+def test_no_triangles(device):
+    empty = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
+    for structure in ("bvh", "grid"):
+        assert built(empty, structure).structure.memory.keys() == {
+            *rs.Tracer(empty, structure).structure.memory
+        }
+
+
+@pytest.mark.parametrize(
+    ("structure", "options", "message"),
+    [
+        ("bvh", {"build": "there"}, "build: expected 'host' or 'device', got 'there'"),
+        ("kdtree", {}, "build: 'device' builds 'bvh' and 'grid', not 'kdtree'"),
+        ("bvh", {"method": "best"}, "method: expected one of 'clusters', 'linear', got 'best'"),
+        ("bvh", {"max_leaf_size": 33}, "max_leaf_size: expected 1 to 32, got 33"),
+        ("grid", {"levels": 2}, "levels: expected 1 where build='device', got 2"),
+        ("grid", {"resolution": 0}, "resolution: expected 1 to"),
+        ("grid", {"gpu": 99}, "gpu: expected a number"),
+    ],
+)
+def test_options_are_checked(device, structure, options, message):
+    with pytest.raises((ValueError, rs.RaystreamError), match=message):
+        rs.Tracer(rs.load("cornell"), structure, "cuda", **{"build": "device", **options})
+
+
+def test_unknown_options_are_named(device):
+    with pytest.raises(TypeError, match="bvh: build='device' has no option 'quality'; it has meth"):
+        built(rs.load("cornell"), "bvh", quality="high")
+
+
+def test_progress_is_reported(device):
+    seen = []
+    built(rs.load("cornell"), "bvh", progress=lambda *done: seen.append(done))
+    assert seen == [(36, 36)]
+
+
+# ---- Without a device.
+
+
+#: The longest, and those with shared memory and atomics; the others are for CI.
+_USUAL = (
+    "climb",
+    "fill_pairs",
+    "merge",
+    "write_node",
+    "move_leaves",
+    "scan_tiles_64",
+    "scatter_32",
+)
+_KERNELS = (
+    *("count_cells", "fill_pairs", "find_split", "make_key", "make_leaf", "link", "clear", "climb"),
+    *("begin_cluster", "find_match", "count_places", "merge", "count_lanes", "give_rows"),
+    *("write_node", "move_leaves", "move_nodes", "add_costs"),
+    *("add_tiles_32", "scan_tiles_32", "count_digits_32", "scatter_32"),
+    *("add_tiles_64", "scan_tiles_64", "count_digits_64", "scatter_64"),
+)
+
+
+@pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.exhaustive] * (name not in _USUAL))
+        for name in _KERNELS
+    ],
+)
+def test_every_kernel_compiles(name):
+    pytest.importorskip("numba_cuda")
+    from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
+
+    ranges, blocks = build_catalogue(), block_catalogue()
+    assert {*ranges, *blocks} == {*_KERNELS}
+    if name in blocks:
+        ptx = blocks[name].compiled(CAPABILITIES[0]).ptx
+        assert ".shared" in ptx
+        assert "f64" not in ptx  # what becomes of integers of two kinds
+    else:
+        kernel, arguments = ranges[name]
+        ptx = kernel.compiled(arguments, CAPABILITIES[0]).ptx
+        assert "fma.rn" not in ptx
+    if name == "climb":
+        # What climbing threads wrote is seen by those that meet them.
+        assert ptx.index("membar.gl") < ptx.index("atom.add.u32") < ptx.rindex("membar.gl")
