@@ -40,7 +40,7 @@ def loop(count, arguments):
 
 def _launch(kernel, _gpu, count, arguments, stream=None):
     if count:
-        loop = compile_loop(_LOOP, kernel._function, {}, __name__)
+        loop = compile_loop(_LOOP, kernel.function, {}, __name__)
         loop(np.uint64(count), arguments)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import operator
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -55,11 +54,7 @@ def open_device(number: Any = 0) -> Gpu:
     """
     with _needing_package():
         from raystream.jit.cuda import open_gpu
-    try:
-        index = operator.index(number)
-    except TypeError:
-        raise TypeError(f"gpu: expected a number, got {number!r}") from None
-    return open_gpu(index)
+    return open_gpu(number)
 
 
 def list_gpus() -> tuple[list[GpuFacts], tuple[int, int] | None]:
