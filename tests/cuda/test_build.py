@@ -316,7 +316,7 @@ def test_what_was_built_is_not_copied(device):
 
     for structure in ("bvh", "grid"):
         tracer = built(rs.load("cornell"), structure)
-        assert place(tracer.structure, device) is tracer.structure.resident
+        assert place(tracer.structure, device, "wide") is tracer.structure.resident
         assert "_on_host" not in tracer.structure.__dict__
         assert tracer.structure.report.byte_count > 0
 
@@ -349,7 +349,7 @@ def test_no_triangles(device):
         ("bvh", {"max_leaf_size": 33}, "max_leaf_size: expected 1 to 32, got 33"),
         ("grid", {"levels": 2}, "levels: expected 1 where build='device', got 2"),
         ("grid", {"resolution": 0}, "resolution: expected 1 to"),
-        ("grid", {"gpu": 99}, "gpu: expected a number"),
+        ("grid", {"gpu": 99}, "gpu: no device has the number 99"),
     ],
 )
 def test_options_are_checked(device, structure, options, message):

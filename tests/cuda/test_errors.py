@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import sys
 from types import SimpleNamespace
 
@@ -25,7 +26,9 @@ from raystream.jit.cuda import (
     gpu_facts,
     kernels,
     listing,
+    memory,
     open_gpu,
+    streams,
 )
 from raystream.jit.cuda.reasons import reason_of
 
@@ -33,19 +36,16 @@ SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 RAY = [[0.25, 0.25, 1.0]], [0.0, 0.0, -1.0]
 
 
-class Memory(np.ndarray):
-    """An array of a device that is none."""
+class Memory:
+    """Memory of a device that is none."""
 
-    def copy_to_host(self):
-        Driver.now.may("copy")
-        return np.array(self)
-
-    def copy_to_device(self, given):
-        self[...] = given
+    def __init__(self, byte_count):
+        self._bytes = np.zeros(max(byte_count, 1), np.uint8)
+        self.handle = self._bytes.ctypes.data
 
     @property
     def __cuda_array_interface__(self):
-        return {"data": (self.ctypes.data, False)}
+        return {"data": (self.handle, False)}
 
 
 class Driver:
@@ -76,16 +76,42 @@ class Driver:
 
     def current_context(self, _number):
         self.may("open")
-        return SimpleNamespace(get_memory_info=lambda: SimpleNamespace(total=10**9))
+        return SimpleNamespace(get_memory_info=lambda: SimpleNamespace(total=10**9, free=10**9))
 
-    def device_array(self, length, dtype):
+    def device_array(self, length, _dtype):
         self.may("allocate")
-        return np.zeros(length, dtype).view(Memory)
+        return Memory(length)
+
+    def allocate(self, byte_count, stream):  # noqa: ARG002
+        self.may("allocate")
+        return Memory(byte_count)
+
+    def pinned_array(self, length, dtype):
+        return np.zeros(length, dtype)
 
     def device(self, number):
         return SimpleNamespace(
-            name=f"Fake {number}", compute_capability=self.capability, set_current=lambda: None
+            name=f"Fake {number}",
+            compute_capability=self.capability,
+            set_current=lambda: None,
+            create_stream=lambda options: self,
+            allocate=self.allocate,
         )
+
+    #: Of a stream.
+    handle = 1
+
+    def wait(self, _other):
+        pass
+
+    # ---- Functions of cuda.bindings.driver.
+
+    CUresult = SimpleNamespace(CUDA_SUCCESS=0)
+
+    def cuMemcpyAsync(self, to, source, byte_count, _stream):  # noqa: N802 - NVIDIA's
+        self.may("copy")
+        ctypes.memmove(to, source, byte_count)
+        return (0,)
 
     def load(self, _ptx, name):
         self.may("load")
@@ -104,22 +130,26 @@ def driver(monkeypatch):
     made = Driver.now = Driver()
     core = SimpleNamespace(
         Device=made.device,
+        StreamOptions=lambda nonblocking: nonblocking,
+        PER_THREAD_DEFAULT_STREAM=made,
+        Stream=None,
         LEGACY_DEFAULT_STREAM=made,
         LaunchConfig=lambda **_sizes: None,
         ObjectCode=SimpleNamespace(from_ptx=made.load),
         launch=made.launch,
     )
     monkeypatch.setitem(sys.modules, "cuda.core", core)
-    for module in (gpu, kernels, listing):
+    monkeypatch.setitem(sys.modules, "cuda.bindings", SimpleNamespace(driver=made))
+    for module in (gpu, kernels, listing, memory, streams):
         monkeypatch.setattr(module, "is_simulated", lambda: False)
     for module in (gpu, kernels):
         monkeypatch.setattr(module, "cuda", made)
     monkeypatch.setattr(RangeKernel, "compiled", lambda *_: Compiled("first_hit", ""))
     for one in kernels_of("brute"):
         monkeypatch.setattr(one, "_loaded", {})
-    open_gpu.cache_clear()
+    gpu._opened.cache_clear()
     yield made
-    open_gpu.cache_clear()
+    gpu._opened.cache_clear()
 
 
 def complaint(**options):
@@ -192,8 +222,8 @@ FAILURES = {
     ),
     "a kernel that reads what is not there": (
         "copy",
-        "Call to cuMemcpyDtoH results in CUDA_ERROR_ILLEGAL_ADDRESS",
-        "reading hits: it read or wrote where no memory is, and was stopped. CUDA cannot be used",
+        "Call to cuMemcpyAsync results in CUDA_ERROR_ILLEGAL_ADDRESS",
+        "copying: it read or wrote where no memory is, and was stopped. CUDA cannot be used",
     ),
     "anything else": ("sync", "Something\n  new:", "device 'cuda': Fake 0: running a kernel: "),
 }
@@ -215,9 +245,9 @@ def test_no_device(driver):
 
 
 def test_another_device(driver):
-    assert complaint(gpu=2) == "gpu: expected a number from 0 to 1, got 2"
+    assert complaint(gpu=2) == "gpu: no device has the number 2; there are 2, from 0 to 1"
     rs.Tracer(SCENE, "brute", "cuda", gpu=1).first_hit(*RAY)
-    with pytest.raises(TypeError, match="gpu: expected a number, got 'first'"):
+    with pytest.raises(TypeError, match="gpu: expected the number of a device, got 'first'"):
         rs.Tracer(SCENE, "brute", "cuda", gpu="first")
 
 
@@ -235,12 +265,13 @@ def test_scenes_larger_than_the_device(driver, monkeypatch):
 
 
 def test_the_host_s_memory_is_not_the_device_s(driver, monkeypatch):
-    def copy(_memory):
+    def copy(*_):
         raise MemoryError
 
-    monkeypatch.setattr(Memory, "copy_to_host", copy)
+    tracer = rs.Tracer(SCENE, "brute", "cuda")
+    monkeypatch.setattr(driver, "cuMemcpyAsync", copy)
     with pytest.raises(MemoryError):
-        rs.Tracer(SCENE, "brute", "cuda").first_hit(*RAY)
+        tracer.first_hit(*RAY)
 
 
 def test_ctrl_c(driver, monkeypatch):
@@ -268,7 +299,7 @@ def test_devices_are_listed_with_what_keeps_them_from_use(driver):
         (0, "Fake 0", (9, 0), 10**9, None),
         (1, "Fake 1", (9, 0), 10**9, None),
     ]
-    open_gpu.cache_clear()
+    gpu._opened.cache_clear()
     driver.capability = (5, 2)
     assert "kernels need 7.5" in gpu_facts()[0].error
     driver.failing["open"] = "CUDA_ERROR_OUT_OF_MEMORY"
