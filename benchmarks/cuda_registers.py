@@ -103,14 +103,14 @@ def main():
 
     wanted = arguments.capability or [".".join(map(str, one)) for one in CAPABILITIES]
     rows = []
-    for (group, name), (kernel, taken) in whole_catalogue(rs.load("cornell")).items():
+    for (group, name), compile_for in whole_catalogue(rs.load("cornell")).items():
         if arguments.structure and group not in arguments.structure:
             continue
         for text in wanted:
             major, _, minor = text.partition(".")
             capability = int(major), int(minor or 0)
             started = time.perf_counter()
-            compiled = kernel.compiled(taken, capability)
+            compiled = compile_for(capability)
             seconds = time.perf_counter() - started
             row = {"group": group, "kernel": name, "capability": text}
             row |= assemble(ptxas, compiled, capability)

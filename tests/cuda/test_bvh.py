@@ -132,7 +132,7 @@ def check_layout(structure, layout):
     np.testing.assert_array_equal(corners, structure.triangles.corners[ids])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     meshes(max_triangles=40),
     st.sampled_from(["balanced", "high"]),
@@ -242,9 +242,17 @@ def address(array):
     return np.uint64(array.ctypes.data)
 
 
-@pytest.mark.parametrize("quality", ["balanced", "high"])
+@pytest.mark.parametrize(
+    ("layout", "quality"),
+    [
+        ("compressed", "balanced"),
+        *(
+            pytest.param(*one, marks=pytest.mark.exhaustive)
+            for one in (("compressed", "high"), ("binary", "balanced"), ("binary", "high"))
+        ),
+    ],
+)
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("layout", LAYOUTS)
 def test_traversals_have_brute_force_bits(layout, name, quality):
     case, expected = case_of(name), expected_of(name)
     structure = build_structure("bvh", case.scene.triangles, quality=quality, max_leaf_size=6)
@@ -255,7 +263,7 @@ def test_traversals_have_brute_force_bits(layout, name, quality):
             assert getattr(hits, column).tobytes() == expected[f"{query}: {column}"].tobytes()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(scenes_and_rays(), st.sampled_from(LAYOUTS))
 def test_rays_on_lattices_have_brute_force_bits(drawn, layout):
     case = Case(*drawn)

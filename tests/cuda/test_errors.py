@@ -28,6 +28,7 @@ from raystream.jit.cuda import (
     listing,
     memory,
     open_gpu,
+    opening,
     streams,
 )
 from raystream.jit.cuda.reasons import reason_of
@@ -140,16 +141,16 @@ def driver(monkeypatch):
     )
     monkeypatch.setitem(sys.modules, "cuda.core", core)
     monkeypatch.setitem(sys.modules, "cuda.bindings", SimpleNamespace(driver=made))
-    for module in (gpu, kernels, listing, memory, streams):
+    for module in (gpu, kernels, listing, memory, opening, streams):
         monkeypatch.setattr(module, "is_simulated", lambda: False)
-    for module in (gpu, kernels):
+    for module in (gpu, kernels, opening):
         monkeypatch.setattr(module, "cuda", made)
     monkeypatch.setattr(RangeKernel, "compiled", lambda *_: Compiled("first_hit", ""))
     for one in kernels_of("brute"):
         monkeypatch.setattr(one, "_loaded", {})
-    gpu._opened.cache_clear()
+    opening._opened.cache_clear()
     yield made
-    gpu._opened.cache_clear()
+    opening._opened.cache_clear()
 
 
 def complaint(**options):
@@ -299,7 +300,7 @@ def test_devices_are_listed_with_what_keeps_them_from_use(driver):
         (0, "Fake 0", (9, 0), 10**9, None),
         (1, "Fake 1", (9, 0), 10**9, None),
     ]
-    gpu._opened.cache_clear()
+    opening._opened.cache_clear()
     driver.capability = (5, 2)
     assert "kernels need 7.5" in gpu_facts()[0].error
     driver.failing["open"] = "CUDA_ERROR_OUT_OF_MEMORY"

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
+from raystream.cuda.multipass.catalogue import multipass_catalogue_of
 from raystream.cuda.packing import DIRECTIONS, PACK
 from raystream.cuda.scan import NOTE, SPREAD, SUM_CHUNKS
 from raystream.cuda.structures import STRUCTURES, kernels_of
 from raystream.cuda.threads import SeenTables
-from raystream.jit.cuda import RangeKernel
+from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
 from raystream.structures import build_structure
 
 __all__ = ["ARRAY_KERNELS", "catalogue_of", "whole_catalogue"]
+
+#: Compiles a kernel for GPUs of a capability.
+Compiler = Callable[[tuple[int, int]], Compiled]
 
 _AT = np.uint64(0)
 
@@ -75,19 +82,19 @@ def catalogue_of(
     return {query: (getattr(kernels, query), (*shared, *own)) for query, own in more.items()}
 
 
-def whole_catalogue(
-    scene: Scene,
-) -> dict[tuple[str, str], tuple[RangeKernel, tuple[Any, ...]]]:
-    """All kernels that there are, and arguments that are good for their types alone.
+def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
+    """All kernels that there are: queries, passes, arrays on the device, and builds.
 
     Parameters
     ----------
     scene : Scene
+        Any.
 
     Returns
     -------
     dict
-        By structure, or whatever they serve, and kernel.
+        By what they serve, and name: what compiles them for a capability. Those that have to be
+        linked are left out.
     """
     ways: list[tuple[str, str, dict[str, Any]]] = [
         *((name, name, {}) for name in STRUCTURES if name != "bvh"),
@@ -99,4 +106,14 @@ def whole_catalogue(
         for way, name, options in ways
         for query, one in catalogue_of(name, scene, **options).items()
     }
-    return listed | {("arrays", name): one for name, one in ARRAY_KERNELS.items()}
+    for name in STRUCTURES:
+        for kernel, one in multipass_catalogue_of(name, scene).items():
+            group = f"{name}, passes" if kernel == "pass" else "passes"
+            listed[group, kernel] = one
+    del listed["passes", "decide in loop"]
+    listed |= {("arrays", name): one for name, one in ARRAY_KERNELS.items()}
+    listed |= {("builds", name): one for name, one in build_catalogue().items()}
+    made: dict[tuple[str, str], Compiler] = {
+        key: partial(kernel.compiled, arguments) for key, (kernel, arguments) in listed.items()
+    }
+    return made | {("builds", name): one.compiled for name, one in block_catalogue().items()}

@@ -7,9 +7,10 @@ one, and run in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 from raystream.jit.cuda.atomics import add_together
 from raystream.jit.cuda.compiler import CAPABILITIES, Compiled, compile_function
 from raystream.jit.cuda.device_loops import DeviceLoop, Launch, set_condition
-from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu, gpu_count, open_gpu
+from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu
 from raystream.jit.cuda.kernels import RangeKernel
 from raystream.jit.cuda.listing import GpuFacts, driver_version, gpu_facts
+from raystream.jit.cuda.opening import gpu_count, open_gpu
 from raystream.jit.cuda.persistent import PersistentKernel
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import CudaStream

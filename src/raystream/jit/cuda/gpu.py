@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import functools
 import math
 import operator
-import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -28,7 +26,7 @@ from raystream.jit.cuda.reasons import code_of, reason_of
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import LEGACY, CudaStream
 
-__all__ = ["CudaError", "DeviceArray", "Gpu", "gpu_count", "open_gpu"]
+__all__ = ["CudaError", "DeviceArray", "Gpu"]
 
 
 class CudaError(RaystreamError):
@@ -351,62 +349,6 @@ class Gpu:
             f"device 'cuda': {self.name} has no memory for {name}, {byte_count:,} bytes; trace a "
             "smaller scene or fewer rays, or use device='cpu'"
         )
-
-
-def open_gpu(number: int = 0) -> Gpu:
-    """A device by its number.
-
-    Raises
-    ------
-    CudaError
-        If there is none of that number, or it is too old.
-    TypeError
-        If it is no integer.
-    """
-    try:
-        wanted = operator.index(number)
-    except TypeError:
-        raise TypeError(f"gpu: expected the number of a device, got {number!r}") from None
-    count = gpu_count()
-    if not 0 <= wanted < count:
-        there = "there is one, 0" if count == 1 else f"there are {count}, from 0 to {count - 1}"
-        raise CudaError(f"gpu: no device has the number {wanted}; {there}")
-    with _opening:
-        gpu = _opened(wanted)
-    if gpu.capability < CAPABILITIES[0]:
-        given, least = (".".join(map(str, one)) for one in (gpu.capability, CAPABILITIES[0]))
-        raise CudaError(
-            f"device 'cuda': {gpu.name} has compute capability {given}; kernels need {least} or "
-            "more; use device='cpu' or 'graphics'"
-        )
-    return gpu
-
-
-#: One thread opens a device.
-_opening = threading.Lock()
-
-_opened = functools.cache(Gpu)
-
-
-def gpu_count() -> int:
-    """How many devices there are.
-
-    Raises
-    ------
-    CudaError
-        If there is none, or no driver.
-    """
-    if is_simulated():
-        return 1
-    try:
-        count = len(cuda.gpus)
-    except Exception as error:  # no driver, or too old a one
-        raise CudaError(
-            f"device 'cuda': {reason_of(error)}; use device='cpu' or 'graphics'"
-        ) from error
-    if count == 0:
-        raise CudaError("device 'cuda': there is no NVIDIA GPU; use device='cpu' or 'graphics'")
-    return count
 
 
 def _check(answer: tuple[Any, ...]) -> Any:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from raystream.jit.cuda.compiler import Capability
-from raystream.jit.cuda.gpu import CudaError, Gpu, gpu_count, open_gpu
+from raystream.jit.cuda.gpu import CudaError, Gpu
+from raystream.jit.cuda.opening import gpu_count, open_gpu
 from raystream.jit.cuda.simulation import is_simulated
 
 __all__ = ["GpuFacts", "driver_version", "gpu_facts"]
