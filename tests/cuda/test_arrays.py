@@ -14,7 +14,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from raystream.cuda import device_queries
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
-from raystream.cuda.scan import CHUNK, add_up, is_any
+from raystream.cuda.scan import add_up, is_any
 from raystream.jit.cuda import (
     CudaError,
     CudaStream,
@@ -396,7 +396,7 @@ def test_filters_and_counters_are_for_the_host(gpu, case, tracer, rays):
         rs.Tracer(case.scene, "brute", "cuda", counters=True).any_hit(*there)
 
 
-@pytest.mark.parametrize("length", [0, 1, CHUNK, CHUNK + 1, CHUNK * CHUNK + 3])
+@pytest.mark.parametrize("length", [0, 1, 1024, 1025, 65539])
 def test_sums_run_over_any_length(gpu, rng, length):
     counts = rng.integers(0, 1 << 40, length)
     with Work(gpu, gpu.stream) as work:

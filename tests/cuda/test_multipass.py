@@ -228,7 +228,7 @@ def test_passes_compile_without_a_device(name):
     "name",
     [
         pytest.param("begin", marks=pytest.mark.exhaustive),  # as long as all of the others
-        *("decide", "finish", "finish many", "count kept", "scan", "keep"),
+        *("decide", "finish", "finish many", "count kept", "keep"),
     ],
 )
 def test_what_surrounds_passes_compiles_without_a_device(name):

@@ -12,7 +12,7 @@ from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.multipass.catalogue import multipass_catalogue_of
 from raystream.cuda.packing import DIRECTIONS, PACK
-from raystream.cuda.scan import NOTE, SPREAD, SUM_CHUNKS
+from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import STRUCTURES, kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import Compiled, RangeKernel
@@ -31,8 +31,6 @@ _AT = np.uint64(0)
 #: Kernels for rays in arrays on the device, of whatever structure; by name.
 ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
     "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
-    "sum_chunks": (SUM_CHUNKS, (_AT, _AT, _AT)),
-    "spread": (SPREAD, (_AT, _AT, _AT, _AT)),
     "note": (NOTE, (_AT, np.int64(0), _AT)),
 }
 

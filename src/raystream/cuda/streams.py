@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import LoopLimitError
 from raystream.cuda.columns import NAMES, Columns, capacity_of
+from raystream.jit.atomics import add_together
 from raystream.jit.cuda import (
     MOST_DIMENSIONS,
     DeviceArray,
     Gpu,
     RangeKernel,
-    add_together,
     device_of_text,
     kernel_of_text,
     table_at,

@@ -9,12 +9,16 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.memory import pointer_to
 
-__all__ = ["add_atomically", "fence"]
+__all__ = ["add_atomically", "add_together", "fence"]
+
+_I32 = ir.IntType(32)
+_I64 = ir.IntType(64)
 
 
 @intrinsic
@@ -24,10 +28,45 @@ def add_atomically(typing_context: Any, at: Any, amount: Any) -> Any:
         return None
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = pointer_to(builder, arguments[0], ir.IntType(32))
+        pointer = pointer_to(builder, arguments[0], _I32)
         return builder.atomic_rmw("add", pointer, arguments[1], "monotonic")
 
     return types.uint32(at, amount), generate
+
+
+def _call(builder: Any, name: str, returns: Any, *arguments: Any) -> Any:
+    kind = ir.FunctionType(returns, [one.type for one in arguments])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), list(arguments))
+
+
+@intrinsic
+def add_together(typing_context: Any, at: Any, amount: Any) -> Any:
+    """Add a number to the uint32 at an address; several threads may.
+
+    On CUDA the threads of a warp that add to the same address do it by one of them: they must
+    add the same number.
+    """
+    if at != types.uint64 or amount != types.uint32:
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address, number = arguments
+        place = pointer_to(builder, address, _I32)
+        if not is_cuda(builder):
+            builder.atomic_rmw("add", place, number, "monotonic")
+            return context.get_dummy_value()
+        # "Opportunistic": those that happen to be here, and which of them are of one mind.
+        here = ir.InlineAsm(ir.FunctionType(_I32, []), "activemask.b32 $0;", "=r", side_effect=True)
+        mask = builder.call(here, [])
+        alike = _call(builder, "llvm.nvvm.match.any.sync.i64", _I32, mask, address)
+        first = _call(builder, "llvm.cttz.i32", _I32, alike, ir.Constant(ir.IntType(1), 1))
+        lane = _call(builder, "llvm.nvvm.read.ptx.sreg.laneid", _I32)
+        count = _call(builder, "llvm.ctpop.i32", _I32, alike)
+        with builder.if_then(builder.icmp_unsigned("==", lane, first)):
+            builder.atomic_rmw("add", place, builder.mul(number, count), "monotonic")
+        return context.get_dummy_value()
+
+    return types.void(at, amount), generate
 
 
 @intrinsic
@@ -36,11 +75,7 @@ def fence(typing_context: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         if is_cuda(builder):
-            name = "llvm.nvvm.membar.gl"
-            function = builder.module.globals.get(name) or ir.Function(
-                builder.module, ir.FunctionType(ir.VoidType(), []), name
-            )
-            builder.call(function, [])
+            _call(builder, "llvm.nvvm.membar.gl", ir.VoidType())
         else:
             builder.fence("seq_cst")
         return context.get_dummy_value()

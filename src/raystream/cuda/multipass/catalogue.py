@@ -58,6 +58,5 @@ def multipass_catalogue_of(
         "finish": (rays.FINISH, (_AT, _AT, _AT, hits)),
         "finish many": (rays.FINISH_MANY, (*(_AT,) * 5, wanted, hits)),
         "count kept": (rays.COUNT_KEPT, (_AT,) * 4),
-        "scan": (rays.SCAN, (_AT,) * 2),
         "keep": (rays.KEEP, (_AT,) * 5),
     }

@@ -16,12 +16,12 @@ from raystream.cuda.multipass.kernels.rays import (
     CHUNK,
     COUNT_KEPT,
     KEEP,
-    SCAN,
     Wanted,
 )
 from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import STREAMS, columns_of, pass_of
 from raystream.jit.cuda import DeviceLoop, Gpu, Launch
+from raystream.jit.cuda.scan import Scan
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.tally import new_tallies
 from raystream.machines.records import Query, RayState
@@ -191,12 +191,13 @@ class RayStreams:
             How many have not.
         """
         chunk_count = -(-self.length // int(CHUNK))
-        sums = self._gpu.empty("sums", chunk_count, np.uint32)
+        sums = self._gpu.empty("sums", chunk_count + 1, np.uint32)
         kept = self._gpu.empty("rows", kept_count, np.uint32)
         length = np.uint64(self.length)
         shared = self.rows, length, self.state, sums.address
         COUNT_KEPT.launch(self._gpu, chunk_count, shared)
-        SCAN.launch(self._gpu, 1, (np.uint64(chunk_count), sums.address))
+        scan = Scan(self._gpu, chunk_count)
+        scan.run(sums.address, chunk_count, sums.address, np.uint32)
         KEEP.launch(self._gpu, chunk_count, (*shared, kept.address))
         self._gpu.wait()  # before memory is given back
         self._rows, self.length = kept, kept_count

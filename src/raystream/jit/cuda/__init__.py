@@ -4,7 +4,6 @@ Importing it needs ``numba-cuda``, but neither a GPU nor a driver: kernels are c
 one, and run in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 """
 
-from raystream.jit.cuda.atomics import add_together
 from raystream.jit.cuda.compiler import CAPABILITIES, Compiled, compile_function
 from raystream.jit.cuda.device_loops import DeviceLoop, Launch, set_condition
 from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu
@@ -34,7 +33,6 @@ __all__ = [
     "PersistentKernel",
     "RangeKernel",
     "Work",
-    "add_together",
     "compile_function",
     "device_of_text",
     "driver_version",

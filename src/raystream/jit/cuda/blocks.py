@@ -15,7 +15,7 @@ from numba import cuda, types
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import Gpu
-from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.cuda.simulation import is_simulated, simulating
 from raystream.jit.simd import load, store
 
 __all__ = ["BlockKernel", "Number", "get_32", "get_64", "put_32", "put_64"]
@@ -98,7 +98,8 @@ class BlockKernel:
         """
         values = [np.uint64(number) for number in numbers]
         if is_simulated():
-            cuda.jit(self._function)[block_count, self.block_size](*values)
+            with simulating:
+                cuda.jit(self._function)[block_count, self.block_size](*values)
             return
         if gpu.number not in self._loaded:
             self._loaded[gpu.number] = gpu.load(self.compiled(gpu.capability))

@@ -82,11 +82,11 @@ def _ptx_of(function: Callable[..., Any], arguments: tuple[Any, ...], capability
         made = compiler.compile_cuda(
             function, types.void, arguments, nvvm_options={"opt": 3, "fma": 0}, cc=capability
         )
-        name = made.fndesc.llvm_func_name
-        made.library._entry_name = name
-        compiler.kernel_fixup(made.library.get_function(name), False)
-        *_, code = made.library.get_asm_strs(cc=capability)
-    return code.decode() if isinstance(code, bytes) else str(code)
+        name, code = made.fndesc.llvm_func_name, made.library
+        code._entry_name = name
+        compiler.kernel_fixup(code.get_function(name), False)
+        *_, ptx = code.get_asm_strs(cc=capability)
+    return ptx.decode() if isinstance(ptx, bytes) else str(ptx)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -12,15 +11,12 @@ from numba import cuda
 from raystream.jit.cuda.arguments import flat, kind_of, type_of
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import Gpu
-from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.cuda.simulation import is_simulated, simulating
 
 __all__ = ["RangeKernel"]
 
 #: Threads of a block: four warps.
 _BLOCK_SIZE = 128
-
-#: The simulator runs one kernel at a time.
-_simulator = threading.Lock()
 
 
 def _over_range(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -113,7 +109,7 @@ class RangeKernel:
             run = cuda.jit(self._run)[-(-count // block_size), block_size]
 
             def simulate() -> None:
-                with _simulator:
+                with simulating:
                     run(np.uint64(count), arguments)
 
             return simulate

@@ -23,7 +23,7 @@ from raystream.jit.cuda.arguments import flat, type_of
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import DeviceArray, Gpu
 from raystream.jit.cuda.kernels import RangeKernel
-from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.cuda.simulation import is_simulated, simulating
 
 __all__ = ["PersistentKernel"]
 
@@ -88,7 +88,8 @@ class PersistentKernel(RangeKernel):
         if is_simulated():
             block_count = min(block_count, _SIMULATED_BLOCKS)
             counter = np.zeros(1, np.uint64)
-            cuda.jit(self._run)[block_count, _BLOCK_SIZE](np.uint64(count), counter, arguments)
+            with simulating:
+                cuda.jit(self._run)[block_count, _BLOCK_SIZE](np.uint64(count), counter, arguments)
             return
         key = gpu.number, type_of(arguments)
         if key not in self._loaded:

@@ -15,7 +15,7 @@ from numba import cuda
 from numpy.typing import DTypeLike
 
 from raystream.jit.cuda.blocks import BlockKernel, Number, get_32, get_64, put_32, put_64
-from raystream.jit.cuda.gpu import Gpu
+from raystream.jit.cuda.gpu import DeviceArray, Gpu
 from raystream.jit.cuda.simulation import is_simulated
 
 __all__ = ["USUAL_TILE", "Scan", "TileSize", "scan_kernels"]
@@ -144,6 +144,8 @@ class Scan:
     most : int
         Length of the longest array.
     size : TileSize, optional
+    empty : callable, optional
+        Makes its memory, as `Gpu.empty` does, which is what it is without it.
 
     Raises
     ------
@@ -151,18 +153,27 @@ class Scan:
         If there is no memory for it.
     """
 
-    def __init__(self, gpu: Gpu, most: int, size: TileSize = USUAL_TILE) -> None:
+    def __init__(
+        self,
+        gpu: Gpu,
+        most: int,
+        size: TileSize = USUAL_TILE,
+        empty: Callable[..., DeviceArray] | None = None,
+    ) -> None:
+        empty = empty or gpu.empty
         self.gpu, self.most, self.size = gpu, most, size
         self._sums = []
         tiles = self._tiles(most)
         while tiles > 1:
-            self._sums.append(gpu.empty("sums of tiles", tiles + 1, np.uint64))
+            self._sums.append(empty("sums of tiles", tiles + 1, np.uint64))
             tiles = self._tiles(tiles)
 
     def _tiles(self, count: int) -> int:
         return -(-count // self.size.numbers)
 
-    def run(self, values: Number, count: int, out: Number, dtype: DTypeLike) -> None:
+    def run(
+        self, values: Number, count: int, out: Number, dtype: DTypeLike, stream: Any = None
+    ) -> None:
         """Begin to scan an array; nothing waits for it.
 
         Parameters
@@ -176,6 +187,8 @@ class Scan:
             sum of the first i.
         dtype : uint32, int64 or uint64
             Of both arrays. Sums that are too large lose their upper bits.
+        stream : cuda.core.Stream, optional
+            Without it, the device's own.
 
         Raises
         ------
@@ -184,14 +197,16 @@ class Scan:
         """
         if not 1 <= count <= self.most:
             raise ValueError(f"count: expected 1 to {self.most:,}, got {count:,}")
-        self._run(values, count, out, np.dtype(dtype).itemsize, 0)
+        self._run(values, count, out, np.dtype(dtype).itemsize, 0, stream)
 
-    def _run(self, values: Number, count: int, out: Number, itemsize: int, level: int) -> None:
+    def _run(
+        self, values: Number, count: int, out: Number, itemsize: int, level: int, stream: Any
+    ) -> None:
         add_tiles, scan_tiles = scan_kernels(f"uint{8 * itemsize}", self.size)
         tiles = self._tiles(count)
         sums = np.uint64(0)
         if tiles > 1:
             sums = self._sums[level].address
-            add_tiles.launch(self.gpu, tiles, values, count, sums)
-            self._run(sums, tiles, sums, 8, level + 1)
-        scan_tiles.launch(self.gpu, tiles, values, count, sums, out)
+            add_tiles.launch(self.gpu, tiles, values, count, sums, stream=stream)
+            self._run(sums, tiles, sums, 8, level + 1, stream)
+        scan_tiles.launch(self.gpu, tiles, values, count, sums, out, stream=stream)

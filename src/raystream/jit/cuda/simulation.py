@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+
 from numba.cuda.core import config
 
-__all__ = ["is_simulated"]
+__all__ = ["is_simulated", "simulating"]
+
+#: The simulator runs one kernel at a time: whoever runs one holds this.
+simulating = threading.Lock()
 
 
 def is_simulated() -> bool:

@@ -77,20 +77,20 @@ class Work:
     def cleared(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
         """Make an array of zeros."""
         made = self.empty(name, shape, dtype)
-        self._follow()
+        self.follow()
         self.gpu.clear(made, self.stream)
         return made
 
     def placed(self, name: str, array: NDArray[Any]) -> DeviceArray:
         """Copy a small array of the host's, in C order, to the device."""
         made = self.empty(name, array.shape, array.dtype)
-        self._follow()
+        self.follow()
         self.gpu.copy(made.address, array.ctypes.data, array.nbytes, self.stream)
         return made
 
     def launch(self, kernel: RangeKernel, count: int, arguments: tuple[Any, ...]) -> None:
         """Begin to run a kernel; see `RangeKernel.launch`."""
-        self._follow()
+        self.follow()
         kernel.launch(self.gpu, count, arguments, self.stream.native)
 
     def read(self, array: DeviceArray) -> NDArray[Any]:
@@ -116,8 +116,8 @@ class Work:
                 self.gpu.in_flight.keep(self.gpu.stream, self._kept)
         self._kept, self._memory = [], []
 
-    def _follow(self) -> None:
-        """Wait for memory that is new."""
+    def follow(self) -> None:
+        """Let the stream wait for memory that is new: before anything is begun in it."""
         if self._is_new:
             self.stream.wait(self.gpu.stream)
             self._is_new = False

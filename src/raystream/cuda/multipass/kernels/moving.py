@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.multipass.control import CHOSEN, COUNTS, STATES
+from raystream.jit.atomics import add_together
 from raystream.jit.cpu import device
-from raystream.jit.cuda import add_together
 from raystream.jit.simd import load
 
 __all__ = ["chosen_kernel", "is_waiting", "move", "row_of"]

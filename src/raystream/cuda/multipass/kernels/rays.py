@@ -15,7 +15,7 @@ from raystream.kernels.local_ray import world_t
 from raystream.kernels.ray_source import load_ray
 from raystream.machines.records import RayState
 
-__all__ = ["BEGIN", "CHUNK", "COUNT_KEPT", "FINISH", "FINISH_MANY", "KEEP", "SCAN", "Wanted"]
+__all__ = ["BEGIN", "CHUNK", "COUNT_KEPT", "FINISH", "FINISH_MANY", "KEEP", "Wanted"]
 
 _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
@@ -137,17 +137,6 @@ def _count_kept(i, rows, length, state, sums):
 
 
 @kernel
-def _scan(i, count, sums):  # noqa: ARG001 (there is one)
-    """Turn counts into sums of those before, on one thread."""
-    total = np.uint32(0)
-    for k in range(count):
-        at = sums + (k << _WORD)
-        own = load(np.uint32, at)
-        store(at, total)
-        total = np.uint32(total + own)
-
-
-@kernel
 def _keep(i, rows, length, state, sums, kept):
     """List the rays that have not ended, in their order."""
     to = np.uint64(load(np.uint32, sums + (i << _WORD)))
@@ -160,5 +149,5 @@ def _keep(i, rows, length, state, sums, kept):
 #: Over rays: records, and what becomes of hits.
 BEGIN, FINISH, FINISH_MANY = RangeKernel(_begin), RangeKernel(_finish), RangeKernel(_finish_many)
 
-#: Over chunks of rays, one after the other; `SCAN` over one number.
-COUNT_KEPT, SCAN, KEEP = RangeKernel(_count_kept), RangeKernel(_scan), RangeKernel(_keep)
+#: Over chunks of rays, one after the other: `jit.cuda.scan` is between them.
+COUNT_KEPT, KEEP = RangeKernel(_count_kept), RangeKernel(_keep)
