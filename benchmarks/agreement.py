@@ -69,7 +69,7 @@ OPTIONS = {
     ],
     "kdtree": [
         {"traversal": traversal, "layout": layout, "intersection_cost": cost}
-        for traversal in ("stack", "restart", "backtrack")
+        for traversal in ("stack", "restart", "backtrack", "short-stack")
         for layout, cost in (("compact", 12.0), ("foley", 100.0))
     ],
 }

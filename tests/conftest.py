@@ -43,6 +43,11 @@ TRACERS = {
         "intersection_cost": 12.0,
         "empty_bonus": 0.8,
     },
+    "kdtree, short stack": {
+        "structure": "kdtree",
+        "traversal": "short-stack",
+        "intersection_cost": 12.0,
+    },
     "kdtree, Foley's": {
         "structure": "kdtree",
         "traversal": "backtrack",
@@ -150,6 +155,13 @@ GRAPHICS_TRACERS = {
         "intersection_cost": 12.0,
         **GRAPHICS,
     },
+    "kdtree, short stack, graphics": {
+        "structure": "kdtree",
+        "traversal": "short-stack",
+        "layout": "foley",
+        "intersection_cost": 12.0,
+        **GRAPHICS,
+    },
     "graph, graphics": {"structure": "graph", **GRAPHICS},
     "grid, fragments, graphics": {"structure": "grid", **GRAPHICS, "machine": "branching"},
     "brute, multipass, graphics": {
@@ -211,6 +223,12 @@ CUDA_TRACERS = {
         "layout": "foley",
         "traversal_cost": 8.0,
         "intersection_cost": 1.0,
+        **CUDA,
+    },
+    "kdtree, short stack": {
+        "structure": "kdtree",
+        "traversal": "short-stack",
+        "intersection_cost": 12.0,
         **CUDA,
     },
     "graph": {"structure": "graph", **CUDA},

@@ -27,7 +27,7 @@ def test_bvh_equals_brute_force(drawn):
 @quiet
 @given(
     scenes_and_rays(),
-    st.sampled_from(["stack", "restart", "backtrack"]),
+    st.sampled_from(["stack", "restart", "backtrack", "short-stack"]),
     st.sampled_from(["compact", "foley"]),
     st.sampled_from([1.0, 10.0, 1000.0]),
     st.sampled_from([(0.0, np.inf), (-np.inf, np.inf), (0.5, 1.5)]),

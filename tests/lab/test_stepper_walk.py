@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from meshes import soup
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper import FlatScene, Outline, prisms, teaching_scene, walk
 from raystream.lab.stepper.maps import map_of
 from raystream.lab.stepper.panels import make_panels
 from raystream.lab.stepper.rays import FAN_ORIGIN, fan, teaching_rays
+from raystream.lab.stepper.sentences import sentence
 from raystream.machines.records import RayState
 
 RAYS = [*teaching_rays(), *fan(FAN_ORIGIN, 11), *fan((4.0, 6.2), 7), *fan((12.0, 4.1), 5)]
@@ -209,6 +211,23 @@ def test_foleys_layout_gives_the_same_walk(plan, walks):
         tracer = rs.Tracer(plan.scene, "kdtree", layout="foley", traversal=traversal, **options)
         for ray, same in zip(RAYS[:6], walks[f"kdtree-{traversal}"], strict=False):
             assert walk(tracer, *plan.ray(ray.origin, ray.direction)) == same
+
+
+def test_a_short_stack_forgets_and_begins_again(rng):
+    scene = rs.Scene.from_arrays(*soup(300, 1))
+    options = {"traversal": "short-stack", "intersection_cost": 12.0}
+    tracer = rs.Tracer(scene, "kdtree", **options)
+    chart, said = map_of(tracer.structure), []
+    for origin, toward in rng.uniform(-1.0, 1.0, (20, 2, 3)):
+        walked = walk(tracer, 2.0 * origin, toward - 2.0 * origin)
+        for step in walked.steps:
+            said.append(sentence(walked, step, chart))
+            ends = [spot.t_out for spot in step.stack]
+            assert ends == sorted(ends)
+            assert len(ends) <= 4
+    assert any("pop" in line for line in said)
+    assert any("forget the oldest of more than 4" in line for line in said)
+    assert any("was forgotten; begin again at" in line for line in said)
 
 
 def test_two_levels_of_a_grid(plan):

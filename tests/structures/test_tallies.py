@@ -239,12 +239,12 @@ def assert_traversals_agree(scene, rng):
     options = {"structure": "kdtree", "intersection_cost": 12.0}
     trees = [
         rs.Tracer(scene, traversal=how, **options).structure
-        for how in ("stack", "restart", "backtrack")
+        for how in ("stack", "restart", "backtrack", "short-stack")
     ]
-    batch = rays_into(trees[0], rng)
+    batch, seen_again = rays_into(trees[0], rng), 0
     for query in QUERIES:
-        stack, restart, backtrack = (tallied(tree, query, batch) for tree in trees)
-        for other in (restart, backtrack):
+        stack, restart, backtrack, short = (tallied(tree, query, batch) for tree in trees)
+        for other in (restart, backtrack, short):
             for column in ("leaves", "tests", "shadings"):
                 np.testing.assert_array_equal(other[column], stack[column])
         for column in ("restarts", "backtracks", "backtrack_steps"):
@@ -258,14 +258,21 @@ def assert_traversals_agree(scene, rng):
         np.testing.assert_array_equal(backtrack["steps"], stack["steps"] + jumps)
         assert (backtrack["backtrack_steps"] >= jumps).all()
         assert (restart["steps"] >= stack["steps"] + jumps).all()
+        # It begins again where it has forgotten something, and then goes down further.
+        assert not short["backtracks"].any()
+        assert (short["restarts"] <= jumps).all()
+        assert (short["steps"] <= restart["steps"]).all()
+        assert ((short["steps"] > stack["steps"]) == (short["restarts"] > 0)).all()
+        seen_again += short["restarts"].sum()
         # One search sees a leaf more than it jumps; multi_hit makes two of rays that hit.
         in_the_box = stack["leaves"] > 0
         searches = np.where(query.startswith("multi") & (stack["shadings"] > 0), 2, 1)
         np.testing.assert_array_equal(stack["leaves"], (jumps + searches) * in_the_box)
+    return seen_again
 
 
 def test_kd_traversals_agree_on_a_soup(rng):
-    assert_traversals_agree(rs.Scene.from_arrays(*soup(300, 1)), rng)
+    assert assert_traversals_agree(rs.Scene.from_arrays(*soup(300, 1)), rng) > 0
 
 
 @pytest.mark.parametrize("name", ["cornell", "spheres", "robots"])

@@ -22,6 +22,7 @@ _TRAVERSALS = {
     "stack": "kdtree/stack.wgsl",
     "restart": "kdtree/restart.wgsl",
     "backtrack": "kdtree/backtrack.wgsl",
+    "short-stack": "kdtree/short_stack.wgsl",
 }
 
 #: Stacks have room for a multiple of so many nodes: trees of about one depth share their shaders.

@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 
 from raystream.core.rays import RayBatch
-from raystream.lab.foley.scenes import SIZE, counted, foley_trees, known_views, states
+from raystream.lab.foley.scenes import (
+    SIZE,
+    TRAVERSALS,
+    counted,
+    foley_trees,
+    known_views,
+    states,
+)
 from raystream.lab.foley.timing import timed_in_turn
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
@@ -16,7 +23,6 @@ from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
 from raystream.machines import Multipass
 from raystream.structures.kdtree import KdTree
-from raystream.structures.kdtree.structure import TRAVERSALS
 
 __all__ = ["COSTS", "cost_sweep"]
 

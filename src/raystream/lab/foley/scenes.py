@@ -19,11 +19,11 @@ from raystream.machines import Counting, Multipass, RayCounters
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
 from raystream.structures.kdtree import KdTree
-from raystream.structures.kdtree.structure import TRAVERSALS
 
 __all__ = [
     "SCENES",
     "SIZE",
+    "TRAVERSALS",
     "counted",
     "figures_of",
     "foley_tree",
@@ -32,6 +32,9 @@ __all__ = [
     "published_figures",
     "states",
 ]
+
+#: The paper's ways to search a tree.
+TRAVERSALS = ("stack", "restart", "backtrack")
 
 #: Width and height of Foley's pictures, section 4.
 SIZE = 512

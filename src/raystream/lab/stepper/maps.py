@@ -15,6 +15,7 @@ from raystream.structures.grid import Grid
 from raystream.structures.kdtree import KdTree
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.packed import LEAF_BIT
+from raystream.structures.kdtree.short_stack import kept_entries
 
 __all__ = ["GraphMap", "GridMap", "KdMap", "LocalSpot", "StructureMap", "map_of"]
 
@@ -182,7 +183,7 @@ class KdMap(_BlockMap):
     def __init__(self, tree: KdTree) -> None:
         nodes = tree.tree.nodes
         self._block_rows, self._blocks = tree.tree.prim_ids, tree.blocks
-        self._has_stack = tree.options["traversal"] == "stack"
+        self._traversal = tree.options["traversal"]
         self.axes, self.children = nodes[:, 1] & 3, nodes[:, 1] >> 2
         is_leaf = self.axes == LEAF_AXIS
         # The rows of nodes by the numbers that a search has for them.
@@ -232,10 +233,14 @@ class KdMap(_BlockMap):
 
     def stack(self, place: Any, memory: NDArray[np.uint8]) -> tuple[LocalSpot, ...]:
         """See `StructureMap.stack`."""
-        if not self._has_stack:
+        top = int(place["top"])
+        if self._traversal == "stack":
+            entries = memory[:top].view(np.uint32).reshape(-1, 2)
+        elif self._traversal == "short-stack":
+            entries = kept_entries(memory, top)
+        else:
             return ()
-        words = memory[: int(place["top"])].view(np.uint32)
-        nodes, ends = words[::2], words.view(np.float32)[1::2]
+        nodes, ends = entries[:, 0], entries.view(np.float32)[:, 1]
         spots = []
         # What lies on top begins where the ray is to leave the node that it is in.
         t_in = float(place["t_out"])

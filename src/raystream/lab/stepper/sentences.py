@@ -5,6 +5,7 @@ from __future__ import annotations
 from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap, StructureMap
 from raystream.lab.stepper.walk import Step, Walk
 from raystream.machines.records import RayState
+from raystream.structures.kdtree.short_stack import PLACES
 
 __all__ = ["sentence", "source"]
 
@@ -36,11 +37,12 @@ _SOURCES = {
     },
 }
 
-#: Foley's continue-search is what the traversals differ in.
+#: Foley's continue-search is what the traversals, and Horn's, differ in.
 _CONTINUE = {
     "stack": "Foley 2005, section 2.1 (continue-search with a stack; in 3.3 Continue)",
     "restart": "Foley 2005, section 2.2 (kd-restart; in 3.3 Continue)",
     "backtrack": "Foley 2005, section 2.3 (kd-backtrack; in 3.3 Continue)",
+    "short-stack": "Horn 2007 (push-down and short-stack; Foley 2005, 3.3 Continue)",
 }
 
 
@@ -159,7 +161,12 @@ def _in_tree(walked: Walk, step: Step, chart: KdMap) -> str:
             "leaves behind it cannot hold a nearer one."
         )
     missed = f"No hit in {chart.label(at.number)}:"
-    if walked.traversal == "stack":
+    if step.counts.get("restarts") and walked.traversal == "short-stack":
+        return (
+            f"{missed} what comes next was forgotten; begin again at {target}, which holds all "
+            f"that is left, with t from {_number(to.t_in)}."
+        )
+    if walked.traversal in ("stack", "short-stack"):
         return f"{missed} pop {target}, with t from {_number(to.t_in)} to {_number(to.t_out)}."
     if walked.traversal == "restart":
         return f"{missed} begin again at the root, with t from {_number(to.t_in)}."
@@ -181,6 +188,7 @@ def _choice(walked: Walk, step: Step, chart: KdMap) -> str:
             "stack": f"push {other}",
             "restart": f"forget {other} until a restart",
             "backtrack": f"leave {other} to be found by climbing",
+            "short-stack": f"push {other}, and forget the oldest of more than {PLACES}",
         }[walked.traversal or "stack"]
         cut = f"its plane cuts the interval at t = {_number(to.t_out)}"
         return f"{cut}. Near child {target} first; {kept}."

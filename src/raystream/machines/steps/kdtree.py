@@ -22,8 +22,23 @@ from raystream.machines.steps.base import StepKernel, Steps, with_shade
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.kdtree import KdTree
-from raystream.structures.kdtree.state import RESTART, STACK, STACK_BYTES, KdState, split_ray
-from raystream.structures.kdtree.steps import down, intersect_block, is_at_leaf, leaf, leave, up
+from raystream.structures.kdtree.state import (
+    SHORT_STACK,
+    SHORT_STACK_BYTES,
+    STACK,
+    STACK_BYTES,
+    KdState,
+    split_ray,
+)
+from raystream.structures.kdtree.steps import (
+    down,
+    intersect_block,
+    is_at_leaf,
+    leaf,
+    leave,
+    restarts,
+    up,
+)
 from raystream.structures.kdtree.steps import initialize as begin
 
 __all__ = ["steps"]
@@ -41,6 +56,9 @@ PLACE = np.dtype(
         ("left", np.uint32),
     ]
 )
+
+#: Bytes of a ray's stack, for traversals that have one.
+_STACKS = {int(STACK): STACK_BYTES, int(SHORT_STACK): SHORT_STACK_BYTES}
 
 _DONE = np.uint8(RayState.DONE)
 _TRAVERSING = np.uint8(RayState.TRAVERSING)
@@ -152,13 +170,13 @@ def go_on(wanted, found, place, tree, query, kernel):
     status = end_of(count, query)
     is_over = count == wanted.capacity and found.t_far < state.t_out
     if not (is_over or state.t_out >= state.t_end):
+        if restarts(tree, state):
+            note(query, wanted, RESTARTS, _ONE)
         state = leave(tree, state, _stack_of(wanted, query))
         if state.is_climbing:
             note(query, wanted, BACKTRACKS, _ONE)
             status = _CLIMBING
         else:
-            if tree.traversal == RESTART:
-                note(query, wanted, RESTARTS, _ONE)
             status = _downward(tree, state)
     return _record(state, _NONE, _NONE), status
 
@@ -188,6 +206,6 @@ _KERNELS = with_shade(
 
 
 def steps(tree: KdTree) -> Steps:
-    """The steps of a kd-tree's traversal: its own of the three."""
-    has_stack = tree.arrays.traversal == STACK
-    return Steps(_KERNELS, PLACE, tree.arrays, STACK_BYTES if has_stack else 0)
+    """The steps of a kd-tree's traversal: its own of the four."""
+    stack_bytes = _STACKS.get(int(tree.arrays.traversal), 0)
+    return Steps(_KERNELS, PLACE, tree.arrays, stack_bytes)

@@ -12,6 +12,8 @@ from raystream.structures.kdtree.layout import MAX_DEPTH
 __all__ = [
     "BACKTRACK",
     "RESTART",
+    "SHORT_STACK",
+    "SHORT_STACK_BYTES",
     "STACK",
     "STACK_BYTES",
     "KdAddresses",
@@ -22,10 +24,13 @@ __all__ = [
 ]
 
 #: How a search goes on after a leaf.
-STACK, RESTART, BACKTRACK = np.uint64(0), np.uint64(1), np.uint64(2)
+STACK, RESTART, BACKTRACK, SHORT_STACK = np.arange(4, dtype=np.uint64)
 
 #: Bytes of the stack: a node and the end of its interval for each split on a path.
 STACK_BYTES = 8 * (MAX_DEPTH + 1)
+
+#: Bytes of a short one: a node to begin again at, and a ring of `short_stack.PLACES`.
+SHORT_STACK_BYTES = 40
 
 _HALF = np.float32(0.5)
 
@@ -46,7 +51,7 @@ class KdAddresses(NamedTuple):
         Address of the leaf blocks.
     root : uint64
     traversal : uint64
-        `STACK`, `RESTART` or `BACKTRACK`.
+        `STACK`, `RESTART`, `BACKTRACK` or `SHORT_STACK`.
     low, high : tuple of three float32
         The scene's box.
     """
@@ -89,7 +94,7 @@ class KdState(NamedTuple):
     t_end : float32
         Where the search ends: just after the last t that is wanted.
     top : uint64
-        Bytes on the stack.
+        Bytes on the stack; of a short one see `short_stack`.
     is_climbing : bool
         The search goes on above the node: `up` is next.
     """

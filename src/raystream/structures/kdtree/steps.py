@@ -1,4 +1,4 @@
-"""The steps of Foley's three traversals of a kd-tree, each a function of a small state.
+"""The steps of a kd-tree's traversals, Foley's three and Horn's, on a small state.
 
 A machine decides when to run which: `traversal.traverse` runs them fused, one ray from start to
 end.
@@ -36,9 +36,10 @@ from raystream.kernels.slab import box_interval
 from raystream.structures.bvh.block import test_block
 from raystream.structures.bvh.wide import BLOCK, PRIM_IDS
 from raystream.structures.kdtree.layout import LEAF_AXIS
-from raystream.structures.kdtree.state import RESTART, STACK, KdLeaf, KdState
+from raystream.structures.kdtree.short_stack import has_forgotten, pop, push
+from raystream.structures.kdtree.state import RESTART, SHORT_STACK, STACK, KdLeaf, KdState
 
-__all__ = ["down", "initialize", "intersect_block", "is_at_leaf", "leaf", "leave", "up"]
+__all__ = ["down", "initialize", "intersect_block", "is_at_leaf", "leaf", "leave", "restarts", "up"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -137,7 +138,7 @@ def down(tree, line, state, stack):
     state : KdState
         At a split.
     stack : uint64
-        Address of `STACK_BYTES`; `STACK` alone uses it.
+        Address of `STACK_BYTES`, or of `SHORT_STACK_BYTES`; for those that have one.
 
     Returns
     -------
@@ -155,6 +156,8 @@ def down(tree, line, state, stack):
             store(stack + top, np.uint32(second))
             store(stack + (top + _WORD), state.t_out)
             top += _ENTRY
+        elif tree.traversal == SHORT_STACK:
+            top = push(stack, state, second)
         t_out = t
     return KdState(node, state.t_in, t_out, state.t_end, top, False)
 
@@ -225,6 +228,14 @@ def intersect_block(block, frame, state, t_far, surfaces, keep, count, capacity,
 
 
 @device
+def restarts(tree, state):
+    """Whether `leave` is going to begin again, at the root or below."""
+    if tree.traversal == SHORT_STACK:
+        return has_forgotten(state)
+    return tree.traversal == RESTART
+
+
+@device
 def leave(tree, state, stack):
     """Go on after a leaf (Foley's Continue).
 
@@ -247,6 +258,8 @@ def leave(tree, state, stack):
         node = np.uint64(load(np.uint32, stack + top))
         t_out = load(np.float32, stack + (top + _WORD))
         return KdState(node, t_in, t_out, t_end, top, False)
+    if tree.traversal == SHORT_STACK:
+        return pop(stack, state)
     if tree.traversal == RESTART:
         return KdState(tree.root, t_in, t_end, t_end, _NONE, False)
     return KdState(state.node, t_in, t_end, t_end, _NONE, True)

@@ -31,7 +31,7 @@ from raystream.structures.kdtree.traversal import traverse
 __all__ = ["LAYOUTS", "TRAVERSALS", "KdTree"]
 
 #: How a search goes on after a leaf, in the order of `state.STACK` and so on.
-TRAVERSALS = ("stack", "restart", "backtrack")
+TRAVERSALS = ("stack", "restart", "backtrack", "short-stack")
 
 #: Bytes of a node: 8, or Foley's 12.
 LAYOUTS = ("compact", "foley")
@@ -46,10 +46,11 @@ class KdTree(Structure):
     Parameters
     ----------
     triangles : Triangles
-    traversal : {"stack", "restart", "backtrack"}
+    traversal : {"stack", "restart", "backtrack", "short-stack"}
         How a search goes on after a leaf: with what it left on a stack; from the root again;
-        or by going up to where the rest of the ray begins. They visit the same leaves in the
-        same order.
+        by going up to where the rest of the ray begins; or with a stack of four nodes, and
+        again from far up where that has forgotten one (Horn 2007). They visit the same leaves
+        in the same order.
     layout : {"compact", "foley"}
         Nodes of 8 bytes, or Foley's of 12, with both children's pointers. ``"backtrack"``
         takes another 32 bytes for each split, in both.
@@ -174,7 +175,7 @@ class KdTree(Structure):
 
         Parameters
         ----------
-        traversal : {"stack", "restart", "backtrack"}
+        traversal : {"stack", "restart", "backtrack", "short-stack"}
 
         Raises
         ------

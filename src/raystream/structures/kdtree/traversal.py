@@ -17,7 +17,7 @@ from raystream.kernels.tally import (
 )
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
-from raystream.structures.kdtree.state import RESTART, split_ray
+from raystream.structures.kdtree.state import split_ray
 from raystream.structures.kdtree.steps import (
     down,
     initialize,
@@ -25,6 +25,7 @@ from raystream.structures.kdtree.steps import (
     is_at_leaf,
     leaf,
     leave,
+    restarts,
     up,
 )
 
@@ -63,9 +64,9 @@ def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
             return count
         if state.t_out >= state.t_end:
             return count
-        state = leave(tree, state, stack)
-        if tree.traversal == RESTART:
+        if restarts(tree, state):
             add_to(tally, RESTARTS, _ONE)
+        state = leave(tree, state, stack)
         if state.is_climbing:
             add_to(tally, BACKTRACKS, _ONE)
         while state.is_climbing:

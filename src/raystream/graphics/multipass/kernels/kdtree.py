@@ -89,7 +89,7 @@ def kernels(kdtree: KdTree) -> TraversalKernels:
     GraphicsError
         If its traversal needs one.
     """
-    if kdtree.options["traversal"] == "stack":
+    if kdtree.options["traversal"] in ("stack", "short-stack"):
         raise GraphicsError(
             "device 'graphics': machine='multipass' has no memory for the stacks of rays; take "
             "traversal='restart' or 'backtrack'"

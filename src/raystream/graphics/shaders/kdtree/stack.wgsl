@@ -9,9 +9,9 @@ struct KdEntry {
 var<private> stack: array<KdEntry, STACK_SIZE>;
 
 // Returns how many nodes are on the stack then.
-fn push(top: u32, node: u32, t_out: f32) -> u32 {
-    stack[top] = KdEntry(node, t_out);
-    return top + 1u;
+fn push(state: KdState, node: u32) -> u32 {
+    stack[state.top] = KdEntry(node, state.t_out);
+    return state.top + 1u;
 }
 
 // The child on top begins where the leaf ends: only then was it put there.

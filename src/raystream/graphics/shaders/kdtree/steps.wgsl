@@ -29,7 +29,7 @@ fn down(line: PlaneRay, state: KdState) -> KdState {
     var next = state;
     next.node = select(first, second, t <= state.t_in);
     if t > state.t_in && t < state.t_out {
-        next.top = push(state.top, second, state.t_out);
+        next.top = push(state, second);
         next.t_out = t;
     }
     return next;
