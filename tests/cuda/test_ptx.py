@@ -1,0 +1,191 @@
+"""What NVIDIA's compiler makes of the kernels, run instruction by instruction, has the CPU's bits.
+
+The simulator runs what Numba makes of the same source for the CPU; this runs the PTX.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fake_driver
+import raystream as rs
+from conftest import CUDA_TRACERS
+from ptx.driver import PtxDriver
+from ptx.machine import Kernel, Memory, PtxError
+from ptx.memory import room_for
+from raystream.jit.cuda import is_simulated, opening
+from test_agreement import answers_of, assert_expected, case_of, rays_of
+
+pytestmark = pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
+
+#: A device's number that no other test has: kernels are kept by it.
+NUMBER = 7
+
+#: Rays of a case, spread over all of them: a ray is some thousand instructions.
+RAY_COUNT = 10
+
+CASES = ("exact_edges_on_a_lattice", "limits_at_the_hits_themselves", "random_soup")
+
+
+@pytest.fixture
+def driver(monkeypatch):
+    """A device that runs PTX."""
+    made = PtxDriver()
+    made.count = NUMBER + 1
+    fake_driver.install(monkeypatch, made)
+    yield made
+    opening._opened.cache_clear()
+
+
+def few_of(case):
+    rows = np.linspace(0, len(case.origins) - 1, RAY_COUNT).astype(int)
+    limits = (limit[rows] for limit in case.limits())
+    t_min, t_max = limits
+    origins, directions = case.origins[rows], case.directions[rows]
+    return replace(case, origins=origins, directions=directions, t_min=t_min, t_max=t_max)
+
+
+def assert_brute_force(name, **options):
+    case = few_of(case_of(name))
+    tracer = rs.Tracer(case.scene, gpu=NUMBER, **options)
+    answers = answers_of(tracer, rays_of(case), is_brief=True)
+    assert_expected(answers, answers_of(rs.Tracer(case.scene, "brute"), rays_of(case)))
+
+
+def test_a_bvh_equals_brute_force(driver):
+    case = few_of(case_of("random_soup"))
+    tracer = rs.Tracer(case.scene, device="cuda", gpu=NUMBER)
+    hits = tracer.first_hit(**rays_of(case))
+    expected = rs.Tracer(case.scene, "brute").first_hit(**rays_of(case))
+    for name in ("t", "u", "v", "prim_id"):
+        assert getattr(hits, name).tobytes() == getattr(expected, name).tobytes()
+    assert any("first_hit" in name for name in driver.launched)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("tracer", CUDA_TRACERS)
+def test_structures_equal_brute_force(tracer, name):
+    assert_brute_force(name, **CUDA_TRACERS[tracer])
+
+
+@pytest.mark.exhaustive
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize(
+    ("structure", "options"),
+    [("grid", {}), ("bvh", {}), ("bvh", {"method": "linear"})],
+)
+def test_what_the_device_builds_equals_brute_force(structure, options):
+    assert_brute_force("random_soup", structure=structure, device="cuda", build="device", **options)
+
+
+# ---- The machine itself.
+
+
+HEAD = ".version 8.8\n.target sm_75\n.address_size 64\n"
+
+
+def run(body, *values, block_size=1, declared=""):
+    """Run instructions with parameters p0, p1, ... of 8 bytes in registers %rd0, %rd1, ..."""
+    parameters = ", ".join(f".param .b64 p{i}" for i in range(len(values)))
+    loads = "\n".join(f"ld.param.u64 %rd{i}, [p{i}];" for i in range(len(values)))
+    text = f"{HEAD}.visible .entry k({parameters})\n{{\n{declared}\n{loads}\n{body}\nret;\n}}\n"
+    memory = Memory()
+    arrays = [value for value in values if isinstance(value, np.ndarray)]
+    for array in arrays:
+        memory.add("an array", array.view(np.uint8))
+    given = [
+        np.uint64(value.ctypes.data if isinstance(value, np.ndarray) else value) for value in values
+    ]
+    Kernel(text, "k").launch(memory, 1, block_size, given)
+
+
+@pytest.mark.parametrize(
+    ("body", "complaint"),
+    [
+        ("ld.u32 %r1, [%rd0+16];", "reads 4 bytes, of which 4 or more lie behind an array"),
+        ("ld.u32 %r1, [%rd0+2];", "reads 4 bytes, 2 behind where they may begin"),
+        ("ld.v4.f32 {%f1, %f2, %f3, %f4}, [%rd0+8];", "8 behind where they may begin"),
+        ("st.u64 [%rd0+12], %rd0;", "writes 8 bytes, 4 behind"),
+        ("mov.u64 %rd1, 64; ld.u32 %r1, [%rd1];", "at 0x40, where nothing is"),
+        ("mul.f32 %f1, %f2, %f3;", "mul without '.rn' may be fused"),
+        ("add.rn.ftz.f32 %f1, %f2, %f3;", "'.ftz' would round in another way"),
+        ("tex.1d.v4.f32.f32 %f1, %f2;", "no such instruction is known: tex"),
+        ("$L1:\nbra $L1;", "more than"),
+    ],
+)
+def test_what_a_device_would_not_do_is_an_error(body, complaint, monkeypatch):
+    monkeypatch.setattr("ptx.machine._MOST_STEPS", 1000)
+    with pytest.raises(PtxError, match=complaint):
+        run(body, room_for(16, 16))
+
+
+FLOATS = np.array([0.0, -0.0, 1.5, -2.75, 1e30, -1e-40, np.inf, np.nan, 3.0000002], np.float32)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "expected"),
+    [
+        ("add.rn.f32", np.add),
+        ("mul.rn.f32", np.multiply),
+        ("div.rn.f32", np.divide),
+        ("min.f32", np.fmin),
+        ("max.f32", np.fmax),
+    ],
+)
+def test_floats_are_those_of_the_cpu(instruction, expected):
+    a, b = (one.astype(np.float32).ravel() for one in np.meshgrid(FLOATS, FLOATS))
+    a, b = a.copy(), b.copy()
+    out = np.zeros_like(a)
+    run(
+        "mov.u32 %r1, %tid.x; mul.wide.u32 %rd3, %r1, 4;"
+        "add.s64 %rd4, %rd0, %rd3; add.s64 %rd5, %rd1, %rd3; add.s64 %rd6, %rd2, %rd3;"
+        f"ld.f32 %f1, [%rd4]; ld.f32 %f2, [%rd5]; {instruction} %f3, %f1, %f2; st.f32 [%rd6], %f3;",
+        *(a, b, out),
+        block_size=len(a),
+    )
+    with np.errstate(all="ignore"):
+        np.testing.assert_array_equal(out, expected(a, b))
+
+
+def test_integers_have_the_width_of_their_type():
+    out = np.zeros(6, np.uint64)
+    run(
+        "mov.u32 %r1, -1; add.s32 %r2, %r1, 2; st.u32 [%rd0], %r2;"
+        "shr.s32 %r3, %r1, 4; cvt.s64.s32 %rd1, %r3; st.u64 [%rd0+8], %rd1;"
+        "cvt.u64.u32 %rd2, %r1; shl.b64 %rd3, %rd2, 40; st.u64 [%rd0+16], %rd3;"
+        "mov.u64 %rd4, -7; div.s64 %rd5, %rd4, 2; st.u64 [%rd0+24], %rd5;"
+        "rem.s64 %rd6, %rd4, 2; st.u64 [%rd0+32], %rd6;"
+        "setp.lt.s32 %p1, %r1, 0; setp.lt.u32 %p2, %r1, 1; mov.u64 %rd7, 0;"
+        "@%p1 add.s64 %rd7, %rd7, 1; @!%p2 add.s64 %rd7, %rd7, 2; st.u64 [%rd0+40], %rd7;",
+        out,
+    )
+    assert out.view(np.int64).tolist() == [1, -1, -(1 << 40), -3, -1, 3]
+
+
+def test_barriers_hold_until_all_are_there():
+    """Each thread reads what another one wrote before."""
+    out = np.zeros(4, np.uint32)
+    run(
+        "mov.u32 %r1, %tid.x; mov.u64 %rd1, room; mul.wide.u32 %rd2, %r1, 4;"
+        "add.s64 %rd3, %rd1, %rd2; st.shared.u32 [%rd3], %r1; bar.sync 0;"
+        "xor.b32 %r2, %r1, 3; mul.wide.u32 %rd4, %r2, 4; add.s64 %rd5, %rd1, %rd4;"
+        "ld.shared.u32 %r3, [%rd5]; add.s64 %rd6, %rd0, %rd2; st.u32 [%rd6], %r3;",
+        out,
+        block_size=4,
+        declared=".shared .align 4 .b8 room[16];",
+    )
+    assert out.tolist() == [3, 2, 1, 0]
+
+
+def test_what_is_freed_is_gone(driver):
+    array = driver.device_array(64, np.uint8)
+    address = array.handle
+    driver.memory.write(address, bytes(4))
+    del array
+    with pytest.raises(PtxError, match=r"behind|nothing is"):
+        driver.memory.read(address, 4)

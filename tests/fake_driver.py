@@ -1,0 +1,123 @@
+"""A driver of CUDA that is none: what raystream asks of one, done on the host."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+
+from raystream.jit.cuda import gpu, opening
+
+__all__ = ["Driver", "install"]
+
+
+class Memory:
+    """Memory of a device that is none."""
+
+    def __init__(self, byte_count):
+        self._bytes = np.zeros(max(byte_count, 1), np.uint8)
+        self.handle = self._bytes.ctypes.data
+
+    @property
+    def __cuda_array_interface__(self):
+        return {"data": (self.handle, False)}
+
+
+class Driver:
+    """A driver that fails where it is told to.
+
+    Attributes
+    ----------
+    failing : dict
+        Messages of its errors, by what is asked.
+    capability : (int, int)
+    count : int
+        Of its devices.
+    """
+
+    def __init__(self):
+        self.failing, self.capability, self.count = {}, (9, 0), 2
+
+    def may(self, what):
+        if what in self.failing:
+            raise RuntimeError(self.failing[what])
+
+    @property
+    def gpus(self):
+        self.may("init")
+        return [contextlib.nullcontext()] * self.count
+
+    def current_context(self, _number):
+        self.may("open")
+        return SimpleNamespace(get_memory_info=lambda: SimpleNamespace(total=10**9, free=10**9))
+
+    def device_array(self, length, _dtype):
+        self.may("allocate")
+        return Memory(length)
+
+    def allocate(self, byte_count, stream):  # noqa: ARG002
+        self.may("allocate")
+        return Memory(byte_count)
+
+    def pinned_array(self, length, dtype):
+        return np.zeros(length, dtype)
+
+    def device(self, number):
+        return SimpleNamespace(
+            name=f"Fake {number}",
+            compute_capability=self.capability,
+            set_current=lambda: None,
+            create_stream=lambda options: self,
+            allocate=self.allocate,
+        )
+
+    #: Of a stream.
+    handle = 1
+
+    def wait(self, _other):
+        pass
+
+    # ---- Functions of cuda.bindings.driver.
+
+    CUresult = SimpleNamespace(CUDA_SUCCESS=0)
+
+    def cuMemcpyAsync(self, to, source, byte_count, _stream):  # noqa: N802 - NVIDIA's
+        self.may("copy")
+        ctypes.memmove(to, source, byte_count)
+        return (0,)
+
+    def load(self, _ptx, name):
+        self.may("load")
+        return SimpleNamespace(get_kernel=lambda _entry: name)
+
+    def launch(self, *_arguments):
+        self.may("launch")
+
+    def sync(self):
+        self.may("sync")
+
+    @property
+    def core(self):
+        """What stands for cuda.core."""
+        return SimpleNamespace(
+            Device=self.device,
+            StreamOptions=lambda nonblocking: nonblocking,
+            PER_THREAD_DEFAULT_STREAM=self,
+            Stream=None,
+            LEGACY_DEFAULT_STREAM=self,
+            LaunchConfig=lambda grid, block: (grid, block),
+            ObjectCode=SimpleNamespace(from_ptx=self.load),
+            launch=self.launch,
+        )
+
+
+def install(monkeypatch, driver):
+    """Let a driver stand for CUDA's and cuda.core's; devices are to be opened anew."""
+    monkeypatch.setitem(sys.modules, "cuda.core", driver.core)
+    monkeypatch.setitem(sys.modules, "cuda.bindings", SimpleNamespace(driver=driver))
+    for module in (gpu, opening):
+        monkeypatch.setattr(module, "cuda", driver)
+    opening._opened.cache_clear()

@@ -1,0 +1,74 @@
+"""A driver whose device is the PTX machine: tracers run on it what the compiler made for GPUs."""
+
+from __future__ import annotations
+
+import ctypes
+from types import SimpleNamespace
+
+import fake_driver
+from ptx.machine import Kernel
+from ptx.memory import Memory, room_for
+from raystream.jit.cuda import CAPABILITIES
+
+__all__ = ["PtxDriver"]
+
+#: CUDA's arrays begin at multiples of so many bytes.
+_ALIGNMENT = 256
+
+
+class _Array:
+    """An array of the device's, which nothing may use any more once it is freed."""
+
+    def __init__(self, memory, byte_count):
+        self._memory, self._room = memory, room_for(byte_count, _ALIGNMENT)
+        self.handle = memory.add(f"an array of {byte_count} bytes", self._room)
+
+    @property
+    def __cuda_array_interface__(self):
+        return {"data": (self.handle, False)}
+
+    def __del__(self):
+        self._memory.drop(self.handle)
+
+
+class PtxDriver(fake_driver.Driver):
+    """Takes PTX, and runs it when it is launched.
+
+    Attributes
+    ----------
+    launched : dict
+        How often each kernel was, by name.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.capability = CAPABILITIES[0]
+        self.memory = Memory()
+        self.launched = {}
+        self._kernels = {}
+
+    def device_array(self, length, _dtype):
+        return _Array(self.memory, length)
+
+    def allocate(self, byte_count, stream):  # noqa: ARG002
+        return _Array(self.memory, byte_count)
+
+    def device(self, number):
+        made = super().device(number)
+        made.properties = SimpleNamespace(multiprocessor_count=2)
+        return made
+
+    def cuMemsetD8Async(self, to, value, byte_count, _stream):  # noqa: N802 - NVIDIA's
+        ctypes.memset(to, value, byte_count)
+        return (0,)
+
+    def load(self, ptx, name):
+        if name not in self._kernels:
+            self._kernels[name] = Kernel(ptx.decode(), name)
+        kernel = self._kernels[name]
+        kernel.occupancy = SimpleNamespace(max_active_blocks_per_multiprocessor=lambda *_: 1)
+        return SimpleNamespace(get_kernel=lambda _entry: kernel)
+
+    def launch(self, _stream, config, kernel, *values):
+        self.launched[kernel.name] = self.launched.get(kernel.name, 0) + 1
+        kernel.launch(self.memory, *config, values)

@@ -1,0 +1,221 @@
+"""A machine that runs PTX: what NVIDIA's compiler made of a kernel, where no GPU is.
+
+Threads run one after the other, and take turns at barriers. Registers hold Python's and NumPy's
+numbers; memory is the host's, by address, and every access is checked. An instruction that a device
+would round in another way than the CPU is an error, and so is one that is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ptx.memory import UNWRITTEN, Memory, PtxError, room_for
+from ptx.slots import SPECIAL, Slots
+from ptx.steps import Step, step_of
+from ptx.text import Declared, Function, Module, parse
+
+__all__ = ["Kernel", "Memory", "PtxError"]
+
+_RETURN, _BARRIER = object(), object()
+
+#: No kernel here takes so many instructions for a thread: it loops.
+_MOST_STEPS = 20_000_000
+
+
+class _Code:
+    """A function as steps."""
+
+    def __init__(self, function: Function) -> None:
+        self.function = function
+        self.slots = Slots()
+        self.steps: list[Step] = []
+        for one in function.instructions:
+            step = self._step_of(one)
+            self.steps.append(step if one.guard is None else self._guarded(one, step))
+
+    def where(self, number: int) -> str:
+        """An instruction, for errors."""
+        one = self.function.instructions[number]
+        return f"{self.function.name[:60]}: {'.'.join(one.opcode)} {', '.join(one.operands)}"
+
+    def _guarded(self, one, step: Step) -> Step:
+        at, wanted = self.slots.of(one.guard, "pred"), not one.is_negated
+        return lambda f: step(f) if f[at] is wanted else None
+
+    def _step_of(self, one) -> Step:
+        name = one.opcode[0]
+        if name == "bra":
+            target = self.function.labels[one.operands[0]]
+            return lambda _f: target
+        if name in ("ret", "exit"):
+            return lambda _f: _RETURN
+        if name == "trap":
+            raise PtxError("a trap")
+        if name == "bar":
+            return lambda _f: _BARRIER
+        if name == "call":
+            return self._call(one.operands)
+        return step_of(one, self.slots)
+
+    def _call(self, operands: tuple[str, ...]) -> Step:
+        results = operands[0].strip("()").split() if operands[0][0] == "(" else []
+        name, *given = operands[1:] if results else operands
+        names = [text.strip() for text in given[0].strip("()").split(",")] if given else []
+
+        def step(f):
+            f[0].call(name, names, results)
+
+        return step
+
+
+class Kernel:
+    """A kernel in PTX, to be launched.
+
+    Parameters
+    ----------
+    ptx : str
+    entry : str
+        Its name.
+    """
+
+    def __init__(self, ptx: str, entry: str) -> None:
+        self.name = entry
+        self._module: Module = parse(ptx)
+        self._codes: dict[str, _Code] = {}
+
+    def code(self, name: str) -> _Code:
+        """The steps of one of its functions."""
+        if name not in self._codes:
+            self._codes[name] = _Code(self._module.functions[name])
+        return self._codes[name]
+
+    def launch(
+        self, memory: Memory, block_count: int, block_size: int, values: Sequence[Any]
+    ) -> None:
+        """Run all threads of all blocks.
+
+        Raises
+        ------
+        PtxError
+            If a device would not do that.
+        """
+        parameters = self.code(self.name).function.parameters
+        assert len(parameters) == len(values), (len(parameters), len(values))
+        given = {}
+        for one, value in zip(parameters, values, strict=True):
+            data = np.asarray(value).tobytes()
+            if len(data) != one.byte_count:
+                raise PtxError(f"{one.name[-40:]}: takes {one.byte_count} bytes, not {len(data)}")
+            given[one.name] = data
+        with np.errstate(all="ignore"):
+            for block in range(block_count):
+                self._run_block(memory, (block, block_count, block_size), given)
+
+    def _run_block(self, memory: Memory, where: tuple[int, int, int], given: Any) -> None:
+        inside = [one for f in self._module.functions.values() for one in f.memory]
+        shared = _Rooms(memory, "shared", (*self._module.shared, *inside))
+        threads = [
+            _Thread(self, memory, shared.addresses, (i, *where), given).run()
+            for i in range(where[2])
+        ]
+        while threads:
+            threads = [thread for thread in threads if next(thread, _RETURN) is _BARRIER]
+        shared.close()
+
+
+class _Rooms:
+    """Memory that a function or a block declares: there until it ends."""
+
+    def __init__(self, memory: Memory, space: str, declared: Sequence[Declared]) -> None:
+        self._memory, self._kept, self.addresses = memory, [], {}
+        for one in declared:
+            if one.space != space:
+                continue
+            room = room_for(one.byte_count, one.align)
+            self.addresses[one.name] = memory.add(f"{one.space} memory", room)
+            self._kept.append(room)
+
+    def close(self) -> None:
+        """Nothing is there any more."""
+        for room in self._kept:
+            self._memory.drop(int(room.ctypes.data))
+
+
+class _Thread:
+    """A thread: calls, parameters, and its way to memory."""
+
+    def __init__(self, kernel: Kernel, memory: Memory, shared: Any, where: Any, given: Any) -> None:
+        self._kernel, self._memory, self._shared = kernel, memory, shared
+        number, block, block_count, block_size = where
+        self.lane = number % 32
+        given_to = number, block, block_size, block_count, self.lane
+        self._special = dict(zip(SPECIAL, given_to, strict=True))
+        self._parameters: list[dict[str, bytearray]] = [{k: bytearray(v) for k, v in given.items()}]
+
+    def run(self) -> Iterator[object]:
+        """Run the kernel; gives `_BARRIER` at each barrier."""
+        yield from self._run(self._kernel.code(self._kernel.name))
+
+    def _run(self, code: _Code) -> Iterator[object]:
+        rooms = _Rooms(self._memory, "local", code.function.memory)
+        frame = list(code.slots.first)
+        frame[0] = self
+        for name, at in code.slots.symbols.items():
+            frame[at] = rooms.addresses.get(name, self._shared.get(name))
+        for name, value in self._special.items():
+            if name in code.slots.registers:
+                frame[code.slots.registers[name]] = value
+        here, steps = 0, code.steps
+        for _ in range(_MOST_STEPS):
+            try:
+                there = steps[here](frame)
+            except PtxError as error:
+                raise PtxError(f"{error}, in {code.where(here)}") from error
+            if there is None:
+                here += 1
+            elif there is _RETURN:
+                rooms.close()
+                return
+            elif there is _BARRIER:
+                yield _BARRIER
+                here += 1
+            else:
+                here = there
+        raise PtxError(f"{code.function.name[-40:]}: more than {_MOST_STEPS:,} steps")
+
+    def call(self, name: str, given: Sequence[str], results: Sequence[str]) -> None:
+        """Run a function: its parameters are the caller's, by another name."""
+        code, own = self._kernel.code(name), self._parameters[-1]
+        theirs = {}
+        for there, here in zip(code.function.parameters, given, strict=True):
+            # What the callee does not use is not written.
+            theirs[there.name] = own.pop(here, bytearray([UNWRITTEN] * there.byte_count))
+        for there, here in zip(code.function.results, results, strict=True):
+            theirs[there.name] = own[here] = bytearray(there.byte_count)
+        self._parameters.append(theirs)
+        for _ in self._run(code):
+            raise PtxError(f"{name[-40:]}: a barrier in a function that is called")
+        self._parameters.pop()
+
+    def read(self, place: Any, size: int, space: str) -> bytes:
+        """Bytes of memory, or of a parameter."""
+        if space != "param":
+            return self._memory.read(place, size)
+        name, offset = place
+        data = self._parameters[-1][name][offset : offset + size]
+        if len(data) != size:
+            raise PtxError(f"reads {size} bytes of a parameter, where {len(data)} are")
+        return bytes(data)
+
+    def write(self, place: Any, data: bytes, space: str) -> None:
+        """Write bytes to memory, or to a parameter."""
+        if space != "param":
+            self._memory.write(place, data)
+            return
+        name, offset = place
+        room = self._parameters[-1].setdefault(name, bytearray())
+        room.extend(bytes(max(0, offset + len(data) - len(room))))
+        room[offset : offset + len(data)] = data

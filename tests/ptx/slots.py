@@ -1,0 +1,51 @@
+"""Where a function's frame has what its instructions name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ptx.memory import PtxError
+from ptx.numbers import constant
+
+__all__ = ["SPECIAL", "Slots", "class_of"]
+
+#: What a thread is told of itself.
+SPECIAL = ("%tid.x", "%ctaid.x", "%ntid.x", "%nctaid.x", "%laneid")
+
+
+class Slots:
+    """Where a function's frame has what instructions name; 0 is the thread."""
+
+    def __init__(self) -> None:
+        self.first: list[Any] = [None]
+        self.registers: dict[str, int] = {}
+        self.symbols: dict[str, int] = {}
+
+    def of(self, text: str, kind: str) -> int:
+        """The place of a register, a constant, or the address of what has a name."""
+        if text[0] == "%" or not (text[0].isdigit() or text[0] == "-"):
+            known = self.registers if text[0] == "%" else self.symbols
+            if text not in known:
+                known[text] = len(self.first)
+                self.first.append(None)
+            return known[text]
+        self.first.append(constant(text, kind))
+        return len(self.first) - 1
+
+
+def class_of(register: str) -> str:
+    """The type of a register, by its name."""
+    for prefix, kind in (
+        ("%rd", "b64"),
+        ("%SP", "b64"),
+        ("%rs", "b16"),
+        ("%r", "b32"),
+        ("%fd", "f64"),
+        ("%f", "f32"),
+        ("%p", "pred"),
+        ("%temp", "b32"),
+        *((name, "b32") for name in SPECIAL),
+    ):
+        if register.startswith(prefix):
+            return kind
+    raise PtxError(f"a register of no known type: {register}")
