@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 import pytest
-from fake_driver import Driver, install
 
 import raystream as rs
 from conftest import reason_against_cuda
+from fake_driver import Driver, install
 from raystream.core.errors import RaystreamError
 
 pytest.importorskip("numba_cuda")
@@ -152,6 +152,16 @@ def test_another_device(driver):
 def test_an_old_gpu(driver):
     driver.capability = (6, 1)
     assert "Fake 0 has compute capability 6.1; kernels need 7.5 or more" in complaint()
+
+
+@pytest.mark.parametrize(
+    ("capability", "target"),
+    [((7, 5), (7, 5)), ((8, 6), (8, 0)), ((8, 9), (8, 0)), ((9, 0), (9, 0)), ((12, 0), (9, 0))],
+)
+def test_kernels_are_compiled_for_what_was_tested(driver, capability, target):
+    driver.capability = capability
+    opened = open_gpu(0)
+    assert (opened.capability, opened.target) == (capability, target)
 
 
 def test_scenes_larger_than_the_device(driver, monkeypatch):

@@ -102,5 +102,5 @@ class BlockKernel:
                 cuda.jit(self._function)[block_count, self.block_size](*values)
             return
         if gpu.number not in self._loaded:
-            self._loaded[gpu.number] = gpu.load(self.compiled(gpu.capability))
+            self._loaded[gpu.number] = gpu.load(self.compiled(gpu.target))
         gpu.launch(self._loaded[gpu.number], block_count, self.block_size, values, stream)

@@ -46,6 +46,9 @@ class Gpu:
     number : int
     name : str
     capability : (int, int)
+    target : (int, int)
+        What kernels are compiled for: the newest of `CAPABILITIES` that it can run. For newer
+        ones there would be code that no test has seen, from another compiler.
     byte_count : int
         Memory of the device.
     stream : CudaStream
@@ -59,6 +62,7 @@ class Gpu:
         self.number = number
         self.name = "CUDA simulator"
         self.capability: Capability = CAPABILITIES[0]
+        self.target = self.capability
         self.in_flight = InFlight()
         if is_simulated():
             self.byte_count = 2**62
@@ -71,6 +75,8 @@ class Gpu:
             self.name = str(self._device.name)
             major, minor = self._device.compute_capability
             self.capability = (int(major), int(minor))
+            known = [one for one in CAPABILITIES if one <= self.capability]
+            self.target = max(known, default=CAPABILITIES[0])
             self.byte_count = int(cuda.current_context(number).get_memory_info().total)
             # Numba's copies are in this one, too: so they are done before a kernel runs.
             self._legacy = CudaStream(self, LEGACY)

@@ -129,7 +129,7 @@ class RangeKernel:
         key = gpu.number, kind_of(arguments)
         if key not in self._loaded:
             with gpu.doing(f"compiling {self.name}"):
-                compiled = self.compiled(arguments, gpu.capability)
+                compiled = self.compiled(arguments, gpu.target)
             self._loaded[key] = gpu.load(compiled)
         values = [np.uint64(count), *flat(arguments)]
         return self._loaded[key], -(-count // _BLOCK_SIZE), _BLOCK_SIZE, values

@@ -93,7 +93,7 @@ class PersistentKernel(RangeKernel):
             return
         key = gpu.number, type_of(arguments)
         if key not in self._loaded:
-            self._loaded[key] = gpu.load(self.compiled(arguments, gpu.capability))
+            self._loaded[key] = gpu.load(self.compiled(arguments, gpu.target))
         kernel = self._loaded[key]
         block_count = min(block_count, gpu.most_blocks(kernel, _BLOCK_SIZE))
         # Each launch has its own, which must live until it has ended.
