@@ -16,7 +16,7 @@ from conftest import CUDA_TRACERS
 from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
 from ptx.memory import room_for
-from raystream.jit.cuda import is_simulated, opening
+from raystream.jit.cuda import is_simulated, open_gpu, opening
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
 pytestmark = pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
@@ -81,6 +81,36 @@ def test_structures_equal_brute_force(tracer, name):
 )
 def test_what_the_device_builds_equals_brute_force(structure, options):
     assert_brute_force("random_soup", structure=structure, device="cuda", build="device", **options)
+
+
+class Lent:
+    """An array on the device, as CuPy lends one."""
+
+    def __init__(self, gpu, array):
+        self._array = gpu.upload("rays", np.ascontiguousarray(array))
+        self.__cuda_array_interface__ = self._array.__cuda_array_interface__
+
+
+@pytest.mark.exhaustive
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_arrays_on_the_device_are_traced_where_they_are(dtype):
+    case = few_of(case_of("random_soup"))
+    rays = [np.asarray(one, np.float32).astype(dtype) for one in (case.origins, case.directions)]
+    expected, gpu = rs.Tracer(case.scene, "brute"), open_gpu(NUMBER)
+    tracer = rs.Tracer(case.scene, device="cuda", gpu=NUMBER)
+    origins, directions = (Lent(gpu, one) for one in rays)
+    hits = tracer.first_hit(origins, directions).host()
+    theirs = expected.first_hit(*rays)
+    for name in ("t", "u", "v", "prim_id"):
+        assert getattr(hits, name).tobytes() == getattr(theirs, name).tobytes()
+    every, all_theirs = tracer.multi_hit(origins, directions).host(), expected.multi_hit(*rays)
+    assert every.ray_splits.tolist() == all_theirs.ray_splits.tolist()
+    assert every.t.tobytes() == all_theirs.t.tobytes()
+    # A limit for each ray has to be packed.
+    t_max = np.linspace(0.1, 2.0, RAY_COUNT)
+    blocked = tracer.any_hit(origins, directions, t_max=Lent(gpu, t_max)).host()
+    assert blocked.tolist() == expected.any_hit(*rays, t_max=t_max).tolist()
 
 
 # ---- The machine itself.

@@ -62,6 +62,11 @@ class PtxDriver(fake_driver.Driver):
         ctypes.memset(to, value, byte_count)
         return (0,)
 
+    CUpointer_attribute = SimpleNamespace(CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL=9)
+
+    def cuPointerGetAttribute(self, _attribute, _address):  # noqa: N802 - NVIDIA's
+        return 0, self.count - 1
+
     def load(self, ptx, name):
         if name not in self._kernels:
             self._kernels[name] = Kernel(ptx.decode(), name)
