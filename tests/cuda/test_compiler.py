@@ -40,6 +40,7 @@ WAYS = {
     "bvh": {"kernel": "wide"},
     "bvh, compressed": {"kernel": "compressed"},
     "bvh, binary": {"kernel": "binary", "launch": "persistent"},
+    "bvh, sorted": {"order": "sorted"},
 }
 
 

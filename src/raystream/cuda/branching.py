@@ -50,6 +50,10 @@ class Branching(BatchQueries):
     launch : {"range", "persistent"}
         How threads get their rays: each has one; or as many as the device runs at once stay, and
         warps fetch more rays.
+    order : {"given", "sorted"}
+        Which rays the threads of a warp take: those that follow each other, or those that are
+        alike, for which the device sorts them first; see `ray_order`. Answers come in the order
+        of the rays.
 
     Raises
     ------
@@ -69,6 +73,7 @@ class Branching(BatchQueries):
         rays_at_once: int = RAYS_AT_ONCE,
         kernel: str = "auto",
         launch: str = "range",
+        order: str = "given",
     ) -> None:
         self.structure = structure
         self.gpu = gpu
@@ -76,7 +81,8 @@ class Branching(BatchQueries):
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
         kernel = kernel_for(structure, gpu, kernel)
-        self._kernels = kernels_of(structure.name, kernel, launch)
+        self._kernels = kernels_of(structure.name, kernel, launch, order)
+        self._is_sorted = order == "sorted"
         self._resident = place(structure, gpu, kernel)
         self._identity = SceneFrame.identity(structure.triangles)
         self._lanes = Lanes(gpu)
@@ -97,6 +103,7 @@ class Branching(BatchQueries):
             self.frame,
             structure.triangles,
             structure.lists_twice,
+            self._is_sorted,
         )
         return DeviceQueries(scene, origins, directions, t_min, t_max)
 
@@ -297,7 +304,7 @@ class Branching(BatchQueries):
 
     def _trace(self, asked: Asked, answer: Answer, **options: Any) -> None:
         shared = self.gpu, self._resident, self._lanes, self.rays_at_once
-        trace_parts(asked, *shared, answer, **options)
+        trace_parts(asked, *shared, answer, is_sorted=self._is_sorted, **options)
 
 
 def _rows(address: np.uint64, count: int) -> list[np.uint64]:

@@ -12,11 +12,13 @@ from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.multipass.catalogue import multipass_catalogue_of
 from raystream.cuda.packing import DIRECTIONS, PACK
+from raystream.cuda.ray_order import MAKE_KEY
 from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import STRUCTURES, kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.collect import HitAddresses
+from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
 from raystream.structures import build_structure
@@ -27,11 +29,16 @@ __all__ = ["ARRAY_KERNELS", "catalogue_of", "whole_catalogue"]
 Compiler = Callable[[tuple[int, int]], Compiled]
 
 _AT = np.uint64(0)
+_CORNER = (np.float32(0.0),) * 3
+
+_SOURCE = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
+_FRAME = SceneFrame((0.0, 0.0, 0.0), 1.0, 1.0, _CORNER, _CORNER, np.float32(0.0))
 
 #: Kernels for rays in arrays on the device, of whatever structure; by name.
 ARRAY_KERNELS: dict[str, tuple[RangeKernel, tuple[Any, ...]]] = {
     "pack": (PACK, (_AT, (_AT,) * DIRECTIONS, (_AT,) * DIRECTIONS, _AT, _AT, _AT, _AT, _AT)),
     "note": (NOTE, (_AT, np.int64(0), _AT)),
+    "ray keys": (MAKE_KEY, (_SOURCE, _FRAME, _AT, _AT)),
 }
 
 
@@ -42,6 +49,7 @@ def catalogue_of(
     counters: bool = False,
     kernel: str = "auto",
     launch: str = "range",
+    order: str = "given",
     **options: Any,
 ) -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """The kernels of a structure, and arguments that are good for their types alone.
@@ -54,7 +62,7 @@ def catalogue_of(
         Any: the structure is built of it.
     counters : bool
         Whether rays are counted.
-    kernel, launch : str
+    kernel, launch, order : str
         See `Branching`.
     **options
         Of the structure.
@@ -65,10 +73,10 @@ def catalogue_of(
         By query.
     """
     structure = build_structure(name, scene.triangles, **options)
-    kernels = kernels_of(name, kernel, launch)
+    kernels = kernels_of(name, kernel, launch, order)
     tree = lay_out(structure, kernel).tree
-    source = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
-    shared = source, structure.frame, tree, _AT if counters else None
+    first = (_AT,) if order == "sorted" else ()
+    shared = *first, _SOURCE, structure.frame, tree, _AT if counters else None
     tables = SeenTables(_AT, _AT)
     hits = HitAddresses(_AT, _AT, _AT, _AT)
     more: dict[str, tuple[Any, ...]] = {
@@ -98,6 +106,7 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
         *((name, name, {}) for name in STRUCTURES if name != "bvh"),
         *((f"bvh, {one}", "bvh", {"kernel": one}) for one in KERNELS if one != "auto"),
         ("bvh, persistent", "bvh", {"launch": "persistent"}),
+        ("bvh, sorted", "bvh", {"order": "sorted"}),
     ]
     listed = {
         (way, query): one

@@ -11,6 +11,7 @@ from raystream.core.triangles import Triangles
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
 from raystream.cuda.device_rays import DeviceRays, place_device_rays
 from raystream.cuda.parts import GROWTH, NO_TABLES, TABLE_BYTES
+from raystream.cuda.ray_order import sort_rays
 from raystream.cuda.scan import add_up, is_any
 from raystream.cuda.structures import Resident
 from raystream.cuda.threads import RETRY, SeenTables, ThreadQueries
@@ -39,6 +40,8 @@ class DeviceScene(NamedTuple):
     triangles : Triangles
     lists_twice : bool
         Whether rays need tables of the triangles that they have met.
+    is_sorted : bool
+        Whether the kernels take rays in the order of their keys, see `ray_order`.
     """
 
     gpu: Gpu
@@ -47,6 +50,7 @@ class DeviceScene(NamedTuple):
     frame: SceneFrame
     triangles: Triangles
     lists_twice: bool
+    is_sorted: bool = False
 
 
 class DeviceQueries:
@@ -75,6 +79,7 @@ class DeviceQueries:
             "t_min": t_min,
             "t_max": t_max,
         }
+        self._orders: dict[tuple[int, int], DeviceArray] = {}
 
     def first_hit(self, progress: Progress | None = None) -> DeviceHits:
         """Find the nearest triangle along each ray.
@@ -149,17 +154,34 @@ class DeviceQueries:
         return DeviceMultiHits(splits, *hits, status, self._scene.triangles)
 
     def _work(self) -> Work:
+        self._orders = {}
         gpu = self._scene.gpu
         return Work(gpu, stream_of(gpu, self._given))
 
     def _rays(self, work: Work) -> DeviceRays:
         return place_device_rays(work, **self._given)
 
-    def _shared(self, source: RaySource) -> tuple[Any, ...]:
-        return source, self._scene.frame, self._scene.resident.tree, None
+    def _shared(self, work: Work, rays: DeviceRays, first: int, count: int) -> tuple[Any, ...]:
+        """What kernels are given for some of the rays before anything else."""
+        source = rays.source_from(first)
+        shared = source, self._scene.frame, self._scene.resident.tree, None
+        return *self._order(work, source, first, count), *shared
+
+    def _order(
+        self, work: Work, source: RaySource, first: int, count: int
+    ) -> tuple[np.uint64, ...]:
+        """The address of the order in which some rays are taken, which are sorted once."""
+        if not self._scene.is_sorted:
+            return ()
+        if (first, count) not in self._orders:
+            frame, gpu = self._scene.frame, work.gpu
+            order = sort_rays(gpu, source, count, frame, work.ready, work.stream)
+            self._orders[first, count] = order
+        return (self._orders[first, count].address,)
 
     def _run(self, work: Work, rays: DeviceRays, kernel: RangeKernel, to: Any) -> None:
-        work.launch(kernel, len(rays), (*self._shared(rays.source), to))
+        count = len(rays)
+        work.launch(kernel, count, (*self._shared(work, rays, 0, count), to))
 
     def _count(
         self, work: Work, rays: DeviceRays, surfaces: bool, limit: int, status: DeviceArray
@@ -169,7 +191,7 @@ class DeviceQueries:
         def run(tables: SeenTables, first: int, count: int) -> None:
             wanted = bool(surfaces), np.uint64(limit)
             places = _moved(status, first), _moved(counts, first)
-            arguments = (*self._shared(rays.source_from(first)), tables, *wanted, *places)
+            arguments = (*self._shared(work, rays, first, count), tables, *wanted, *places)
             work.launch(self._scene.kernels.count_hits, count, arguments)
 
         self._with_tables(work, counts, run)
@@ -182,7 +204,7 @@ class DeviceQueries:
 
         def run(tables: SeenTables, first: int, count: int) -> None:
             more = bool(surfaces), _moved(splits, first), to, _moved(found, first)
-            arguments = (*self._shared(rays.source_from(first)), tables, *more)
+            arguments = (*self._shared(work, rays, first, count), tables, *more)
             work.launch(self._scene.kernels.multi_hit, count, arguments)
 
         self._with_tables(work, found, run)

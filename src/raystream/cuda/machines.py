@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from raystream.core.errors import RaystreamError
 from raystream.cuda.bvh.kernels import kernel_of
+from raystream.cuda.options import check_names
 from raystream.machines import MULTIPASS_OPTIONS
 from raystream.machines.counting import Counting
 from raystream.machines.devices import Machines
@@ -25,7 +26,7 @@ _SHARED = ("gpu", "rays_at_once")
 #: Options of each machine.
 OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "branching": (*_SHARED, "kernel", "launch"),
+        "branching": (*_SHARED, "kernel", "launch", "order"),
         "multipass": (*_SHARED, *MULTIPASS_OPTIONS, "loop", "max_passes"),
     }
 )
@@ -89,6 +90,7 @@ class _CudaMachines:
                     f"{machine}: has no option {name!r}; it is one of machine={homes[0]!r}"
                 )
         kernel_of("bvh", own.get("kernel", "auto"))  # whether there is one of that name
+        check_names(own)
         open_device(own.get("gpu", 0))
         return own
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.cuda.lanes import Lane, Lanes
+from raystream.cuda.ray_order import sort_rays
 from raystream.cuda.rays import place_rays
 from raystream.cuda.structures import Resident
 from raystream.cuda.threads import SeenTables
@@ -78,6 +79,8 @@ class Part:
         The structure.
     lane : Lane
         Whose memory the rays and answers go through.
+    is_sorted : bool
+        Whether kernels take the rays in the order of their keys, see `ray_order`.
 
     Attributes
     ----------
@@ -93,7 +96,15 @@ class Part:
         If there is no memory for them.
     """
 
-    def __init__(self, asked: Asked, rows: slice, gpu: Gpu, resident: Resident, lane: Lane) -> None:
+    def __init__(
+        self,
+        asked: Asked,
+        rows: slice,
+        gpu: Gpu,
+        resident: Resident,
+        lane: Lane,
+        is_sorted: bool = False,
+    ) -> None:
         self.rows = rows
         self.count = rows.stop - rows.start
         self.lane = lane
@@ -108,6 +119,10 @@ class Part:
             self._tallies = lane.cleared("tallies", shape, np.uint32)
         self._kept: list[DeviceArray] = []
         self._returned: list[NDArray[Any]] = []
+        self._order: tuple[DeviceArray, ...] = ()
+        if is_sorted:
+            rays = self._rays.source, self.count, asked.frame
+            self._order = (sort_rays(gpu, *rays, lane.empty, lane.stream),)
 
     def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
         """Make an array on the device that exists as long as the part; not initialised."""
@@ -124,7 +139,8 @@ class Part:
     def run(self, kernel: RangeKernel, *arguments: Any) -> None:
         """Run a kernel of `threads.ThreadQueries` for each ray; does not wait."""
         tallies = None if self._tallies is None else self._tallies.address
-        shared = self._rays.source, self._asked.frame, self._resident.tree, tallies
+        order = (one.address for one in self._order)
+        shared = *order, self._rays.source, self._asked.frame, self._resident.tree, tallies
         stream = self.lane.stream.native
         kernel.launch(self._gpu, self.count, (*shared, *arguments), stream)
 
@@ -178,6 +194,7 @@ def trace_parts(
     rays_at_once: int,
     answer: Answer,
     *,
+    is_sorted: bool = False,
     lists_twice: bool = False,
     splits: NDArray[np.int64] | None = None,
 ) -> None:
@@ -194,6 +211,8 @@ def trace_parts(
         Most rays that are on the device together.
     answer : Answer
         A part whose tables were too small is traced again with larger ones.
+    is_sorted : bool
+        See `Part`.
     lists_twice : bool
         Whether rays need tables.
     splits : ndarray of shape (N + 1,), int64, optional
@@ -212,7 +231,7 @@ def trace_parts(
         return parts_of(rows, most, splits)
 
     def begin(rows: slice, room: int, lane: Lane) -> tuple[Part, int, Callable[[], bool]]:
-        part = Part(asked, rows, gpu, resident, lane)
+        part = Part(asked, rows, gpu, resident, lane, is_sorted)
         tables = NO_TABLES
         if room:
             memory = part.empty("tables of triangles seen", (part.count, room + 1), np.int32)

@@ -7,12 +7,13 @@ from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 from raystream.cuda.bvh.kernels import kernel_of, lay_out, search_of
+from raystream.cuda.options import check_names
+from raystream.cuda.ray_order import in_order
 from raystream.cuda.threads import ThreadQueries, thread_queries
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu, PersistentKernel, RangeKernel
 from raystream.structures import Structure
 
 __all__ = [
-    "LAUNCHES",
     "STRUCTURES",
     "BuiltOnDevice",
     "Resident",
@@ -21,8 +22,8 @@ __all__ = [
     "place",
 ]
 
-#: How threads get their rays: each one of a range, or whenever a warp is done with the last ones.
-LAUNCHES = {"range": RangeKernel, "persistent": PersistentKernel}
+#: What launches kernels, by `options.LAUNCHES`.
+_LAUNCHERS = {"range": RangeKernel, "persistent": PersistentKernel}
 
 _Launcher = Callable[[Callable[..., Any]], RangeKernel]
 
@@ -67,7 +68,9 @@ STRUCTURES: dict[str, Callable[..., ThreadQueries]] = {
 }
 
 
-def kernels_of(name: str, kernel: str = "auto", launch: str = "range") -> ThreadQueries:
+def kernels_of(
+    name: str, kernel: str = "auto", launch: str = "range", order: str = "given"
+) -> ThreadQueries:
     """The kernels of a structure.
 
     Parameters
@@ -76,31 +79,33 @@ def kernels_of(name: str, kernel: str = "auto", launch: str = "range") -> Thread
         The structure's.
     kernel : str
         Of a BVH, see `bvh.kernels.KERNELS`.
-    launch : str
-        One of `LAUNCHES`.
+    launch, order : str
+        See `options`. Kernels for sorted rays take the address of their order first, see
+        `ray_order.in_order`.
 
     Raises
     ------
     CudaError
         If there are none.
     ValueError
-        If there is no kernel or launch of that name.
+        If there is no kernel, launch or order of that name.
     TypeError
         If a kernel is asked for, and the structure is no BVH.
     """
     if name not in STRUCTURES:
         known = ", ".join(map(repr, STRUCTURES))
         raise CudaError(f"device 'cuda': has the structures {known}, not {name!r}")
-    if launch not in LAUNCHES:
-        known = ", ".join(map(repr, LAUNCHES))
-        raise ValueError(f"launch: expected one of {known}, got {launch!r}")
-    return _made(name, kernel_of(name, kernel), launch)
+    check_names({"launch": launch, "order": order})
+    return _made(name, kernel_of(name, kernel), launch, order)
 
 
 @cache
-def _made(name: str, kernel: str | None, launch: str) -> ThreadQueries:
+def _made(name: str, kernel: str | None, launch: str, order: str) -> ThreadQueries:
     chosen = () if kernel is None else (kernel,)
-    return STRUCTURES[name](LAUNCHES[launch], *chosen)
+    launcher: _Launcher = _LAUNCHERS[launch]
+    if order == "given":
+        return STRUCTURES[name](launcher, *chosen)
+    return STRUCTURES[name](lambda function: launcher(in_order(function)), *chosen)
 
 
 class Resident(NamedTuple):

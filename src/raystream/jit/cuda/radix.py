@@ -190,7 +190,14 @@ def _counter_room(size: TileSize) -> int:
 
 
 def sort_pairs(
-    gpu: Gpu, keys: DeviceArray, values: DeviceArray, bits: int, size: TileSize = USUAL_TILE
+    gpu: Gpu,
+    keys: DeviceArray,
+    values: DeviceArray,
+    bits: int,
+    size: TileSize = USUAL_TILE,
+    *,
+    empty: Callable[..., DeviceArray] | None = None,
+    stream: Any = None,
 ) -> tuple[DeviceArray, DeviceArray]:
     """Begin to sort pairs by their keys; equal ones keep their order. Nothing waits for it.
 
@@ -204,6 +211,10 @@ def sort_pairs(
     bits : int
         Of the keys: no key has a higher one.
     size : TileSize, optional
+    empty : callable, optional
+        Makes scratch memory, as `Gpu.empty` does, which is what it is without it.
+    stream : cuda.core.Stream, optional
+        Without it, the device's own.
 
     Returns
     -------
@@ -218,21 +229,23 @@ def sort_pairs(
     (count,) = keys.shape
     if count < 2 or bits < 1:
         return keys, values
+    empty = empty or gpu.empty
     tiles = -(-count // size.numbers)
     counter_count = int(_DIGITS) * tiles
-    found = gpu.empty("digits of tiles", counter_count + 1, np.uint32)
-    scan = Scan(gpu, counter_count, size)
+    found = empty("digits of tiles", counter_count + 1, np.uint32)
+    scan = Scan(gpu, counter_count, size, empty)
     others = (
-        gpu.empty("sorted keys", count, keys.dtype),
-        gpu.empty("sorted values", count, values.dtype),
+        empty("sorted keys", count, keys.dtype),
+        empty("sorted values", count, values.dtype),
     )
     own = keys, values
     count_digits, scatter = sort_kernels(keys.dtype.name, size)
     for shift in range(0, bits, DIGIT_BITS):
         to = found.address
-        count_digits.launch(gpu, tiles, own[0].address, count, shift, tiles, to)
-        scan.run(to, counter_count, to, np.uint32)
+        count_digits.launch(gpu, tiles, own[0].address, count, shift, tiles, to, stream=stream)
+        scan.run(to, counter_count, to, np.uint32, stream)
         addresses = [one.address for one in (*own, *others)]
-        scatter.launch(gpu, tiles, *addresses[:2], count, shift, tiles, to, *addresses[2:])
+        more = count, shift, tiles, to
+        scatter.launch(gpu, tiles, *addresses[:2], *more, *addresses[2:], stream=stream)
         own, others = others, own
     return own

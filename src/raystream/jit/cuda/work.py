@@ -74,17 +74,27 @@ class Work:
         self._is_new = True
         return made
 
-    def cleared(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array of zeros."""
+    def ready(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
+        """Make an array that may be used in the stream at once, not initialised.
+
+        Raises
+        ------
+        CudaError
+            If there is no memory for it.
+        """
         made = self.empty(name, shape, dtype)
         self.follow()
+        return made
+
+    def cleared(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
+        """Make an array of zeros."""
+        made = self.ready(name, shape, dtype)
         self.gpu.clear(made, self.stream)
         return made
 
     def placed(self, name: str, array: NDArray[Any]) -> DeviceArray:
         """Copy a small array of the host's, in C order, to the device."""
-        made = self.empty(name, array.shape, array.dtype)
-        self.follow()
+        made = self.ready(name, array.shape, array.dtype)
         self.gpu.copy(made.address, array.ctypes.data, array.nbytes, self.stream)
         return made
 

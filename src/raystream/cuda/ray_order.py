@@ -1,0 +1,188 @@
+"""The order in which a device's threads take rays: as they are given, or sorted against divergence.
+
+Rays that start near each other and go the same way meet the same nodes, so that the threads of a
+warp that have them read the same memory and are done at about the same time. A key says where a
+ray starts and where it goes; its numbers are sorted by it, and rays and answers stay where they
+are: thread j takes ray ``order[j]``, and writes to that ray's own place.
+
+References
+----------
+Aila and Karras, "Architecture Considerations for Tracing Incoherent Rays", High Performance
+Graphics 2010: keys of origins and directions. Meister, Boksansky, Guthe and Bittner, "On Ray
+Reordering Techniques for Faster GPU Ray Tracing", Interactive 3D Graphics and Games 2020: keys of
+32 bits, compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from raystream.core.rays import RayStatus
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import CudaStream, DeviceArray, Gpu, RangeKernel, is_simulated
+from raystream.jit.cuda.blocks import get_32
+from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.simd import store
+from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray_source import RaySource, load_ray
+
+__all__ = ["KEY_BITS", "MAKE_KEY", "in_order", "sort_rays"]
+
+#: A key has, from the top: a bit for each axis, where the direction is negative; these for each
+#: axis, where the origin is; and these for each of two weights of the direction.
+_CELL_BITS, _WEIGHT_BITS = 5, 7
+KEY_BITS = 3 + 3 * _CELL_BITS + 2 * _WEIGHT_BITS
+
+_VALID = np.uint8(RayStatus.VALID)
+_ZERO = np.float32(0.0)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_ONE = np.uint32(1)
+_NO_BITS = np.uint32(0)
+_LAST = np.uint32(2**32 - 1)
+_CELLS = np.float32(2**_CELL_BITS)
+_LAST_CELL = np.float32(2**_CELL_BITS - 1)
+_WEIGHTS = np.float32(2**_WEIGHT_BITS)
+_LAST_WEIGHT = np.float32(2**_WEIGHT_BITS - 1)
+
+
+@device
+def _spread_by_three(number):
+    """The bits of a number below 2**10, with two zeros after each."""
+    number = np.uint32((number | np.uint32(number << np.uint32(16))) & np.uint32(0x030000FF))
+    number = np.uint32((number | np.uint32(number << np.uint32(8))) & np.uint32(0x0300F00F))
+    number = np.uint32((number | np.uint32(number << np.uint32(4))) & np.uint32(0x030C30C3))
+    return np.uint32((number | np.uint32(number << np.uint32(2))) & np.uint32(0x09249249))
+
+
+@device
+def _spread_by_two(number):
+    """The bits of a number below 2**8, with a zero after each."""
+    number = np.uint32((number | np.uint32(number << np.uint32(4))) & np.uint32(0x0F0F))
+    number = np.uint32((number | np.uint32(number << np.uint32(2))) & np.uint32(0x3333))
+    return np.uint32((number | np.uint32(number << _ONE)) & np.uint32(0x5555))
+
+
+@device
+def _step_of(x, last):
+    """The whole part of a number, not above `last`; 0 of a negative number and of NaN."""
+    if not x > _ZERO:
+        return _NO_BITS
+    return np.uint32(min(x, last))
+
+
+@device
+def _cell(x, low, scale):
+    return _spread_by_three(_step_of((x - low) * scale, _LAST_CELL))
+
+
+@device
+def _key_of(ray, frame):
+    """Where a local ray starts, and where it goes."""
+    if ray.status != _VALID:
+        return _LAST
+    x = _ONE if ray.dx < _ZERO else _NO_BITS
+    y = _ONE if ray.dy < _ZERO else _NO_BITS
+    z = _ONE if ray.dz < _ZERO else _NO_BITS
+    key = np.uint32(x | np.uint32(y << _ONE) | np.uint32(z << np.uint32(2)))
+    # Cubes, as many to the longest side of the scene's box. Those outside count as the nearest.
+    longest = max(
+        frame.high[0] - frame.low[0], frame.high[1] - frame.low[1], frame.high[2] - frame.low[2]
+    )
+    scale = _CELLS / longest if longest > _ZERO else _ZERO
+    cell = np.uint32(
+        _cell(ray.ox, frame.low[0], scale)
+        | np.uint32(_cell(ray.oy, frame.low[1], scale) << _ONE)
+        | np.uint32(_cell(ray.oz, frame.low[2], scale) << np.uint32(2))
+    )
+    key = np.uint32(np.uint32(key << np.uint32(3 * _CELL_BITS)) | cell)
+    # The direction within its octant, where it meets the plane through (1, 0, 0), (0, 1, 0) and
+    # (0, 0, 1); its largest component is at least 1.
+    fine = _WEIGHTS / (abs(ray.dx) + abs(ray.dy) + abs(ray.dz))
+    first = _spread_by_two(_step_of(abs(ray.dx) * fine, _LAST_WEIGHT))
+    second = _spread_by_two(_step_of(abs(ray.dy) * fine, _LAST_WEIGHT))
+    weights = np.uint32(first | np.uint32(second << _ONE))
+    return np.uint32(np.uint32(key << np.uint32(2 * _WEIGHT_BITS)) | weights)
+
+
+@kernel
+def _make_key(i, source, frame, keys, numbers):
+    """Write the key of ray i, and its number."""
+    store(keys + (i << _WORD), _key_of(load_ray(source, i, frame), frame))
+    store(numbers + (i << _WORD), np.uint32(i))
+
+
+#: Begins the sort: for ``(source, frame, keys, numbers)``, addresses of uint32.
+MAKE_KEY = RangeKernel(_make_key)
+
+
+def sort_rays(
+    gpu: Gpu,
+    source: RaySource,
+    count: int,
+    frame: SceneFrame,
+    empty: Callable[[str, Any, Any], DeviceArray],
+    stream: CudaStream,
+) -> DeviceArray:
+    """Begin to sort rays; nothing waits for it.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    source : RaySource
+        Rays on the device.
+    count : int
+        Of them, less than 2**32.
+    frame : SceneFrame
+        Of the rays.
+    empty : callable
+        ``empty(name, shape, dtype)`` makes an array that may be used in the stream at once, and
+        may be dropped as soon as all that uses it was begun there.
+    stream : CudaStream
+
+    Returns
+    -------
+    DeviceArray of shape (count,), uint32
+        Their numbers, in the order of their keys: invalid ones are the last, and rays with one
+        key keep their order.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory: 16 bytes a ray, while it is done.
+
+    Notes
+    -----
+    A ray's key depends on the ray and the scene's box alone, and the sort is stable: the same
+    rays are always in the same order.
+    """
+    keys = empty("keys of rays", count, np.uint32)
+    numbers = empty("numbers of rays", count, np.uint32)
+    arguments = source, frame, keys.address, numbers.address
+    MAKE_KEY.launch(gpu, count, arguments, stream.native)
+    _, order = sort_pairs(gpu, keys, numbers, KEY_BITS, empty=empty, stream=stream.native)
+    return order
+
+
+def in_order(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a kernel that calls another one with the numbers of an array.
+
+    Parameters
+    ----------
+    function : kernel
+        ``function(i, *arguments)``.
+
+    Returns
+    -------
+    callable
+        For ``(j, order, *arguments)``: calls it with row j of `order`, an array of uint32 at an
+        address. It is compiled for CUDA alone; the simulator interprets it.
+    """
+
+    def ordered(j: Any, order: Any, *arguments: Any) -> None:
+        function(np.uint64(get_32(order, j)), *arguments)
+
+    ordered.__name__ = ordered.__qualname__ = f"{function.__name__}_in_order"
+    return ordered if is_simulated() else device(ordered)
