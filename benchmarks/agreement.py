@@ -1,6 +1,7 @@
 """Millions of hard rays: does a structure return brute force's bits?
 
     python benchmarks/agreement.py --rays 5000000 --structure bvh
+    python benchmarks/agreement.py --rays 5000000 --structure bvh --device cuda
 
 Runs every case of the test suite again and again with other seeds, more rays, and intervals
 of all kinds (t_min above, at and below zero), and counts the rays whose answer differs in any
@@ -74,9 +75,27 @@ OPTIONS = {
     ],
 }
 
+#: On a GPU, the ways to trace and build there.
+CUDA_OPTIONS = {
+    "bvh": [
+        {"quality": "high", "max_leaf_size": 2},
+        {"kernel": "wide", "quality": "high"},
+        {"kernel": "binary", "launch": "persistent"},
+        {"order": "sorted"},
+        {"order": "sorted", "kernel": "wide", "quality": "high", "launch": "persistent"},
+        {"build": "device"},
+        {"build": "device", "method": "linear", "kernel": "compressed", "order": "sorted"},
+        {"build": "device", "kernel": "binary"},
+    ],
+    "grid": [*OPTIONS["grid"], {"build": "device"}, {"build": "device", "order": "sorted"}],
+    "graph": [*OPTIONS["graph"], {"order": "sorted"}],
+    "kdtree": [*OPTIONS["kdtree"], {"order": "sorted", "launch": "persistent"}],
+}
+
 
 def main():
     parser = argparse.ArgumentParser()
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--rays", type=int, default=1_000_000)
     parser.add_argument("--structure", choices=OPTIONS, default="bvh")
     parser.add_argument("--seed", type=int, default=1)
@@ -90,9 +109,10 @@ def main():
         for number, make in enumerate(cases.CASES.values()):
             rng = np.random.default_rng([seed, sum(done.values())])
             case = make(rng)
-            choices = OPTIONS[arguments.structure]
+            known = OPTIONS if arguments.device == "cpu" else CUDA_OPTIONS
+            choices = known[arguments.structure]
             options = choices[(seed + number) % len(choices)]
-            tracer = rs.Tracer(case.scene, arguments.structure, **options)
+            tracer = rs.Tracer(case.scene, arguments.structure, arguments.device, **options)
             oracle = rs.Tracer(case.scene, "brute")
             rays = {"origins": case.origins, "directions": case.directions}
             t = oracle.first_hit(**rays).t

@@ -243,6 +243,25 @@ CUDA_TRACERS = {
     },
 }
 
+BUILT = {"build": "device", **CUDA}
+SORTED = {"order": "sorted", **CUDA}
+
+#: And those that are for a GPU alone: blocks of threads that build or sort take the simulator
+#: seconds.
+GPU_TRACERS = {
+    "bvh, built there": {"structure": "bvh", **BUILT},
+    "bvh, linear, built there": {"structure": "bvh", "method": "linear", **BUILT},
+    "bvh, compressed, built there": {"structure": "bvh", "kernel": "compressed", **BUILT},
+    "bvh, binary, built there": {"structure": "bvh", "kernel": "binary", **BUILT},
+    "grid, built there": {"structure": "grid", **BUILT},
+    "brute, sorted": {"structure": "brute", **SORTED},
+    "bvh, sorted": {"structure": "bvh", **SORTED},
+    "bvh, high, sorted": {"structure": "bvh", "quality": "high", **SORTED, "launch": "persistent"},
+    "grid, sorted": {"structure": "grid", **SORTED, "launch": "persistent"},
+    "kdtree, sorted": {"structure": "kdtree", **SORTED},
+    "graph, sorted": {"structure": "graph", **SORTED},
+}
+
 
 @pytest.fixture(params=TRACERS)
 def make_tracer(request):

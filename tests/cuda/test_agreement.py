@@ -9,7 +9,7 @@ import pytest
 
 import raystream as rs
 from cases import CASES
-from conftest import CUDA_TRACERS
+from conftest import CUDA_TRACERS, GPU_TRACERS
 from raystream.jit.cuda import is_simulated
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
@@ -32,11 +32,15 @@ def few_of(case):
     )
 
 
+#: Those that are tried here.
+TRACERS = CUDA_TRACERS | ({} if is_simulated() else GPU_TRACERS)
+
+
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("tracer", CUDA_TRACERS)
+@pytest.mark.parametrize("tracer", TRACERS)
 def test_structures_equal_brute_force(gpu, tracer, name):
     case = few_of(case_of(name))
-    made = rs.Tracer(case.scene, **CUDA_TRACERS[tracer])
+    made = rs.Tracer(case.scene, **TRACERS[tracer])
     answers = answers_of(made, rays_of(case), is_brief=is_simulated())
     assert_expected(answers, answers_of(rs.Tracer(case.scene, "brute"), rays_of(case)))
 
