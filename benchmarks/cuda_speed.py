@@ -9,7 +9,8 @@ occlusion, short ones that ask for any hit; for diffuse light, long ones that as
 Pixels follow each other in Morton order, and the rays of a hit follow each other.
 
 Everyone gets the same rays, in turns, from arrays on the host. Times are those of the kernels, by
-events around each launch on the device; and of the whole call, with all copies. Each part of the
+events around each launch on the device, with those that sort rays, whose share is listed; and of
+the whole call, with all copies. Each part of the
 rays is traced several times, and the best time counts. What others find in the first part is
 compared with the first of ours, and that, for primary rays, with the CPU's bits.
 """
@@ -46,6 +47,8 @@ OURS = (
     "bvh:kernel=binary,launch=persistent",
     "bvh:kernel=compressed",
     "bvh:kernel=compressed,launch=persistent",
+    "bvh:kernel=compressed,order=sorted",
+    "bvh:kernel=compressed,order=sorted,launch=persistent",
 )
 
 #: Warp's ways to build, by label: its own choice, and the one that traces best.
@@ -57,16 +60,27 @@ PATIENCE = 2.0
 
 @contextlib.contextmanager
 def launches():
-    """Seconds of all kernels that raystream launches meanwhile; none in the simulator."""
+    """Seconds of all kernels that raystream launches meanwhile; none in the simulator.
+
+    Yields those of all, and of those that sort rays.
+    """
+    from raystream.cuda import parts
     from raystream.jit.cuda import Gpu
 
-    launch, events, seconds = Gpu.launch, [], []
+    launch, events, seconds, sorting = Gpu.launch, [], [], []
     taken = inspect.signature(launch)
+    sort_rays, sorts = parts.sort_rays, []
+
+    def noted(*arguments, **named):
+        begin = len(events)
+        order = sort_rays(*arguments, **named)
+        sorts.append(slice(begin, len(events)))
+        return order
 
     def timed(gpu, *arguments, **named):
         from cuda.core import EventOptions
 
-        stream = taken.bind(gpu, *arguments, **named).arguments.get("stream") or gpu._stream
+        stream = taken.bind(gpu, *arguments, **named).arguments.get("stream") or gpu._legacy.native
 
         def record():
             with gpu.doing("recording an event"):
@@ -76,15 +90,17 @@ def launches():
         launch(gpu, *arguments, **named)
         events.append((gpu, begin, record()))
 
-    Gpu.launch = timed
+    Gpu.launch, parts.sort_rays = timed, noted
     try:
-        yield seconds
+        yield seconds, sorting
     finally:
-        Gpu.launch = launch
+        Gpu.launch, parts.sort_rays = launch, sort_rays
     for gpu, begin, end in events:
         with gpu.doing("reading an event"):
             end.sync()
             seconds.append((end - begin) / 1e3)
+    for rows in sorts:
+        sorting += seconds[rows]
 
 
 class Turn:
@@ -94,17 +110,21 @@ class Turn:
     ----------
     label : str
     contender : Contender
+    sorting_share : float
+        Of the latest kernels' time, what it took to sort rays.
     """
 
     def __init__(self, label, contender):
         self.label, self.contender = label, contender
+        self.sorting_share = 0.0
 
     def ask(self, query, rays):
         """An answer, seconds of its kernels or None, and of the whole."""
         started = time.perf_counter()
-        with launches() as spent:
+        with launches() as (spent, sorting):
             answer = self.contender.ask(query, rays, "")
         whole = time.perf_counter() - started
+        self.sorting_share = sum(sorting) / sum(spent) if sum(spent) else 0.0
         kernels = getattr(self.contender, "kernel_seconds", None)
         return answer, sum(spent) if spent else kernels, whole
 
@@ -253,6 +273,7 @@ def trace_set(name, query, parts, turns, repeats):
             "contender": turn.label,
             "mrays_per_second": count / device / 1e6 if 0.0 < device < np.inf else None,
             "mrays_per_second_whole": count / total / 1e6 if total else None,
+            "sorting_share": round(turn.sorting_share, 4),
             "differing": differing[turn.label].differing if differing else 0.0,
             "other_bits_than_cpu": other_bits if turn is turns[0] else None,
         }
@@ -308,13 +329,14 @@ def line_of(found, row):
     build = found["builds"][row["contender"]]
     return (
         f"{found['scene']:18}{found['triangles']:>11,}{row['set']:>9}{row['rays']:>12,}  "
-        f"{row['contender']:18}{shown}{build:>9.3f}{100 * row['differing']:>9.4f}{note}"
+        f"{row['contender']:18}{shown}{100 * row['sorting_share']:>8.1f}"
+        f"{build:>9.3f}{100 * row['differing']:>9.4f}{note}"
     )
 
 
 TITLES = (
     f"{'scene':18}{'triangles':>11}{'set':>9}{'rays':>12}  {'contender':18}"
-    f"{'Mrays/s':>12}{'with copies':>12}{'build s':>9}{'differ %':>9}"
+    f"{'Mrays/s':>12}{'with copies':>12}{'sort %':>8}{'build s':>9}{'differ %':>9}"
 )
 
 

@@ -159,20 +159,27 @@ class Event(float):
 
 def test_launches_are_timed(monkeypatch):
     pytest.importorskip("numba_cuda")
+    from raystream.cuda import parts
     from raystream.jit.cuda import Gpu
 
     monkeypatch.setitem(sys.modules, "cuda.core", SimpleNamespace(EventOptions=dict))
     asked = []
     monkeypatch.setattr(Gpu, "launch", lambda gpu, values, stream=None: asked.append(values))
     before = Gpu.launch
-    gpu = SimpleNamespace(doing=lambda _: contextlib.nullcontext(), _stream=Clock())
-    other = Clock()
-    with script("cuda_speed").launches() as seconds:
+    legacy, other = Clock(), Clock()
+    gpu = SimpleNamespace(
+        doing=lambda _: contextlib.nullcontext(), _legacy=SimpleNamespace(native=legacy)
+    )
+    monkeypatch.setattr(parts, "sort_rays", lambda gpu: gpu.launch(gpu, [3], stream=legacy))
+    gpu.launch = lambda *arguments, **named: Gpu.launch(*arguments, **named)
+    with script("cuda_speed").launches() as (seconds, sorting):
         Gpu.launch(gpu, [1])
+        parts.sort_rays(gpu)
         Gpu.launch(gpu, [2], stream=other)
-        assert (gpu._stream.count, other.count) == (2, 2)
-    assert seconds == [0.25e-3] * 2
-    assert asked == [[1], [2]]
+        assert (legacy.count, other.count) == (4, 2)
+    assert seconds == [0.25e-3] * 3
+    assert sorting == [0.25e-3]
+    assert asked == [[1], [3], [2]]
     assert Gpu.launch is before
 
 
@@ -199,3 +206,47 @@ def test_secondary_rays_leave_what_was_hit():
     assert abs(rays.directions[:, 1].mean() - 2 / 3) < 5 * np.sqrt(1 / 18 / len(rays.directions))
     np.testing.assert_array_equal(rays.origins[::32], rays.origins[31::32])
     assert not rs.Tracer(scene, "brute").any_hit(rays.origins, rays.directions).any()
+
+
+def test_lanes_that_have_something_to_do():
+    coherence = script("cuda_coherence")
+    nodes, tests = np.full(64, 3), np.zeros(64, int)
+    assert coherence.lanes_used(nodes, tests) == 1.0
+    nodes[0] = 13  # the other 31 wait for ten turns; the other warp does not
+    assert coherence.lanes_used(nodes, tests) == (64 * 3 + 10) / (32 * (13 + 3))
+    tests[33] = 4
+    assert coherence.turns_of(nodes, tests).tolist() == [13, 7]
+    assert coherence.blocks_used(np.array([5, 5, 5, 5, 8, 0, 0, 0, 9])) == 28 / (4 * 13)
+
+
+def test_lanes_of_warps_that_fetch_rays():
+    refilled = script("cuda_coherence").lanes_refilled
+    assert refilled(np.full(320, 5), 20) == 1.0
+    # One long ray among short ones: it stays while others come and go, and ends alone.
+    turns = np.ones(32 + 31 * 9, np.int64)
+    turns[0] = 10
+    assert refilled(turns, 20) == 1.0
+    assert refilled(turns, 1) == turns.sum() / (32 * (10 + 9))
+    assert refilled(np.zeros(40, np.int64), 20) == 0.0
+
+
+def test_nodes_that_rays_must_visit():
+    """All rays of a warp alike: what one visits. Half of them the other way: what both do."""
+    coherence = script("cuda_coherence")
+    # The root, two nodes below it, at x = -2 and 2, each with two leaves.
+    nodes = np.zeros((3, 16), np.float32)
+    nodes[0, :12] = [-3, -1, -1, 1, 1, 3, -1, 1, -1, 1, -1, 1]
+    nodes[1, :12] = [-3, -1, -1, 1, -3, -1, -1, 1, -1, 1, -1, 1]
+    nodes[2, :12] = [1, 3, -1, 1, 1, 3, -1, 1, -1, 1, -1, 1]
+    links = nodes.view(np.int32)
+    links[:, 12:14] = [[1, 2], [~0, ~1], [~2, ~3]]
+    directions = np.tile([0.5, 0.01, 0.01], (64, 1))
+    directions[48:] *= -1.0
+
+    def asked(end):
+        return coherence.visits(nodes, links, np.zeros((64, 3)), 1.0 / directions, np.full(64, end))
+
+    longest, every = asked(9.0)
+    assert longest.tolist() == [2, 2]
+    assert every.tolist() == [2, 3]
+    assert [one.tolist() for one in asked(1.0)] == [[1, 1], [1, 1]]  # they end before the boxes
