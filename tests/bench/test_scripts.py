@@ -250,3 +250,91 @@ def test_nodes_that_rays_must_visit():
     assert longest.tolist() == [2, 2]
     assert every.tolist() == [2, 3]
     assert [one.tolist() for one in asked(1.0)] == [[1, 1], [1, 1]]  # they end before the boxes
+
+
+#: What ncu prints for two launches: its own lines, the program's, and the table.
+COUNTED = """\
+==PROF== Connected to process 4711 (/usr/bin/python3.11)
+compiling
+==PROF== Profiling "first_hit" - 0: 0%....50%....100% - 5 passes
+"ID","Process ID","Process Name","Host Name","Kernel Name","Context","Stream","Block Size",\
+"Grid Size","Device","CC","Section Name","Metric Name","Metric Unit","Metric Value"
+"1","4711","python3.11","here","first_hit(a, ""b"")","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
+"Command line profiler metrics","gpu__time_duration.sum","nsecond","1,234,500"
+"0","4711","python3.11","here","first_hit_in_order","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
+"Command line profiler metrics","l1tex__t_sector_hit_rate.pct","%","81.25"
+"0","4711","python3.11","here","first_hit_in_order","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
+"Command line profiler metrics","dram__throughput.avg.pct_of_peak_sustained_elapsed","%","n/a"
+"0","4711","python3.11","here","first_hit_in_order","1","7","(128, 1, 1)","(9, 1, 1)","0","9.0",\
+"Command line profiler metrics","another.sum","","7"
+==PROF== Disconnected from process 4711
+"""
+
+
+def test_counters_are_read_from_ncu():
+    counters = script("cuda_counters")
+    first, second = counters.launches_of(COUNTED)
+    assert first == {"kernel": "first_hit_in_order", "L1 hits %": 81.25, "DRAM %": None}
+    assert second == {"kernel": 'first_hit(a, "b")', "microseconds": 1234.5}
+    assert counters.launches_of(COUNTED[: COUNTED.index('"ID"')]) == []
+    assert counters.line_of("a way", first).split() == ["a", "way", *"---", "81.2", "-", "-"]
+
+
+def test_why_there_are_no_counters():
+    reason_of = script("cuda_counters").reason_of
+    denied = "==PROF== Connected\n==ERROR== ERR_NVGPUCTRPERM - The user does not have permission"
+    reason, is_not_here = reason_of(denied)
+    assert "ERR_NVGPUCTRPERM" in reason
+    assert is_not_here
+    assert reason_of("==ERROR== Unknown metric\n==WARNING== rest") == ("Unknown metric", False)
+    assert reason_of("==WARNING== No kernels were profiled.") == ("no kernel was counted", False)
+    assert reason_of("Traceback\nIndexError: 3\n\n") == ("IndexError: 3", False)
+    assert reason_of("") == ("it said nothing", False)
+
+
+#: Stands for ncu: notes what it was asked, and says what NVIDIA's does.
+PRETENDER = """\
+#!{python}
+import json, pathlib, sys
+pathlib.Path({folder!r}, "asked.json").write_text(json.dumps(sys.argv[1:]))
+print(pathlib.Path({folder!r}, "said.txt").read_text())
+sys.exit({code})
+"""
+
+
+@pytest.mark.parametrize("is_allowed", [True, False])
+def test_counters_of_a_tool(check, monkeypatch, tmp_path, capsys, is_allowed):
+    tool = tmp_path / "bin" / "ncu"
+    tool.parent.mkdir()
+    told = {"python": sys.executable, "folder": str(tmp_path), "code": 0 if is_allowed else 1}
+    tool.write_text(PRETENDER.format(**told))
+    tool.chmod(0o755)
+    (tmp_path / "said.txt").write_text(COUNTED if is_allowed else "==ERROR== ERR_NVGPUCTRPERM")
+    monkeypatch.setenv("CUDA_HOME", str(tmp_path))
+    module = script("cuda_check")
+    module.counters(check, tiny=False)
+    asked = json.loads((tmp_path / "asked.json").read_text())
+    counters = script("cuda_counters")
+    assert asked[:3] == ["--csv", "--metrics", ",".join(counters.METRICS.values())]
+    assert asked[-1] in counters.WAYS
+    (step,) = check.results["steps"]
+    assert step["status"] == ("passed" if is_allowed else "left out")
+    module.counters_table(check)
+    said = capsys.readouterr().out
+    if is_allowed:  # two launches where there are six ways: by their names
+        assert [one["way"] for one in check.results["counters"]["launches"]] == [
+            *("first_hit_in_order", 'first_hit(a, "b")'),
+        ]
+        assert "81.2" in said
+    else:
+        assert "ERR_NVGPUCTRPERM" in step["line"]
+        assert "counters" not in check.results
+
+
+def test_no_tool_for_counters(check, monkeypatch):
+    monkeypatch.setenv("CUDA_HOME", "/nowhere")
+    if script("cuda_counters").find_ncu():
+        pytest.skip("there is one")
+    script("cuda_check").counters(check, tiny=True)
+    assert steps_of(check) == [("counters", "left out")]
+    assert "ncu: not found" in check.results["steps"][0]["line"]
