@@ -81,6 +81,8 @@ CUDA_OPTIONS = {
         {"quality": "high", "max_leaf_size": 2},
         {"kernel": "wide", "quality": "high"},
         {"kernel": "binary", "launch": "persistent"},
+        {"kernel": "packet", "quality": "high"},
+        {"kernel": "packet", "order": "sorted", "launch": "persistent"},
         {"order": "sorted"},
         {"order": "sorted", "kernel": "wide", "quality": "high", "launch": "persistent"},
         {"build": "device"},

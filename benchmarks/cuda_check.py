@@ -55,6 +55,7 @@ COHERENCE = tuple(
         ("compressed", "range"),
         ("compressed", "persistent"),
         ("binary", "range"),
+        ("packet", "range"),
     )
     for order in ("given", "sorted")
 )
@@ -254,8 +255,8 @@ def counters(check, tiny):
     """What the hardware counts, if it may be asked."""
     more = ["cornell", "--size", "6x4"] if tiny else ["forest:100000"]
     for order in ("given", "shuffled", "sorted"):
-        for launch in ("range", "persistent"):
-            more += ["--way", f"compressed, {launch}, {order}"]
+        for way in ("compressed, range", "compressed, persistent", "packet, range"):
+            more += ["--way", f"{way}, {order}"]
     _with_figures(check, "counters", "cuda_counters.py", more)
 
 

@@ -56,7 +56,7 @@ ORDERS = ("given", "shuffled", "sorted")
 #: Ways to trace that are measured with a GPU.
 WAYS = tuple(
     f"bvh:kernel={kernel},launch={launch},order={order}"
-    for kernel in ("compressed", "binary", "wide")
+    for kernel in ("compressed", "binary", "packet", "wide")
     for launch in ("range", "persistent")
     for order in ("given", "sorted")
 )

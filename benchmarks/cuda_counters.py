@@ -45,7 +45,7 @@ WAYS = {
         {"kernel": kernel, "launch": launch, "order": "sorted" if order == "sorted" else "given"},
         order != "given",
     )
-    for kernel in ("compressed", "binary")
+    for kernel in ("compressed", "binary", "packet")
     for launch in ("range", "persistent")
     for order in ("given", "shuffled", "sorted")
 }

@@ -45,6 +45,7 @@ OURS = (
     "bvh:kernel=wide",
     "bvh:kernel=binary",
     "bvh:kernel=binary,launch=persistent",
+    "bvh:kernel=packet",
     "bvh:kernel=compressed",
     "bvh:kernel=compressed,launch=persistent",
     "bvh:kernel=compressed,order=sorted",

@@ -321,7 +321,7 @@ def test_counters_of_a_tool(check, monkeypatch, tmp_path, capsys, is_allowed):
     assert step["status"] == ("passed" if is_allowed else "left out")
     module.counters_table(check)
     said = capsys.readouterr().out
-    if is_allowed:  # two launches where there are six ways: by their names
+    if is_allowed:  # two launches where there are nine ways: by their names
         assert [one["way"] for one in check.results["counters"]["launches"]] == [
             *("first_hit_in_order", 'first_hit(a, "b")'),
         ]

@@ -248,7 +248,10 @@ def address(array):
         ("compressed", "balanced"),
         *(
             pytest.param(*one, marks=pytest.mark.exhaustive)
-            for one in (("compressed", "high"), ("binary", "balanced"), ("binary", "high"))
+            for one in (
+                *(("compressed", "high"), ("binary", "balanced"), ("binary", "high")),
+                ("packet", "high"),
+            )
         ),
     ],
 )
@@ -283,8 +286,8 @@ def test_rays_on_lattices_have_brute_force_bits(drawn, layout):
 def test_kernels_have_names(gpu):
     scene = case_of("closed_mesh").scene
     assert KERNELS[0] == "auto"
-    with pytest.raises(ValueError, match=r"kernel: expected one of 'auto', .* got 'packet'"):
-        rs.Tracer(scene, "bvh", "cuda", kernel="packet")
+    with pytest.raises(ValueError, match=r"kernel: expected one of 'auto', .* got 'single'"):
+        rs.Tracer(scene, "bvh", "cuda", kernel="single")
     with pytest.raises(TypeError, match="grid: has no option 'kernel'"):
         rs.Tracer(scene, "grid", "cuda", kernel="binary")
     with pytest.raises(ValueError, match="launch: expected one of 'range', 'persistent', got"):

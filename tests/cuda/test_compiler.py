@@ -41,6 +41,7 @@ WAYS = {
     "bvh, compressed": {"kernel": "compressed"},
     "bvh, binary": {"kernel": "binary", "launch": "persistent"},
     "bvh, sorted": {"order": "sorted"},
+    "bvh, packets": {"kernel": "packet"},
 }
 
 
@@ -69,6 +70,8 @@ def test_every_kernel_compiles(scene, name, query):
     assert len(parameters_of(compiled)) == own + len(list(flat(arguments)))
     # Nodes and triangles made for GPUs are read by 16 bytes.
     assert ("ld.global.nc.v4" in compiled.ptx) == (name not in STRUCTURES)
+    # Threads of a warp ask each other where rays are packets: of what each node and leaf needs.
+    assert compiled.ptx.count("vote.sync.ballot") == (4 if name == "bvh, packets" else 0)
     # In float64 there is nothing to fuse on purpose.
     assert "fma.rn.f64" not in compiled.ptx
     # Nothing is left to be found by a linker, such as a function that only CPUs have.

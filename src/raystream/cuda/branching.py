@@ -45,7 +45,7 @@ class Branching(BatchQueries):
     rays_at_once : int
         Most rays of the host's that are on the device together: half of them are traced while
         the others are copied. Rays in arrays on the device are traced all together.
-    kernel : {"auto", "compressed", "binary", "wide"}
+    kernel : {"auto", "compressed", "binary", "packet", "wide"}
         Of a BVH: how it is laid out on the device, and traced.
     launch : {"range", "persistent"}
         How threads get their rays: each has one; or as many as the device runs at once stay, and

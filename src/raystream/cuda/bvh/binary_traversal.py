@@ -20,7 +20,7 @@ from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
 from raystream.structures.bvh.steps import is_over
 
-__all__ = ["traverse"]
+__all__ = ["child_intervals", "pop", "traverse"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -67,7 +67,7 @@ def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
                 if is_last:
                     break
                 triangle += TRIANGLE
-            link, top = _pop(stack, top)
+            link, top = pop(stack, top)
     return count
 
 
@@ -89,18 +89,12 @@ def _visit(at, ray, t_min, t_far, stack, top):
         A node or leaf, or `_DONE`.
     top : uint64
     """
-    left = load_constant(f32x4, at)
-    right = load_constant(f32x4, at + np.uint64(16))
-    both = load_constant(f32x4, at + np.uint64(32))
-    links = float_as_bits(load_constant(f32x4, at + np.uint64(48)))
-    left_in, left_out = _interval(ray, left, lane(both, 0), lane(both, 1))
-    right_in, right_out = _interval(ray, right, lane(both, 2), lane(both, 3))
-    enters_left = max(left_in, t_min) <= min(left_out, t_far)
-    enters_right = max(right_in, t_min) <= min(right_out, t_far)
-    near, far = lane(links, 0), lane(links, 1)
+    left, right, near, far = child_intervals(at, ray)
+    enters_left = max(left[0], t_min) <= min(left[1], t_far)
+    enters_right = max(right[0], t_min) <= min(right[1], t_far)
     if not (enters_left or enters_right):
-        return _pop(stack, top)
-    if enters_right and (not enters_left or right_in < left_in):
+        return pop(stack, top)
+    if enters_right and (not enters_left or right[0] < left[0]):
         near, far = far, near
     if enters_left and enters_right:
         store(top, far)
@@ -109,12 +103,40 @@ def _visit(at, ray, t_min, t_far, stack, top):
 
 
 @device
+def child_intervals(at, ray):
+    """Where a ray enters and leaves the boxes of a node's children.
+
+    Parameters
+    ----------
+    at : uint64
+        Address of the node.
+    ray : Ray
+
+    Returns
+    -------
+    left, right : tuple of two float32
+    left_child, right_child : int32
+        Nodes or leaves.
+    """
+    left = load_constant(f32x4, at)
+    right = load_constant(f32x4, at + np.uint64(16))
+    both = load_constant(f32x4, at + np.uint64(32))
+    links = float_as_bits(load_constant(f32x4, at + np.uint64(48)))
+    return (
+        _interval(ray, left, lane(both, 0), lane(both, 1)),
+        _interval(ray, right, lane(both, 2), lane(both, 3)),
+        lane(links, 0),
+        lane(links, 1),
+    )
+
+
+@device
 def _interval(ray, box, low_z, high_z):
     return box_interval(ray, lane(box, 0), lane(box, 2), low_z, lane(box, 1), lane(box, 3), high_z)
 
 
 @device
-def _pop(stack, top):
+def pop(stack, top):
     """The child that waits for the shortest time, or `_DONE`."""
     if top == stack:
         return _DONE, top

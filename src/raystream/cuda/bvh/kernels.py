@@ -18,7 +18,7 @@ __all__ = ["AUTO", "KERNELS", "LaidOut", "kernel_of", "lay_out", "search_of"]
 AUTO = "compressed"
 
 #: Options of ``kernel``.
-KERNELS = ("auto", "compressed", "binary", "wide")
+KERNELS = ("auto", "compressed", "binary", "packet", "wide")
 
 
 class LaidOut(NamedTuple):
@@ -68,6 +68,10 @@ def search_of(kernel: str) -> tuple[Callable[..., Any], int]:
         from raystream.cuda.bvh import binary, binary_traversal
 
         return binary_traversal.traverse, binary.STACK_BYTES
+    if kernel == "packet":
+        from raystream.cuda.bvh import binary, packet_traversal
+
+        return packet_traversal.traverse, binary.STACK_BYTES
     from raystream.structures.bvh import traversal
 
     return traversal.traverse, traversal.STACK_BYTES
@@ -94,6 +98,7 @@ def _make(kernel: str, bvh: Any) -> tuple[Callable[..., Any], Mapping[str, NDArr
         from raystream.cuda.bvh.compressed import compress
 
         return compress(bvh.tree)
+    # "binary", and "packet", whose rays share it.
     from raystream.cuda.bvh.binary import unfold
 
     return unfold(bvh.tree)

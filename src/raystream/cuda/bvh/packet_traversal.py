@@ -1,0 +1,128 @@
+"""The rays of a warp through the binary layout together: a packet.
+
+All of them visit the same nodes: a node is entered if any of them enters it, first that child which
+most of them want first, and a leaf's triangles are tested by all. So a node is read once for the
+warp, and no thread waits for another one's loop; but each ray goes wherever one of them has to.
+Rays that are alike lose little by it, others much.
+
+Whatever order nodes come in, the hits are the same. Each vote decides for all, so that they stay
+together: nothing but votes, and what all have read alike, decides where the search goes. What the
+paper has once for a packet, in shared memory, each thread has in its own: the stack, whose numbers
+are the same for all.
+
+References
+----------
+Guenther, Popov, Seidel and Slusallek, "Realtime Ray Tracing on GPU with BVH-based Packet
+Traversal", IEEE/Eurographics Symposium on Interactive Ray Tracing 2007.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.cuda.bvh.binary_traversal import child_intervals, pop
+from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
+from raystream.jit.cpu import device
+from raystream.jit.simd import address, count_bits, store
+from raystream.jit.votes import ballot, together
+from raystream.kernels.tally import LEAVES, STEPS, add_to
+from raystream.structures.bvh.steps import is_over
+
+__all__ = ["traverse"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_ENTRY = np.uint64(4)
+_NODE = np.uint64(64)
+_ROOT = np.int32(0)
+_DONE = np.int32(2**31 - 1)
+_NOBODY = np.uint32(0)
+
+
+@device
+def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+    """Visit the boxes that any ray of the warp meets.
+
+    See `kernels.queries.ray_queries` for the arguments.
+    """
+    count, t_far = _NONE, t_max
+    if tree.nodes == _NONE or not (t_min <= t_max):
+        return count
+    table, room = address(seen), np.uint64(len(seen)) - _ONE
+    voters = together()
+    is_searching = True
+    link, top = _ROOT, stack
+    while link != _DONE:
+        if link >= _ROOT:
+            add_to(tally, STEPS, _ONE)
+            at = tree.nodes + np.uint64(link) * _NODE
+            link, top = _visit(at, ray, t_min, t_far, is_searching, voters, stack, top)
+            continue
+        add_to(tally, LEAVES, _ONE)
+        triangle = tree.triangles + np.uint64(~link) * TRIANGLE
+        is_last = not is_searching
+        while not is_last:
+            count, t_far, is_last = test_triangle(
+                triangle,
+                ray,
+                t_min,
+                t_far,
+                surfaces,
+                keep,
+                count,
+                capacity,
+                first,
+                out,
+                table,
+                room,
+                tally,
+            )
+            if is_over(count, capacity, keep):
+                is_searching, is_last = False, True
+            triangle += TRIANGLE
+        if ballot(voters, is_searching) == _NOBODY:
+            return count
+        link, top = pop(stack, top)
+    return count
+
+
+@device
+def _visit(at, ray, t_min, t_far, is_searching, voters, stack, top):
+    """Go on to a child of a node that some ray enters; see `binary_traversal`.
+
+    Parameters
+    ----------
+    at : uint64
+        Address of the node.
+    ray : Ray
+    t_min, t_far : float32
+    is_searching : bool
+        Whether the ray has a say.
+    voters : uint32
+        See `jit.votes`.
+    stack, top : uint64
+
+    Returns
+    -------
+    link : int32
+        A node or leaf, or `_DONE`.
+    top : uint64
+    """
+    left, right, near, far = child_intervals(at, ray)
+    enters_left = is_searching and max(left[0], t_min) <= min(left[1], t_far)
+    enters_right = is_searching and max(right[0], t_min) <= min(right[1], t_far)
+    wants_right = enters_right and (not enters_left or right[0] < left[0])
+    lefts, rights = ballot(voters, enters_left), ballot(voters, enters_right)
+    if (lefts | rights) == _NOBODY:
+        return pop(stack, top)
+    for_right = ballot(voters, wants_right)
+    everyone = np.uint64(np.uint32(lefts | rights))
+    if count_bits(np.uint64(for_right)) + count_bits(np.uint64(for_right)) > count_bits(everyone):
+        near, far = far, near
+        lefts, rights = rights, lefts
+    if lefts == _NOBODY:
+        return far, top
+    if rights != _NOBODY:
+        store(top, far)
+        top += _ENTRY
+    return near, top
