@@ -39,6 +39,7 @@ import cuda_speed
 import raystream as rs
 from raystream.bench.contenders.base import Rays
 from raystream.core.rays import RayBatch
+from raystream.jit.loops import compile_loop
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.tally import COLUMNS, new_tallies
 
@@ -69,6 +70,19 @@ def address(array):
     return np.uint64(array.ctypes.data)
 
 
+_LOOP = """
+def loop(count, arguments):
+    for i in range(count):
+        function(i, *arguments)
+"""
+
+
+def run_on_cpu(kernel, count, arguments):
+    """Run a kernel for each number of a range, as it is compiled for the CPU."""
+    if count:
+        compile_loop(_LOOP, kernel.function, {}, __name__)(np.uint64(count), arguments)
+
+
 def source_of(rays):
     """Where rays lie, and what must be kept."""
     batch = RayBatch(rays.origins, rays.directions, 0.0, rays.t_max)
@@ -84,9 +98,8 @@ def met_by(structure, query, rays):
     source, _rays = source_of(rays)
     answers, tallies = np.zeros((6, len(rays)), np.float32), new_tallies(len(rays))
     to = ResultAddresses(*map(address, answers))
-    kernel = (kernels.any_hit if query == "any" else kernels.first_hit).function
-    for i in map(np.uint64, range(len(rays))):
-        kernel(i, source, structure.frame, tree, address(tallies), to)
+    kernel = kernels.any_hit if query == "any" else kernels.first_hit
+    run_on_cpu(kernel, len(rays), (source, structure.frame, tree, address(tallies), to))
     return tallies[:, COLUMNS.index("steps")], tallies[:, COLUMNS.index("tests")]
 
 
@@ -96,8 +109,8 @@ def keys_of(structure, rays):
 
     source, _rays = source_of(rays)
     keys, numbers = np.zeros((2, len(rays)), np.uint32)
-    for i in map(np.uint64, range(len(rays))):
-        MAKE_KEY.function(i, source, structure.frame, address(keys), address(numbers))
+    arguments = source, structure.frame, address(keys), address(numbers)
+    run_on_cpu(MAKE_KEY, len(rays), arguments)
     return keys
 
 
