@@ -12,7 +12,7 @@ import pytest
 
 import fake_driver
 import raystream as rs
-from conftest import CUDA_TRACERS
+from conftest import CUDA_TRACERS, GPU_TRACERS
 from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
 from ptx.memory import room_for
@@ -75,12 +75,9 @@ def test_structures_equal_brute_force(tracer, name):
 
 @pytest.mark.exhaustive
 @pytest.mark.usefixtures("driver")
-@pytest.mark.parametrize(
-    ("structure", "options"),
-    [("grid", {}), ("bvh", {}), ("bvh", {"method": "linear"})],
-)
-def test_what_the_device_builds_equals_brute_force(structure, options):
-    assert_brute_force("random_soup", structure=structure, device="cuda", build="device", **options)
+@pytest.mark.parametrize("tracer", GPU_TRACERS)
+def test_builds_orders_and_packets_equal_brute_force(tracer):
+    assert_brute_force("random_soup", **GPU_TRACERS[tracer])
 
 
 class Lent:
@@ -127,7 +124,7 @@ def run(body, *values, block_size=1, declared=""):
     memory = Memory()
     arrays = [value for value in values if isinstance(value, np.ndarray)]
     for array in arrays:
-        memory.add("an array", array.view(np.uint8))
+        memory.add("an array", array.reshape(-1).view(np.uint8))
     given = [
         np.uint64(value.ctypes.data if isinstance(value, np.ndarray) else value) for value in values
     ]
@@ -210,6 +207,35 @@ def test_barriers_hold_until_all_are_there():
         declared=".shared .align 4 .b8 room[16];",
     )
     assert out.tolist() == [3, 2, 1, 0]
+
+
+def test_a_warp_votes_with_those_that_are_there():
+    """Odd lanes ask who is there, and who of them is above lane 8; even ones do not come."""
+    out = np.zeros((40, 3), np.uint32)
+    run(
+        "mov.u32 %r1, %tid.x; mul.wide.u32 %rd2, %r1, 12; add.s64 %rd3, %rd0, %rd2;"
+        "and.b32 %r2, %r1, 1; setp.eq.s32 %p1, %r2, 0; @%p1 bra $END;"
+        "activemask.b32 %r3; st.u32 [%rd3], %r3; setp.gt.u32 %p2, %r1, 8;"
+        "vote.sync.ballot.b32 %r4, %p2, %r3; st.u32 [%rd3+4], %r4;"
+        "shr.u32 %r5, %r1, 3; match.any.sync.b32 %r6, %r5, %r3; st.u32 [%rd3+8], %r6;\n$END:",
+        out,
+        block_size=40,
+    )
+    odd = 0xAAAAAAAA
+    assert out[:32:2].tolist() == [[0, 0, 0]] * 16
+    assert out[33].tolist() == [0xAA, 0xAA, 0xAA]
+    assert out[1].tolist() == [odd, odd & ~0x1FF, 0xAA]
+    assert out[31].tolist() == [odd, odd & ~0x1FF, 0xAA000000]
+
+
+def test_a_vote_for_which_some_never_come_is_an_error():
+    with pytest.raises(PtxError, match="others of their warp that do not come"):
+        run(
+            "mov.u32 %r1, %tid.x; setp.eq.s32 %p1, %r1, 0; @%p1 bra $END;"
+            "vote.sync.ballot.b32 %r4, %p1, 3;\n$END:",
+            0,
+            block_size=2,
+        )
 
 
 def test_what_is_freed_is_gone(driver):

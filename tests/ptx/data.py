@@ -11,6 +11,7 @@ import numpy as np
 
 from ptx.numbers import COMPARISONS, as_bits, converted, from_bits, is_float, signed, width_of
 from ptx.slots import Slots, class_of
+from ptx.warps import Meeting
 
 __all__ = ["MAKERS"]
 
@@ -236,12 +237,20 @@ def _reduced(words: list[str], operands: tuple[str, ...], slots: Slots) -> Step:
     return _atomic(words, ("%rd_nowhere", *operands), slots)
 
 
-def _active(_words: list[str], operands: tuple[str, ...], slots: Slots) -> Step:
-    """Each thread goes its own way: of its warp it is the only one that is here."""
-    to = slots.of(operands[0], "b32")
+def _voted(words: list[str], operands: tuple[str, ...], slots: Slots) -> Step:
+    """A vote of a warp's threads: ``vote.sync.ballot.b32 to, value, voters``, and the like."""
+    kinds = [word for word in words if word in ("any", "all", "ballot")]
+    kind = "match" if words[0] == "match" else kinds[0] if kinds else words[0]
+    to = slots.of(operands[0], words[-1])
+    value, voters = None, None
+    if kind != "activemask":
+        value_type = words[-1] if kind == "match" else "pred"
+        value, voters = slots.of(operands[1], value_type), slots.of(operands[2], "b32")
 
     def step(f):
-        f[to] = 1 << f[0].lane
+        said = None if value is None else f[value]
+        asked = 0 if voters is None else f[voters]
+        return Meeting(kind, f[0].lane, asked, said, lambda result: f.__setitem__(to, result))
 
     return step
 
@@ -251,8 +260,8 @@ def _nothing(_words: list[str], _operands: tuple[str, ...], _slots: Slots) -> St
 
 
 MAKERS = {
-    "activemask": _active,
-    "match": _active,
+    "activemask": lambda words, operands, slots: _voted(["activemask", *words], operands, slots),
+    "match": lambda words, operands, slots: _voted(["match", *words], operands, slots),
     "atom": _atomic,
     "cvt": _convert,
     "cvta": lambda words, operands, slots: _moved([words[-1]], operands, slots),
@@ -263,4 +272,5 @@ MAKERS = {
     "selp": _selected,
     "setp": _compared,
     "st": _stored,
+    "vote": _voted,
 }

@@ -1,6 +1,6 @@
 """A machine that runs PTX: what NVIDIA's compiler made of a kernel, where no GPU is.
 
-Threads run one after the other, and take turns at barriers. Registers hold Python's and NumPy's
+Threads run one after the other, and meet at barriers and votes. Registers hold Python's and NumPy's
 numbers; memory is the host's, by address, and every access is checked. An instruction that a device
 would round in another way than the CPU is an error, and so is one that is not known.
 """
@@ -8,7 +8,7 @@ would round in another way than the CPU is an error, and so is one that is not k
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,13 +16,22 @@ from ptx.memory import UNWRITTEN, Memory, PtxError, room_for
 from ptx.slots import SPECIAL, Slots
 from ptx.steps import Step, step_of
 from ptx.text import Declared, Function, Module, parse
+from ptx.warps import BARRIER, WARP_SIZE, Meeting, run_together
 
 __all__ = ["Kernel", "Memory", "PtxError"]
 
-_RETURN, _BARRIER = object(), object()
+_RETURN = object()
 
 #: No kernel here takes so many instructions for a thread: it loops.
 _MOST_STEPS = 20_000_000
+
+
+class _Call(NamedTuple):
+    """A function that is to run next."""
+
+    name: str
+    given: Sequence[str]
+    results: Sequence[str]
 
 
 class _Code:
@@ -55,7 +64,7 @@ class _Code:
         if name == "trap":
             raise PtxError("a trap")
         if name == "bar":
-            return lambda _f: _BARRIER
+            return lambda _f: BARRIER
         if name == "call":
             return self._call(one.operands)
         return step_of(one, self.slots)
@@ -65,10 +74,8 @@ class _Code:
         name, *given = operands[1:] if results else operands
         names = [text.strip() for text in given[0].strip("()").split(",")] if given else []
 
-        def step(f):
-            f[0].call(name, names, results)
-
-        return step
+        call = _Call(name, names, results)
+        return lambda _f: call
 
 
 class Kernel:
@@ -121,8 +128,7 @@ class Kernel:
             _Thread(self, memory, shared.addresses, (i, *where), given).run()
             for i in range(where[2])
         ]
-        while threads:
-            threads = [thread for thread in threads if next(thread, _RETURN) is _BARRIER]
+        run_together(threads)
         shared.close()
 
 
@@ -150,13 +156,13 @@ class _Thread:
     def __init__(self, kernel: Kernel, memory: Memory, shared: Any, where: Any, given: Any) -> None:
         self._kernel, self._memory, self._shared = kernel, memory, shared
         number, block, block_count, block_size = where
-        self.lane = number % 32
+        self.lane = number % WARP_SIZE
         given_to = number, block, block_size, block_count, self.lane
         self._special = dict(zip(SPECIAL, given_to, strict=True))
         self._parameters: list[dict[str, bytearray]] = [{k: bytearray(v) for k, v in given.items()}]
 
     def run(self) -> Iterator[object]:
-        """Run the kernel; gives `_BARRIER` at each barrier."""
+        """Run the kernel; gives what it waits for: `BARRIER`, or where it votes, and how."""
         yield from self._run(self._kernel.code(self._kernel.name))
 
     def _run(self, code: _Code) -> Iterator[object]:
@@ -179,14 +185,22 @@ class _Thread:
             elif there is _RETURN:
                 rooms.close()
                 return
-            elif there is _BARRIER:
-                yield _BARRIER
+            elif there is BARRIER:
+                yield BARRIER
+                here += 1
+            elif isinstance(there, Meeting):
+                yield (code.function.name, here), there
+                here += 1
+            elif isinstance(there, _Call):
+                yield from self._run_call(*there)
                 here += 1
             else:
                 here = there
         raise PtxError(f"{code.function.name[-40:]}: more than {_MOST_STEPS:,} steps")
 
-    def call(self, name: str, given: Sequence[str], results: Sequence[str]) -> None:
+    def _run_call(
+        self, name: str, given: Sequence[str], results: Sequence[str]
+    ) -> Iterator[object]:
         """Run a function: its parameters are the caller's, by another name."""
         code, own = self._kernel.code(name), self._parameters[-1]
         theirs = {}
@@ -196,8 +210,7 @@ class _Thread:
         for there, here in zip(code.function.results, results, strict=True):
             theirs[there.name] = own[here] = bytearray(there.byte_count)
         self._parameters.append(theirs)
-        for _ in self._run(code):
-            raise PtxError(f"{name[-40:]}: a barrier in a function that is called")
+        yield from self._run(code)
         self._parameters.pop()
 
     def read(self, place: Any, size: int, space: str) -> bytes:
