@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import kernel
+from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import parallel_for
 from raystream.structures.graph.cells import split_of
@@ -13,7 +13,7 @@ from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.order import Order
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["bin_corners", "choose_bin_counts", "fill_bins"]
+__all__ = ["bin_corners", "choose_bin_counts", "fill_bins", "leaf_at"]
 
 #: Fewest and most bins along an axis.
 _FEWEST, _MOST = 16, 256
@@ -62,6 +62,18 @@ def bin_corners(
     return x, y, z
 
 
+@device
+def leaf_at(nodes, x, y, z):
+    """The leaf of a tree that holds a point: where it is on a plane, the one above."""
+    node = _NONE
+    axis, first, plane = split_of(nodes, node)
+    while axis != _LEAF:
+        place = x if axis == _NONE else (y if axis == _ONE else z)
+        node = first if place < plane else first + _ONE
+        axis, first, plane = split_of(nodes, node)
+    return node
+
+
 @kernel
 def _fill_bins(begin, end, nodes, sectors, x, y, z, bins):
     """Look up the corners of bins begin to end, z first."""
@@ -69,13 +81,7 @@ def _fill_bins(begin, end, nodes, sectors, x, y, z, bins):
     for row in range(np.uint64(begin), np.uint64(end)):
         yz = row // np.uint64(len(z))
         px, py = x[yz // np.uint64(len(y))], y[yz % np.uint64(len(y))]
-        pz = z[row % np.uint64(len(z))]
-        node = _NONE
-        axis, first, plane = split_of(node_at, node)
-        while axis != _LEAF:
-            place = px if axis == _NONE else (py if axis == _ONE else pz)
-            node = first if place < plane else first + _ONE
-            axis, first, plane = split_of(node_at, node)
+        node = leaf_at(node_at, px, py, z[row % np.uint64(len(z))])
         bins[row] = np.uint64(sectors[node]) * _ROWS
 
 

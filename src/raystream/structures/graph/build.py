@@ -41,7 +41,7 @@ from raystream.structures.kdtree.build import build_arrays
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["Method", "build_graph", "graph_box"]
+__all__ = ["Method", "build_graph", "graph_box", "tree_method_of"]
 
 #: Share of the bound on new link nodes that a split is charged: that with which J is least
 #: (bunny 167 with this, 168 with all, 170 without; conference 107, 108, 108).
@@ -119,7 +119,7 @@ def build_graph(
         )
     count = len(triangles.prim_ids)
     on_tree = _part(progress, count, 0.0, _TREE_SHARE)
-    tree_method = _tree_method(method)
+    tree_method = tree_method_of(method)
     tree = build_arrays(triangles, tree_method, on_tree)
     box = graph_box(triangles)
     tree = prune(tree, find_cells(tree.nodes, box).boxes, tree_method.costs)
@@ -136,7 +136,8 @@ def build_graph(
     return GraphArrays(np.concatenate([sectors, links]), sector_count, prim_ids, bins)
 
 
-def _tree_method(method: Method) -> TreeMethod:
+def tree_method_of(method: Method) -> TreeMethod:
+    """How to grow the kd-tree of a graph."""
     link = _LINK_SHARE * float(method.link_cost)
     crossing = float(method.crossing_cost) - link
     costs = Costs(link, float(method.intersection_cost), float(method.empty_bonus), crossing)

@@ -12,7 +12,16 @@ from raystream.jit.simd import address, load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["NODE_BYTES", "ROPE_BYTES", "Cells", "find_cells", "is_leaf", "settle", "split_of"]
+__all__ = [
+    "NODE_BYTES",
+    "ROPE_BYTES",
+    "Cells",
+    "find_cells",
+    "is_leaf",
+    "place_children",
+    "settle",
+    "split_of",
+]
 
 #: Bytes of a node of the tree, and of a cell's six ropes.
 NODE_BYTES = np.uint64(8)
@@ -95,30 +104,35 @@ def settle(nodes, node, face, box):
             return node
 
 
+@device
+def place_children(nodes, node, boxes, ropes):
+    """Write the boxes and ropes of a split's children, given addresses; see `Cells`."""
+    axis, first, plane = split_of(nodes, node)
+    for side in range(_TWO):
+        child = first + side
+        box, rope = boxes + child * BOX_BYTES, ropes + child * ROPE_BYTES
+        for k in range(_SIX):
+            at = k * WORD
+            store(box + at, load(np.float32, boxes + node * BOX_BYTES + at))
+            store(rope + at, load(np.int32, ropes + node * ROPE_BYTES + at))
+        # The cell below the plane has it as its high side, the other one as its low side.
+        inner = _ONE - side
+        store(box + (axis + _THREE * inner) * WORD, plane)
+        store(rope + (_TWO * axis + inner) * WORD, np.int32(first + inner))
+        for face in range(_SIX):
+            other = load(np.int32, rope + face * WORD)
+            if other != _NOWHERE:
+                settled = settle(nodes, np.uint64(other), face, box)
+                store(rope + face * WORD, np.int32(settled))
+
+
 @kernel
 def _find_cells(nodes, boxes, ropes):
     """Walk a tree from its root, whose box and ropes are given."""
     node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
     for node in range(np.uint64(len(nodes))):
-        axis, first, plane = split_of(node_at, node)
-        if axis == _LEAF:
-            continue
-        for side in range(_TWO):
-            child = first + side
-            box, rope = box_at + child * BOX_BYTES, rope_at + child * ROPE_BYTES
-            for k in range(_SIX):
-                at = k * WORD
-                store(box + at, load(np.float32, box_at + node * BOX_BYTES + at))
-                store(rope + at, load(np.int32, rope_at + node * ROPE_BYTES + at))
-            # The cell below the plane has it as its high side, the other one as its low side.
-            inner = _ONE - side
-            store(box + (axis + _THREE * inner) * WORD, plane)
-            store(rope + (_TWO * axis + inner) * WORD, np.int32(first + inner))
-            for face in range(_SIX):
-                other = load(np.int32, rope + face * WORD)
-                if other != _NOWHERE:
-                    settled = settle(node_at, np.uint64(other), face, box)
-                    store(rope + face * WORD, np.int32(settled))
+        if not is_leaf(node_at, node):
+            place_children(node_at, node, box_at, rope_at)
 
 
 def find_cells(nodes: NDArray[np.int32], box: NDArray[np.float32]) -> Cells:

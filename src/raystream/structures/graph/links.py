@@ -14,123 +14,75 @@ Havran, Bittner and Zara, "Ray tracing with rope trees", Spring Conference on Co
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for
-from raystream.structures.clip import BOX_BYTES, HIGH, WORD
-from raystream.structures.graph.cells import ROPE_BYTES, Cells, is_leaf, settle, split_of
-from raystream.structures.graph.layout import SECTOR_ROWS, VOID
+from raystream.structures.clip import WORD
+from raystream.structures.graph.behind import (
+    PENDING_BYTES,
+    Tree,
+    count_behind,
+    fill_behind,
+    find_axes,
+    spread_marks,
+)
+from raystream.structures.graph.cells import ROPE_BYTES, Cells, split_of
+from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.order import SECTOR_BYTES, Order
 from raystream.structures.graph.share import RAW, NodeStore, put_node
-from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_DEPTH
+from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["link_sectors"]
+__all__ = ["LINKS_AT", "RAW_LINKS", "batches", "link_sectors"]
 
 #: Raw nodes that are made at a time, if no single sector has more.
 _BATCH = 1 << 22
 
 _CHUNK = 1 << 11
 
-#: Subtrees that wait: a node, and the address of the raw link to it.
-_PENDING = np.uint64(16)
-_PENDING_BYTES = 16 * (MAX_DEPTH + 2)
+#: Bytes of a sector's raw links, and from a sector's row to its links.
+RAW_LINKS = np.uint64(48)
+LINKS_AT = np.uint64(32)
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_THREE = np.uint64(3)
 _SIX = np.uint64(6)
 _HALF_ROW = np.uint64(8)
 _RAW_BYTES = np.uint64(24)
-_RAW_LINKS = np.uint64(48)
 _RAW_BIT = np.uint64(RAW)
 _ROWS = np.uint64(SECTOR_ROWS)
-_LINKS_AT = np.uint64(32)
-_VOID = np.uint64(VOID)
 _LEAF = np.uint64(LEAF_AXIS)
-_NOWHERE = np.int32(-1)
 _YES = np.uint8(1)
 
 
 @kernel
-def _find_axes(nodes, axes):
-    """Find the axes of the splits in each subtree: bits."""
-    node_at = address(nodes)
+def _find_all_axes(nodes, axes):
+    node_at, axes_at = address(nodes), address(axes)
     node = np.uint64(len(nodes))
     while node != _NONE:
         node -= _ONE
-        axis, first, _ = split_of(node_at, node)
-        axes[node] = 0
-        if axis != _LEAF:
-            axes[node] = np.uint64(axes[first]) | np.uint64(axes[first + _ONE]) | _ONE << axis
-
-
-@device
-def _covers(box, cell, face, axes):
-    """Whether a face of a box covers that side of a cell along some axes."""
-    axis = face >> _ONE
-    for other in range(_THREE):
-        at = other * WORD
-        is_out = load(np.float32, cell + at) < load(np.float32, box + at)
-        is_out |= load(np.float32, cell + HIGH + at) > load(np.float32, box + HIGH + at)
-        if other != axis and axes >> other & _ONE != _NONE and is_out:
-            return False
-    return True
+        find_axes(node_at, node, axes_at)
 
 
 @kernel
 def _count_nodes(begin, end, leaves, nodes, axes, boxes, ropes, counts, is_covered):
     """Count the raw nodes of sectors begin to end, and mark subtrees that a face covers."""
-    node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
-    mark_at = address(is_covered)
-    pending = scratch(_PENDING_BYTES)
+    tree = Tree(address(nodes), address(axes), address(boxes), address(ropes))
+    pending = scratch(PENDING_BYTES)
     for sector in range(np.uint64(begin), np.uint64(end)):
-        leaf = np.uint64(leaves[sector])
-        box, count = box_at + leaf * BOX_BYTES, _NONE
-        for face in range(_SIX):
-            rope = load(np.int32, rope_at + leaf * ROPE_BYTES + face * WORD)
-            if rope == _NOWHERE:
-                continue
-            store(pending, np.uint64(rope))
-            top = pending + _PENDING
-            while top != pending:
-                top -= _PENDING
-                node = settle(node_at, load(np.uint64, top), face, box)
-                if is_leaf(node_at, node):
-                    continue
-                if _covers(box, box_at + node * BOX_BYTES, face, np.uint64(axes[node])):
-                    store(mark_at + node * _SIX + face, _YES)
-                    continue
-                count += _ONE
-                _, first, _ = split_of(node_at, node)
-                store(top, first)
-                store(top + _PENDING, first + _ONE)
-                top += _PENDING + _PENDING
-        counts[sector] = count
+        counts[sector] = count_behind(np.uint64(leaves[sector]), tree, address(is_covered), pending)
 
 
 @kernel
-def _spread_marks(nodes, is_covered):
+def _spread_all_marks(nodes, is_covered):
     """Mark what the link nodes of marked subtrees need; returns how many these are."""
-    node_at, mark_at = address(nodes), address(is_covered)
     total = _NONE
     for node in range(np.uint64(len(nodes))):
-        axis, first, _ = split_of(node_at, node)
-        if axis == _LEAF:
-            continue
-        for face in range(_SIX):
-            if load(np.uint8, mark_at + node * _SIX + face) != _YES:
-                continue
-            if face >> _ONE == axis:
-                touching = first + (_ONE - (face & _ONE))
-                store(mark_at + touching * _SIX + face, _YES)
-                continue
-            total += _ONE
-            store(mark_at + first * _SIX + face, _YES)
-            store(mark_at + (first + _ONE) * _SIX + face, _YES)
+        total += spread_marks(address(nodes), node, address(is_covered))
     return total
 
 
@@ -168,43 +120,16 @@ def _fill_nodes(
     begin, end, base, leaves, nodes, axes, boxes, ropes, sectors, covered, firsts, raw, links
 ):
     """Write the raw nodes and raw links of sectors base + begin to base + end."""
-    node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
+    tree = Tree(address(nodes), address(axes), address(boxes), address(ropes))
+    sector_at, covered_at = address(sectors), address(covered)
     raw_at, link_at = address(raw), address(links)
-    pending = scratch(_PENDING_BYTES)
+    pending = scratch(PENDING_BYTES)
     for i in range(np.uint64(begin), np.uint64(end)):
         sector = np.uint64(base) + i
-        leaf = np.uint64(leaves[sector])
-        box = box_at + leaf * BOX_BYTES
         number = np.uint64(firsts[sector]) - np.uint64(firsts[base])
-        for face in range(_SIX):
-            rope = load(np.int32, rope_at + leaf * ROPE_BYTES + face * WORD)
-            target = link_at + i * _RAW_LINKS + face * _HALF_ROW
-            if rope == _NOWHERE:
-                store(target, _VOID)
-                continue
-            store(pending, np.uint64(rope))
-            store(pending + _HALF_ROW, target)
-            top = pending + _PENDING
-            while top != pending:
-                top -= _PENDING
-                node = settle(node_at, load(np.uint64, top), face, box)
-                to = load(np.uint64, top + _HALF_ROW)
-                if is_leaf(node_at, node):
-                    store(to, np.uint64(sectors[node]) * _ROWS)
-                    continue
-                if _covers(box, box_at + node * BOX_BYTES, face, np.uint64(axes[node])):
-                    store(to, np.uint64(covered[node, face]))
-                    continue
-                store(to, _RAW_BIT | number)
-                to = raw_at + number * _RAW_BYTES
-                number += _ONE
-                _, first, _ = split_of(node_at, node)
-                store(to, node)
-                store(top, first)
-                store(top + _HALF_ROW, to + _HALF_ROW)
-                store(top + _PENDING, first + _ONE)
-                store(top + _PENDING + _HALF_ROW, to + _HALF_ROW + _HALF_ROW)
-                top += _PENDING + _PENDING
+        to = link_at + i * RAW_LINKS
+        leaf = np.uint64(leaves[sector])
+        fill_behind(leaf, tree, sector_at, covered_at, number, raw_at, to, pending)
 
 
 @kernel
@@ -212,12 +137,20 @@ def _place_links(begin, end, base, raw, links, rows):
     """Write the links of sectors base + begin to base + end, whose raw nodes have become nodes."""
     raw_at, row_at = address(raw), address(rows)
     for i in range(np.uint64(begin), np.uint64(end)):
-        to = row_at + (np.uint64(base) + i) * SECTOR_BYTES + _LINKS_AT
+        to = row_at + (np.uint64(base) + i) * SECTOR_BYTES + LINKS_AT
         for face in range(_SIX):
             link = np.uint64(links[i, face])
             if link & _RAW_BIT:
                 link = load(np.uint64, raw_at + (link ^ _RAW_BIT) * _RAW_BYTES)
             store(to + face * WORD, np.uint32(link))
+
+
+def batches(firsts: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+    """The sectors whose raw nodes are made together, given where each sector's begin."""
+    begin = 0
+    while begin + 1 < len(firsts):
+        end = int(np.searchsorted(firsts, firsts[begin] + _BATCH, "right")) - 1
+        yield begin, (begin := max(end, begin + 1))
 
 
 class _Linker:
@@ -231,20 +164,16 @@ class _Linker:
     def link(self, progress: Progress | None) -> None:
         sector_count = len(self.order.leaves)
         firsts = self._count()
-        begin = 0
-        while begin < sector_count:
-            end = int(np.searchsorted(firsts, firsts[begin] + _BATCH, "right")) - 1
-            end = max(end, begin + 1)
+        for begin, end in batches(firsts):
             self._link_batch(begin, end, firsts)
-            begin = end
             if progress:
-                progress(begin, sector_count)
+                progress(end, sector_count)
 
     def _count(self) -> NDArray[np.int64]:
         """Count raw nodes, and make the link nodes of covered subtrees."""
         leaves, (boxes, ropes), nodes = self.order.leaves, self.cells, self.nodes
         axes = self.axes
-        _find_axes(nodes, axes)
+        _find_all_axes(nodes, axes)
         counts = np.empty(len(leaves), np.int64)
         is_covered = np.zeros((len(nodes), 6), np.uint8)
 
@@ -254,7 +183,7 @@ class _Linker:
         parallel_for(body, len(leaves), _CHUNK)
         self.covered = np.empty((len(nodes), 6), np.uint32)
         shared = self.store
-        shared.reserve(int(_spread_marks(nodes, is_covered)))
+        shared.reserve(int(_spread_all_marks(nodes, is_covered)))
         shared.count = int(
             _link_covered(
                 nodes,

@@ -20,7 +20,15 @@ from raystream.structures.graph.cells import NODE_BYTES, Cells, split_of
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.kdtree.layout import LEAF_AXIS, KdArrays
 
-__all__ = ["SECTOR_BYTES", "Order", "fill_sectors", "order_sectors"]
+__all__ = [
+    "CODE_BITS",
+    "SECTOR_BYTES",
+    "Order",
+    "code_of",
+    "fill_sector",
+    "fill_sectors",
+    "order_sectors",
+]
 
 #: Bytes of a sector, and of a block's triangles.
 SECTOR_BYTES = np.uint64(16 * SECTOR_ROWS)
@@ -28,6 +36,9 @@ _BLOCK_IDS = np.uint64(16)
 
 #: Steps of the curve along each axis: 21 bits of three axes fit into 64.
 _STEPS = 1 << 21
+
+#: Bits of a place on it.
+CODE_BITS = 63
 
 _CHUNK = 1 << 13
 
@@ -63,21 +74,26 @@ def _spread(number):
     return (number | number << _TWO) & np.uint64(0x1249249249249249)
 
 
+@device
+def code_of(whole, box):
+    """The place along the curve of a box's centre; `whole` and `box` are addresses."""
+    code = _NONE
+    for axis in range(np.uint64(3)):
+        at = axis * WORD
+        low = np.float64(load(np.float32, whole + at))
+        size = np.float64(load(np.float32, whole + HIGH + at)) - low
+        middle = np.float64(load(np.float32, box + at)) + load(np.float32, box + HIGH + at)
+        place = (middle * 0.5 - low) / size * _STEP_COUNT
+        code |= _spread(np.uint64(min(max(place, 0.0), _LAST_STEP))) << axis
+    return code
+
+
 @kernel
 def _find_codes(begin, end, leaves, boxes, codes):
     """Write the places along the curve of the centres of some leaves."""
     box_at = address(boxes)
     for i in range(np.uint64(begin), np.uint64(end)):
-        box = box_at + np.uint64(leaves[i]) * BOX_BYTES
-        code = _NONE
-        for axis in range(np.uint64(3)):
-            at = axis * WORD
-            low = np.float64(load(np.float32, box_at + at))
-            size = np.float64(load(np.float32, box_at + HIGH + at)) - low
-            middle = np.float64(load(np.float32, box + at)) + load(np.float32, box + HIGH + at)
-            place = (middle * 0.5 - low) / size * _STEP_COUNT
-            code |= _spread(np.uint64(min(max(place, 0.0), _LAST_STEP))) << axis
-        codes[i] = code
+        codes[i] = code_of(box_at, box_at + np.uint64(leaves[i]) * BOX_BYTES)
 
 
 def order_sectors(nodes: NDArray[np.int32], cells: Cells) -> Order:
@@ -106,6 +122,18 @@ def order_sectors(nodes: NDArray[np.int32], cells: Cells) -> Order:
     return Order(leaves, sectors)
 
 
+@device
+def fill_sector(to, box, first, count):
+    """Write a sector's row, but for its links: box, first block, number of triangles."""
+    for axis in range(np.uint64(3)):
+        at = axis * WORD
+        store(to + at, load(np.float32, box + at))
+        store(to + np.uint64(16) + at, load(np.float32, box + HIGH + at))
+    store(to + np.uint64(12), np.uint32(first))
+    store(to + np.uint64(28), np.uint32(count))
+    store(to + np.uint64(56), _NONE)  # the unused words
+
+
 @kernel
 def _fill_sectors(begin, end, leaves, nodes, boxes, tree_ids, firsts, rows, prim_ids):
     """Write the boxes and triangles of sectors begin to end."""
@@ -114,16 +142,8 @@ def _fill_sectors(begin, end, leaves, nodes, boxes, tree_ids, firsts, rows, prim
     for sector in range(np.uint64(begin), np.uint64(end)):
         leaf = np.uint64(leaves[sector])
         _, count, _ = split_of(node_at, leaf)
-        to = row_at + sector * SECTOR_BYTES
-        for axis in range(np.uint64(3)):
-            at = axis * WORD
-            store(to + at, load(np.float32, box_at + leaf * BOX_BYTES + at))
-            high = load(np.float32, box_at + leaf * BOX_BYTES + HIGH + at)
-            store(to + np.uint64(16) + at, high)
         first, last = np.uint64(firsts[sector]), np.uint64(firsts[sector + _ONE])
-        store(to + np.uint64(12), np.uint32(first))
-        store(to + np.uint64(28), np.uint32(count))
-        store(to + np.uint64(56), _NONE)  # the unused words
+        fill_sector(row_at + sector * SECTOR_BYTES, box_at + leaf * BOX_BYTES, first, count)
         source = tree_at + np.uint64(load(np.uint32, node_at + leaf * NODE_BYTES)) * _BLOCK_IDS
         for k in range((last - first) * np.uint64(4)):
             prim_id = load(np.int32, source + k * WORD)

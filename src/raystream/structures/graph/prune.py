@@ -7,6 +7,8 @@ subtree is compared with the leaf that it would be.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,11 +19,11 @@ from raystream.structures.graph.cells import NODE_BYTES, split_of
 from raystream.structures.kdtree.layout import LEAF_AXIS, KdArrays
 from raystream.structures.kdtree.split import Costs
 
-__all__ = ["prune"]
+__all__ = ["PENDING_BYTES", "UNION_BYTES", "Chosen", "prune", "put_leaf", "weigh_split"]
 
 #: Subtrees of more leaves than this stay, and those of more triangles.
 _MOST_LEAVES, _MOST_TRIANGLES = 16, 64
-_PENDING_BYTES, _UNION_BYTES = 8 * (_MOST_LEAVES + 2), 4 * _MOST_TRIANGLES
+PENDING_BYTES, UNION_BYTES = 8 * (_MOST_LEAVES + 2), 4 * _MOST_TRIANGLES
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -34,6 +36,27 @@ _LEAF = np.uint64(LEAF_AXIS)
 _LEAF_BITS = np.int32(LEAF_AXIS)
 _LEAF_LIMIT = np.uint64(_MOST_LEAVES)
 _ABSENT = np.int32(-1)
+
+
+class Chosen(NamedTuple):
+    """What is decided about each node of a tree: addresses of a number for each.
+
+    Attributes
+    ----------
+    leaf_counts : uint64
+        Leaves of its subtree, uint32: 1 for what is a leaf now.
+    lists : uint64
+        Addresses of leaves' triangles, uint64; of splits those of their first leaf.
+    sizes : uint64
+        How many these are, uint32.
+    prices : uint64
+        float64.
+    """
+
+    leaf_counts: np.uint64
+    lists: np.uint64
+    sizes: np.uint64
+    prices: np.uint64
 
 
 @device
@@ -79,62 +102,110 @@ def _unite(node, nodes, leaf_counts, lists, sizes, pending, union, most):
     return count
 
 
+@device
+def leaf_price(box, count, costs):
+    """Price of a leaf of so many triangles."""
+    half, _ = _areas(box, _LEAF)
+    return costs.intersection * np.float64(count) * half
+
+
+@device
+def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
+    """Make a leaf of a split if that costs no more; its children have been weighed.
+
+    Parameters
+    ----------
+    node : uint64
+    nodes, boxes : uint64
+        Addresses of the tree, and of its cells' boxes.
+    costs : Costs
+    chosen : Chosen
+    free : uint64
+        Triangles that its list may have.
+    pending, union : uint64
+        Addresses of `PENDING_BYTES` and `UNION_BYTES` of scratch.
+
+    Returns
+    -------
+    uint64
+        Triangles of the list that pays, written or too long; 0 if none does.
+
+    Notes
+    -----
+    The lists of a subtree's leaves lie one after the other in the order of its leaves, each with
+    its room: their union is written where the first one was.
+    """
+    axis, first, _ = split_of(nodes, node)
+    half, across = _areas(boxes + node * BOX_BYTES, axis)
+    cost = _price(chosen, first) + _price(chosen, first + _ONE) + costs.traversal * half
+    cost += costs.crossing * across
+    count = np.uint64(load(np.uint32, chosen.leaf_counts + first * WORD))
+    count += np.uint64(load(np.uint32, chosen.leaf_counts + (first + _ONE) * WORD))
+    at = load(np.uint64, chosen.lists + first * _ENTRY)
+    store(chosen.lists + node * _ENTRY, at)
+    store(chosen.leaf_counts + node * WORD, np.uint32(count))
+    store(chosen.prices + node * _ENTRY, cost)
+    affordable = cost / (costs.intersection * half)
+    most = np.uint64(min(affordable, np.float64(_MOST_TRIANGLES)))
+    if count > _LEAF_LIMIT:
+        return _NONE
+    size = _unite(node, nodes, chosen.leaf_counts, chosen.lists, chosen.sizes, pending, union, most)
+    if size > most:
+        return _NONE
+    if size > free:
+        return size
+    for k in range(size):
+        store(at + k * WORD, load(np.int32, union + k * WORD))
+    put_leaf(node, boxes, costs, chosen, at, size)
+    return size
+
+
+@device
+def put_leaf(node, boxes, costs, chosen, at, size):
+    """Note that a node is a leaf, with the list at an address."""
+    store(chosen.lists + node * _ENTRY, at)
+    store(chosen.sizes + node * WORD, np.uint32(size))
+    store(chosen.leaf_counts + node * WORD, np.uint32(1))
+    store(chosen.prices + node * _ENTRY, leaf_price(boxes + node * BOX_BYTES, size, costs))
+
+
+@device
+def _price(chosen, node):
+    return load(np.float64, chosen.prices + node * _ENTRY)
+
+
 @kernel
-def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, pool):
+def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, prices):
     """Decide what is a leaf.
 
     Parameters
     ----------
     nodes, prim_ids : ndarray
-        See `KdArrays`.
+        See `KdArrays`. Lists of new leaves replace the first ones of theirs.
     boxes : ndarray of shape (M, 6), float32
     costs : Costs
-    leaf_counts : ndarray of shape (M,), uint32
-        Written: leaves of each subtree.
-    lists : ndarray of shape (M,), uint64
-        Written: addresses of leaves' triangles.
-    sizes : ndarray of shape (M,), uint32
-        Written: how many these are.
-    pool : ndarray of shape (P,), int32
-        Room for new lists; once it is full, all stays as it is.
+    leaf_counts, lists, sizes, prices : ndarray
+        Written: see `Chosen`.
+
+    Notes
+    -----
+    All new lists together have no more rows than `prim_ids`; from the first that has no room on
+    all stays as it is.
     """
     node_at, id_at, box_at = address(nodes), address(prim_ids), address(boxes)
-    count_at, list_at, size_at = address(leaf_counts), address(lists), address(sizes)
-    pool_at, free = address(pool), np.uint64(len(pool))
-    pending, union = scratch(_PENDING_BYTES), scratch(_UNION_BYTES)
-    price = np.empty(len(nodes))
+    chosen = Chosen(address(leaf_counts), address(lists), address(sizes), address(prices))
+    pending, union = scratch(PENDING_BYTES), scratch(UNION_BYTES)
+    free = np.uint64(prim_ids.size)
     node = np.uint64(len(nodes))
     while node != _NONE:
         node -= _ONE
-        axis, first, _ = split_of(node_at, node)
-        half, across = _areas(box_at + node * BOX_BYTES, axis)
+        axis, count, _ = split_of(node_at, node)
         if axis == _LEAF:
             block = np.uint64(load(np.uint32, node_at + node * NODE_BYTES))
-            store(list_at + node * _ENTRY, id_at + block * _BLOCK_IDS)
-            store(size_at + node * WORD, np.uint32(first))
-            store(count_at + node * WORD, np.uint32(1))
-            price[node] = costs.intersection * np.float64(first) * half
-            continue
-        cost = price[first] + price[first + _ONE] + costs.traversal * half
-        cost += costs.crossing * across
-        count = np.uint64(leaf_counts[first]) + np.uint64(leaf_counts[first + _ONE])
-        store(count_at + node * WORD, np.uint32(count))
-        price[node] = cost
-        affordable = cost / (costs.intersection * half)
-        most = np.uint64(min(affordable, np.float64(_MOST_TRIANGLES)))
-        if count > _LEAF_LIMIT:
-            continue
-        size = _unite(node, node_at, count_at, list_at, size_at, pending, union, most)
-        if size > most or size > free:
-            continue
-        for k in range(size):
-            store(pool_at + k * WORD, load(np.int32, union + k * WORD))
-        store(list_at + node * _ENTRY, pool_at)
-        store(size_at + node * WORD, np.uint32(size))
-        store(count_at + node * WORD, np.uint32(1))
-        pool_at += size * WORD
-        free -= size
-        price[node] = costs.intersection * np.float64(size) * half
+            put_leaf(node, box_at, costs, chosen, id_at + block * _BLOCK_IDS, count)
+        else:
+            size = weigh_split(node, node_at, box_at, costs, chosen, free, pending, union)
+            free = free - size if size <= free else _NONE
 
 
 @kernel
@@ -187,8 +258,8 @@ def prune(tree: KdArrays, boxes: NDArray[np.float32], costs: Costs) -> KdArrays:
     count = len(tree.nodes)
     leaf_counts, sizes = np.empty(count, np.uint32), np.empty(count, np.uint32)
     lists = np.empty(count, np.uint64)
-    pool = np.empty(4 * len(tree.prim_ids), np.int32)
-    _choose_leaves(tree.nodes, tree.prim_ids, boxes, costs, leaf_counts, lists, sizes, pool)
+    prices, lists_of = np.empty(count), tree.prim_ids.copy()
+    _choose_leaves(tree.nodes, lists_of, boxes, costs, leaf_counts, lists, sizes, prices)
     nodes = np.empty((2 * int(leaf_counts[0]) - 1, 2), np.int32)
     rows = np.zeros(count, np.uint32)
     prim_ids = np.empty((len(tree.prim_ids), 4), np.int32)

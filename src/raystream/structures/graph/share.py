@@ -15,7 +15,7 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT, NODE_WORDS
 
-__all__ = ["RAW", "NodeStore", "put_node"]
+__all__ = ["RAW", "NodeStore", "first_slot", "put_node"]
 
 #: This bit of a raw link (uint64) says that the rest is the number of a raw node; without it, it
 #: is a link.
@@ -36,7 +36,8 @@ _FREE = np.uint32(0xFFFFFFFF)
 
 
 @device
-def _first_slot(one, other, mask):
+def first_slot(one, other, mask):
+    """Where in a table a link node of two words is looked for first."""
     mixed = (one ^ (one >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ other) * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(32))) * np.uint64(0x94D049BB133111EB)
@@ -69,7 +70,7 @@ def put_node(rows, table, mask, count, plane_bits, axis, below, above):
         Nodes now.
     """
     one, other = plane_bits | axis << np.uint64(32), below | above << np.uint64(32)
-    slot = _first_slot(one, other, mask)
+    slot = first_slot(one, other, mask)
     while True:
         found = load(np.uint32, table + slot * _WORD)
         if found == _FREE:
@@ -89,7 +90,7 @@ def _fill_table(rows, count, table):
     row_at, table_at, mask = address(rows), address(table), np.uint64(len(table)) - _ONE
     for number in range(np.uint64(count)):
         at = row_at + number * _ROW
-        slot = _first_slot(load(np.uint64, at), load(np.uint64, at + _HALF_ROW), mask)
+        slot = first_slot(load(np.uint64, at), load(np.uint64, at + _HALF_ROW), mask)
         while load(np.uint32, table_at + slot * _WORD) != _FREE:
             slot = (slot + _ONE) & mask
         store(table_at + slot * _WORD, np.uint32(number))

@@ -27,7 +27,7 @@ from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
 from raystream.structures.kdtree.layout import MAX_DEPTH, filled_blocks, usual_depth
 
-__all__ = ["Graph"]
+__all__ = ["Graph", "addresses_of", "chosen_options", "method_of"]
 
 
 class Graph(Structure):
@@ -75,15 +75,10 @@ class Graph(Structure):
         progress: Progress | None = None,
     ) -> None:
         started = time.perf_counter()
-        options = {
-            "crossing_cost": float(crossing_cost),
-            "intersection_cost": float(intersection_cost),
-            "link_cost": float(link_cost),
-            "max_depth": None if max_depth is None else operator.index(max_depth),
-            "max_leaf_size": operator.index(max_leaf_size),
-        }
-        _check(options)
-        method = _method(options, len(triangles.prim_ids))
+        options = chosen_options(
+            crossing_cost, intersection_cost, link_cost, max_depth, max_leaf_size
+        )
+        method = method_of(options, len(triangles.prim_ids))
         self._set(triangles, build_graph(triangles, method, progress), options, started)
 
     def _set(
@@ -103,21 +98,9 @@ class Graph(Structure):
         self.report = BuildReport(seconds, sum(array.nbytes for array in arrays))
 
     def _make_addresses(self) -> GraphAddresses:
-        low, high = self.triangles.bounds
-        box = graph_box(self.triangles).astype(np.float64)
-        counts = self.graph.bins.shape
-        sizes = box[1] - box[0]
-        scales = [n / size if size > 0.0 else 0.0 for n, size in zip(counts, sizes, strict=True)]
-        return GraphAddresses(
-            np.uint64(self._rows.ctypes.data if len(self._rows) else 0),
-            np.uint64(self.blocks.ctypes.data),
-            np.uint64(self.graph.bins.ctypes.data),
-            _triple(counts),
-            _triple(box[0]),
-            _triple(scales),
-            _triple(low),
-            _triple(high),
-        )
+        rows = np.uint64(self._rows.ctypes.data if len(self._rows) else 0)
+        blocks, bins = np.uint64(self.blocks.ctypes.data), np.uint64(self.graph.bins.ctypes.data)
+        return addresses_of(self.triangles, self.graph.bins.shape, rows, blocks, bins)
 
     @property
     def rows(self) -> NDArray[np.uint32]:
@@ -156,7 +139,7 @@ class Graph(Structure):
 
     def quality(self) -> dict[str, float]:
         """Counts, depth, bytes and cost; see `statistics`."""
-        return statistics(self.graph, _method(self.options, len(self.triangles.prim_ids)))
+        return statistics(self.graph, method_of(self.options, len(self.triangles.prim_ids)))
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The graph, and how it was built."""
@@ -182,6 +165,41 @@ class Graph(Structure):
         return structure
 
 
+def chosen_options(
+    crossing_cost: float,
+    intersection_cost: float,
+    link_cost: float,
+    max_depth: int | None,
+    max_leaf_size: int,
+) -> dict[str, Any]:
+    """The build options of a graph, checked; see `Graph`."""
+    options = {
+        "crossing_cost": float(crossing_cost),
+        "intersection_cost": float(intersection_cost),
+        "link_cost": float(link_cost),
+        "max_depth": None if max_depth is None else operator.index(max_depth),
+        "max_leaf_size": operator.index(max_leaf_size),
+    }
+    _check(options)
+    return options
+
+
+def addresses_of(
+    triangles: Triangles,
+    bin_counts: tuple[int, ...],
+    rows: np.uint64,
+    blocks: np.uint64,
+    bins: np.uint64,
+) -> GraphAddresses:
+    """What the traversal is given of a graph whose arrays are at some addresses."""
+    low, high = triangles.bounds
+    box = graph_box(triangles).astype(np.float64)
+    sizes = box[1] - box[0]
+    scales = [n / size if size > 0.0 else 0.0 for n, size in zip(bin_counts, sizes, strict=True)]
+    box_of = _triple(bin_counts), _triple(box[0]), _triple(scales)
+    return GraphAddresses(rows, blocks, bins, *box_of, _triple(low), _triple(high))
+
+
 def _open_sides(rows: NDArray[np.uint32]) -> None:
     """Move the planes of sectors that have no neighbour to infinity: no ray passes them."""
     sectors = rows.reshape(-1, 16)
@@ -196,7 +214,8 @@ def _triple(numbers: Any) -> tuple[np.float32, np.float32, np.float32]:
     return np.float32(x), np.float32(y), np.float32(z)
 
 
-def _method(options: Mapping[str, Any], triangle_count: int) -> Method:
+def method_of(options: Mapping[str, Any], triangle_count: int) -> Method:
+    """How to build a graph with such options."""
     max_depth = options["max_depth"]
     if max_depth is None:
         max_depth = usual_depth(triangle_count)

@@ -29,11 +29,11 @@ from raystream.structures.kdtree.subtree import (
     split_range,
 )
 
-__all__ = ["MAX_REFERENCES", "Method", "build_arrays"]
+__all__ = ["LEAST_ROOM", "MAX_REFERENCES", "Method", "build_arrays", "subtree_size"]
 
 #: References in all leaves together, for each triangle, at most; and for any scene.
 MAX_REFERENCES = 12
-_LEAST_ROOM = 1 << 10
+LEAST_ROOM = 1 << 10
 
 #: Triangles that one call of a loop over all triangles gets.
 _CHUNK = 1 << 16
@@ -54,6 +54,12 @@ class Method(NamedTuple):
     costs: Costs
     max_depth: int
     max_leaf_size: int
+
+
+def subtree_size(triangle_count: int) -> int:
+    """References of the largest cells that one thread builds the subtree of."""
+    # About 64 subtrees or more, of 10 to 100 ms each.
+    return max(1 << 12, triangle_count >> 6)
 
 
 class _Cell:
@@ -130,8 +136,7 @@ class _Builder:
         self.prim_ids = triangles.prim_ids
         self.method = method
         self.bound = float(triangles.extreme) * BOUND
-        # About 64 subtrees or more, of 10 to 100 ms each.
-        self.subtree_size = max(1 << 12, len(self.prim_ids) >> 6)
+        self.subtree_size = subtree_size(len(self.prim_ids))
 
     def build(self, progress: Progress | None) -> KdArrays:
         cells = self._grow_top(self._make_root())
@@ -152,7 +157,7 @@ class _Builder:
 
         parallel_for(body, count, _CHUNK)
         box = np.concatenate([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
-        room = MAX_REFERENCES * count + _LEAST_ROOM
+        room = MAX_REFERENCES * count + LEAST_ROOM
         return _Cell(boxes, self.prim_ids, box, 0, 0, room)
 
     def _grow_top(self, root: _Cell) -> list[_Cell]:

@@ -20,6 +20,7 @@ __all__ = [
     "MAX_NODES",
     "KdArrays",
     "check_arrays",
+    "fill_block",
     "filled_blocks",
     "usual_depth",
     "walk",
@@ -66,6 +67,22 @@ def usual_depth(triangle_count: int) -> int:
     return min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
 
 
+@device
+def fill_block(block, prim_ids, corners, blocks):
+    """Write a leaf block, given addresses; see `_fill_blocks`."""
+    to = blocks + block * _BLOCK_BYTES
+    for lane in range(np.uint64(4)):
+        at = lane * _WORD
+        prim_id = load(np.int32, prim_ids + block * np.uint64(16) + at)
+        for k in range(np.uint64(9)):
+            number = _NAN
+            if prim_id >= np.int32(0):
+                source = corners + np.uint64(prim_id) * _TRIANGLE_BYTES + k * _WORD
+                number = load(np.float32, source)
+            store(to + k * np.uint64(16) + at, number)
+        store(to + np.uint64(144) + at, prim_id)
+
+
 @kernel
 def _fill_blocks(begin, end, prim_ids, corners, blocks):
     """Write the corners of triangles to blocks begin to end, NaN where there is none.
@@ -80,17 +97,7 @@ def _fill_blocks(begin, end, prim_ids, corners, blocks):
     """
     id_at, corner_at, block_at = address(prim_ids), address(corners), address(blocks)
     for block in range(np.uint64(begin), np.uint64(end)):
-        to = block_at + block * _BLOCK_BYTES
-        for lane in range(np.uint64(4)):
-            at = lane * _WORD
-            prim_id = load(np.int32, id_at + block * np.uint64(16) + at)
-            for k in range(np.uint64(9)):
-                number = _NAN
-                if prim_id >= np.int32(0):
-                    source = corner_at + np.uint64(prim_id) * _TRIANGLE_BYTES + k * _WORD
-                    number = load(np.float32, source)
-                store(to + k * np.uint64(16) + at, number)
-            store(to + np.uint64(144) + at, prim_id)
+        fill_block(block, id_at, corner_at, block_at)
 
 
 def filled_blocks(prim_ids: NDArray[np.int32], corners: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -22,7 +22,20 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 
-__all__ = ["LEAF", "WORK_BYTES", "Costs", "choose_split"]
+__all__ = [
+    "BIN_COUNT",
+    "BIN_SHARE",
+    "LEAF",
+    "MOST_EXACT",
+    "WORK_BYTES",
+    "Costs",
+    "axis_of",
+    "bin_of",
+    "choose_split",
+    "find_in_bins",
+    "pays",
+    "price_of",
+]
 
 #: Cells of so many references or fewer try every plane.
 _EXACT = 128
@@ -45,10 +58,10 @@ _TOO_COSTLY = 4.0
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _LAST_BIN = np.uint64(_BINS - 1)
-_EXACT_COUNT = np.uint64(_EXACT)
-_BIN_COUNT = np.uint64(_BINS)
+#: The same, for kernels.
+MOST_EXACT, BIN_COUNT = np.uint64(_EXACT), np.uint64(_BINS)
 _HALF_WORK = np.uint64(4 * _EXACT)
-_BIN_SHARE = np.float32(1.0 / _BINS)
+BIN_SHARE = np.float32(1.0 / _BINS)
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
 
@@ -82,7 +95,8 @@ class _Axis(NamedTuple):
 
 
 @device
-def _axis_of(cell, axis):
+def axis_of(cell, axis):
+    """A cell, at an address, as seen along an axis."""
     step = axis * WORD
     other = (axis + _ONE if axis < np.uint64(2) else _NONE) * WORD
     third = np.uint64(12) - step - other  # the offsets 0, 4 and 8 add up to it
@@ -93,7 +107,7 @@ def _axis_of(cell, axis):
 
 
 @device
-def _price(costs, along, position, below, above):
+def price_of(costs, along, position, below, above):
     """Expected cost of a split, with so many references on either side."""
     length_below = np.float64(position) - along.low
     length_above = np.float64(along.high) - position
@@ -133,7 +147,7 @@ def _find_exact(boxes, begin, end, cell, costs, work):
     best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
     starts, ends = work, work + _HALF_WORK
     for axis in range(np.uint64(3)):
-        along = _axis_of(cell, axis)
+        along = axis_of(cell, axis)
         for i in range(count):
             box = boxes + (begin + i) * BOX_BYTES + axis * WORD
             store(starts + i * WORD, load(np.float32, box))
@@ -146,7 +160,7 @@ def _find_exact(boxes, begin, end, cell, costs, work):
             while ended < count and load(np.float32, ends + ended * WORD) <= position:
                 ended += _ONE
             if position > along.low and position < along.high:
-                cost = _price(costs, along, position, begun, count - ended)
+                cost = price_of(costs, along, position, begun, count - ended)
                 if cost < best_cost:
                     best_axis, best_position, best_cost = axis, position, cost
             while begun < count and load(np.float32, starts + begun * WORD) <= position:
@@ -155,8 +169,56 @@ def _find_exact(boxes, begin, end, cell, costs, work):
 
 
 @device
-def _bin(number, low, scale):
+def bin_of(number, low, scale):
+    """The bin in which a number is; those outside count in the first or last one."""
     return min(np.uint64(max((number - low) * scale, _ZERO)), _LAST_BIN)
+
+
+@device
+def find_in_bins(along, width, starts, ends, ends_of, count, costs, best_cost):
+    """The best plane of an axis whose boxes were counted in bins.
+
+    Parameters
+    ----------
+    along : _Axis
+    width : float32
+        Of a bin.
+    starts, ends : uint64
+        Addresses of how many boxes begin and end in each bin, int32.
+    ends_of : (float32, float32)
+        The least of their low sides, and the greatest of their high ones.
+    count : uint64
+        Boxes.
+    costs : Costs
+    best_cost : float64
+        What is to be undercut.
+
+    Returns
+    -------
+    position : float32
+    cost : float64
+        `best_cost` if none does.
+    """
+    best_position = _ZERO
+    lowest, highest = ends_of
+    begun, ended = _NONE, _NONE
+    for k in range(BIN_COUNT):
+        begun += np.uint64(load(np.int32, starts + k * WORD))
+        ended += np.uint64(load(np.int32, ends + k * WORD))
+        position = along.low + np.float32(k + _ONE) * width
+        if position > along.low and position < along.high:
+            cost = price_of(costs, along, position, begun, count - ended)
+            if cost < best_cost:
+                best_position, best_cost = position, cost
+    if lowest > along.low and lowest < along.high:
+        cost = price_of(costs, along, lowest, _NONE, count)
+        if cost < best_cost:
+            best_position, best_cost = lowest, cost
+    if highest > along.low and highest < along.high:
+        cost = price_of(costs, along, highest, count, _NONE)
+        if cost < best_cost:
+            best_position, best_cost = highest, cost
+    return best_position, best_cost
 
 
 @device
@@ -171,12 +233,12 @@ def _find_binned(boxes, begin, end, cell, costs, work):
     best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
     starts, ends = work, work + _HALF_WORK
     for axis in range(np.uint64(3)):
-        along = _axis_of(cell, axis)
-        width = (along.high - along.low) * _BIN_SHARE
+        along = axis_of(cell, axis)
+        width = (along.high - along.low) * BIN_SHARE
         scale = np.float32(1.0) / width
         if not (width > _ZERO and scale < _INF):
             continue
-        for k in range(_BIN_COUNT):
+        for k in range(BIN_COUNT):
             store(starts + k * WORD, np.int32(0))
             store(ends + k * WORD, np.int32(0))
         lowest, highest = _INF, -_INF
@@ -184,26 +246,23 @@ def _find_binned(boxes, begin, end, cell, costs, work):
             box = boxes + i * BOX_BYTES + axis * WORD
             low, high = load(np.float32, box), load(np.float32, box + HIGH)
             lowest, highest = min(lowest, low), max(highest, high)
-            _count_one(starts + _bin(low, along.low, scale) * WORD)
-            _count_one(ends + _bin(high, along.low, scale) * WORD)
-        begun, ended = _NONE, _NONE
-        for k in range(_BIN_COUNT):
-            begun += np.uint64(load(np.int32, starts + k * WORD))
-            ended += np.uint64(load(np.int32, ends + k * WORD))
-            position = along.low + np.float32(k + _ONE) * width
-            if position > along.low and position < along.high:
-                cost = _price(costs, along, position, begun, count - ended)
-                if cost < best_cost:
-                    best_axis, best_position, best_cost = axis, position, cost
-        if lowest > along.low and lowest < along.high:
-            cost = _price(costs, along, lowest, _NONE, count)
-            if cost < best_cost:
-                best_axis, best_position, best_cost = axis, lowest, cost
-        if highest > along.low and highest < along.high:
-            cost = _price(costs, along, highest, count, _NONE)
-            if cost < best_cost:
-                best_axis, best_position, best_cost = axis, highest, cost
+            _count_one(starts + bin_of(low, along.low, scale) * WORD)
+            _count_one(ends + bin_of(high, along.low, scale) * WORD)
+        ends_of = lowest, highest
+        position, cost = find_in_bins(along, width, starts, ends, ends_of, count, costs, best_cost)
+        if cost < best_cost:
+            best_axis, best_position, best_cost = axis, position, cost
     return best_axis, best_position, best_cost
+
+
+@device
+def pays(cost, count, bad_splits, costs):
+    """Whether a split of such a cost is to be made, and the bad splits of its parts."""
+    leaf_cost = costs.intersection * np.float64(count)
+    if cost > leaf_cost:
+        bad_splits += _ONE
+    is_too_costly = cost > _TOO_COSTLY * leaf_cost and count < _FEW
+    return bad_splits < _MAX_BAD_SPLITS and not is_too_costly, bad_splits
 
 
 @device_call
@@ -248,16 +307,12 @@ def choose_split(boxes, begin, end, cell, bad_splits, room, costs, work):
         For its parts.
     """
     count = end - begin
-    if count <= _EXACT_COUNT:
+    if count <= MOST_EXACT:
         axis, position, cost = _find_exact(boxes, begin, end, cell, costs, work)
     else:
         axis, position, cost = _find_binned(boxes, begin, end, cell, costs, work)
-    leaf_cost = costs.intersection * np.float64(count)
-    if cost > leaf_cost:
-        bad_splits += _ONE
-    if axis == LEAF or bad_splits >= _MAX_BAD_SPLITS:
-        return LEAF, position, bad_splits
-    if cost > _TOO_COSTLY * leaf_cost and count < _FEW:
+    is_worth_it, bad_splits = pays(cost, count, bad_splits, costs)
+    if axis == LEAF or not is_worth_it:
         return LEAF, position, bad_splits
     if _count_sides(boxes, begin, end, axis, position) > room:
         return LEAF, position, bad_splits

@@ -10,7 +10,15 @@ from raystream.structures.clip import BOX_BYTES, HIGH, WORD, tighten
 from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_DEPTH
 from raystream.structures.kdtree.split import LEAF, WORK_BYTES, choose_split
 
-__all__ = ["grow_subtree", "make_references", "place_subtree", "split_range"]
+__all__ = [
+    "copy_box",
+    "grow_subtree",
+    "make_references",
+    "part_reference",
+    "place_subtree",
+    "room_above",
+    "split_range",
+]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -59,9 +67,56 @@ def make_references(begin, end, corners, prim_ids, bound, boxes, bounds):
 
 
 @device
-def _copy_box(to, source):
+def copy_box(to, source):
+    """Copy the box at an address to another one."""
     for k in range(np.uint64(6)):
         store(to + k * WORD, load(np.float32, source + k * WORD))
+
+
+@device
+def part_reference(box, triangle, bound, step, position, to_below, to_above):
+    """Say on which sides of a plane a reference is, and write its boxes there.
+
+    Parameters
+    ----------
+    box : uint64
+        Address of its box.
+    triangle, bound
+        See `clip.tighten`.
+    step : uint64
+        Bytes from a box's x to the plane's axis.
+    position : float32
+        The plane's.
+    to_below, to_above : uint64
+        Addresses of room for a box each; `to_above` may be `box`.
+
+    Returns
+    -------
+    is_below, is_above : bool
+    """
+    low, high = load(np.float32, box + step), load(np.float32, box + HIGH + step)
+    is_above = high > position
+    is_below = low < position or not is_above
+    is_cut = is_above and is_below
+    if is_below:
+        copy_box(to_below, box)
+        if is_cut:
+            store(to_below + HIGH + step, position)
+            is_below = tighten(triangle, bound, to_below)
+    if is_above:
+        copy_box(to_above, box)
+        if is_cut:
+            store(to_above + step, position)
+            # Rounding must not lose it on both sides.
+            is_above = tighten(triangle, bound, to_above) or not is_below
+    return is_below, is_above
+
+
+@device
+def room_above(room, below_count, above_count):
+    """A split cell's room for references above the plane: in proportion, but enough for both."""
+    above = room * above_count // max(below_count + above_count, _ONE)
+    return min(max(above, above_count), room - below_count)
 
 
 @device_call
@@ -79,26 +134,13 @@ def _partition(boxes, ids, begin, end, axis, position, corners, bound):
     for i in range(begin, end):
         box, prim_id = boxes + i * BOX_BYTES, load(np.int32, ids + i * WORD)
         triangle = corners + np.uint64(prim_id) * _TRIANGLE
-        low, high = load(np.float32, box + step), load(np.float32, box + HIGH + step)
-        is_above = high > position
-        is_below = low < position or not is_above
-        is_cut = is_above and is_below
-        if is_below:
-            to = boxes + below * BOX_BYTES
-            _copy_box(to, box)
-            if is_cut:
-                store(to + HIGH + step, position)
-                is_below = tighten(triangle, bound, to)
+        to_below, to_above = boxes + below * BOX_BYTES, boxes + above * BOX_BYTES
+        is_below, is_above = part_reference(
+            box, triangle, bound, step, position, to_below, to_above
+        )
         if is_above:
-            to = boxes + above * BOX_BYTES
-            _copy_box(to, box)
-            if is_cut:
-                store(to + step, position)
-                # Rounding must not lose it on both sides.
-                is_above = tighten(triangle, bound, to) or not is_below
-            if is_above:
-                store(ids + above * WORD, prim_id)
-                above += _ONE
+            store(ids + above * WORD, prim_id)
+            above += _ONE
         if is_below:
             store(ids + below * WORD, prim_id)
             below += _ONE
@@ -236,7 +278,7 @@ def grow_subtree(
     _put_pending(
         pending, _NONE, np.uint64(count), _NONE, np.uint64(depth), np.uint64(bad_splits), first_room
     )
-    _copy_box(pending + _CELL_AT, address(cell))
+    copy_box(pending + _CELL_AT, address(cell))
     node_end, block = _ONE, _NONE
     top = pending + _PENDING
     while top != pending:
@@ -268,16 +310,13 @@ def grow_subtree(
         # Those below move down, so that all free rows are behind them.
         below_count = below_end - end
         for i in range(below_count):
-            _copy_box(box_at + (above_end + i) * BOX_BYTES, box_at + (end + i) * BOX_BYTES)
+            copy_box(box_at + (above_end + i) * BOX_BYTES, box_at + (end + i) * BOX_BYTES)
             store(id_at + (above_end + i) * WORD, load(np.int32, id_at + (end + i) * WORD))
         below_end = above_end + below_count
-        # Both parts get room in proportion, and at least what they have: choose_split has
-        # seen to it that there is enough.
-        above_room = left_room * (above_end - begin) // max(below_end - begin, _ONE)
-        above_room = max(above_room, above_end - begin)
-        above_room = min(above_room, left_room - below_count)
+        # choose_split has seen to it that there is enough room.
+        above_room = room_above(left_room, below_count, above_end - begin)
         below = top + _PENDING
-        _copy_box(below + _CELL_AT, top + _CELL_AT)
+        copy_box(below + _CELL_AT, top + _CELL_AT)
         step = axis * WORD
         store(top + _CELL_AT + step, position)
         store(below + _CELL_AT + HIGH + step, position)
