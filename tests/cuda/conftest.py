@@ -2,14 +2,73 @@
 
 from __future__ import annotations
 
+import ctypes
+
+import numpy as np
 import pytest
 
 from conftest import skip_without_cuda
-from raystream.jit.cuda import Gpu, open_gpu
+from raystream.jit.cuda import Gpu, RangeKernel, is_simulated, open_gpu
+from raystream.jit.loops import compile_loop
 
 
 @pytest.fixture
 def gpu() -> Gpu:
     """The device that tracers use."""
     skip_without_cuda()
+    return open_gpu()
+
+
+def _rows(address, count, dtype):
+    """An array at an address of the simulated device."""
+    room = ctypes.c_char * (count * np.dtype(dtype).itemsize)
+    return np.frombuffer(room.from_address(int(address)), dtype)
+
+
+_LOOP = """
+def loop(count, arguments):
+    for i in range(count):
+        function(i, *arguments)
+"""
+
+
+def _launch(kernel, _gpu, count, arguments, stream=None):
+    if count:
+        loop = compile_loop(_LOOP, kernel.function, {}, __name__)
+        loop(np.uint64(count), arguments)
+
+
+def _scan(_scan, values, count, out, dtype):
+    sums = np.cumsum(_rows(values, count, dtype), dtype=dtype)
+    to = _rows(out, count + 1, dtype)
+    to[0], to[1:] = 0, sums
+
+
+def _sort(_gpu, keys, values, _bits):
+    order = np.argsort(keys.host(), kind="stable")
+    keys.fill(keys.host()[order])
+    values.fill(values.host()[order])
+    return keys, values
+
+
+@pytest.fixture
+def simple_sort(monkeypatch):
+    """NumPy's sort and sum, where the device is simulated."""
+    if is_simulated():
+        from raystream.cuda.builders import lists, records
+        from raystream.cuda.builders.graph import sectors
+        from raystream.jit.cuda.scan import Scan
+
+        monkeypatch.setattr(Scan, "run", _scan)
+        monkeypatch.setattr(sectors, "sort_pairs", _sort)
+        monkeypatch.setattr(lists, "sort_pairs", _sort)
+        monkeypatch.setattr(records, "sort_pairs", _sort)
+
+
+@pytest.fixture
+def device(simple_sort, monkeypatch):
+    """The device; a simulated one runs loops."""
+    skip_without_cuda()
+    if is_simulated():
+        monkeypatch.setattr(RangeKernel, "launch", _launch)
     return open_gpu()

@@ -7,75 +7,18 @@ NumPy's sort and sum in place of the device's (`test_primitives` has those).
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 import pytest
 
 import raystream as rs
 from cases import CASES
-from conftest import skip_without_cuda
-from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated, open_gpu
-from raystream.jit.loops import compile_loop
+from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated
 from raystream.structures.bvh.layout import BvhArrays, aligned_array, check_arrays
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.structure import hittable_corners, trace_cost
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
 METHODS = ("clusters", "linear")
-
-
-def _rows(address, count, dtype):
-    """An array at an address of the simulated device."""
-    room = ctypes.c_char * (count * np.dtype(dtype).itemsize)
-    return np.frombuffer(room.from_address(int(address)), dtype)
-
-
-_LOOP = """
-def loop(count, arguments):
-    for i in range(count):
-        function(i, *arguments)
-"""
-
-
-def _launch(kernel, _gpu, count, arguments, stream=None):
-    if count:
-        loop = compile_loop(_LOOP, kernel.function, {}, __name__)
-        loop(np.uint64(count), arguments)
-
-
-def _scan(_scan, values, count, out, dtype):
-    sums = np.cumsum(_rows(values, count, dtype), dtype=dtype)
-    to = _rows(out, count + 1, dtype)
-    to[0], to[1:] = 0, sums
-
-
-def _sort(_gpu, keys, values, _bits):
-    order = np.argsort(keys.host(), kind="stable")
-    keys.fill(keys.host()[order])
-    values.fill(values.host()[order])
-    return keys, values
-
-
-@pytest.fixture
-def simple_sort(monkeypatch):
-    """NumPy's sort and sum, where the device is simulated."""
-    if is_simulated():
-        from raystream.cuda.builders import lists, records
-        from raystream.jit.cuda.scan import Scan
-
-        monkeypatch.setattr(Scan, "run", _scan)
-        monkeypatch.setattr(lists, "sort_pairs", _sort)
-        monkeypatch.setattr(records, "sort_pairs", _sort)
-
-
-@pytest.fixture
-def device(simple_sort, monkeypatch):
-    """The device; a simulated one runs loops."""
-    skip_without_cuda()
-    if is_simulated():
-        monkeypatch.setattr(RangeKernel, "launch", _launch)
-    return open_gpu()
 
 
 def built(scene, structure, **options):
@@ -344,7 +287,7 @@ def test_no_triangles(device):
     ("structure", "options", "message"),
     [
         ("bvh", {"build": "there"}, "build: expected 'host' or 'device', got 'there'"),
-        ("kdtree", {}, "build: 'device' builds 'bvh' and 'grid', not 'kdtree'"),
+        ("kdtree", {}, "build: 'device' builds 'bvh', 'graph', 'grid', not 'kdtree'"),
         ("bvh", {"method": "best"}, "method: expected one of 'clusters', 'linear', got 'best'"),
         ("bvh", {"max_leaf_size": 33}, "max_leaf_size: expected 1 to 32, got 33"),
         ("grid", {"levels": 2}, "levels: expected 1 where build='device', got 2"),
@@ -380,11 +323,28 @@ _USUAL = (
     "move_leaves",
     "scan_tiles_64",
     "scatter_32",
+    "try_planes",
+    "place_parts",
+    "fill_raw",
+    "share_covered",
+)
+
+TREE_KERNELS = (
+    *("try_planes", "choose_plane", "make_reference", "count_cut", "confirm", "count_parts"),
+    *("make_cells", "place_parts", "count_below", "mark_large", "begin_rows", "number_children"),
+)
+GRAPH_KERNELS = (
+    *("place_list", "weigh", "cut", "place_cells", "place_nodes", "mark_leaf", "list_leaf"),
+    *("number_sector", "write_sector", "fill_bin", "fill_block", "find_node_axes", "count_raw"),
+    *("spread_covered", "mark_covered", "put_covered", "share_covered", "fill_raw", "put_raw"),
+    *("share_raw", "place_links", "mark_first", "write_link_node"),
 )
 _KERNELS = (
     *("count_cells", "fill_pairs", "find_split", "make_key", "make_leaf", "link", "clear", "climb"),
     *("begin_cluster", "find_match", "count_places", "merge", "count_lanes", "give_rows"),
     *("write_node", "move_leaves", "move_nodes", "add_costs"),
+    *TREE_KERNELS,
+    *GRAPH_KERNELS,
     *("add_tiles_32", "scan_tiles_32", "count_digits_32", "scatter_32"),
     *("add_tiles_64", "scan_tiles_64", "count_digits_64", "scatter_64"),
 )

@@ -13,7 +13,7 @@ from raystream.structures import Structure
 __all__ = ["BUILT_ON_DEVICE", "build_structure"]
 
 #: Structures that the device can build.
-BUILT_ON_DEVICE = ("bvh", "grid")
+BUILT_ON_DEVICE = ("bvh", "graph", "grid")
 
 
 def build_structure(
@@ -39,7 +39,8 @@ def build_structure(
     gpu : int
         Which device.
     **options
-        Of the structure: see `cuda.builders.bvh.build_bvh` and `cuda.builders.grid.build_grid`.
+        Of the structure: see `cuda.builders.bvh.build_bvh`, `cuda.builders.grid.build_grid` and
+        `cuda.builders.graph.structure.build_graph`.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def build_structure(
     if build != "device":
         raise ValueError(f"build: expected 'host' or 'device', got {build!r}")
     if name not in BUILT_ON_DEVICE:
-        known = " and ".join(map(repr, BUILT_ON_DEVICE))
+        known = ", ".join(map(repr, BUILT_ON_DEVICE))
         raise ValueError(f"build: 'device' builds {known}, not {name!r}; use build='host'")
     from raystream.cuda.builders import BUILDERS
 

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from raystream.jit.cpu import device
 from raystream.jit.simd.cuda_names import is_cuda
-from raystream.jit.simd.memory import pointer_to
+from raystream.jit.simd.memory import load, pointer_to
 
-__all__ = ["add_atomically", "add_together", "fence"]
+__all__ = ["add_atomically", "add_together", "fence", "note_greatest", "swap_if"]
 
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
@@ -67,6 +69,41 @@ def add_together(typing_context: Any, at: Any, amount: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(at, amount), generate
+
+
+@intrinsic
+def _keep_greatest(typing_context: Any, at: Any, number: Any) -> Any:
+    if at != types.uint64 or number != types.uint32:
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = pointer_to(builder, arguments[0], _I32)
+        builder.atomic_rmw("umax", place, arguments[1], "monotonic")
+        return context.get_dummy_value()
+
+    return types.void(at, number), generate
+
+
+@device
+def note_greatest(at, number):
+    """Replace the uint32 at an address by a number, if that is greater; several threads may."""
+    # What is there only grows: most threads see that they need not write.
+    if load(np.uint32, at) < number:
+        _keep_greatest(at, number)
+
+
+@intrinsic
+def swap_if(typing_context: Any, at: Any, expected: Any, number: Any) -> Any:
+    """Replace the uint32 at an address if it is what is expected; returns what was there."""
+    if at != types.uint64 or expected != types.uint32 or number != types.uint32:
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = pointer_to(builder, arguments[0], _I32)
+        swapped = builder.cmpxchg(place, arguments[1], arguments[2], "monotonic", "monotonic")
+        return builder.extract_value(swapped, 0)
+
+    return types.uint32(at, expected, number), generate
 
 
 @intrinsic

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from raystream.cuda.builders.bvh import build_bvh
+from raystream.cuda.builders.graph.structure import build_graph
 from raystream.cuda.builders.grid import build_grid
 
-__all__ = ["BUILDERS", "build_bvh", "build_grid"]
+__all__ = ["BUILDERS", "build_bvh", "build_graph", "build_grid"]
 
 
 def _with_options(build: Callable[..., Any]) -> tuple[Callable[..., Any], tuple[str, ...]]:
@@ -17,4 +18,8 @@ def _with_options(build: Callable[..., Any]) -> tuple[Callable[..., Any], tuple[
 
 
 #: Builders by the structure's name, and the options that each has.
-BUILDERS = {"bvh": _with_options(build_bvh), "grid": _with_options(build_grid)}
+BUILDERS = {
+    "bvh": _with_options(build_bvh),
+    "graph": _with_options(build_graph),
+    "grid": _with_options(build_grid),
+}

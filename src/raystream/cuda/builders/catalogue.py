@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders import clusters, linear, lists, moving, records, wide
+from raystream.cuda.builders.graph.catalogue import graph_catalogue
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.cuda.blocks import BlockKernel
 from raystream.jit.cuda.radix import sort_kernels
@@ -48,6 +49,7 @@ def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         (moving.KERNELS.move_leaves, at(4)),
         (moving.KERNELS.move_nodes, at(2)),
         (moving.KERNELS.add_costs, at(4)),
+        *graph_catalogue(),
     ]
     return {kernel.name.strip("_"): (kernel, arguments) for kernel, arguments in chosen}
 

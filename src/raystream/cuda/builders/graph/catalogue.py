@@ -1,0 +1,88 @@
+"""The kernels that build trees and graphs of sectors, with arguments of the right types."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raystream.cuda.builders.graph import linking, pruning, sectors, sharing
+from raystream.cuda.builders.kdtree import parting, planes, rows
+from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
+from raystream.jit.cuda import RangeKernel
+from raystream.structures.graph.behind import Tree
+from raystream.structures.graph.prune import Chosen
+from raystream.structures.kdtree.split import Costs
+
+__all__ = ["graph_catalogue"]
+
+_AT = np.uint64(0)
+_COSTS = Costs(*(np.float64(0.0),) * 4)
+
+
+def graph_catalogue() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
+    """Kernels, and arguments that are good for their types alone."""
+    return [*_of_trees(), *_of_sectors(), *_of_links()]
+
+
+def _at(count: int) -> tuple[np.uint64, ...]:
+    return (_AT,) * count
+
+
+def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
+    refs, level, tried = planes.References(*_at(3)), planes.Level(*_at(4)), planes.Tried(*_at(4))
+    choices, counts, made = planes.Choices(*_at(4)), parting.Counts(*_at(2)), parting.Made(*_at(3))
+    numbering = rows.Numbering(*_at(5))
+    bound = np.float64(0.0)
+    return [
+        (planes.KERNELS.try_planes, (refs, level, _COSTS, _AT, tried)),
+        (planes.KERNELS.choose_plane, (level, _COSTS, _AT, tried, choices)),
+        (parting.KERNELS.make_reference, (*_at(2), np.float32(0.0), refs)),
+        (parting.KERNELS.count_cut, (refs, choices)),
+        (parting.KERNELS.confirm, (level, choices, counts)),
+        (parting.KERNELS.count_parts, (refs, choices, _AT, bound, counts)),
+        (parting.KERNELS.make_cells, (level, choices, counts, made, *_at(2), level)),
+        (
+            parting.KERNELS.place_parts,
+            (refs, level, choices, _AT, bound, counts, made, _AT, refs),
+        ),
+        (rows.KERNELS.count_below, (*_at(2), numbering)),
+        (rows.KERNELS.mark_large, (*_at(3), numbering, _AT)),
+        (rows.KERNELS.begin_rows, (*_at(5), numbering)),
+        (rows.KERNELS.number_children, (*_at(4), numbering)),
+    ]
+
+
+def _of_sectors() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
+    chosen = Chosen(*_at(4))
+    return [
+        (pruning.KERNELS.place_list, (*_at(5), _COSTS, chosen)),
+        (pruning.KERNELS.weigh, (*_at(3), _COSTS, chosen, *_at(4))),
+        (pruning.KERNELS.cut, (_AT, chosen)),
+        (sectors.KERNELS.place_cells, _at(7)),
+        (sectors.KERNELS.place_nodes, _at(6)),
+        (sectors.KERNELS.mark_leaf, _at(3)),
+        (sectors.KERNELS.list_leaf, _at(6)),
+        (sectors.KERNELS.number_sector, _at(4)),
+        (sectors.KERNELS.write_sector, _at(7)),
+        (sectors.KERNELS.fill_bin, _at(8)),
+        (FILL_BLOCK, _at(3)),
+    ]
+
+
+def _of_links() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
+    tree, raw, table = Tree(*_at(4)), linking.Raw(*_at(5)), sharing.Table(*_at(6))
+    return [
+        (linking.KERNELS.find_node_axes, _at(3)),
+        (linking.KERNELS.count_raw, (_AT, tree, *_at(2))),
+        (linking.KERNELS.spread_covered, _at(3)),
+        (linking.KERNELS.mark_covered, _at(5)),
+        (linking.KERNELS.put_covered, (*_at(8), table)),
+        (linking.KERNELS.share_covered, (*_at(7), table)),
+        (linking.KERNELS.fill_raw, (_AT, tree, *_at(3), raw, _AT)),
+        (linking.KERNELS.put_raw, (*_at(2), raw, table)),
+        (linking.KERNELS.share_raw, (_AT, raw, table)),
+        (linking.KERNELS.place_links, (_AT, raw, table, _AT)),
+        (sharing.KERNELS.mark_first, (table,)),
+        (sharing.KERNELS.write_link_node, (table, _AT)),
+    ]

@@ -1,0 +1,164 @@
+"""The links of sectors, found for all sectors together.
+
+Subtrees that a face covers get their link nodes level by level from the leaves up, all others
+(raw nodes) by height: first those that link to sectors and covered subtrees alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.cuda.builders.graph.linking import KERNELS, Raw
+from raystream.cuda.builders.graph.sectors import Ordered
+from raystream.cuda.builders.graph.sharing import LinkTable
+from raystream.cuda.builders.kdtree.grow import GrownTree
+from raystream.jit.cuda import DeviceArray, Gpu
+from raystream.jit.cuda.scan import Scan
+from raystream.structures.graph.behind import Tree
+from raystream.structures.graph.layout import SECTOR_ROWS
+from raystream.structures.graph.links import batches
+
+__all__ = ["Linked", "link_sectors"]
+
+
+class Linked(NamedTuple):
+    """The links of a graph, before they are written.
+
+    Attributes
+    ----------
+    table : LinkTable
+        With its rows given.
+    node_count : int
+        Link nodes.
+    raw : Raw
+    links : DeviceArray of shape (S, 6), uint64
+        Raw links.
+    kept : tuple of DeviceArray
+        What `raw` is in.
+    """
+
+    table: LinkTable
+    node_count: int
+    raw: Raw
+    links: DeviceArray
+    kept: tuple[DeviceArray, ...]
+
+    def write(self, gpu: Gpu, rows: DeviceArray) -> None:
+        """Begin to write them to the rows of a graph, which has its sectors."""
+        given = self.links.address, self.raw, self.table.at, rows.address
+        KERNELS.place_links.launch(gpu, len(self.links), given)
+        self.table.write(rows)
+
+
+def link_sectors(gpu: Gpu, grown: GrownTree, ordered: Ordered) -> Linked:
+    """Link the sectors of a pruned tree.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    grown : GrownTree
+        Pruned.
+    ordered : Ordered
+        With its sectors numbered.
+
+    Returns
+    -------
+    Linked
+        With the CPU's order of link nodes.
+
+    Raises
+    ------
+    ValueError
+        If there are more rows than links can reach.
+    CudaError
+        If there is no memory for them: about 70 bytes for each raw node.
+    """
+    return _Linker(gpu, grown, ordered).link()
+
+
+class _Linker:
+    def __init__(self, gpu: Gpu, grown: GrownTree, ordered: Ordered) -> None:
+        self.gpu, self.ordered = gpu, ordered
+        self.node_count, self.sector_count = len(grown.nodes), len(ordered.leaves)
+        self.levels = list(zip(grown.levels, grown.levels[1:], strict=False))
+        self.axes = gpu.empty("axes of subtrees", self.node_count, np.uint8)
+        self.is_covered = gpu.empty("covered faces", (self.node_count, 6), np.uint8)
+        self.covered = gpu.empty("links to covered", (self.node_count, 6), np.uint32)
+        gpu.clear(self.is_covered, self.is_covered.stream)
+        at = grown.nodes, self.axes, grown.boxes, ordered.ropes
+        self.tree = Tree(*(one.address for one in at))
+
+    def link(self) -> Linked:
+        firsts = self._count()
+        before, row_count = self._order_covered()
+        ends = np.array([0, *(firsts[end] for _, end in batches(firsts))], np.uint64)
+        covered_count = int(before.part(6 * row_count, 1).host()[0])
+        raw_count = int(firsts[-1])
+        table = LinkTable(self.gpu, covered_count + raw_count, SECTOR_ROWS * self.sector_count)
+        self._link_covered(before, row_count, table)
+        raw, links, kept = self._fill(raw_count, ends[1:], covered_count)
+        for height in range(1, int(kept[2].host()[0]) + 1):
+            of = np.uint64(height)
+            KERNELS.put_raw.launch(self.gpu, raw_count, (of, self.tree.nodes, raw, table.at))
+            KERNELS.share_raw.launch(self.gpu, raw_count, (of, raw, table.at))
+        return Linked(table, table.rank(), raw, links, kept)
+
+    def _count(self) -> NDArray[np.int64]:
+        """Count raw nodes, and mark all that covered subtrees need."""
+        gpu, count = self.gpu, self.sector_count
+        for first, end in reversed(self.levels):
+            given = np.uint64(first), self.tree.nodes, self.axes.address
+            KERNELS.find_node_axes.launch(gpu, end - first, given)
+        self.firsts = gpu.empty("first raw nodes", count + 1, np.uint64)
+        leaves, marks = self.ordered.leaves.address, self.is_covered.address
+        KERNELS.count_raw.launch(gpu, count, (leaves, self.tree, marks, self.firsts.address))
+        Scan(gpu, count).run(self.firsts.address, count, self.firsts.address, np.uint64)
+        for first, end in self.levels:
+            given = np.uint64(first), self.tree.nodes, marks
+            KERNELS.spread_covered.launch(gpu, end - first, given)
+        return self.firsts.host().view(np.int64)
+
+    def _order_covered(self) -> tuple[DeviceArray, int]:
+        """How many link nodes of covered subtrees there are before each row and face."""
+        row_count = len(self.ordered.by_row)
+        before = self.gpu.empty("covered link nodes", 6 * row_count + 1, np.uint32)
+        given = self.ordered.by_row.address, np.uint64(row_count), self.is_covered.address
+        KERNELS.mark_covered.launch(
+            self.gpu, 6 * row_count, (self.tree.nodes, *given, before.address)
+        )
+        scan = Scan(self.gpu, 6 * row_count)
+        scan.run(before.address, 6 * row_count, before.address, np.uint32)
+        return before, row_count
+
+    def _link_covered(self, before: DeviceArray, row_count: int, table: LinkTable) -> None:
+        nodes, sectors = self.tree.nodes, self.ordered.sectors.address
+        order = self.ordered.rows.address, np.uint64(row_count), before.address
+        to = self.covered.address, table.at
+        marks = self.is_covered.address
+        for first, end in reversed(self.levels):
+            begin, count = np.uint64(first), end - first
+            given = begin, nodes, sectors, marks, *order, *to
+            KERNELS.put_covered.launch(self.gpu, count, given)
+            KERNELS.share_covered.launch(self.gpu, count, (begin, nodes, marks, *order, *to))
+
+    def _fill(
+        self, raw_count: int, ends: NDArray[np.uint64], first: int
+    ) -> tuple[Raw, DeviceArray, tuple[DeviceArray, ...]]:
+        """Begin to write raw nodes and raw links."""
+        gpu, ordered = self.gpu, self.ordered
+        kept = (
+            gpu.empty("raw nodes", (raw_count, 3), np.uint64),
+            gpu.empty("heights of raw nodes", raw_count, np.uint8),
+            gpu.upload("greatest height", np.zeros(1, np.uint32)),
+            gpu.upload("batches", ends),
+        )
+        nodes, heights, tops, begun = (one.address for one in kept)
+        raw = Raw(nodes, heights, tops, begun, np.uint64(first))
+        links = gpu.empty("raw links", (self.sector_count, 6), np.uint64)
+        given = self.ordered.leaves.address, self.tree, ordered.sectors.address
+        to = self.covered.address, self.firsts.address, raw, links.address
+        KERNELS.fill_raw.launch(gpu, self.sector_count, (*given, *to))
+        return raw, links, kept

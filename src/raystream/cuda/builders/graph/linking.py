@@ -1,0 +1,265 @@
+"""The kernels that link sectors; `linker` says in which order they run."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.graph.sharing import (
+    LINK,
+    final_link,
+    put_candidate,
+    share_slot,
+)
+from raystream.jit.atomics import note_greatest
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.simd import load, scratch, store
+from raystream.structures.clip import WORD
+from raystream.structures.graph.behind import (
+    PENDING_BYTES,
+    count_behind,
+    fill_behind,
+    find_axes,
+    spread_marks,
+)
+from raystream.structures.graph.cells import NODE_BYTES, ROPE_BYTES, split_of
+from raystream.structures.graph.layout import SECTOR_ROWS, VOID
+from raystream.structures.graph.links import LINKS_AT, RAW_LINKS
+from raystream.structures.graph.order import SECTOR_BYTES
+from raystream.structures.graph.share import RAW
+from raystream.structures.kdtree.layout import LEAF_AXIS
+
+__all__ = ["KERNELS", "Raw"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_SIX = np.uint64(6)
+_LONG = np.uint64(8)
+_ROW = np.uint64(16)
+_RAW_BYTES = np.uint64(24)
+_RAW_BIT = np.uint64(RAW)
+_ROWS = np.uint64(SECTOR_ROWS)
+_VOID = np.uint64(VOID)
+_LEAF = np.uint64(LEAF_AXIS)
+_YES = np.uint8(1)
+_INF = np.float32(np.inf)
+
+
+class Raw(NamedTuple):
+    """Raw nodes, on a device.
+
+    Attributes
+    ----------
+    nodes : uint64
+        Address of three uint64 each: the node of the tree, which becomes the link to it, and its
+        raw links.
+    heights : uint64
+        Address of a byte each: 1 for those that link to no raw node, and so on.
+    tops : uint64
+        Address of the greatest height, uint32.
+    ends : uint64
+        Address of where the CPU's batches end, uint64.
+    first : uint64
+        The candidate with which they begin.
+    """
+
+    nodes: np.uint64
+    heights: np.uint64
+    tops: np.uint64
+    ends: np.uint64
+    first: np.uint64
+
+
+@device
+def _leaf_of(leaves, sector):
+    return np.uint64(load(np.uint32, leaves + sector * WORD))
+
+
+@device
+def _is_marked(is_covered, node, face):
+    return load(np.uint8, is_covered + node * _SIX + face) == _YES
+
+
+@kernel
+def _find_node_axes(i, first, nodes, axes):
+    """Find the axes of the splits below node first + i, whose children are done."""
+    find_axes(nodes, first + i, axes)
+
+
+@kernel
+def _count_raw(sector, leaves, tree, is_covered, counts):
+    """Count the raw nodes of a sector, and mark subtrees that a face covers."""
+    pending = scratch(PENDING_BYTES)
+    count = count_behind(_leaf_of(leaves, sector), tree, is_covered, pending)
+    store(counts + sector * _LONG, np.uint64(count))
+
+
+@kernel
+def _spread_covered(i, first, nodes, is_covered):
+    """Mark what the link nodes of node first + i need, if it is covered."""
+    spread_marks(nodes, first + i, is_covered)
+
+
+@device
+def _makes_node(nodes, node, face, is_covered):
+    """Whether a covered subtree has a link node of its own."""
+    axis, _, _ = split_of(nodes, node)
+    return axis != _LEAF and axis != face >> _ONE and _is_marked(is_covered, node, face)
+
+
+@kernel
+def _mark_covered(i, nodes, by_row, row_count, is_covered, marks):
+    """Mark what becomes a link node, in the CPU's order: last rows first, and of each six faces."""
+    row = row_count - _ONE - i // _SIX
+    node = np.uint64(load(np.uint32, by_row + row * WORD))
+    found = _makes_node(nodes, node, i % _SIX, is_covered)
+    store(marks + i * WORD, np.uint32(_ONE if found else _NONE))
+
+
+@device
+def _candidate(node, face, rows, row_count, before):
+    row = np.uint64(load(np.uint32, rows + node * WORD))
+    at = (row_count - _ONE - row) * _SIX + face
+    return np.uint64(load(np.uint32, before + at * WORD))
+
+
+@kernel
+def _put_covered(i, first, nodes, sectors, is_covered, rows, row_count, before, covered, table):
+    """Write the links to node first + i where they are no new nodes, and the contents of those."""
+    node = first + i
+    axis, child, _ = split_of(nodes, node)
+    plane_bits = np.uint64(load(np.uint32, nodes + node * NODE_BYTES))
+    for face in range(_SIX):
+        if not _is_marked(is_covered, node, face):
+            continue
+        to = covered + node * ROPE_BYTES + face * WORD
+        below = covered + child * ROPE_BYTES + face * WORD
+        above = below + ROPE_BYTES
+        if axis == _LEAF:
+            sector = np.uint64(load(np.uint32, sectors + node * WORD))
+            store(to, np.uint32(sector * _ROWS))
+        elif face >> _ONE == axis:
+            store(to, load(np.uint32, above if face & _ONE == _NONE else below))
+        else:
+            candidate = _candidate(node, face, rows, row_count, before)
+            less, more = np.uint64(load(np.uint32, below)), np.uint64(load(np.uint32, above))
+            put_candidate(table, candidate, plane_bits, axis, less, more)
+
+
+@kernel
+def _share_covered(i, first, nodes, is_covered, rows, row_count, before, covered, table):
+    """Find the slots of the link nodes of node first + i."""
+    node = first + i
+    for face in range(_SIX):
+        if _makes_node(nodes, node, face, is_covered):
+            slot = share_slot(table, _candidate(node, face, rows, row_count, before))
+            store(covered + node * ROPE_BYTES + face * WORD, np.uint32(LINK | slot))
+
+
+@device
+def _height(raw, link):
+    if link & _RAW_BIT == _NONE:
+        return _NONE
+    return np.uint64(load(np.uint8, raw.heights + (link ^ _RAW_BIT)))
+
+
+@kernel
+def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
+    """Write the raw nodes and raw links of a sector, and how high they are."""
+    pending = scratch(PENDING_BYTES)
+    at = firsts + sector * _LONG
+    first, number = load(np.uint64, at), load(np.uint64, at + _LONG)
+    leaf, to = _leaf_of(leaves, sector), links + sector * RAW_LINKS
+    fill_behind(leaf, tree, sectors, covered, first, raw.nodes, to, pending)
+    highest = _NONE
+    while number != first:
+        number -= _ONE
+        node = raw.nodes + number * _RAW_BYTES
+        below, above = load(np.uint64, node + _LONG), load(np.uint64, node + _ROW)
+        height = max(_height(raw, below), _height(raw, above)) + _ONE
+        store(raw.heights + number, np.uint8(height))
+        highest = max(highest, height)
+    note_greatest(raw.tops, np.uint32(highest))
+
+
+@device
+def _raw_candidate(raw, i):
+    """Batches are in the order of sectors, and each is gone through from its end."""
+    begin, at = _NONE, raw.ends
+    while load(np.uint64, at) <= i:
+        begin = load(np.uint64, at)
+        at += _LONG
+    return raw.first + begin + load(np.uint64, at) - _ONE - i
+
+
+@device
+def _resolved(raw, link):
+    if link & _RAW_BIT:
+        return load(np.uint64, raw.nodes + (link ^ _RAW_BIT) * _RAW_BYTES)
+    return link
+
+
+@kernel
+def _put_raw(i, height, nodes, raw, table):
+    """Write the content of raw node i, if it is of a height."""
+    if np.uint64(load(np.uint8, raw.heights + i)) != height:
+        return
+    at = raw.nodes + i * _RAW_BYTES
+    node = load(np.uint64, at)
+    axis, _, _ = split_of(nodes, node)
+    plane_bits = np.uint64(load(np.uint32, nodes + node * NODE_BYTES))
+    below = _resolved(raw, load(np.uint64, at + _LONG))
+    above = _resolved(raw, load(np.uint64, at + _ROW))
+    put_candidate(table, _raw_candidate(raw, i), plane_bits, axis, below, above)
+
+
+@kernel
+def _share_raw(i, height, raw, table):
+    """Find the slot of raw node i, if it is of a height."""
+    if np.uint64(load(np.uint8, raw.heights + i)) == height:
+        slot = share_slot(table, _raw_candidate(raw, i))
+        store(raw.nodes + i * _RAW_BYTES, LINK | slot)
+
+
+@kernel
+def _place_links(sector, links, raw, table, rows):
+    """Write a sector's links; planes without a sector behind go to infinity."""
+    row = rows + sector * SECTOR_BYTES
+    for face in range(_SIX):
+        link = _resolved(raw, load(np.uint64, links + sector * RAW_LINKS + face * _LONG))
+        store(row + LINKS_AT + face * WORD, np.uint32(final_link(table, link)))
+        if link == _VOID:
+            plane = row + (face >> _ONE) * WORD
+            if face & _ONE == _NONE:
+                store(plane, -_INF)
+            else:
+                store(plane + _ROW, _INF)
+
+
+class _Kernels(NamedTuple):
+    find_node_axes: RangeKernel
+    count_raw: RangeKernel
+    spread_covered: RangeKernel
+    mark_covered: RangeKernel
+    put_covered: RangeKernel
+    share_covered: RangeKernel
+    fill_raw: RangeKernel
+    put_raw: RangeKernel
+    share_raw: RangeKernel
+    place_links: RangeKernel
+
+
+KERNELS = _Kernels(
+    RangeKernel(_find_node_axes),
+    RangeKernel(_count_raw),
+    RangeKernel(_spread_covered),
+    RangeKernel(_mark_covered),
+    RangeKernel(_put_covered),
+    RangeKernel(_share_covered),
+    RangeKernel(_fill_raw),
+    RangeKernel(_put_raw),
+    RangeKernel(_share_raw),
+    RangeKernel(_place_links),
+)

@@ -1,0 +1,164 @@
+"""Taking back splits that did not pay, level by level from the leaves up.
+
+The CPU goes over the nodes one after the other, and stops to join leaves when its memory for new
+lists is full. Here all are joined that pay; then a scan of the new lists' sizes in the CPU's order
+says from where on there was none left, and where that is so, it is done again up to there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.kdtree.grow import GrownTree, as_numbers
+from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.scan import Scan
+from raystream.jit.simd import load, scratch, store
+from raystream.structures.clip import WORD
+from raystream.structures.graph.cells import NODE_BYTES
+from raystream.structures.graph.prune import (
+    PENDING_BYTES,
+    UNION_BYTES,
+    Chosen,
+    put_leaf,
+    weigh_split,
+)
+from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.structures.kdtree.split import Costs
+
+__all__ = ["KERNELS", "Lists", "prune"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_LONG = np.uint64(8)
+_LEAF = np.uint64(LEAF_AXIS)
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+class Lists(NamedTuple):
+    """The triangles of leaves, on a device.
+
+    Attributes
+    ----------
+    ids : DeviceArray, int32
+        prim_ids, for each leaf of the tree that was grown with room for whole blocks of four.
+    lists : DeviceArray of shape (M,), uint64
+        Addresses in it.
+    sizes : DeviceArray of shape (M,), uint32
+    """
+
+    ids: DeviceArray
+    lists: DeviceArray
+    sizes: DeviceArray
+
+
+@kernel
+def _place_list(node, nodes, boxes, tree_ids, places, ids, costs, chosen):
+    """Copy a leaf's list to its place in `ids`."""
+    axis, count = split_at(nodes, node)
+    if axis != _LEAF:
+        return
+    first = np.uint64(load(np.uint32, nodes + node * NODE_BYTES))
+    to = ids + np.uint64(load(np.uint32, places + node * WORD)) * WORD
+    for k in range(count):
+        store(to + k * WORD, load(np.int32, tree_ids + (first + k) * WORD))
+    put_leaf(node, boxes, costs, chosen, to, count)
+
+
+@kernel
+def _weigh(i, first, nodes, boxes, costs, chosen, rows, sizes, total, room):
+    """Make a leaf of node first + i if that pays; its children have been weighed.
+
+    `sizes` is where the sizes of new lists are written by the CPU's rows. Once they are scanned,
+    `total` is their sum, and lists are made only as long as those from their row on have room.
+    """
+    node = first + i
+    axis, _ = split_at(nodes, node)
+    if axis == _LEAF:
+        return
+    at = sizes + np.uint64(load(np.uint32, rows + node * WORD)) * _LONG
+    free = _ALL
+    if total > _NONE and total - load(np.uint64, at) > room:
+        free = _NONE
+    pending, union = scratch(PENDING_BYTES), scratch(UNION_BYTES)
+    size = weigh_split(node, nodes, boxes, costs, chosen, free, pending, union)
+    if total == _NONE:
+        store(at, size)
+
+
+@kernel
+def _cut(node, nodes, chosen):
+    """Make a leaf of a split that was chosen to be one."""
+    axis, _ = split_at(nodes, node)
+    if axis != _LEAF and load(np.uint32, chosen.leaf_counts + node * WORD) == np.uint32(1):
+        size = np.uint64(load(np.uint32, chosen.sizes + node * WORD))
+        store(nodes + node * NODE_BYTES + WORD, np.uint32(size << _TWO | _LEAF))
+
+
+class _Kernels(NamedTuple):
+    place_list: RangeKernel
+    weigh: RangeKernel
+    cut: RangeKernel
+
+
+KERNELS = _Kernels(
+    RangeKernel(_place_list),
+    RangeKernel(_weigh),
+    RangeKernel(_cut),
+)
+
+
+def prune(gpu: Gpu, tree: GrownTree, numbers: Numbers, costs: Costs) -> Lists:
+    """Make leaves of splits that did not pay.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    tree : GrownTree
+        Its nodes are changed; those below a new leaf stay.
+    numbers : Numbers
+        Of it.
+    costs : Costs
+        Those that it was grown by.
+
+    Returns
+    -------
+    Lists
+        Those of leaves that are none any more do not matter.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for them.
+    """
+    count = len(tree.nodes)
+    (room,) = (int(one) for one in numbers.rooms.part(0, 1).host())
+    ids = gpu.empty("lists of sectors", room, np.int32)
+    leaf_counts, sizes = (gpu.empty(name, count, np.uint32) for name in ("leaves", "sizes"))
+    lists = gpu.empty("lists", count, np.uint64)
+    prices = gpu.empty("prices", count, np.float64)
+    chosen = Chosen(*(one.address for one in (leaf_counts, lists, sizes, prices)))
+    used = gpu.empty("sizes of new lists", count + 1, np.uint64)
+    gpu.clear(used, used.stream)
+    nodes, boxes, typed = tree.nodes.address, tree.boxes.address, as_numbers(costs)
+    levels = list(zip(tree.levels, tree.levels[1:], strict=False))
+
+    def weigh_all(total: int) -> None:
+        places = tree.ids.address, numbers.places.address, ids.address
+        KERNELS.place_list.launch(gpu, count, (nodes, boxes, *places, typed, chosen))
+        limits = numbers.rows.address, used.address, np.uint64(total), np.uint64(room)
+        for first, end in reversed(levels):
+            given = np.uint64(first), nodes, boxes, typed, chosen, *limits
+            KERNELS.weigh.launch(gpu, end - first, given)
+
+    weigh_all(0)
+    Scan(gpu, count).run(used.address, count, used.address, np.uint64)
+    total = int(used.part(count, 1).host()[0])
+    if total > room:
+        weigh_all(total)
+    KERNELS.cut.launch(gpu, count, (nodes, chosen))
+    return Lists(ids, lists, sizes)

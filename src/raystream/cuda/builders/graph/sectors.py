@@ -1,0 +1,232 @@
+"""The sectors of a graph: the leaves of a tree, their ropes, their order and their rows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.graph.pruning import Lists
+from raystream.cuda.builders.kdtree.grow import GrownTree
+from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.cuda.scan import Scan
+from raystream.jit.simd import load, store
+from raystream.structures.clip import BOX_BYTES, WORD
+from raystream.structures.graph.bins import leaf_at
+from raystream.structures.graph.cells import is_leaf, place_children
+from raystream.structures.graph.layout import SECTOR_ROWS
+from raystream.structures.graph.order import CODE_BITS, SECTOR_BYTES, code_of, fill_sector
+
+__all__ = ["KERNELS", "Ordered", "number_sectors", "order_sectors"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_THREE = np.uint64(3)
+_LANES = np.uint64(4)
+_LONG = np.uint64(8)
+_BLOCK_IDS = np.uint64(16)
+_ABSENT = np.int32(-1)
+_ROWS = np.uint64(SECTOR_ROWS)
+
+
+class Ordered(NamedTuple):
+    """Which leaf of a tree is which sector, on a device.
+
+    Attributes
+    ----------
+    leaves : DeviceArray of shape (S,), uint32
+        The node of each sector.
+    sectors : DeviceArray of shape (M,), uint32
+        The sector of each node that is a leaf.
+    ropes : DeviceArray of shape (M, 6), int32
+        See `structures.graph.cells.Cells`.
+    rows : DeviceArray of shape (M,), uint32
+        The row that the CPU gives to each node of the pruned tree.
+    by_row : DeviceArray of shape (2 S - 1,), uint32
+        The node in each of these rows.
+    """
+
+    leaves: DeviceArray
+    sectors: DeviceArray
+    ropes: DeviceArray
+    rows: DeviceArray
+    by_row: DeviceArray
+
+
+@kernel
+def _place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
+    """Write the cells of the children of node first + i, if it is a split that is left."""
+    node = first + i
+    if load(np.uint8, is_in + node) == np.uint8(0) or is_leaf(nodes, node):
+        return
+    place_children(nodes, node, boxes, ropes)
+    _, child = split_at(nodes, node)
+    store(is_in + child, np.uint8(1))
+    store(is_in + child + _ONE, np.uint8(1))
+    store(marks + np.uint64(load(np.uint32, old_rows + node * WORD)) * WORD, np.uint32(1))
+
+
+@kernel
+def _place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
+    """Write the rows of a split's children: those of the first split's come first."""
+    if node == _NONE:
+        store(rows, np.uint32(0))
+        store(by_row, np.uint32(0))
+    if load(np.uint8, is_in + node) == np.uint8(0) or is_leaf(nodes, node):
+        return
+    old_row = np.uint64(load(np.uint32, old_rows + node * WORD))
+    rank = np.uint64(load(np.uint32, ranks + old_row * WORD))
+    _, child = split_at(nodes, node)
+    for side in range(np.uint64(2)):
+        row = (rank << _ONE) + _ONE + side
+        store(rows + (child + side) * WORD, np.uint32(row))
+        store(by_row + row * WORD, np.uint32(child + side))
+
+
+@kernel
+def _mark_leaf(row, nodes, by_row, marks):
+    """Mark a row whose node is a leaf."""
+    found = is_leaf(nodes, np.uint64(load(np.uint32, by_row + row * WORD)))
+    store(marks + row * WORD, np.uint32(_ONE if found else _NONE))
+
+
+@kernel
+def _list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
+    """List the leaf in a row, and where it is along the curve."""
+    node = np.uint64(load(np.uint32, by_row + row * WORD))
+    if is_leaf(nodes, node):
+        to = np.uint64(load(np.uint32, before + row * WORD))
+        store(codes + to * _LONG, np.uint64(code_of(boxes, boxes + node * BOX_BYTES)))
+        store(leaves + to * WORD, np.uint32(node))
+
+
+@kernel
+def _number_sector(sector, leaves, sizes, sectors, block_counts):
+    """Note which sector a leaf is, and count its blocks."""
+    leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
+    store(sectors + leaf * WORD, np.uint32(sector))
+    count = np.uint64(load(np.uint32, sizes + leaf * WORD))
+    store(block_counts + sector * WORD, np.uint32((count + _THREE) // _LANES))
+
+
+@kernel
+def _write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
+    """Write a sector's row, but for its links, and its list."""
+    leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
+    count = np.uint64(load(np.uint32, sizes + leaf * WORD))
+    first = np.uint64(load(np.uint32, firsts + sector * WORD))
+    fill_sector(rows + sector * SECTOR_BYTES, boxes + leaf * BOX_BYTES, first, count)
+    source = load(np.uint64, lists + leaf * _LONG)
+    to = prim_ids + first * _BLOCK_IDS
+    for k in range((count + _THREE) // _LANES * _LANES):
+        prim_id = load(np.int32, source + k * WORD) if k < count else _ABSENT
+        store(to + k * WORD, prim_id)
+
+
+@kernel
+def _fill_bin(row, nodes, sectors, x, y, z, y_count, z_count, bins):
+    """Look up the corner of a bin, z first."""
+    yz = row // z_count
+    px = load(np.float32, x + yz // y_count * WORD)
+    py = load(np.float32, y + yz % y_count * WORD)
+    leaf = leaf_at(nodes, px, py, load(np.float32, z + row % z_count * WORD))
+    sector = np.uint64(load(np.uint32, sectors + leaf * WORD))
+    store(bins + row * WORD, np.uint32(sector * _ROWS))
+
+
+class _Kernels(NamedTuple):
+    place_cells: RangeKernel
+    place_nodes: RangeKernel
+    mark_leaf: RangeKernel
+    list_leaf: RangeKernel
+    number_sector: RangeKernel
+    write_sector: RangeKernel
+    fill_bin: RangeKernel
+
+
+KERNELS = _Kernels(
+    RangeKernel(_place_cells),
+    RangeKernel(_place_nodes),
+    RangeKernel(_mark_leaf),
+    RangeKernel(_list_leaf),
+    RangeKernel(_number_sector),
+    RangeKernel(_write_sector),
+    RangeKernel(_fill_bin),
+)
+
+
+def order_sectors(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> Ordered:
+    """Find the leaves of a pruned tree, their ropes, and their order along the curve.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    tree : GrownTree
+        Pruned.
+    numbers : Numbers
+        Of the tree as it was grown.
+
+    Returns
+    -------
+    Ordered
+        With the CPU's order of sectors.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for it.
+    """
+    count, nodes, boxes = len(tree.nodes), tree.nodes.address, tree.boxes.address
+    is_in = gpu.empty("nodes that are left", count, np.uint8)
+    marks = gpu.empty("marks", count + 1, np.uint32)
+    for one in (is_in, marks):
+        gpu.clear(one, one.stream)
+    is_in.part(0, 1).fill(np.ones(1, np.uint8))
+    ropes = gpu.empty("ropes", (count, 6), np.int32)
+    ropes.part(0, 6).fill(np.full(6, -1, np.int32))
+    for first, end in zip(tree.levels, tree.levels[1:], strict=False):
+        given = nodes, is_in.address, numbers.rows.address, boxes, ropes.address, marks.address
+        KERNELS.place_cells.launch(gpu, end - first, (np.uint64(first), *given))
+    scan = Scan(gpu, count)
+    scan.run(marks.address, count, marks.address, np.uint32)
+    sector_count = int(marks.part(count, 1).host()[0]) + 1
+    node_count = 2 * sector_count - 1
+    rows = gpu.empty("rows of nodes", count, np.uint32)
+    by_row = gpu.empty("nodes by row", node_count, np.uint32)
+    old = nodes, is_in.address, numbers.rows.address, marks.address
+    KERNELS.place_nodes.launch(gpu, count, (*old, rows.address, by_row.address))
+    before = gpu.empty("leaves before rows", node_count + 1, np.uint32)
+    KERNELS.mark_leaf.launch(gpu, node_count, (nodes, by_row.address, before.address))
+    scan.run(before.address, node_count, before.address, np.uint32)
+    codes = gpu.empty("codes", sector_count, np.uint64)
+    leaves = gpu.empty("leaves", sector_count, np.uint32)
+    listed = by_row.address, before.address, codes.address, leaves.address
+    KERNELS.list_leaf.launch(gpu, node_count, (nodes, boxes, *listed))
+    _, leaves = sort_pairs(gpu, codes, leaves, CODE_BITS)
+    return Ordered(leaves, gpu.empty("sectors", count, np.uint32), ropes, rows, by_row)
+
+
+def number_sectors(gpu: Gpu, ordered: Ordered, lists: Lists) -> tuple[DeviceArray, int]:
+    """Note which sector each leaf is.
+
+    Returns
+    -------
+    firsts : DeviceArray of shape (S + 1,), uint32
+        The first block of each sector.
+    block_count : int
+        Of all.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for them.
+    """
+    count = len(ordered.leaves)
+    firsts = gpu.empty("first blocks", count + 1, np.uint32)
+    given = ordered.leaves.address, lists.sizes.address, ordered.sectors.address
+    KERNELS.number_sector.launch(gpu, count, (*given, firsts.address))
+    Scan(gpu, count).run(firsts.address, count, firsts.address, np.uint32)
+    return firsts, int(firsts.part(count, 1).host()[0])

@@ -1,0 +1,192 @@
+"""Link nodes that faces share: of equal nodes one is kept, whichever thread comes first.
+
+Nodes that may be equal (candidates) have numbers in the order in which the CPU meets them. Their
+contents are looked up in a table, in rounds: those that a node links to are in it before. Which
+slot equal ones share depends on the threads, and so does what stands for them while the graph is
+linked; but the least of their numbers does not. In the end nodes get rows in the order of these.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.atomics import note_greatest, swap_if
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.scan import Scan
+from raystream.jit.simd import load, store
+from raystream.structures.clip import WORD
+from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT
+from raystream.structures.graph.share import first_slot
+
+__all__ = ["KERNELS", "LINK", "LinkTable", "Table", "final_link", "put_candidate", "share_slot"]
+
+#: This bit of a link says that the rest is a slot of the table, while the graph is linked.
+LINK = np.uint64(NODE_BIT)
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LONG = np.uint64(8)
+_ROW = np.uint64(16)
+_UPPER = np.uint64(32)
+_LOWER = np.uint64(0xFFFFFFFF)
+_FREE = np.uint32(0)
+_ALL = np.uint64(0xFFFFFFFF)
+
+
+class Table(NamedTuple):
+    """A table of link nodes, on a device.
+
+    Attributes
+    ----------
+    contents : uint64
+        Address of the two words of each candidate, uint64; see `GraphArrays.rows`.
+    owners : uint64
+        Address of the slots, uint32: a candidate that came first, plus 1, or 0.
+    leasts : uint64
+        Address of the complement of the least candidate of each slot, uint32.
+    ranks : uint64
+        Address of how many different nodes there are before each candidate, uint32.
+    mask : uint64
+        Slots less 1; half of them or more stay free.
+    first_row : uint64
+        Of the first node in the graph.
+    """
+
+    contents: np.uint64
+    owners: np.uint64
+    leasts: np.uint64
+    ranks: np.uint64
+    mask: np.uint64
+    first_row: np.uint64
+
+
+@device
+def put_candidate(table, candidate, plane_bits, axis, below, above):
+    """Write a candidate's content."""
+    to = table.contents + candidate * _ROW
+    store(to, plane_bits | axis << _UPPER)
+    store(to + _LONG, below | above << _UPPER)
+
+
+@device
+def _content(table, candidate):
+    at = table.contents + candidate * _ROW
+    return load(np.uint64, at), load(np.uint64, at + _LONG)
+
+
+@device
+def share_slot(table, candidate):
+    """Find the slot of a candidate, which was written before this kernel began."""
+    one, other = _content(table, candidate)
+    slot = first_slot(one, other, table.mask)
+    while True:
+        at = table.owners + slot * WORD
+        owner = load(np.uint32, at)
+        if owner == _FREE:
+            owner = swap_if(at, _FREE, np.uint32(candidate + _ONE))
+        is_own = owner == _FREE
+        if not is_own:
+            found, found_other = _content(table, np.uint64(owner) - _ONE)
+            is_own = found == one and found_other == other
+        if is_own:
+            note_greatest(table.leasts + slot * WORD, np.uint32(candidate ^ _ALL))
+            return slot
+        slot = (slot + _ONE) & table.mask
+
+
+@device
+def _least(table, slot):
+    return np.uint64(load(np.uint32, table.leasts + slot * WORD)) ^ _ALL
+
+
+@kernel
+def _mark_first(slot, table):
+    """Mark the first candidate of a slot."""
+    if load(np.uint32, table.owners + slot * WORD) != _FREE:
+        store(table.ranks + _least(table, slot) * WORD, np.uint32(1))
+
+
+@device
+def final_link(table, link):
+    """The link that one to a slot becomes; others, and `VOID`, stay."""
+    if link & LINK == _NONE or link == _LOWER:
+        return link
+    least = _least(table, link ^ LINK)
+    rank = np.uint64(load(np.uint32, table.ranks + least * WORD))
+    return LINK | (table.first_row + rank)
+
+
+@kernel
+def _write_link_node(slot, table, rows):
+    """Write the link node of a slot."""
+    owner = np.uint64(load(np.uint32, table.owners + slot * WORD))
+    if owner == _NONE:
+        return
+    one, other = _content(table, owner - _ONE)
+    below, above = final_link(table, other & _LOWER), final_link(table, other >> _UPPER)
+    to = rows + (final_link(table, LINK | slot) ^ LINK) * _ROW
+    store(to, one)
+    store(to + _LONG, below | above << _UPPER)
+
+
+class _Kernels(NamedTuple):
+    mark_first: RangeKernel
+    write_link_node: RangeKernel
+
+
+KERNELS = _Kernels(RangeKernel(_mark_first), RangeKernel(_write_link_node))
+
+
+class LinkTable:
+    """The table of a graph that is being linked.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    candidate_count : int
+    first_row : int
+        Of the first link node.
+
+    Raises
+    ------
+    ValueError
+        If links could not reach so many.
+    CudaError
+        If there is no memory for it: 28 to 36 bytes for each candidate.
+    """
+
+    def __init__(self, gpu: Gpu, candidate_count: int, first_row: int) -> None:
+        if first_row + candidate_count > MAX_ROWS or candidate_count > 1 << 29:
+            raise ValueError(f"a graph of {candidate_count:,} link nodes is too large")
+        self.gpu, self.candidate_count = gpu, candidate_count
+        self.slot_count = 1 << (2 * candidate_count).bit_length()
+        self._contents = gpu.empty("link nodes", (candidate_count, 2), np.uint64)
+        self._owners = gpu.empty("table of link nodes", self.slot_count, np.uint32)
+        self._leasts = gpu.empty("least link nodes", self.slot_count, np.uint32)
+        self._ranks = gpu.empty("ranks of link nodes", candidate_count + 1, np.uint32)
+        for one in (self._owners, self._leasts, self._ranks):
+            gpu.clear(one, one.stream)
+        self.at = Table(
+            self._contents.address,
+            self._owners.address,
+            self._leasts.address,
+            self._ranks.address,
+            np.uint64(self.slot_count - 1),
+            np.uint64(first_row),
+        )
+
+    def rank(self) -> int:
+        """Give rows to the nodes, when all candidates are in; returns how many there are."""
+        count, ranks = self.candidate_count, self._ranks
+        if count == 0:
+            return 0
+        KERNELS.mark_first.launch(self.gpu, self.slot_count, (self.at,))
+        Scan(self.gpu, count).run(ranks.address, count, ranks.address, np.uint32)
+        return int(ranks.part(count, 1).host()[0])
+
+    def write(self, rows: DeviceArray) -> None:
+        """Begin to write the link nodes to the rows of a graph."""
+        KERNELS.write_link_node.launch(self.gpu, self.slot_count, (self.at, rows.address))

@@ -1,0 +1,183 @@
+"""DeviceGraph: a graph of sectors that was built on a device, and stays there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.cuda.builders.graph import sectors
+from raystream.cuda.builders.graph.linker import link_sectors
+from raystream.cuda.builders.graph.pruning import prune
+from raystream.cuda.builders.graph.sectors import Ordered, number_sectors, order_sectors
+from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
+from raystream.cuda.builders.kdtree.grow import GrownTree, grow_tree
+from raystream.cuda.builders.kdtree.rows import number_nodes
+from raystream.cuda.structures import Resident
+from raystream.jit.cuda import DeviceArray, Gpu
+from raystream.jit.threads import Progress
+from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.bvh.layout import BLOCK_FLOATS
+from raystream.structures.graph.bins import bin_corners, choose_bin_counts
+from raystream.structures.graph.build import graph_box, tree_method_of
+from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays
+from raystream.structures.graph.structure import Graph, addresses_of, chosen_options, method_of
+
+__all__ = ["DeviceGraph", "build_graph"]
+
+
+class _Built(NamedTuple):
+    """A graph on a device; see `GraphArrays`. Open sides are at infinity."""
+
+    rows: DeviceArray
+    sector_count: int
+    blocks: DeviceArray
+    bins: DeviceArray
+
+
+class DeviceGraph(Graph):
+    """A graph in a device's memory; it is copied to the host when it is asked for there.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    gpu : Gpu
+    built : _Built
+    options : mapping
+        To build it again.
+    started : float
+        When the build began, by `time.perf_counter`.
+    """
+
+    def __init__(
+        self,
+        triangles: Triangles,
+        gpu: Gpu,
+        built: _Built,
+        options: Mapping[str, Any],
+        started: float,
+    ) -> None:
+        self.triangles, self.gpu, self.options = triangles, gpu, options
+        self._built = built
+        arrays = built.rows, built.blocks, built.bins
+        addresses = [one.address for one in arrays]
+        self.resident = Resident(addresses_of(triangles, built.bins.shape, *addresses), arrays)
+        gpu.wait()
+        byte_count = sum(one.nbytes for one in arrays)
+        self.report = BuildReport(time.perf_counter() - started, byte_count)
+
+    @cached_property
+    def _on_host(self) -> Graph:
+        """The same graph, whose arrays are on the host."""
+        made, built = Graph.__new__(Graph), self._built
+        rows = built.rows.host()
+        _close_sides(rows[: SECTOR_ROWS * built.sector_count], graph_box(self.triangles))
+        # A block's prim_ids are its last four words.
+        prim_ids = np.ascontiguousarray(built.blocks.host()[:, -4:]).view(np.int32)
+        graph = GraphArrays(rows, built.sector_count, prim_ids, built.bins.host())
+        made._set(self.triangles, graph, self.options, 0.0)
+        return made
+
+    def __getattr__(self, name: str) -> Any:
+        # What only the host's queries and figures need, when they do.
+        if name in ("graph", "blocks", "_rows", "_addresses"):
+            return getattr(self._on_host, name)
+        raise AttributeError(name)
+
+    def updated(
+        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
+    ) -> tuple[Structure, UpdateReport]:
+        """Build it anew, on the device; see `Structure.updated`. Costs are not said."""
+        del max_cost_growth, progress
+        rebuilt = build_graph(self.gpu, triangles, **self.options)
+        return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
+
+
+def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:
+    """Move planes of sectors that have no neighbour back to the sides of the graph's box."""
+    of_sectors = rows.reshape(-1, 4 * SECTOR_ROWS)
+    planes, links = of_sectors.view(np.float32), of_sectors[:, 8:14]
+    for face in range(6):
+        axis, is_high = face // 2, face % 2
+        planes[links[:, face] == VOID, axis + 4 * is_high] = box[is_high, axis]
+
+
+def build_graph(
+    gpu: Gpu,
+    triangles: Triangles,
+    *,
+    crossing_cost: float = 24.0,
+    intersection_cost: float = 1.0,
+    link_cost: float = 16.0,
+    max_depth: int | None = None,
+    max_leaf_size: int = 4,
+) -> Graph:
+    """Build a graph of sectors on a device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    triangles : Triangles
+    crossing_cost, intersection_cost, link_cost, max_depth, max_leaf_size
+        See `Graph`.
+
+    Returns
+    -------
+    Graph
+        Its arrays are those of the CPU's build, bit for bit.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of range, or the graph would be too large for its links.
+    TypeError
+        If a number is no number, or no integer where one is needed.
+    CudaError
+        If there is no memory for it.
+    """
+    options = chosen_options(crossing_cost, intersection_cost, link_cost, max_depth, max_leaf_size)
+    if len(triangles.prim_ids) == 0:
+        return Graph(triangles, **options)
+    started = time.perf_counter()
+    corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
+    method = tree_method_of(method_of(options, len(triangles.prim_ids)))
+    tree = grow_tree(gpu, triangles, corners, graph_box(triangles), method)
+    numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
+    lists = prune(gpu, tree, numbers, method.costs)
+    ordered = order_sectors(gpu, tree, numbers)
+    firsts, block_count = number_sectors(gpu, ordered, lists)
+    linked = link_sectors(gpu, tree, ordered)
+    sector_count = len(ordered.leaves)
+    rows = gpu.empty(
+        "rows", (SECTOR_ROWS * sector_count + linked.node_count, NODE_WORDS), np.uint32
+    )
+    prim_ids = gpu.empty("triangles of blocks", (block_count, 4), np.int32)
+    given = ordered.leaves, tree.boxes, lists.lists, lists.sizes, firsts, rows, prim_ids
+    addresses = tuple(one.address for one in given)
+    sectors.KERNELS.write_sector.launch(gpu, sector_count, addresses)
+    linked.write(gpu, rows)
+    bins = _fill_bins(gpu, triangles, tree, ordered)
+    blocks = gpu.empty("blocks", (block_count, BLOCK_FLOATS), np.float32)
+    of_blocks = prim_ids.address, corners.address, blocks.address
+    FILL_BLOCK.launch(gpu, block_count, of_blocks)
+    return DeviceGraph(triangles, gpu, _Built(rows, sector_count, blocks, bins), options, started)
+
+
+def _fill_bins(gpu: Gpu, triangles: Triangles, tree: GrownTree, ordered: Ordered) -> DeviceArray:
+    """Begin to find the sectors that hold the bins' low corners."""
+    box = graph_box(triangles)
+    counts = choose_bin_counts(len(ordered.leaves), box)
+    bins = gpu.empty("bins", counts, np.uint32)
+    places = [gpu.upload("corners of bins", one) for one in bin_corners(box, counts)]
+    of_places = tuple(one.address for one in places)
+    of_tree = tree.nodes.address, ordered.sectors.address
+    _, y_count, z_count = map(np.uint64, counts)
+    given = *of_tree, *of_places, y_count, z_count, bins.address
+    sectors.KERNELS.fill_bin.launch(gpu, bins.size, given)
+    gpu.wait()  # for whom the corners are kept
+    return bins

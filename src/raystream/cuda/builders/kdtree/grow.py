@@ -1,0 +1,258 @@
+"""Growing a kd-tree level by level: the cells of a level are split together."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.core.triangles import Triangles
+from raystream.cuda.builders.kdtree import parting, planes
+from raystream.cuda.builders.kdtree.parting import Counts, Made
+from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, References, Tried
+from raystream.jit.cuda import DeviceArray, Gpu
+from raystream.jit.cuda.scan import Scan
+from raystream.structures.clip import BOUND
+from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, Method
+from raystream.structures.kdtree.layout import MAX_DEPTH, MAX_NODES
+from raystream.structures.kdtree.split import MOST_EXACT, Costs
+
+__all__ = ["GrownTree", "as_numbers", "grow_tree"]
+
+_LOWER = 0xFFFFFFFF
+
+
+class GrownTree(NamedTuple):
+    """A kd-tree, level after level, on a device.
+
+    Attributes
+    ----------
+    nodes : DeviceArray of shape (M, 2), int32
+        As `kdtree.layout.KdArrays.nodes`, in the order of levels. The first number of a leaf is
+        that of its first reference in `ids`.
+    boxes : DeviceArray of shape (M, 6), float32
+        Of their cells.
+    sizes : DeviceArray of shape (M,), uint32
+        References of their cells.
+    ids : DeviceArray, int32
+        prim_ids of all leaves.
+    levels : tuple of int
+        Level i has the rows from levels[i] to levels[i + 1].
+    """
+
+    nodes: DeviceArray
+    boxes: DeviceArray
+    sizes: DeviceArray
+    ids: DeviceArray
+    levels: tuple[int, ...]
+
+
+def as_numbers(costs: Costs) -> Costs:
+    """Costs of NumPy's numbers, as kernels are given them."""
+    return Costs(*map(np.float64, costs))
+
+
+def grow_tree(
+    gpu: Gpu, triangles: Triangles, corners: DeviceArray, box: Any, method: Method
+) -> GrownTree:
+    """Grow a kd-tree on a device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    triangles : Triangles
+        At least one that can be hit.
+    corners : DeviceArray of shape (F, 3, 3), float32
+        Those of the triangles.
+    box : ndarray of shape (2, 3), float32
+        Around all references.
+    method : Method
+
+    Returns
+    -------
+    GrownTree
+        With the CPU's planes, and its references in each leaf.
+
+    Raises
+    ------
+    ValueError
+        If the tree would be too large for the layout.
+    CudaError
+        If there is no memory for it: about 100 bytes for each reference of a level.
+
+    Notes
+    -----
+    The host waits for the device once a level, to know how many cells and references the next one
+    has.
+    """
+    return _Grower(gpu, triangles, corners, box, method).grow()
+
+
+class _Cells(NamedTuple):
+    """The arrays of a `Level`."""
+
+    boxes: DeviceArray
+    begins: DeviceArray
+    bads: DeviceArray
+    rooms: DeviceArray
+
+    @classmethod
+    def allocate(cls, gpu: Gpu, count: int) -> _Cells:
+        return cls(
+            gpu.empty("boxes of cells", (count, 6), np.float32),
+            gpu.empty("references of cells", count + 1, np.uint32),
+            gpu.empty("bad splits", count, np.uint32),
+            gpu.empty("rooms of cells", count, np.uint64),
+        )
+
+    @property
+    def at(self) -> Level:
+        return Level(*(one.address for one in self))
+
+
+class _Lists(NamedTuple):
+    """The arrays of `References`."""
+
+    boxes: DeviceArray
+    ids: DeviceArray
+    cells: DeviceArray
+
+    @classmethod
+    def allocate(cls, gpu: Gpu, count: int) -> _Lists:
+        return cls(
+            gpu.empty("boxes of references", (count, 6), np.float32),
+            gpu.empty("references", count, np.int32),
+            gpu.empty("cells of references", count, np.uint32),
+        )
+
+    @property
+    def at(self) -> References:
+        return References(*(one.address for one in self))
+
+
+class _Grower:
+    def __init__(
+        self, gpu: Gpu, triangles: Triangles, corners: DeviceArray, box: Any, method: Method
+    ) -> None:
+        self.gpu, self.triangles, self.corners, self.box = gpu, triangles, corners, box
+        self.costs = as_numbers(method.costs)
+        self.max_depth = min(method.max_depth, MAX_DEPTH)
+        self.max_leaf_size = method.max_leaf_size
+        self.bound = float(triangles.extreme) * BOUND
+        self.room = MAX_REFERENCES * len(triangles.prim_ids) + LEAST_ROOM
+        self.ids = gpu.empty("references of leaves", self.room, np.int32)
+
+    def grow(self) -> GrownTree:
+        cells, lists = self._begin()
+        levels, id_count = [0, 1], 0
+        made: list[tuple[DeviceArray, DeviceArray, DeviceArray]] = []
+        while len(cells.boxes):
+            may_split = len(made) < self.max_depth
+            nodes, sizes, cells_after, lists_after, leaf_ids = self._split(
+                cells, lists, levels[-1], id_count, may_split
+            )
+            made.append((nodes, cells.boxes, sizes))
+            cells, lists = cells_after, lists_after
+            id_count += leaf_ids
+            levels.append(levels[-1] + len(cells.boxes))
+            if levels[-1] > MAX_NODES:
+                raise ValueError(f"{levels[-1]:,} nodes are more than {MAX_NODES:,}")
+        levels.pop()
+        nodes, boxes, sizes = (self._joined([level[k] for level in made]) for k in range(3))
+        return GrownTree(nodes, boxes, sizes, self.ids.part(0, id_count), tuple(levels))
+
+    def _begin(self) -> tuple[_Cells, _Lists]:
+        """The root, and its references."""
+        prim_ids = self.gpu.upload("prim_ids", self.triangles.prim_ids)
+        count = len(prim_ids)
+        cells, lists = _Cells.allocate(self.gpu, 1), _Lists.allocate(self.gpu, count)
+        cells.boxes.fill(np.asarray(self.box, np.float32).reshape(1, 6))
+        cells.begins.fill(np.array([0, count], np.uint32))
+        cells.bads.fill(np.zeros(1, np.uint32))
+        cells.rooms.fill(np.array([self.room], np.uint64))
+        given = self.corners.address, prim_ids.address, np.float32(self.bound)
+        parting.KERNELS.make_reference.launch(self.gpu, count, (*given, lists.at))
+        return cells, lists
+
+    def _choose(self, cells: _Cells, lists: _Lists, may_split: bool) -> Choices:
+        """Begin to choose the planes of a level."""
+        gpu, count, all_count = self.gpu, len(cells.boxes), len(lists.boxes)
+        choices = Choices(
+            *(
+                self._kept(gpu.empty("choices", count, dtype))
+                for dtype in (np.uint32, np.float32, np.uint32, np.uint32)
+            )
+        )
+        cut_counts = self._scratch[-1]
+        gpu.clear(cut_counts, cut_counts.stream)
+        most = self.max_leaf_size if may_split else 1 << 62
+        has_bins = all_count > int(MOST_EXACT)
+        slots = all_count // int(MOST_EXACT) + 1 if has_bins else 0
+        bins = gpu.empty("bins", slots * BIN_BYTES, np.uint8)
+        gpu.clear(bins, bins.stream)
+        tried = Tried(
+            self._kept(gpu.empty("costs of planes", all_count, np.float64)),
+            self._kept(gpu.empty("planes", all_count, np.float32)),
+            self._kept(gpu.empty("axes of planes", all_count, np.uint32)),
+            self._kept(bins),
+        )
+        shared = self.costs, np.uint64(most), tried
+        planes.KERNELS.try_planes.launch(gpu, all_count, (lists.at, cells.at, *shared))
+        planes.KERNELS.choose_plane.launch(gpu, count, (cells.at, *shared, choices))
+        parting.KERNELS.count_cut.launch(gpu, all_count, (lists.at, choices))
+        return choices
+
+    def _kept(self, array: DeviceArray) -> np.uint64:
+        """The address of an array that is needed until the level is done."""
+        self._scratch.append(array)
+        return array.address
+
+    def _split(
+        self, cells: _Cells, lists: _Lists, first_row: int, id_count: int, may_split: bool
+    ) -> tuple[DeviceArray, DeviceArray, _Cells, _Lists, int]:
+        """Split a level; returns nodes, sizes, the next level, and references of leaves."""
+        gpu, kernels = self.gpu, parting.KERNELS
+        cell_count, count = len(cells.boxes), len(lists.boxes)
+        self._scratch: list[DeviceArray] = []
+        choices = self._choose(cells, lists, may_split)
+        parts = gpu.empty("parts of references", count + 1, np.uint64)
+        splits = gpu.empty("splits", cell_count + 1, np.uint64)
+        counts = Counts(parts.address, splits.address)
+        kernels.confirm.launch(gpu, cell_count, (cells.at, choices, counts))
+        given = choices, self.corners.address, np.float64(self.bound), counts
+        kernels.count_parts.launch(gpu, count, (lists.at, *given))
+        found, split = _scanned(gpu, parts), _scanned(gpu, splits)
+        after = _Cells.allocate(gpu, 2 * (split >> 32))
+        lists_after = _Lists.allocate(gpu, (found >> 32) + (found & _LOWER))
+        nodes = gpu.empty("nodes", (cell_count, 2), np.int32)
+        sizes = gpu.empty("sizes of cells", cell_count, np.uint32)
+        made = Made(nodes.address, sizes.address, self.ids.address)
+        first_id = np.uint64(id_count)
+        rows = np.uint64(first_row), first_id
+        kernels.make_cells.launch(
+            gpu, cell_count, (cells.at, choices, counts, made, *rows, after.at)
+        )
+        to = made, first_id, lists_after.at
+        kernels.place_parts.launch(gpu, count, (lists.at, cells.at, *given, *to))
+        return nodes, sizes, after, lists_after, split & _LOWER
+
+    def _joined(self, arrays: list[DeviceArray]) -> DeviceArray:
+        """Arrays one after the other."""
+        first = arrays[0]
+        count = sum(map(len, arrays))
+        made = self.gpu.empty("tree", (count, *first.shape[1:]), first.dtype)
+        to = made.address
+        for one in arrays:
+            self.gpu.copy(to, one.address, one.nbytes, one.stream)
+            to += np.uint64(one.nbytes)
+        return made
+
+
+def _scanned(gpu: Gpu, counts: DeviceArray) -> int:
+    """Scan counts where they are, all but the last row, which is their sum; returns that."""
+    count = len(counts) - 1
+    if count == 0:  # a level whose cells have no references
+        gpu.clear(counts, counts.stream)
+        return 0
+    Scan(gpu, count).run(counts.address, count, counts.address, np.uint64)
+    return int(counts.part(count, 1).host()[0])

@@ -1,0 +1,232 @@
+"""Parting the cells of a level: references go to the cells below and above their plane, in order.
+
+Each reference is looked at twice: first its parts are counted, then a scan of the counts says
+where they go. Cells of the next level lie as their parents do, the one below before the one above.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.kdtree.planes import cell_range
+from raystream.jit.atomics import add_together
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.simd import load, scratch, store
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD
+from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.structures.kdtree.split import LEAF
+from raystream.structures.kdtree.subtree import copy_box, part_reference, room_above
+
+__all__ = ["KERNELS", "Counts", "Made"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_LONG = np.uint64(8)
+_NODE = np.uint64(8)
+_TRIANGLE = np.uint64(36)
+_UPPER = np.uint64(32)
+_LOWER = np.uint64(0xFFFFFFFF)
+
+
+class Counts(NamedTuple):
+    """Counts, and after a scan what comes before: addresses of a uint64 for each, and a last one.
+
+    Attributes
+    ----------
+    parts : uint64
+        Of references: parts below the plane, times 2**32, and above it.
+    cells : uint64
+        Of cells: 2**32 for one that is split, the number of its references for a leaf.
+    """
+
+    parts: np.uint64
+    cells: np.uint64
+
+
+class Made(NamedTuple):
+    """What a level leaves behind: addresses.
+
+    Attributes
+    ----------
+    nodes : uint64
+        Of cells, as `kdtree.layout.KdArrays.nodes`; a leaf's first number is that of its first
+        reference in `ids`.
+    sizes : uint64
+        Of cells: their references, uint32.
+    ids : uint64
+        prim_ids of all leaves, int32.
+    """
+
+    nodes: np.uint64
+    sizes: np.uint64
+    ids: np.uint64
+
+
+@device
+def _choice(choices, cell):
+    """Axis, and position of the plane."""
+    at = cell * WORD
+    axis = np.uint64(load(np.uint32, choices.axes + at))
+    return axis, load(np.float32, choices.positions + at)
+
+
+@kernel
+def _count_cut(i, refs, choices):
+    """Count reference i if its cell's plane cuts its box."""
+    cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
+    axis, position = _choice(choices, cell)
+    if axis == LEAF:
+        return
+    box = refs.boxes + i * BOX_BYTES + axis * WORD
+    if load(np.float32, box) < position and load(np.float32, box + HIGH) > position:
+        add_together(choices.cut_counts + cell * WORD, np.uint32(1))
+
+
+@kernel
+def _confirm(cell, level, choices, counts):
+    """Split a cell only if there is room for its parts, and count it."""
+    begin, end = cell_range(level, cell)
+    axis, _ = _choice(choices, cell)
+    total = end - begin + np.uint64(load(np.uint32, choices.cut_counts + cell * WORD))
+    if axis != LEAF and total > load(np.uint64, level.rooms + cell * _LONG):
+        axis = LEAF
+        store(choices.axes + cell * WORD, np.uint32(axis))
+    store(counts.cells + cell * _LONG, end - begin if axis == LEAF else _ONE << _UPPER)
+
+
+@device
+def _part(i, refs, choices, corners, bound, below, above):
+    """On which sides of its cell's plane reference i is; writes its boxes there."""
+    cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
+    axis, position = _choice(choices, cell)
+    if axis == LEAF:
+        return False, False
+    triangle = corners + np.uint64(load(np.int32, refs.ids + i * WORD)) * _TRIANGLE
+    box = refs.boxes + i * BOX_BYTES
+    return part_reference(box, triangle, bound, axis * WORD, position, below, above)
+
+
+@kernel
+def _count_parts(i, refs, choices, corners, bound, counts):
+    """Count the parts of reference i."""
+    below, above = scratch(24), scratch(24)
+    is_below, is_above = _part(i, refs, choices, corners, bound, below, above)
+    found = _ONE << _UPPER if is_below else _NONE
+    found += _ONE if is_above else _NONE
+    store(counts.parts + i * _LONG, found)
+
+
+@device
+def _before(counts, i):
+    """Parts below planes, and above them, of all references before one."""
+    found = load(np.uint64, counts.parts + i * _LONG)
+    return found >> _UPPER, found & _LOWER
+
+
+@device
+def _places(level, counts, cell):
+    """Where the parts of a cell begin, and where they end: those below, then those above."""
+    begin, end = cell_range(level, cell)
+    below, above = _before(counts, begin)
+    below_end, above_end = _before(counts, end)
+    return below + above, below_end + above, below_end + above_end
+
+
+@kernel
+def _make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
+    """Write a cell's node, and the two cells that it is split into, if it is."""
+    begin, end = cell_range(level, cell)
+    axis, position = _choice(choices, cell)
+    before = load(np.uint64, counts.cells + cell * _LONG)
+    node = made.nodes + cell * _NODE
+    store(made.sizes + cell * WORD, np.uint32(end - begin))
+    if axis == LEAF:
+        store(node, np.uint32(first_id + (before & _LOWER)))
+        store(node + WORD, np.uint32((end - begin) << _TWO | np.uint64(LEAF_AXIS)))
+        return
+    below = (before >> _UPPER) << _ONE
+    store(node, position)
+    store(node + WORD, np.uint32((first_row + below) << _TWO | axis))
+    below_begin, above_begin, above_end = _places(level, counts, cell)
+    room = load(np.uint64, level.rooms + cell * _LONG)
+    above_room = room_above(room, above_begin - below_begin, above_end - above_begin)
+    for side in range(_TWO):
+        child = below + side
+        box = parts.boxes + child * BOX_BYTES
+        copy_box(box, level.boxes + cell * BOX_BYTES)
+        store(box + axis * WORD + (_NONE if side == _ONE else HIGH), position)
+        store(parts.begins + child * WORD, np.uint32(above_begin if side == _ONE else below_begin))
+        store(parts.bads + child * WORD, load(np.uint32, choices.bads + cell * WORD))
+        store(parts.rooms + child * _LONG, above_room if side == _ONE else room - above_room)
+    # The last one of a level ends it; the others write what their neighbours write.
+    store(parts.begins + (below + _TWO) * WORD, np.uint32(above_end))
+
+
+@device
+def _put_reference(parts, to, cell, box, prim_id):
+    copy_box(parts.boxes + to * BOX_BYTES, box)
+    store(parts.ids + to * WORD, prim_id)
+    store(parts.cells + to * WORD, np.uint32(cell))
+
+
+@kernel
+def _place_parts(i, refs, level, choices, corners, bound, counts, made, first_id, parts):
+    """Write the parts of reference i where they go; that of a leaf to its list."""
+    cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
+    prim_id = load(np.int32, refs.ids + i * WORD)
+    before = load(np.uint64, counts.cells + cell * _LONG)
+    axis, _ = _choice(choices, cell)
+    if axis == LEAF:
+        begin, _ = cell_range(level, cell)
+        to = first_id + (before & _LOWER) + i - begin
+        store(made.ids + to * WORD, prim_id)
+        return
+    below, above = scratch(24), scratch(24)
+    is_below, is_above = _part(i, refs, choices, corners, bound, below, above)
+    begin, end = cell_range(level, cell)
+    own_below, own_above = _before(counts, i)
+    child = (before >> _UPPER) << _ONE
+    if is_below:
+        _, all_above = _before(counts, begin)
+        _put_reference(parts, own_below + all_above, child, below, prim_id)
+    if is_above:
+        all_below, _ = _before(counts, end)
+        _put_reference(parts, all_below + own_above, child + _ONE, above, prim_id)
+
+
+@kernel
+def _make_reference(i, corners, prim_ids, bound, refs):
+    """Write the reference of the triangle in row i of `prim_ids`: its grown box."""
+    prim_id = load(np.int32, prim_ids + i * WORD)
+    triangle, box = corners + np.uint64(prim_id) * _TRIANGLE, refs.boxes + i * BOX_BYTES
+    for axis in range(np.uint64(3)):
+        at = triangle + axis * WORD
+        a, b = load(np.float32, at), load(np.float32, at + np.uint64(12))
+        c = load(np.float32, at + np.uint64(24))
+        store(box + axis * WORD, min(a, b, c) - bound)
+        store(box + HIGH + axis * WORD, max(a, b, c) + bound)
+    store(refs.ids + i * WORD, prim_id)
+    store(refs.cells + i * WORD, np.uint32(0))
+
+
+class _Kernels(NamedTuple):
+    make_reference: RangeKernel
+    count_cut: RangeKernel
+    confirm: RangeKernel
+    count_parts: RangeKernel
+    make_cells: RangeKernel
+    place_parts: RangeKernel
+
+
+KERNELS = _Kernels(
+    RangeKernel(_make_reference),
+    RangeKernel(_count_cut),
+    RangeKernel(_confirm),
+    RangeKernel(_count_parts),
+    RangeKernel(_make_cells),
+    RangeKernel(_place_parts),
+)

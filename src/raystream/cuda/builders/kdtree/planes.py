@@ -1,0 +1,302 @@
+"""Where to split the cells of a level: the CPU's prices, for all references at once.
+
+In a cell of few references a thread takes a reference, and tries the planes at which its box
+begins and ends: how many boxes lie on either side is counted by looking at all of them. In a cell
+of many, references are counted in bins, by sums that do not depend on their order. Then a thread
+takes a cell, and keeps the plane that the CPU's sweep would have kept: the cheapest one; of equal
+ones that of the first axis, and then the lowest.
+
+References
+----------
+Zhou, Hou, Wang and Guo, "Real-Time KD-Tree Construction on Graphics Hardware", ACM Transactions on
+Graphics 27(5), 2008, who split all nodes of a level together.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.atomics import add_together, note_greatest
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.simd import load, scratch, store
+from raystream.structures.clip import BOX_BYTES, HIGH, WORD
+from raystream.structures.kdtree.split import (
+    BIN_COUNT,
+    BIN_SHARE,
+    LEAF,
+    MOST_EXACT,
+    axis_of,
+    bin_of,
+    find_in_bins,
+    pays,
+    price_of,
+)
+
+__all__ = ["BIN_BYTES", "KERNELS", "Choices", "Level", "References", "Tried", "cell_range"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LONG = np.uint64(8)
+_INF = np.float32(np.inf)
+_ZERO = np.float32(0.0)
+_SIGN = np.uint32(0x80000000)
+_ALL = np.uint32(0xFFFFFFFF)
+
+#: Bytes of an axis' bins: how many boxes begin and end in each, and their two ends.
+_ENDS_AT = WORD * BIN_COUNT
+_LOWEST_AT = _ENDS_AT + _ENDS_AT
+_HIGHEST_AT = _LOWEST_AT + WORD
+_AXIS_BYTES = _HIGHEST_AT + WORD
+
+#: Bytes of a cell's bins. Cells with bins have more than `MOST_EXACT` references, so that the
+#: number of the first, divided by it, is another one for each.
+BIN_BYTES = 3 * int(_AXIS_BYTES)
+
+
+class References(NamedTuple):
+    """The references of a level, cell after cell: addresses.
+
+    Attributes
+    ----------
+    boxes : uint64
+        Six float32 each.
+    ids : uint64
+        prim_ids, int32.
+    cells : uint64
+        The cell of each, uint32: its row in the level.
+    """
+
+    boxes: np.uint64
+    ids: np.uint64
+    cells: np.uint64
+
+
+class Level(NamedTuple):
+    """The cells of a level: addresses of a row for each.
+
+    Attributes
+    ----------
+    boxes : uint64
+        Six float32 each.
+    begins : uint64
+        The first reference of each, and the number of all, uint32.
+    bads : uint64
+        Bad splits above them, uint32.
+    rooms : uint64
+        References that their leaves may have, uint64.
+    """
+
+    boxes: np.uint64
+    begins: np.uint64
+    bads: np.uint64
+    rooms: np.uint64
+
+
+class Tried(NamedTuple):
+    """What was found out about planes: addresses.
+
+    Attributes
+    ----------
+    costs, positions, axes : uint64
+        The best plane of each reference: float64, float32, uint32.
+    bins : uint64
+        See `BIN_BYTES`; zeros at first.
+    """
+
+    costs: np.uint64
+    positions: np.uint64
+    axes: np.uint64
+    bins: np.uint64
+
+
+class Choices(NamedTuple):
+    """What becomes of the cells of a level: addresses of a number for each.
+
+    Attributes
+    ----------
+    axes : uint64
+        0 to 2, or 3 for a leaf, uint32.
+    positions : uint64
+        float32.
+    bads : uint64
+        Bad splits, for its parts, uint32.
+    cut_counts : uint64
+        References that the plane cuts, uint32; zeros at first.
+    """
+
+    axes: np.uint64
+    positions: np.uint64
+    bads: np.uint64
+    cut_counts: np.uint64
+
+
+@device
+def cell_range(level, cell):
+    """First reference of a cell, and that of the next one."""
+    at = level.begins + cell * WORD
+    return np.uint64(load(np.uint32, at)), np.uint64(load(np.uint32, at + WORD))
+
+
+@device
+def _ordered(number):
+    """A uint32 that is greater for greater numbers, and never 0."""
+    place = scratch(4)
+    store(place, number)
+    bits = load(np.uint32, place)
+    return bits ^ _ALL if bits & _SIGN else bits | _SIGN
+
+
+@device
+def _number(ordered):
+    """The number that `_ordered` made this of."""
+    place = scratch(4)
+    store(place, np.uint32(ordered ^ _SIGN if ordered & _SIGN else ordered ^ _ALL))
+    return load(np.float32, place)
+
+
+@device
+def _width(along):
+    """Width of an axis' bins, its inverse, and whether there are any."""
+    width = (along.high - along.low) * BIN_SHARE
+    scale = np.float32(1.0) / width
+    return width, scale, width > _ZERO and scale < _INF
+
+
+@device
+def _bins_of(tried, begin, axis):
+    return tried.bins + (begin // MOST_EXACT) * np.uint64(BIN_BYTES) + axis * _AXIS_BYTES
+
+
+@device
+def _count_in_bins(box, begin, cell, tried):
+    """Count a reference in its cell's bins."""
+    for axis in range(np.uint64(3)):
+        along = axis_of(cell, axis)
+        _, scale, has_bins = _width(along)
+        if not has_bins:
+            continue
+        low = load(np.float32, box + axis * WORD)
+        high = load(np.float32, box + HIGH + axis * WORD)
+        bins = _bins_of(tried, begin, axis)
+        add_together(bins + bin_of(low, along.low, scale) * WORD, np.uint32(1))
+        add_together(bins + _ENDS_AT + bin_of(high, along.low, scale) * WORD, np.uint32(1))
+        note_greatest(bins + _LOWEST_AT, np.uint32(_ordered(low) ^ _ALL))
+        note_greatest(bins + _HIGHEST_AT, np.uint32(_ordered(high)))
+
+
+@device
+def _try_plane(position, boxes, begin, end, along, step, costs):
+    """Cost of a plane at a position; infinite if it is not inside the cell."""
+    if not (position > along.low and position < along.high):
+        return np.inf
+    begun, ended = _NONE, _NONE
+    for i in range(begin, end):
+        box = boxes + i * BOX_BYTES + step
+        begun += _ONE if load(np.float32, box) < position else _NONE
+        ended += _ONE if load(np.float32, box + HIGH) <= position else _NONE
+    return price_of(costs, along, position, begun, end - begin - ended)
+
+
+@device
+def _try_own(i, boxes, begin, end, cell, costs, tried):
+    """Try the planes of reference i, and note the best one."""
+    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    for axis in range(np.uint64(3)):
+        along, step = axis_of(cell, axis), axis * WORD
+        for side in range(np.uint64(2)):
+            position = load(np.float32, boxes + i * BOX_BYTES + step + side * HIGH)
+            cost = _try_plane(position, boxes, begin, end, along, step, costs)
+            if _is_better(cost, axis, position, best_cost, best_axis, best_position):
+                best_axis, best_position, best_cost = axis, position, cost
+    store(tried.costs + i * _LONG, best_cost)
+    store(tried.positions + i * WORD, best_position)
+    store(tried.axes + i * WORD, np.uint32(best_axis))
+
+
+@device
+def _is_better(cost, axis, position, best_cost, best_axis, best_position):
+    """Whether the CPU's sweep would have kept a plane rather than another one."""
+    if cost != best_cost:
+        return cost < best_cost
+    if not cost < np.inf or axis != best_axis:
+        return cost < np.inf and axis < best_axis
+    return position < best_position
+
+
+@kernel
+def _try_planes(i, refs, level, costs, max_leaf_size, tried):
+    """Try the planes of reference i, or count it."""
+    cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
+    begin, end = cell_range(level, cell)
+    box = level.boxes + cell * BOX_BYTES
+    if end - begin <= max_leaf_size:
+        return
+    if end - begin <= MOST_EXACT:
+        _try_own(i, refs.boxes, begin, end, box, costs, tried)
+    else:
+        _count_in_bins(refs.boxes + i * BOX_BYTES, begin, box, tried)
+
+
+@device
+def _best_tried(begin, end, tried):
+    """The best plane of a cell's references: axis, position, cost."""
+    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    for i in range(begin, end):
+        axis = np.uint64(load(np.uint32, tried.axes + i * WORD))
+        position = load(np.float32, tried.positions + i * WORD)
+        cost = load(np.float64, tried.costs + i * _LONG)
+        if _is_better(cost, axis, position, best_cost, best_axis, best_position):
+            best_axis, best_position, best_cost = axis, position, cost
+    return best_axis, best_position, best_cost
+
+
+@device
+def _best_of_bins(begin, end, cell, costs, tried):
+    """The best plane between a cell's bins, and at their ends: axis, position, cost."""
+    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    for axis in range(np.uint64(3)):
+        along = axis_of(cell, axis)
+        width, _, has_bins = _width(along)
+        if not has_bins:
+            continue
+        bins = _bins_of(tried, begin, axis)
+        lowest = _number(np.uint32(load(np.uint32, bins + _LOWEST_AT) ^ _ALL))
+        highest = _number(load(np.uint32, bins + _HIGHEST_AT))
+        ends = lowest, highest
+        position, cost = find_in_bins(
+            along, width, bins, bins + _ENDS_AT, ends, end - begin, costs, best_cost
+        )
+        if cost < best_cost:
+            best_axis, best_position, best_cost = axis, position, cost
+    return best_axis, best_position, best_cost
+
+
+@kernel
+def _choose_plane(cell, level, costs, max_leaf_size, tried, choices):
+    """Choose the plane of a cell, or none."""
+    begin, end = cell_range(level, cell)
+    bad = np.uint64(load(np.uint32, level.bads + cell * WORD))
+    axis, position = LEAF, _ZERO
+    if end - begin > max_leaf_size:
+        if end - begin <= MOST_EXACT:
+            axis, position, cost = _best_tried(begin, end, tried)
+        else:
+            box = level.boxes + cell * BOX_BYTES
+            axis, position, cost = _best_of_bins(begin, end, box, costs, tried)
+        is_worth_it, bad = pays(cost, end - begin, bad, costs)
+        if not is_worth_it:
+            axis = LEAF
+    store(choices.axes + cell * WORD, np.uint32(axis))
+    store(choices.positions + cell * WORD, position)
+    store(choices.bads + cell * WORD, np.uint32(bad))
+
+
+class _Kernels(NamedTuple):
+    try_planes: RangeKernel
+    choose_plane: RangeKernel
+
+
+KERNELS = _Kernels(RangeKernel(_try_planes), RangeKernel(_choose_plane))

@@ -1,0 +1,218 @@
+"""The CPU's order of a tree's nodes, found level by level.
+
+The CPU splits large cells level by level, and gives each smaller one to a thread, which numbers its
+subtree in the order in which it comes to it: first all that is below a plane. What is built from
+the tree depends on these numbers. They follow from how many splits are in each subtree.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.kdtree.grow import GrownTree
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.cuda.scan import Scan
+from raystream.jit.simd import load, store
+from raystream.structures.clip import WORD
+from raystream.structures.kdtree.build import subtree_size
+from raystream.structures.kdtree.layout import LEAF_AXIS
+
+__all__ = ["KERNELS", "Numbering", "Numbers", "number_nodes", "split_at"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_THREE = np.uint64(3)
+_LONG = np.uint64(8)
+_NODE = np.uint64(8)
+_UPPER = np.uint64(32)
+_LOWER = np.uint64(0xFFFFFFFF)
+_LEAF = np.uint64(LEAF_AXIS)
+
+
+class Numbering(NamedTuple):
+    """The CPU's numbers of nodes: addresses of a uint32 for each.
+
+    Attributes
+    ----------
+    splits : uint64
+        Splits of its subtree.
+    rooms : uint64
+        References of its subtree's leaves, those of each rounded up to blocks of four.
+    firsts : uint64
+        The CPU's row of a split's child below the plane.
+    rows : uint64
+        The CPU's row of the node itself.
+    places : uint64
+        Rooms of all leaves before its subtree's.
+    """
+
+    splits: np.uint64
+    rooms: np.uint64
+    firsts: np.uint64
+    rows: np.uint64
+    places: np.uint64
+
+
+class Numbers(NamedTuple):
+    """The arrays of a `Numbering`, each of shape (M,), uint32."""
+
+    splits: DeviceArray
+    rooms: DeviceArray
+    firsts: DeviceArray
+    rows: DeviceArray
+    places: DeviceArray
+
+    @property
+    def at(self) -> Numbering:
+        """Their addresses."""
+        return Numbering(*(one.address for one in self))
+
+
+@device
+def split_at(nodes, node):
+    """A node's axis, or 3, and its first child, or the number of its references."""
+    word = np.uint64(load(np.uint32, nodes + node * _NODE + WORD))
+    return word & _THREE, word >> _TWO
+
+
+@device
+def _get(numbers, i):
+    return np.uint64(load(np.uint32, numbers + i * WORD))
+
+
+@device
+def _put(numbers, i, number):
+    store(numbers + i * WORD, np.uint32(number))
+
+
+@kernel
+def _count_below(i, first, nodes, numbering):
+    """Count the splits and references below node first + i; its children are done."""
+    node = first + i
+    axis, child = split_at(nodes, node)
+    splits, room = _NONE, (child + _THREE) & ~_THREE
+    if axis != _LEAF:
+        splits = _get(numbering.splits, child) + _get(numbering.splits, child + _ONE) + _ONE
+        room = _get(numbering.rooms, child) + _get(numbering.rooms, child + _ONE)
+    _put(numbering.splits, node, splits)
+    _put(numbering.rooms, node, room)
+
+
+@device
+def _is_large(nodes, node, sizes, most):
+    """Whether the CPU splits a cell before it gives subtrees to threads."""
+    axis, _ = split_at(nodes, node)
+    return axis != _LEAF and _get(sizes, node) > most
+
+
+@kernel
+def _mark_large(node, nodes, sizes, most, numbering, marks):
+    """Mark a large cell (2**32), and say how many rows a subtree has whose parent is one."""
+    if not _is_large(nodes, node, sizes, most):
+        if node == _NONE:
+            store(marks, _get(numbering.splits, node) << _ONE)
+        return
+    store(marks + node * _LONG, _ONE << _UPPER)
+    _, child = split_at(nodes, node)
+    for side in range(_TWO):
+        part = child + side
+        if not _is_large(nodes, part, sizes, most):
+            store(marks + part * _LONG, _get(numbering.splits, part) << _ONE)
+
+
+@device
+def _begin_subtree(node, marks, count, numbering):
+    """Where the rows of a subtree begin: after those of large cells and earlier subtrees."""
+    large_count = load(np.uint64, marks + count * _LONG) >> _UPPER
+    before = load(np.uint64, marks + node * _LONG) & _LOWER
+    _put(numbering.firsts, node, _ONE + (large_count << _ONE) + before)
+
+
+@kernel
+def _begin_rows(node, nodes, sizes, most, marks, count, numbering):
+    """Write the first rows of large cells, and of the subtrees below them."""
+    if node == _NONE:
+        _put(numbering.rows, node, _NONE)
+        _put(numbering.places, node, _NONE)
+    if not _is_large(nodes, node, sizes, most):
+        if node == _NONE:
+            _begin_subtree(node, marks, count, numbering)
+        return
+    before = load(np.uint64, marks + node * _LONG) >> _UPPER
+    _put(numbering.firsts, node, _ONE + (before << _ONE))
+    _, child = split_at(nodes, node)
+    for side in range(_TWO):
+        part = child + side
+        if not _is_large(nodes, part, sizes, most):
+            _begin_subtree(part, marks, count, numbering)
+
+
+@kernel
+def _number_children(i, first, nodes, sizes, most, numbering):
+    """Write the rows and places of the children of node first + i, and their first rows."""
+    node = first + i
+    axis, child = split_at(nodes, node)
+    if axis == _LEAF:
+        return
+    row, place = _get(numbering.firsts, node), _get(numbering.places, node)
+    _put(numbering.rows, child, row)
+    _put(numbering.rows, child + _ONE, row + _ONE)
+    _put(numbering.places, child, place)
+    _put(numbering.places, child + _ONE, place + _get(numbering.rooms, child))
+    if not _is_large(nodes, node, sizes, most):
+        _put(numbering.firsts, child, row + _TWO)
+        after = _get(numbering.splits, child) << _ONE
+        _put(numbering.firsts, child + _ONE, row + _TWO + after)
+
+
+class _Kernels(NamedTuple):
+    count_below: RangeKernel
+    mark_large: RangeKernel
+    begin_rows: RangeKernel
+    number_children: RangeKernel
+
+
+KERNELS = _Kernels(
+    RangeKernel(_count_below),
+    RangeKernel(_mark_large),
+    RangeKernel(_begin_rows),
+    RangeKernel(_number_children),
+)
+
+
+def number_nodes(gpu: Gpu, tree: GrownTree, triangle_count: int) -> Numbers:
+    """Begin to find the CPU's numbers of a tree's nodes.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    tree : GrownTree
+    triangle_count : int
+        By which the CPU decides which cells are large.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for them.
+    """
+    count = len(tree.nodes)
+    numbers = Numbers(*(gpu.empty(name, count, np.uint32) for name in Numbers._fields))
+    nodes, sizes = tree.nodes.address, tree.sizes.address
+    most = np.uint64(subtree_size(triangle_count))
+    levels = list(zip(tree.levels, tree.levels[1:], strict=False))
+    for first, end in reversed(levels):
+        KERNELS.count_below.launch(gpu, end - first, (np.uint64(first), nodes, numbers.at))
+    marks = gpu.empty("large cells", count + 1, np.uint64)
+    gpu.clear(marks, marks.stream)
+    shared = nodes, sizes, most
+    KERNELS.mark_large.launch(gpu, count, (*shared, numbers.at, marks.address))
+    Scan(gpu, count).run(marks.address, count, marks.address, np.uint64)
+    begun = marks.address, np.uint64(count), numbers.at
+    KERNELS.begin_rows.launch(gpu, count, (*shared, *begun))
+    for first, end in levels:
+        KERNELS.number_children.launch(gpu, end - first, (np.uint64(first), *shared, numbers.at))
+    return numbers
