@@ -287,7 +287,7 @@ def test_no_triangles(device):
     ("structure", "options", "message"),
     [
         ("bvh", {"build": "there"}, "build: expected 'host' or 'device', got 'there'"),
-        ("kdtree", {}, "build: 'device' builds 'bvh', 'graph', 'grid', not 'kdtree'"),
+        ("brute", {}, "build: 'device' builds 'bvh', 'graph', 'grid', 'kdtree', not 'brute'"),
         ("bvh", {"method": "best"}, "method: expected one of 'clusters', 'linear', got 'best'"),
         ("bvh", {"max_leaf_size": 33}, "max_leaf_size: expected 1 to 32, got 33"),
         ("grid", {"levels": 2}, "levels: expected 1 where build='device', got 2"),
@@ -332,6 +332,7 @@ _USUAL = (
 TREE_KERNELS = (
     *("try_planes", "choose_plane", "make_reference", "count_cut", "confirm", "count_parts"),
     *("make_cells", "place_parts", "count_below", "mark_large", "begin_rows", "number_children"),
+    *("write_tree_node", "extend_children"),
 )
 GRAPH_KERNELS = (
     *("place_list", "weigh", "cut", "place_cells", "place_nodes", "mark_leaf", "list_leaf"),

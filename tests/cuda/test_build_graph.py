@@ -135,13 +135,12 @@ def test_trees_below_graphs_are_the_cpus(device):
     """Lists that pruning changes are compared before it."""
     from raystream.cuda.builders.kdtree.grow import grow_tree
     from raystream.cuda.builders.kdtree.rows import number_nodes
-    from raystream.structures.graph.build import graph_box
 
     triangles = scene_of(*soup(300)).triangles
     count = len(triangles.prim_ids)
     method = tree_method_of(method_of(chosen_options(2.0, 1.0, 0.5, None, 1), count))
     corners = device.upload("corners", triangles.corners)
-    grown = grow_tree(device, triangles, corners, graph_box(triangles), method)
+    grown = grow_tree(device, triangles, corners, method)
     numbers = number_nodes(device, grown, count)
     theirs = build_arrays(triangles, method)
     ids, rows = grown.ids.host(), numbers.rows.host()

@@ -13,7 +13,7 @@ from raystream.structures import Structure
 __all__ = ["BUILT_ON_DEVICE", "build_structure"]
 
 #: Structures that the device can build.
-BUILT_ON_DEVICE = ("bvh", "graph", "grid")
+BUILT_ON_DEVICE = ("bvh", "graph", "grid", "kdtree")
 
 
 def build_structure(
@@ -39,8 +39,8 @@ def build_structure(
     gpu : int
         Which device.
     **options
-        Of the structure: see `cuda.builders.bvh.build_bvh`, `cuda.builders.grid.build_grid` and
-        `cuda.builders.graph.structure.build_graph`.
+        Of the structure: see the functions `build_bvh`, `build_graph`, `build_grid` and
+        `build_kdtree` of `cuda.builders`.
 
     Raises
     ------

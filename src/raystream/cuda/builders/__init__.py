@@ -9,8 +9,9 @@ from typing import Any
 from raystream.cuda.builders.bvh import build_bvh
 from raystream.cuda.builders.graph.structure import build_graph
 from raystream.cuda.builders.grid import build_grid
+from raystream.cuda.builders.kdtree.structure import build_kdtree
 
-__all__ = ["BUILDERS", "build_bvh", "build_graph", "build_grid"]
+__all__ = ["BUILDERS", "build_bvh", "build_graph", "build_grid", "build_kdtree"]
 
 
 def _with_options(build: Callable[..., Any]) -> tuple[Callable[..., Any], tuple[str, ...]]:
@@ -22,4 +23,5 @@ BUILDERS = {
     "bvh": _with_options(build_bvh),
     "graph": _with_options(build_graph),
     "grid": _with_options(build_grid),
+    "kdtree": _with_options(build_kdtree),
 }

@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.structures.clip import BOUND
 from raystream.structures.graph.bins import fill_bins
 from raystream.structures.graph.cells import find_cells
 from raystream.structures.graph.layout import SECTOR_ROWS, GraphArrays
@@ -37,7 +36,7 @@ from raystream.structures.graph.links import link_sectors
 from raystream.structures.graph.order import fill_sectors, order_sectors
 from raystream.structures.graph.prune import prune
 from raystream.structures.kdtree.build import Method as TreeMethod
-from raystream.structures.kdtree.build import build_arrays
+from raystream.structures.kdtree.build import build_arrays, root_box
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import Costs
 
@@ -76,9 +75,8 @@ class Method(NamedTuple):
 
 
 def graph_box(triangles: Triangles) -> NDArray[np.float32]:
-    """The box that sectors tile, shape (2, 3): the scene's, grown by `clip.BOUND`."""
-    bound = np.float32(float(triangles.extreme) * BOUND)
-    return np.stack([triangles.bounds[0] - bound, triangles.bounds[1] + bound])
+    """The box that sectors tile, shape (2, 3): the kd-tree's."""
+    return root_box(triangles)
 
 
 def build_graph(

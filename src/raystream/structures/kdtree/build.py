@@ -29,7 +29,7 @@ from raystream.structures.kdtree.subtree import (
     split_range,
 )
 
-__all__ = ["LEAST_ROOM", "MAX_REFERENCES", "Method", "build_arrays", "subtree_size"]
+__all__ = ["LEAST_ROOM", "MAX_REFERENCES", "Method", "build_arrays", "root_box", "subtree_size"]
 
 #: References in all leaves together, for each triangle, at most; and for any scene.
 MAX_REFERENCES = 12
@@ -54,6 +54,12 @@ class Method(NamedTuple):
     costs: Costs
     max_depth: int
     max_leaf_size: int
+
+
+def root_box(triangles: Triangles) -> NDArray[np.float32]:
+    """The box of all references, shape (2, 3): the scene's, grown by `clip.BOUND`."""
+    bound = np.float32(float(triangles.extreme) * BOUND)
+    return np.stack([triangles.bounds[0] - bound, triangles.bounds[1] + bound])
 
 
 def subtree_size(triangle_count: int) -> int:

@@ -28,7 +28,7 @@ from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.state import STACK_BYTES, KdAddresses
 from raystream.structures.kdtree.traversal import traverse
 
-__all__ = ["LAYOUTS", "TRAVERSALS", "KdTree"]
+__all__ = ["LAYOUTS", "TRAVERSALS", "KdTree", "chosen_options", "method_of"]
 
 #: How a search goes on after a leaf, in the order of `state.STACK` and so on.
 TRAVERSALS = ("stack", "restart", "backtrack", "short-stack")
@@ -108,17 +108,9 @@ class KdTree(Structure):
         progress: Progress | None = None,
     ) -> None:
         started = time.perf_counter()
-        options = {
-            "traversal": traversal,
-            "layout": layout,
-            "traversal_cost": float(traversal_cost),
-            "intersection_cost": float(intersection_cost),
-            "empty_bonus": float(empty_bonus),
-            "max_depth": None if max_depth is None else operator.index(max_depth),
-            "max_leaf_size": operator.index(max_leaf_size),
-        }
-        _check(options)
-        tree = build_arrays(triangles, _method(options, len(triangles.prim_ids)), progress)
+        costs = traversal_cost, intersection_cost, empty_bonus
+        options = chosen_options(traversal, layout, *costs, max_depth, max_leaf_size)
+        tree = build_arrays(triangles, method_of(options, len(triangles.prim_ids)), progress)
         self._set(triangles, tree, options, started)
 
     def _set(
@@ -247,7 +239,31 @@ class KdTree(Structure):
         return structure
 
 
-def _method(options: Mapping[str, Any], triangle_count: int) -> Method:
+def chosen_options(
+    traversal: str,
+    layout: str,
+    traversal_cost: float,
+    intersection_cost: float,
+    empty_bonus: float,
+    max_depth: int | None,
+    max_leaf_size: int,
+) -> dict[str, Any]:
+    """The options of a kd-tree, checked; see `KdTree`."""
+    options = {
+        "traversal": traversal,
+        "layout": layout,
+        "traversal_cost": float(traversal_cost),
+        "intersection_cost": float(intersection_cost),
+        "empty_bonus": float(empty_bonus),
+        "max_depth": None if max_depth is None else operator.index(max_depth),
+        "max_leaf_size": operator.index(max_leaf_size),
+    }
+    _check(options)
+    return options
+
+
+def method_of(options: Mapping[str, Any], triangle_count: int) -> Method:
+    """How to grow a tree with such options."""
     max_depth = options["max_depth"]
     if max_depth is None:
         max_depth = usual_depth(triangle_count)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.graph import linking, pruning, sectors, sharing
-from raystream.cuda.builders.kdtree import parting, planes, rows
+from raystream.cuda.builders.kdtree import parting, planes, rows, trees
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.jit.cuda import RangeKernel
 from raystream.structures.graph.behind import Tree
@@ -47,9 +47,11 @@ def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
             (refs, level, choices, _AT, bound, counts, made, _AT, refs),
         ),
         (rows.KERNELS.count_below, (*_at(2), numbering)),
-        (rows.KERNELS.mark_large, (*_at(3), numbering, _AT)),
-        (rows.KERNELS.begin_rows, (*_at(5), numbering)),
+        (rows.KERNELS.mark_large, (*_at(3), numbering, *_at(2))),
+        (rows.KERNELS.begin_rows, (*_at(6), numbering)),
         (rows.KERNELS.number_children, (*_at(4), numbering)),
+        (trees.KERNELS.write_tree_node, (*_at(2), numbering, *_at(2))),
+        (trees.KERNELS.extend_children, (*_at(2), numbering, _AT)),
     ]
 
 

@@ -146,7 +146,7 @@ def build_graph(
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
     method = tree_method_of(method_of(options, len(triangles.prim_ids)))
-    tree = grow_tree(gpu, triangles, corners, graph_box(triangles), method)
+    tree = grow_tree(gpu, triangles, corners, method)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
     lists = prune(gpu, tree, numbers, method.costs)
     ordered = order_sectors(gpu, tree, numbers)
@@ -179,5 +179,4 @@ def _fill_bins(gpu: Gpu, triangles: Triangles, tree: GrownTree, ordered: Ordered
     _, y_count, z_count = map(np.uint64, counts)
     given = *of_tree, *of_places, y_count, z_count, bins.address
     sectors.KERNELS.fill_bin.launch(gpu, bins.size, given)
-    gpu.wait()  # for whom the corners are kept
     return bins

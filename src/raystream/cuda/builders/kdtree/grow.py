@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, Ref
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.cuda.scan import Scan
 from raystream.structures.clip import BOUND
-from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, Method
+from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, Method, root_box
 from raystream.structures.kdtree.layout import MAX_DEPTH, MAX_NODES
 from raystream.structures.kdtree.split import MOST_EXACT, Costs
 
@@ -52,9 +52,7 @@ def as_numbers(costs: Costs) -> Costs:
     return Costs(*map(np.float64, costs))
 
 
-def grow_tree(
-    gpu: Gpu, triangles: Triangles, corners: DeviceArray, box: Any, method: Method
-) -> GrownTree:
+def grow_tree(gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: Method) -> GrownTree:
     """Grow a kd-tree on a device.
 
     Parameters
@@ -64,8 +62,6 @@ def grow_tree(
         At least one that can be hit.
     corners : DeviceArray of shape (F, 3, 3), float32
         Those of the triangles.
-    box : ndarray of shape (2, 3), float32
-        Around all references.
     method : Method
 
     Returns
@@ -85,7 +81,7 @@ def grow_tree(
     The host waits for the device once a level, to know how many cells and references the next one
     has.
     """
-    return _Grower(gpu, triangles, corners, box, method).grow()
+    return _Grower(gpu, triangles, corners, method).grow()
 
 
 class _Cells(NamedTuple):
@@ -132,9 +128,9 @@ class _Lists(NamedTuple):
 
 class _Grower:
     def __init__(
-        self, gpu: Gpu, triangles: Triangles, corners: DeviceArray, box: Any, method: Method
+        self, gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: Method
     ) -> None:
-        self.gpu, self.triangles, self.corners, self.box = gpu, triangles, corners, box
+        self.gpu, self.triangles, self.corners = gpu, triangles, corners
         self.costs = as_numbers(method.costs)
         self.max_depth = min(method.max_depth, MAX_DEPTH)
         self.max_leaf_size = method.max_leaf_size
@@ -166,7 +162,7 @@ class _Grower:
         prim_ids = self.gpu.upload("prim_ids", self.triangles.prim_ids)
         count = len(prim_ids)
         cells, lists = _Cells.allocate(self.gpu, 1), _Lists.allocate(self.gpu, count)
-        cells.boxes.fill(np.asarray(self.box, np.float32).reshape(1, 6))
+        cells.boxes.fill(root_box(self.triangles).reshape(1, 6))
         cells.begins.fill(np.array([0, count], np.uint32))
         cells.bads.fill(np.zeros(1, np.uint32))
         cells.rooms.fill(np.array([self.room], np.uint64))

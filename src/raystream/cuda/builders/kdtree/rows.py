@@ -47,7 +47,7 @@ class Numbering(NamedTuple):
     rows : uint64
         The CPU's row of the node itself.
     places : uint64
-        Rooms of all leaves before its subtree's.
+        Rooms of all leaves that the CPU lists before its subtree's; not of large cells.
     """
 
     splits: np.uint64
@@ -109,38 +109,44 @@ def _is_large(nodes, node, sizes, most):
     return axis != _LEAF and _get(sizes, node) > most
 
 
+@device
+def _note_subtree(node, numbering, marks, rooms):
+    store(marks + node * _LONG, _get(numbering.splits, node) << _ONE)
+    store(rooms + node * _LONG, _get(numbering.rooms, node))
+
+
 @kernel
-def _mark_large(node, nodes, sizes, most, numbering, marks):
-    """Mark a large cell (2**32), and say how many rows a subtree has whose parent is one."""
+def _mark_large(node, nodes, sizes, most, numbering, marks, rooms):
+    """Mark a large cell (2**32), and note rows and room of subtrees whose parent is one."""
     if not _is_large(nodes, node, sizes, most):
         if node == _NONE:
-            store(marks, _get(numbering.splits, node) << _ONE)
+            _note_subtree(node, numbering, marks, rooms)
         return
     store(marks + node * _LONG, _ONE << _UPPER)
     _, child = split_at(nodes, node)
     for side in range(_TWO):
         part = child + side
         if not _is_large(nodes, part, sizes, most):
-            store(marks + part * _LONG, _get(numbering.splits, part) << _ONE)
+            _note_subtree(part, numbering, marks, rooms)
 
 
 @device
-def _begin_subtree(node, marks, count, numbering):
-    """Where the rows of a subtree begin: after those of large cells and earlier subtrees."""
+def _begin_subtree(node, marks, rooms, count, numbering):
+    """Where a subtree begins: after large cells and earlier subtrees."""
     large_count = load(np.uint64, marks + count * _LONG) >> _UPPER
     before = load(np.uint64, marks + node * _LONG) & _LOWER
     _put(numbering.firsts, node, _ONE + (large_count << _ONE) + before)
+    _put(numbering.places, node, load(np.uint64, rooms + node * _LONG))
 
 
 @kernel
-def _begin_rows(node, nodes, sizes, most, marks, count, numbering):
-    """Write the first rows of large cells, and of the subtrees below them."""
+def _begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
+    """Write the first rows of large cells, and where the subtrees below them begin."""
     if node == _NONE:
         _put(numbering.rows, node, _NONE)
-        _put(numbering.places, node, _NONE)
     if not _is_large(nodes, node, sizes, most):
         if node == _NONE:
-            _begin_subtree(node, marks, count, numbering)
+            _begin_subtree(node, marks, rooms, count, numbering)
         return
     before = load(np.uint64, marks + node * _LONG) >> _UPPER
     _put(numbering.firsts, node, _ONE + (before << _ONE))
@@ -148,7 +154,7 @@ def _begin_rows(node, nodes, sizes, most, marks, count, numbering):
     for side in range(_TWO):
         part = child + side
         if not _is_large(nodes, part, sizes, most):
-            _begin_subtree(part, marks, count, numbering)
+            _begin_subtree(part, marks, rooms, count, numbering)
 
 
 @kernel
@@ -158,12 +164,13 @@ def _number_children(i, first, nodes, sizes, most, numbering):
     axis, child = split_at(nodes, node)
     if axis == _LEAF:
         return
-    row, place = _get(numbering.firsts, node), _get(numbering.places, node)
+    row = _get(numbering.firsts, node)
     _put(numbering.rows, child, row)
     _put(numbering.rows, child + _ONE, row + _ONE)
-    _put(numbering.places, child, place)
-    _put(numbering.places, child + _ONE, place + _get(numbering.rooms, child))
     if not _is_large(nodes, node, sizes, most):
+        place = _get(numbering.places, node)
+        _put(numbering.places, child, place)
+        _put(numbering.places, child + _ONE, place + _get(numbering.rooms, child))
         _put(numbering.firsts, child, row + _TWO)
         after = _get(numbering.splits, child) << _ONE
         _put(numbering.firsts, child + _ONE, row + _TWO + after)
@@ -207,11 +214,15 @@ def number_nodes(gpu: Gpu, tree: GrownTree, triangle_count: int) -> Numbers:
     for first, end in reversed(levels):
         KERNELS.count_below.launch(gpu, end - first, (np.uint64(first), nodes, numbers.at))
     marks = gpu.empty("large cells", count + 1, np.uint64)
-    gpu.clear(marks, marks.stream)
-    shared = nodes, sizes, most
-    KERNELS.mark_large.launch(gpu, count, (*shared, numbers.at, marks.address))
-    Scan(gpu, count).run(marks.address, count, marks.address, np.uint64)
-    begun = marks.address, np.uint64(count), numbers.at
+    rooms = gpu.empty("rooms of subtrees", count + 1, np.uint64)
+    shared, begins = (nodes, sizes, most), (marks.address, rooms.address)
+    for one in (marks, rooms):
+        gpu.clear(one, one.stream)
+    KERNELS.mark_large.launch(gpu, count, (*shared, numbers.at, *begins))
+    scan = Scan(gpu, count)
+    for at in begins:
+        scan.run(at, count, at, np.uint64)
+    begun = *begins, np.uint64(count), numbers.at
     KERNELS.begin_rows.launch(gpu, count, (*shared, *begun))
     for first, end in levels:
         KERNELS.number_children.launch(gpu, end - first, (np.uint64(first), *shared, numbers.at))

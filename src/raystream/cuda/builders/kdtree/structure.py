@@ -1,0 +1,145 @@
+"""DeviceKdTree: a kd-tree that was built on a device, and stays there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from raystream.core.triangles import Triangles
+from raystream.cuda.builders.kdtree.grow import grow_tree
+from raystream.cuda.builders.kdtree.rows import number_nodes
+from raystream.cuda.builders.kdtree.trees import WrittenTree, write_tree
+from raystream.cuda.structures import Resident
+from raystream.jit.cuda import Gpu
+from raystream.jit.threads import Progress
+from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.kdtree.layout import KdArrays
+from raystream.structures.kdtree.state import KdAddresses
+from raystream.structures.kdtree.structure import TRAVERSALS, KdTree, chosen_options, method_of
+
+__all__ = ["DeviceKdTree", "build_kdtree"]
+
+_NOWHERE = np.uint64(0)
+
+
+class DeviceKdTree(KdTree):
+    """A kd-tree in a device's memory; it is copied to the host when it is asked for there.
+
+    Parameters
+    ----------
+    triangles : Triangles
+    gpu : Gpu
+    written : WrittenTree
+    options : mapping
+        To build it again.
+    started : float
+        When the build began, by `time.perf_counter`.
+    """
+
+    def __init__(
+        self,
+        triangles: Triangles,
+        gpu: Gpu,
+        written: WrittenTree,
+        options: Mapping[str, Any],
+        started: float,
+    ) -> None:
+        self.triangles, self.gpu, self.options = triangles, gpu, options
+        self._written = written
+        arrays = tuple(one for one in written if one is not None)
+        extended = written.extended
+        (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
+        tree = KdAddresses(
+            written.nodes.address,
+            _NOWHERE,
+            extended.address if extended is not None else _NOWHERE,
+            written.blocks.address,
+            np.uint64(0),
+            np.uint64(TRAVERSALS.index(options["traversal"])),
+            (low_x, low_y, low_z),
+            (high_x, high_y, high_z),
+        )
+        self.resident = Resident(tree, arrays)
+        gpu.wait()
+        byte_count = sum(one.nbytes for one in arrays)
+        self.report = BuildReport(time.perf_counter() - started, byte_count)
+
+    @cached_property
+    def _on_host(self) -> KdTree:
+        """The same tree, whose arrays are on the host."""
+        made = KdTree.__new__(KdTree)
+        # A block's prim_ids are its last four words.
+        prim_ids = np.ascontiguousarray(self._written.blocks.host()[:, -4:]).view(np.int32)
+        tree = KdArrays(self._written.nodes.host(), prim_ids)
+        made._set(self.triangles, tree, self.options, 0.0)
+        return made
+
+    def __getattr__(self, name: str) -> Any:
+        # What only the host's queries and figures need, when they do.
+        if name in ("tree", "blocks", "packed", "extended", "_memory", "_addresses"):
+            return getattr(self._on_host, name)
+        raise AttributeError(name)
+
+    def updated(
+        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
+    ) -> tuple[Structure, UpdateReport]:
+        """Build it anew, on the device; see `Structure.updated`. Costs are not said."""
+        del max_cost_growth, progress
+        rebuilt = build_kdtree(self.gpu, triangles, **self.options)
+        return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
+
+
+def build_kdtree(
+    gpu: Gpu,
+    triangles: Triangles,
+    *,
+    traversal: str = "stack",
+    layout: str = "compact",
+    traversal_cost: float = 8.0,
+    intersection_cost: float = 1.0,
+    empty_bonus: float = 0.2,
+    max_depth: int | None = None,
+    max_leaf_size: int = 1,
+) -> KdTree:
+    """Build a kd-tree on a device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    triangles : Triangles
+    traversal, traversal_cost, intersection_cost, empty_bonus, max_depth, max_leaf_size
+        See `KdTree`.
+    layout : {"compact"}
+        Foley's is made on the CPU alone.
+
+    Returns
+    -------
+    KdTree
+        Its arrays are those of the CPU's build, bit for bit.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of range, or the tree would be too large.
+    TypeError
+        If a number is no number, or no integer where one is needed.
+    CudaError
+        If there is no memory for it.
+    """
+    costs = traversal_cost, intersection_cost, empty_bonus
+    options = chosen_options(traversal, layout, *costs, max_depth, max_leaf_size)
+    if layout != "compact":
+        raise ValueError(f"layout: expected 'compact' where build='device', got {layout!r}")
+    if len(triangles.prim_ids) == 0:
+        return KdTree(triangles, **options)
+    started = time.perf_counter()
+    corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
+    method = method_of(options, len(triangles.prim_ids))
+    tree = grow_tree(gpu, triangles, corners, method)
+    numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
+    written = write_tree(gpu, tree, numbers, corners, traversal == "backtrack")
+    return DeviceKdTree(triangles, gpu, written, options, started)

@@ -1,0 +1,146 @@
+"""A tree that was grown on a device, in the CPU's order and as its traversals read it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
+from raystream.cuda.builders.kdtree.grow import GrownTree
+from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
+from raystream.jit.simd import load, store
+from raystream.structures.bvh.layout import BLOCK_FLOATS
+from raystream.structures.clip import HIGH, WORD
+from raystream.structures.kdtree.layout import LEAF_AXIS
+
+__all__ = ["KERNELS", "WrittenTree", "write_tree"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_THREE = np.uint64(3)
+_NODE = np.uint64(8)
+_RECORD = np.uint64(32)
+_OWN_AT = np.uint64(24)
+_LEAF = np.uint64(LEAF_AXIS)
+_ABSENT = np.int32(-1)
+
+
+class WrittenTree(NamedTuple):
+    """As `kdtree.layout.KdArrays`, on a device.
+
+    Attributes
+    ----------
+    nodes : DeviceArray of shape (M, 2), int32
+    blocks : DeviceArray of shape (B, 40), float32
+        The leaves' triangles; see `bvh.layout.BvhArrays.leaves`.
+    extended : DeviceArray of shape (S, 8), float32, or None
+        See `kdtree.packed.extend`.
+    """
+
+    nodes: DeviceArray
+    blocks: DeviceArray
+    extended: DeviceArray | None
+
+
+@kernel
+def _write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
+    """Write a node to its row, and a leaf's triangles to its blocks."""
+    axis, number = split_at(nodes, node)
+    first = load(np.uint32, nodes + node * _NODE)
+    to = to_nodes + np.uint64(load(np.uint32, numbering.rows + node * WORD)) * _NODE
+    if axis != _LEAF:
+        row = np.uint64(load(np.uint32, numbering.firsts + node * WORD))
+        store(to, first)
+        store(to + WORD, np.uint32(row << _TWO | axis))
+        return
+    place = np.uint64(load(np.uint32, numbering.places + node * WORD))
+    store(to, np.uint32(place >> _TWO))
+    store(to + WORD, np.uint32(number << _TWO | axis))
+    source, ids = tree_ids + np.uint64(first) * WORD, prim_ids + place * WORD
+    for k in range((number + _THREE) & ~_THREE):
+        store(ids + k * WORD, load(np.int32, source + k * WORD) if k < number else _ABSENT)
+
+
+@kernel
+def _extend_children(i, first, nodes, numbering, extended):
+    """Write the bounds of the children of node first + i that are splits, which has its own."""
+    node = first + i
+    axis, child = split_at(nodes, node)
+    if axis == _LEAF:
+        return
+    row = np.uint64(load(np.uint32, numbering.firsts + node * WORD))
+    own, plane = extended + (row >> _ONE) * _RECORD, load(np.float32, nodes + node * _NODE)
+    for side in range(_TWO):
+        child_axis, _ = split_at(nodes, child + side)
+        if child_axis == _LEAF:
+            continue
+        child_row = np.uint64(load(np.uint32, numbering.firsts + (child + side) * WORD))
+        to = extended + (child_row >> _ONE) * _RECORD
+        for k in range(np.uint64(6)):
+            store(to + k * WORD, load(np.float32, own + k * WORD))
+        at = to + axis * WORD
+        if side == _NONE:  # below the plane
+            store(at + HIGH, min(load(np.float32, at + HIGH), plane))
+        else:
+            store(at, max(load(np.float32, at), plane))
+        store(to + _OWN_AT, np.uint32(row + side))
+        store(to + _OWN_AT + WORD, np.uint32(0))
+
+
+class _Kernels(NamedTuple):
+    write_tree_node: RangeKernel
+    extend_children: RangeKernel
+
+
+KERNELS = _Kernels(RangeKernel(_write_tree_node), RangeKernel(_extend_children))
+
+
+def write_tree(
+    gpu: Gpu, tree: GrownTree, numbers: Numbers, corners: DeviceArray, is_extended: bool
+) -> WrittenTree:
+    """Begin to write a tree.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    tree : GrownTree
+    numbers : Numbers
+        Of it.
+    corners : DeviceArray of shape (F, 3, 3), float32
+        Those of the triangles.
+    is_extended : bool
+        Whether it needs what backtracking reads.
+
+    Raises
+    ------
+    CudaError
+        If there is no memory for it.
+    """
+    count = len(tree.nodes)
+    block_count = int(numbers.rooms.part(0, 1).host()[0]) // 4
+    nodes = gpu.empty("nodes", (count, 2), np.int32)
+    prim_ids = gpu.empty("triangles of blocks", (block_count, 4), np.int32)
+    blocks = gpu.empty("blocks", (block_count, BLOCK_FLOATS), np.float32)
+    source = tree.nodes.address, tree.ids.address, numbers.at
+    KERNELS.write_tree_node.launch(gpu, count, (*source, nodes.address, prim_ids.address))
+    of_blocks = prim_ids.address, corners.address, blocks.address
+    FILL_BLOCK.launch(gpu, block_count, of_blocks)
+    extended = _extended(gpu, tree, numbers) if is_extended else None
+    return WrittenTree(nodes, blocks, extended)
+
+
+def _extended(gpu: Gpu, tree: GrownTree, numbers: Numbers) -> DeviceArray:
+    """Begin to write what backtracking needs of splits."""
+    extended = gpu.empty("bounds of splits", (len(tree.nodes) // 2, 8), np.float32)
+    if len(extended):
+        root = np.array([-np.inf] * 3 + [np.inf] * 3 + [0.0] * 2, np.float32)
+        # Without a parent, but in row 0, which is what compact nodes are told.
+        extended.part(0, 8).fill(root)
+    for first, end in zip(tree.levels, tree.levels[1:], strict=False):
+        given = np.uint64(first), tree.nodes.address, numbers.at, extended.address
+        KERNELS.extend_children.launch(gpu, end - first, given)
+    return extended
