@@ -95,10 +95,10 @@ class _Cells(NamedTuple):
     @classmethod
     def allocate(cls, gpu: Gpu, count: int) -> _Cells:
         return cls(
-            gpu.empty("boxes of cells", (count, 6), np.float32),
-            gpu.empty("references of cells", count + 1, np.uint32),
-            gpu.empty("bad splits", count, np.uint32),
-            gpu.empty("rooms of cells", count, np.uint64),
+            gpu.pooled("boxes of cells", (count, 6), np.float32),
+            gpu.pooled("references of cells", count + 1, np.uint32),
+            gpu.pooled("bad splits", count, np.uint32),
+            gpu.pooled("rooms of cells", count, np.uint64),
         )
 
     @property
@@ -116,9 +116,9 @@ class _Lists(NamedTuple):
     @classmethod
     def allocate(cls, gpu: Gpu, count: int) -> _Lists:
         return cls(
-            gpu.empty("boxes of references", (count, 6), np.float32),
-            gpu.empty("references", count, np.int32),
-            gpu.empty("cells of references", count, np.uint32),
+            gpu.pooled("boxes of references", (count, 6), np.float32),
+            gpu.pooled("references", count, np.int32),
+            gpu.pooled("cells of references", count, np.uint32),
         )
 
     @property
@@ -127,6 +127,8 @@ class _Lists(NamedTuple):
 
 
 class _Grower:
+    # What a level needs is from the driver's pool, lest each array waits for the device.
+
     def __init__(
         self, gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: Method
     ) -> None:
@@ -175,7 +177,7 @@ class _Grower:
         gpu, count, all_count = self.gpu, len(cells.boxes), len(lists.boxes)
         choices = Choices(
             *(
-                self._kept(gpu.empty("choices", count, dtype))
+                self._kept(gpu.pooled("choices", count, dtype))
                 for dtype in (np.uint32, np.float32, np.uint32, np.uint32)
             )
         )
@@ -184,12 +186,12 @@ class _Grower:
         most = self.max_leaf_size if may_split else 1 << 62
         has_bins = all_count > int(MOST_EXACT)
         slots = all_count // int(MOST_EXACT) + 1 if has_bins else 0
-        bins = gpu.empty("bins", slots * BIN_BYTES, np.uint8)
+        bins = gpu.pooled("bins", slots * BIN_BYTES, np.uint8)
         gpu.clear(bins, bins.stream)
         tried = Tried(
-            self._kept(gpu.empty("costs of planes", all_count, np.float64)),
-            self._kept(gpu.empty("planes", all_count, np.float32)),
-            self._kept(gpu.empty("axes of planes", all_count, np.uint32)),
+            self._kept(gpu.pooled("costs of planes", all_count, np.float64)),
+            self._kept(gpu.pooled("planes", all_count, np.float32)),
+            self._kept(gpu.pooled("axes of planes", all_count, np.uint32)),
             self._kept(bins),
         )
         shared = self.costs, np.uint64(most), tried
@@ -211,8 +213,8 @@ class _Grower:
         cell_count, count = len(cells.boxes), len(lists.boxes)
         self._scratch: list[DeviceArray] = []
         choices = self._choose(cells, lists, may_split)
-        parts = gpu.empty("parts of references", count + 1, np.uint64)
-        splits = gpu.empty("splits", cell_count + 1, np.uint64)
+        parts = gpu.pooled("parts of references", count + 1, np.uint64)
+        splits = gpu.pooled("splits", cell_count + 1, np.uint64)
         counts = Counts(parts.address, splits.address)
         kernels.confirm.launch(gpu, cell_count, (cells.at, choices, counts))
         given = choices, self.corners.address, np.float64(self.bound), counts
@@ -220,8 +222,8 @@ class _Grower:
         found, split = _scanned(gpu, parts), _scanned(gpu, splits)
         after = _Cells.allocate(gpu, 2 * (split >> 32))
         lists_after = _Lists.allocate(gpu, (found >> 32) + (found & _LOWER))
-        nodes = gpu.empty("nodes", (cell_count, 2), np.int32)
-        sizes = gpu.empty("sizes of cells", cell_count, np.uint32)
+        nodes = gpu.pooled("nodes", (cell_count, 2), np.int32)
+        sizes = gpu.pooled("sizes of cells", cell_count, np.uint32)
         made = Made(nodes.address, sizes.address, self.ids.address)
         first_id = np.uint64(id_count)
         rows = np.uint64(first_row), first_id
@@ -250,5 +252,5 @@ def _scanned(gpu: Gpu, counts: DeviceArray) -> int:
     if count == 0:  # a level whose cells have no references
         gpu.clear(counts, counts.stream)
         return 0
-    Scan(gpu, count).run(counts.address, count, counts.address, np.uint64)
+    Scan(gpu, count, empty=gpu.pooled).run(counts.address, count, counts.address, np.uint64)
     return int(counts.part(count, 1).host()[0])
