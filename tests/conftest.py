@@ -254,6 +254,8 @@ GPU_TRACERS = {
     "bvh, compressed, built there": {"structure": "bvh", "kernel": "compressed", **BUILT},
     "bvh, binary, built there": {"structure": "bvh", "kernel": "binary", **BUILT},
     "grid, built there": {"structure": "grid", **BUILT},
+    "kdtree, built there": {"structure": "kdtree", **BUILT},
+    "graph, built there": {"structure": "graph", **BUILT},
     "bvh, packets": {"structure": "bvh", "kernel": "packet", "quality": "high", **CUDA},
     "bvh, packets, sorted": {"structure": "bvh", "kernel": "packet", **SORTED},
     "brute, sorted": {"structure": "brute", **SORTED},
