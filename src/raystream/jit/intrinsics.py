@@ -10,6 +10,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 __all__ = [
+    "array_at",
     "bits_above",
     "corners_at",
     "high_product",
@@ -35,8 +36,8 @@ def stay_out_of_line(typing_context: Any) -> Any:
     return types.void(), generate
 
 
-def _array_at(context: Any, builder: Any, array: Any, at: Any, shape: list[Any]) -> Any:
-    """An array without an owner that begins at an address."""
+def array_at(context: Any, builder: Any, array: Any, at: Any, shape: list[Any]) -> Any:
+    """Generate an array without an owner that begins at an address; lengths are LLVM's."""
     size = context.get_value_type(types.intp)
     ary = context.make_array(array)(context, builder)
     element = context.get_data_type(array.dtype)
@@ -44,12 +45,15 @@ def _array_at(context: Any, builder: Any, array: Any, at: Any, shape: list[Any])
     strides = [size(itemsize)]
     for length in shape[:0:-1]:
         strides.insert(0, builder.mul(strides[0], length))
+    item_count = shape[0]
+    for length in shape[1:]:
+        item_count = builder.mul(item_count, length)
     attributes = {
         "data": builder.inttoptr(at, element.as_pointer()),
         "shape": cgutils.pack_array(builder, shape),
         "strides": cgutils.pack_array(builder, strides),
         "itemsize": size(itemsize),
-        "nitems": size(0),
+        "nitems": item_count,
         "meminfo": None,
         "parent": None,
     }
@@ -72,7 +76,7 @@ def corners_at(typing_context: Any, at: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         size = context.get_value_type(types.intp)
-        return _array_at(context, builder, array, arguments[0], [size(0), size(3), size(3)])
+        return array_at(context, builder, array, arguments[0], [size(0), size(3), size(3)])
 
     return array(at), generate
 
@@ -85,7 +89,7 @@ def int32_at(typing_context: Any, at: Any, count: Any) -> Any:
     array = types.Array(types.int32, 1, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _array_at(context, builder, array, arguments[0], [arguments[1]])
+        return array_at(context, builder, array, arguments[0], [arguments[1]])
 
     return array(at, count), generate
 

@@ -99,6 +99,16 @@ class HitAddresses(NamedTuple):
     v: np.uint64
     prim_id: np.uint64
 
+    @classmethod
+    def of(cls, hits: HitArrays) -> HitAddresses:
+        """Where hits are; the caller keeps them."""
+        return cls(*np.array([one.ctypes.data for one in hits], np.uint64))
+
+    @classmethod
+    def of_rows(cls, address: np.uint64, count: int) -> HitAddresses:
+        """Where the rows of an array of shape (4, count) at an address are."""
+        return cls(*(address + np.uint64(4 * count * k) for k in range(4)))
+
 
 @device
 def hit_addresses(out):

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.collect import HitArrays, copy_rows
+from raystream.kernels.collect import HitAddresses, HitArrays, copy_rows
 from raystream.programs.asked import Asked, Piece
-from raystream.programs.program import Goal, Program
+from raystream.programs.program import Program
 from raystream.programs.rounds import AskHits, visit
 from raystream.programs.rows import SkipsAt, as_skips
+from raystream.programs.texts import Goal
 from raystream.structures.found import Collected, Found, cut
 
 __all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
@@ -74,6 +75,11 @@ class Filter(NamedTuple):
         skipped = None
         if skip_prim_ids is not None:
             skipped = as_skips(skip_prim_ids, shape, len(triangles))
+        return cls.among(on_hit, skipped, triangles)
+
+    @classmethod
+    def among(cls, on_hit: Any, skipped: NDArray[np.int32] | None, triangles: Triangles) -> Filter:
+        """A function, or None for the one that finds that all hits exist."""
         if isinstance(on_hit, Bound):
             return cls(on_hit.function, skipped, triangles, on_hit)
         return cls(_keep_all if on_hit is None else on_hit, skipped, triangles)
@@ -101,7 +107,7 @@ def filter_first(
     hits : HitArrays
         The nearest hits of all triangles; changed.
     """
-    program = filter_.program("first", hits)
+    program = filter_.program("first", HitAddresses.of(hits))
     program.compile()
     whole = Asked(batch, None, 0)
     piece = Piece.of(whole, 0)
@@ -119,7 +125,7 @@ def count_filtered(
 ) -> NDArray[np.int64]:
     """Count the hits of each ray that exist."""
     counts = np.zeros(len(batch), np.int64)
-    program = filter_.program("count", counts)
+    program = filter_.program("count", np.uint64(counts.ctypes.data))
     program.compile()
     whole, status = Asked(batch, None, 0), np.zeros(len(batch), np.uint8)
     if visit(ask, whole, program.run, status, progress, is_ordered=False):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device
-from raystream.jit.simd import load
+from raystream.jit.simd import load, store
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.ray_source import RaySource
 
@@ -18,13 +18,16 @@ __all__ = [
     "RaysAt",
     "RowsAt",
     "SceneAt",
+    "close_ray",
     "hit_at",
+    "is_open",
     "position_at",
     "ray_at",
     "row_range",
 ]
 
 _NOWHERE = np.uint64(0)
+_ENDED = np.uint8(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(4)
 _LONG = np.uint64(8)
@@ -67,6 +70,9 @@ class RowsAt(NamedTuple):
         Addresses of the first row's numbers.
     splits : uint64
         Address of the entries' first rows, int64; 0 if row i is entry i's, or a miss.
+    counts : uint64
+        Address of how many rows of its own each entry has, int64; 0 if those up to the next
+        entry's.
     delivered : uint64
         Rows of each ray that a program has seen before.
     """
@@ -76,18 +82,19 @@ class RowsAt(NamedTuple):
     v: np.uint64
     prim_id: np.uint64
     splits: np.uint64
+    counts: np.uint64
     delivered: np.uint64
 
     @classmethod
     def of(cls, hits: HitArrays, splits: NDArray[np.int64] | None, delivered: int) -> RowsAt:
         """Where these rows lie; without `splits` there is one for each ray."""
-        places = (*map(_place, hits), _place(splits), delivered)
+        places = (*map(_place, hits), _place(splits), 0, delivered)
         return cls(*np.array(places, np.uint64))
 
     @classmethod
     def nowhere(cls) -> RowsAt:
         """No rows."""
-        return cls(*np.zeros(6, np.uint64))
+        return cls(*np.zeros(7, np.uint64))
 
 
 class SceneAt(NamedTuple):
@@ -199,6 +206,18 @@ def ray_at(rays, position):
 
 
 @device
+def is_open(open_rays, position):
+    """Whether no program has ended a ray: its byte at an address."""
+    return load(np.uint8, open_rays + position) != _ENDED
+
+
+@device
+def close_ray(open_rays, position):
+    """Say that a ray has ended."""
+    store(open_rays + position, _ENDED)
+
+
+@device
 def row_range(rows, i):
     """The rows of entry i that are new, as first and end."""
     if rows.splits == _NOWHERE:
@@ -207,6 +226,8 @@ def row_range(rows, i):
         return i, i + _ONE
     at = rows.splits + i * _LONG
     first, end = np.uint64(load(np.int64, at)), np.uint64(load(np.int64, at + _LONG))
+    if rows.counts != _NOWHERE:
+        end = first + np.uint64(load(np.int64, rows.counts + i * _LONG))
     return min(first + rows.delivered, end), end
 
 

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from raystream.core.arrays import as_host_array
 from raystream.jit.cpu import device
-from raystream.jit.simd import address, load, store
+from raystream.jit.simd import load, store
 
-__all__ = ["SkipsAt", "as_skips", "is_skipped", "move_row", "put_row"]
+__all__ = ["SkipsAt", "add_one", "as_skips", "is_skipped", "keep_row", "move_row", "put_row"]
 
+_NOWHERE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(4)
+_LONG = np.uint64(8)
 
 
 class SkipsAt(NamedTuple):
@@ -77,22 +79,55 @@ def is_skipped(skips, ray, rows, row):
 
 
 @device
+def _copy_row(rows, row, out, to):
+    at, target = row * _WORD, to * _WORD
+    store(out.t + target, load(np.float32, rows.t + at))
+    store(out.u + target, load(np.float32, rows.u + at))
+    store(out.v + target, load(np.float32, rows.v + at))
+    store(out.prim_id + target, load(np.int32, rows.prim_id + at))
+
+
+@device
 def put_row(out, ray, rows, row):
-    """Write a row to the place of its ray in `HitArrays`, if it is not there already."""
-    at = row * _WORD
-    if rows.prim_id + at != address(out.prim_id) + ray * _WORD:
-        out.t[ray] = load(np.float32, rows.t + at)
-        out.u[ray] = load(np.float32, rows.u + at)
-        out.v[ray] = load(np.float32, rows.v + at)
-        out.prim_id[ray] = load(np.int32, rows.prim_id + at)
+    """Write a row to the place of its ray in `HitAddresses`, if it is not there already."""
+    if rows.prim_id + row * _WORD != out.prim_id + ray * _WORD:
+        _copy_row(rows, row, out, ray)
 
 
 @device
 def move_row(rows, row, to):
     """Copy a row to an earlier one."""
     if row != to:
-        at, target = row * _WORD, to * _WORD
-        store(rows.t + target, load(np.float32, rows.t + at))
-        store(rows.u + target, load(np.float32, rows.u + at))
-        store(rows.v + target, load(np.float32, rows.v + at))
-        store(rows.prim_id + target, load(np.int32, rows.prim_id + at))
+        _copy_row(rows, row, rows, to)
+
+
+@device
+def add_one(counts, ray):
+    """Add 1 to a ray's count, at the address of the first one's; returns what it is then."""
+    at = counts + ray * _LONG
+    count = load(np.int64, at) + np.int64(1)
+    store(at, count)
+    return count
+
+
+@device
+def keep_row(out, splits, found, ray, rows, row):
+    """Write a row behind those that a ray has in `HitAddresses`, and count it.
+
+    Parameters
+    ----------
+    out : HitAddresses
+    splits : uint64
+        Address of the rays' first rows, int64; 0 if rows are counted alone.
+    found : uint64
+        Address of the rays' counts, int64.
+
+    Returns
+    -------
+    int64
+        How many the ray has then.
+    """
+    count = add_one(found, ray)
+    if splits != _NOWHERE:
+        _copy_row(rows, row, out, np.uint64(load(np.int64, splits + ray * _LONG) + count) - _ONE)
+    return count

@@ -1,0 +1,141 @@
+"""Texts around a user's function: what is done with a ray's rows, on the CPU and on CUDA."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+
+from raystream.jit.programs import accept_decision, row_of
+from raystream.programs.decisions import IGNORE, STOP, Decision
+from raystream.programs.hits import (
+    close_ray,
+    hit_at,
+    is_open,
+    position_at,
+    ray_at,
+    row_range,
+)
+from raystream.programs.rows import add_one, is_skipped, keep_row, move_row, put_row
+
+__all__ = ["Goal", "names_of", "text_of"]
+
+#: What becomes of hits: given to a program with a record, or kept by a filter as the nearest,
+#: counted, or kept in order: where they lie, or at a place that is known.
+Goal = Literal["trace", "first", "count", "multi", "keep"]
+
+#: Statements at the beginning of a ray, at a hit that exists, and at the end of a ray.
+_STATEMENTS: dict[str, tuple[list[str], list[str], list[str]]] = {
+    "trace": ([], [], []),
+    "first": (
+        [],
+        ["put_row(out, ray, rows, row)", "close_ray(open_rays, position)", "break"],
+        ["if start == row_end:", "    close_ray(open_rays, position)"],
+    ),
+    "count": ([], ["add_one(out, ray)"], []),
+    "multi": (
+        ["to = row"],
+        [
+            "move_row(rows, row, to)",
+            "to += one",
+            "found[ray] += 1",
+            "if found[ray] == most:",
+            "    close_ray(open_rays, position)",
+            "    break",
+        ],
+        ["kept[i] = to - start"],
+    ),
+    "keep": (
+        [],
+        [
+            "if keep_row(out, splits, found, ray, rows, row) == most:",
+            "    close_ray(open_rays, position)",
+            "    break",
+        ],
+        [],
+    ),
+}
+
+_PARAMETERS = {
+    "trace": ["payload"],
+    "first": ["out"],
+    "count": ["out"],
+    "multi": ["found", "most", "kept"],
+    "keep": ["found", "most", "splits", "out"],
+}
+
+
+def text_of(
+    goal: Goal, skips: bool, constants: bool, record: str, leave: str
+) -> tuple[list[str], list[str]]:
+    """What is done for entry i, whose rows are looked at from `start` to `row`.
+
+    Parameters
+    ----------
+    goal : Goal
+    skips, constants : bool
+        Whether some triangles do not exist, and whether the function takes constants.
+    record : str
+        How the record of a payload is read.
+    leave : str
+        The statement that leaves an entry.
+
+    Returns
+    -------
+    names : list of str
+        Of its arguments, but the first, ``i``.
+    lines : list of str
+        They use `names_of`, and the user's function as ``function``.
+    """
+    before, at_hit, after = _STATEMENTS[goal]
+    more = f", {record}" if goal == "trace" else ""
+    more += ", constants" if constants else ""
+    names = ["rows", "rays", "scene", "open_rays"]
+    names += [*(["skips"] if skips else []), *(["constants"] if constants else [])]
+    names += _PARAMETERS[goal]
+    skipped = ["if is_skipped(skips, ray, rows, row):", "    row += one", "    continue"]
+    lines = [
+        "position = position_at(rays, i)",
+        "if not is_open(open_rays, position):",
+        f"    {leave}",
+        "ray = ray_at(rays, position)",
+        "row, row_end = row_range(rows, i)",
+        "start = row",
+        *before,
+        "while row != row_end:",
+        *([f"    {line}" for line in skipped] if skips else []),
+        "    hit = hit_at(rows, row, rays, position, ray, scene)",
+        f"    decision = accept(function(hit{more}))",
+        *([] if goal == "trace" else ["    if decision != ignore:"]),
+        *(f"        {line}" for line in at_hit),
+        "    row += one",
+        "    if decision == stop:",
+        "        close_ray(open_rays, position)",
+        "        break",
+        *after,
+    ]
+    return names, lines
+
+
+def names_of(goal: Goal) -> dict[str, Any]:
+    """What the text uses."""
+    return {
+        "accept": accept_decision(Decision, goal != "trace"),
+        "add_one": add_one,
+        "close_ray": close_ray,
+        "hit_at": hit_at,
+        "ignore": np.int64(IGNORE),
+        "is_open": is_open,
+        "is_skipped": is_skipped,
+        "keep_row": keep_row,
+        "move_row": move_row,
+        "one": np.uint64(1),
+        "position_at": position_at,
+        "put_row": put_row,
+        "ray_at": ray_at,
+        "row_of": row_of,
+        "row_range": row_range,
+        "stop": np.int64(STOP),
+        "unsigned": np.uint64,
+        "zero": np.uint64(0),
+    }
