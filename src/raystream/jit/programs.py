@@ -7,13 +7,16 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numba
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from raystream.jit.intrinsics import array_at
 from raystream.jit.loops import fault
 
-__all__ = ["accept_decision", "row_of"]
+__all__ = ["accept_decision", "record_at", "row_of"]
 
 
 @cache
@@ -87,3 +90,37 @@ def row_of(typing_context: Any, array: Any, row: Any) -> Any:
         return made._getvalue()
 
     return view(array, row), generate
+
+
+@cache
+def record_at(dtype: Any, width: int) -> Callable[[Any, Any], Any]:
+    """Make a function that reads where records lie: (address of the first one, which).
+
+    It returns a record, to be changed in place, without an owner; see `row_of`.
+
+    Parameters
+    ----------
+    dtype : dtype
+        Of a record, or of its numbers if it has no fields.
+    width : int
+        Numbers of a record that has no fields: it becomes an array of so many.
+    """
+    element = numba.from_dtype(dtype)
+    is_record = isinstance(element, types.Record)
+    made = element if is_record else types.Array(element, 1, "C")
+    byte_count = dtype.itemsize * (1 if is_record else width)
+
+    @intrinsic
+    def read(typing_context, first, row):
+        def generate(context, builder, signature, arguments):
+            number = ir.IntType(64)
+            offset = builder.mul(arguments[1], number(byte_count))
+            at = builder.add(arguments[0], offset)
+            if is_record:
+                return builder.inttoptr(at, context.get_value_type(made))
+            size = context.get_value_type(types.intp)
+            return array_at(context, builder, made, at, [size(width)])
+
+        return made(first, row), generate
+
+    return read

@@ -4,6 +4,7 @@ Importing it needs ``numba-cuda``, but neither a GPU nor a driver: kernels are c
 one, and run in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 """
 
+from raystream.jit.cuda.checked import CheckedKernel
 from raystream.jit.cuda.compiler import CAPABILITIES, Compiled, compile_function
 from raystream.jit.cuda.device_loops import DeviceLoop, Launch, set_condition
 from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu
@@ -21,6 +22,7 @@ from raystream.jit.cuda.work import Work
 __all__ = [
     "CAPABILITIES",
     "MOST_DIMENSIONS",
+    "CheckedKernel",
     "Compiled",
     "CudaError",
     "CudaStream",

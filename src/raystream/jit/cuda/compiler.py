@@ -17,6 +17,7 @@ import numba_cuda
 from numba import types
 
 from raystream.jit.cuda.disk import kept, path_of
+from raystream.jit.cuda.exact import check_calls, check_raises, with_extremes
 from raystream.jit.cuda.types import register_types
 
 __all__ = ["CAPABILITIES", "Capability", "Compiled", "compile_function"]
@@ -49,7 +50,11 @@ class Compiled(NamedTuple):
 
 
 def compile_function(
-    function: Callable[..., Any], arguments: Sequence[Any], capability: Capability
+    function: Callable[..., Any],
+    arguments: Sequence[Any],
+    capability: Capability,
+    *,
+    is_checked: bool = False,
 ) -> Compiled:
     """Compile a Python function as a kernel, or take it from the disk.
 
@@ -62,30 +67,59 @@ def compile_function(
         Numba's types of its arguments.
     capability : (int, int)
         Of the oldest GPUs that are to run it.
+    is_checked : bool
+        Whether it is somebody else's, and may do only what has the CPU's bits; see `exact`.
 
     Raises
     ------
     numba.core.errors.NumbaError
         If it does not compile.
+    UnfitError
+        If it is checked, and has other bits than on the CPU, or may raise something.
     """
-    path = path_of(function, arguments, capability, numba_cuda.__version__)
-    ptx = kept(path, lambda: _ptx_of(function, tuple(arguments), capability))
+    make = _checked_ptx_of if is_checked else _ptx_of
+    path = path_of(function, arguments, capability, f"{numba_cuda.__version__} {make.__name__}")
+    ptx = kept(path, lambda: make(function, tuple(arguments), capability))
     (entry,) = _ENTRY.findall(ptx)
     return Compiled(entry, ptx)
 
 
 def _ptx_of(function: Callable[..., Any], arguments: tuple[Any, ...], capability: Any) -> str:
+    with _turn, _target(capability):
+        return _text_of(_lowered(function, arguments, capability, notes_errors=False), capability)
+
+
+def _checked_ptx_of(
+    function: Callable[..., Any], arguments: tuple[Any, ...], capability: Any
+) -> str:
+    with _turn, _target(capability):
+        code = _lowered(function, arguments, capability, notes_errors=True)
+        # The modules of what it calls are others', too: what changes is this kernel's copy.
+        code._llvm_strs = [with_extremes(text) for text in code.llvm_strs]
+        check_calls(code.llvm_strs)
+        ptx = _text_of(code, capability)
+    check_raises(ptx)
+    return ptx
+
+
+def _lowered(
+    function: Callable[..., Any], arguments: tuple[Any, ...], capability: Any, notes_errors: bool
+) -> Any:
+    """LLVM code of a kernel; with the note of an error, which goes where none is possible."""
     from numba.cuda import compiler
 
     register_types()
-    with _turn, _target(capability):
-        made = compiler.compile_cuda(
-            function, types.void, arguments, nvvm_options={"opt": 3, "fma": 0}, cc=capability
-        )
-        name, code = made.fndesc.llvm_func_name, made.library
-        code._entry_name = name
-        compiler.kernel_fixup(code.get_function(name), False)
-        *_, ptx = code.get_asm_strs(cc=capability)
+    made = compiler.compile_cuda(
+        function, types.void, arguments, nvvm_options={"opt": 3, "fma": 0}, cc=capability
+    )
+    name, code = made.fndesc.llvm_func_name, made.library
+    code._entry_name = name
+    compiler.kernel_fixup(code.get_function(name), notes_errors)
+    return code
+
+
+def _text_of(code: Any, capability: Any) -> str:
+    *_, ptx = code.get_asm_strs(cc=capability)
     return ptx.decode() if isinstance(ptx, bytes) else str(ptx)
 
 
