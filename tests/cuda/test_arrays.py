@@ -12,7 +12,7 @@ import pytest
 
 import raystream as rs
 from conftest import assert_same_bits
-from raystream.cuda import device_queries
+from raystream.cuda import tables
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
 from raystream.cuda.scan import add_up, is_any
 from raystream.jit.cuda import (
@@ -213,8 +213,8 @@ def test_other_layouts_are_packed_on_the_device(gpu, tracer, oracle, rays, launc
 
 def test_all_queries_have_brute_forces_bits(gpu, case, oracle, rays, monkeypatch):
     """Also where tables of triangles seen are too small at first, and serve a few rays each."""
-    monkeypatch.setattr(device_queries, "LEAST_ROOM", np.uint64(2))
-    monkeypatch.setattr(device_queries, "TABLE_BYTES", 100)
+    monkeypatch.setattr(tables, "LEAST_ROOM", np.uint64(2))
+    monkeypatch.setattr(tables, "TABLE_BYTES", 100)
     for options in ({"structure": "brute"}, TWICE):
         tracer = rs.Tracer(case.scene, device="cuda", **options)
         assert tracer.structure.lists_twice == (options is TWICE)
@@ -388,11 +388,9 @@ def test_arrays_are_on_the_tracers_device(gpu, tracer, oracle, rays):
         oracle.first_hit(origins, rays[1])
 
 
-def test_filters_and_counters_are_for_the_host(gpu, case, tracer, rays):
+def test_counters_are_for_the_host(gpu, case, rays):
     there = given(gpu, rays, CudaArray)
-    with pytest.raises(TypeError, match=r"on a GPU.*without filters and counters"):
-        tracer.first_hit(*there, skip_prim_ids=3)
-    with pytest.raises(TypeError, match=r"on a GPU.*without filters and counters"):
+    with pytest.raises(TypeError, match=r"on a GPU.*without counters"):
         rs.Tracer(case.scene, "brute", "cuda", counters=True).any_hit(*there)
 
 

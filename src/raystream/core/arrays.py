@@ -36,7 +36,7 @@ def as_host_array(name: str, values: Any) -> NDArray[Any]:
     if is_on_gpu(values):
         raise TypeError(
             f"{name}: the array is on a GPU, where only the queries of device='cuda' read it, "
-            "without filters and counters; copy it to the host first (.get(), .cpu(), "
+            "without counters; copy it to the host first (.get(), .cpu(), "
             ".host() or copy_to_host())"
         )
     if hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__"):

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
-from raystream.cuda.device_queries import DeviceQueries, DeviceScene
+from raystream.cuda.device_queries import DeviceScene
 from raystream.cuda.device_rays import usual_limits
 from raystream.cuda.lanes import Lanes
 from raystream.cuda.parts import Answer, Asked, Part, trace_parts
+from raystream.cuda.programs import HostRays, ProgramQueries
 from raystream.cuda.structures import kernel_for, kernels_of, place
 from raystream.cuda.threads import RETRY, SeenTables
+from raystream.cuda.triangles import TrianglesThere
 from raystream.jit.cuda import CudaError, Gpu
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.collect import HitAddresses, HitArrays
@@ -85,6 +87,7 @@ class Branching(BatchQueries):
         self._is_sorted = order == "sorted"
         self._resident = place(structure, gpu, kernel)
         self._identity = SceneFrame.identity(structure.triangles)
+        self._in_order = TrianglesThere(gpu, structure.triangles)
         self._lanes = Lanes(gpu)
         usual_limits(gpu)  # now, for no query should wait for them
 
@@ -93,10 +96,21 @@ class Branching(BatchQueries):
         """The frame of the structure's triangles."""
         return self.structure.frame
 
-    def on_device(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> DeviceQueries:
-        """Answer for rays that are in the device's memory; see `place_device_rays`."""
+    def on_device(
+        self, on_hit: Any, skip_prim_ids: Any, origins: Any, directions: Any, t_min: Any, t_max: Any
+    ) -> ProgramQueries:
+        """Answer for rays that are in the device's memory; see `ProgramQueries`."""
+        return ProgramQueries(self._scene, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+
+    @property
+    def programs_there(self) -> HostRays | None:
+        """What runs programs for rays of the host's."""
+        return HostRays(self._scene, self.rays_at_once)
+
+    @property
+    def _scene(self) -> DeviceScene:
         structure = self.structure
-        scene = DeviceScene(
+        return DeviceScene(
             self.gpu,
             self._kernels,
             self._resident,
@@ -104,8 +118,8 @@ class Branching(BatchQueries):
             structure.triangles,
             structure.lists_twice,
             self._is_sorted,
+            self._in_order,
         )
-        return DeviceQueries(scene, origins, directions, t_min, t_max)
 
     # ---- Whole batches, in world space.
 

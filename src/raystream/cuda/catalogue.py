@@ -12,6 +12,7 @@ from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
 from raystream.cuda.bvh.kernels import KERNELS, lay_out
 from raystream.cuda.multipass.catalogue import multipass_catalogue_of
 from raystream.cuda.packing import DIRECTIONS, PACK
+from raystream.cuda.programs.catalogue import program_catalogue
 from raystream.cuda.ray_order import MAKE_KEY
 from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import STRUCTURES, kernels_of
@@ -89,7 +90,7 @@ def catalogue_of(
 
 
 def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
-    """All kernels that there are: queries, passes, arrays on the device, and builds.
+    """All kernels that there are: queries, passes, programs, arrays on the device, and builds.
 
     Parameters
     ----------
@@ -119,6 +120,8 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
             listed[group, kernel] = one
     del listed["passes", "decide in loop"]
     listed |= {("arrays", name): one for name, one in ARRAY_KERNELS.items()}
+    programs = program_catalogue(scene.triangles)
+    listed |= {("programs", name): one for name, one in programs.items()}
     listed |= {("builds", name): one for name, one in build_catalogue().items()}
     made: dict[tuple[str, str], Compiler] = {
         key: partial(kernel.compiled, arguments) for key, (kernel, arguments) in listed.items()

@@ -169,13 +169,18 @@ class Part:
         return True
 
 
-def parts_of(rows: slice, most: int, splits: NDArray[np.int64] | None = None) -> Iterator[slice]:
+def parts_of(
+    rows: slice,
+    most: int,
+    splits: NDArray[np.int64] | None = None,
+    rows_at_once: int = _ROWS_AT_ONCE,
+) -> Iterator[slice]:
     """Rows by so many; of rays with hits, so that these fit, or one ray that has too many."""
     begin = rows.start
     while begin < rows.stop:
         end = min(begin + most, rows.stop)
         if splits is not None:
-            fits = int(np.searchsorted(splits, splits[begin] + _ROWS_AT_ONCE, "right")) - 1
+            fits = int(np.searchsorted(splits, splits[begin] + rows_at_once, "right")) - 1
             end = min(end, max(fits, begin + 1))
         yield slice(begin, end)
         begin = end

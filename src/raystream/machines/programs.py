@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.programs.filters import Filter
+from raystream.kernels.collect import HitArrays
+from raystream.machines.on_device import on_device, programs_there
+from raystream.programs.filters import Filter, count_filtered, filter_first, multi_filtered
 from raystream.programs.rounds import AskHits
-from raystream.programs.trace import Order, trace_program
+from raystream.programs.trace import Order, check_order, trace_program
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
 from raystream.structures.found import FoundVisitor
@@ -65,7 +67,8 @@ class Traces:
             one of zeros. With a structured dtype a function gets its ray's record, as in
             ``payload.depth += hit.t``. Plain numbers, of shape S or S + (k,), it gets as an
             array of one or k numbers, as in ``payload[0] += 1``. Without a payload it gets
-            None.
+            None. Of rays in arrays on a GPU: an array there is changed there, a dtype makes
+            one there, whose fields are aligned, and a NumPy array is copied there and back.
         order : {"front-to-back", "any"}
             Hits of a ray come by increasing t, then prim_id; or as they are found, for
             functions to which the order does not matter: packets of rays save sorting them.
@@ -77,7 +80,8 @@ class Traces:
         Returns
         -------
         ndarray or None
-            The payload: the array that was given, or the new one.
+            The payload: the array that was given, or the new one; of rays in arrays on a GPU,
+            a new one is a `raystream.jit.cuda.DeviceArray`.
 
         Raises
         ------
@@ -87,6 +91,7 @@ class Traces:
         TypeError
             If the function cannot be compiled, or takes other arguments, or returns something
             else than a decision; if the payload is no array or dtype of numbers and records.
+            If rays are in arrays on a GPU, and the function cannot run there.
         RuntimeError
             If the function raises something, which is then the cause.
 
@@ -107,19 +112,59 @@ class Traces:
         >>> round(far.item(), 1)
         1359.2
         """
+        surfaces = is_surfaces(crossings)
+        check_order(order)
+        rays = on_device(self._machine, None, None, origins, directions, t_min, t_max)
+        if rays is not None:
+            return rays.trace(on_hit, payload, surfaces, progress)
         batch = RayBatch(origins, directions, t_min, t_max)
-        return trace_program(
-            self._ask_hits(is_surfaces(crossings)),
-            batch,
-            self.structure.triangles,
-            on_hit,
-            payload,
-            order,
-            progress,
-        )
+        ask, there = self._ask_hits(surfaces), programs_there(self._machine)
+
+        def run_there(function: Any, records: NDArray[Any] | None) -> bool:
+            return there is not None and there.trace(batch, function, records, surfaces, progress)
+
+        triangles = self.structure.triangles
+        return trace_program(ask, batch, triangles, on_hit, payload, order, progress, run_there)
 
     def _filter(self, on_hit: Any, skip_prim_ids: Any, shape: tuple[int, ...]) -> Filter | None:
         return Filter.of(on_hit, skip_prim_ids, shape, self.structure.triangles)
+
+    def _filtered_first(
+        self,
+        chosen: Filter,
+        batch: RayBatch,
+        status: NDArray[np.uint8],
+        progress: Progress | None,
+    ) -> HitArrays:
+        """The nearest hits that exist: found on the machine's device, if it runs the filter."""
+        ask, there = self._ask_hits(False), programs_there(self._machine)
+        hits = None if there is None else there.first_hit(chosen, batch, status, progress)
+        if hits is None:
+            hits = self._machine.first_hit_batch(batch, status, progress)
+            filter_first(chosen, ask, batch, hits)
+        return hits
+
+    def _filtered_counts(
+        self, chosen: Filter, batch: RayBatch, surfaces: bool, progress: Progress | None
+    ) -> NDArray[np.int64]:
+        ask, there = self._ask_hits(surfaces), programs_there(self._machine)
+        counts = None if there is None else there.count_hits(chosen, batch, surfaces, progress)
+        return count_filtered(chosen, ask, batch, progress) if counts is None else counts
+
+    def _filtered_hits(
+        self,
+        chosen: Filter,
+        batch: RayBatch,
+        surfaces: bool,
+        limit: int,
+        status: NDArray[np.uint8],
+        progress: Progress | None,
+    ) -> tuple[NDArray[np.int64], HitArrays]:
+        ask, there = self._ask_hits(surfaces), programs_there(self._machine)
+        found = None
+        if there is not None:
+            found = there.multi_hit(chosen, batch, surfaces, limit, status, progress)
+        return found or multi_filtered(chosen, ask, batch, limit, status, progress)
 
     def _ask_hits(self, surfaces: bool) -> AskHits:
         """The query that programs run on.

@@ -13,9 +13,9 @@ from raystream.core.hits import Hits, MultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import UNLIMITED
-from raystream.machines.on_device import OnDevice, on_device
+from raystream.machines.on_device import on_device
 from raystream.machines.programs import Traces, is_surfaces
-from raystream.programs.filters import Bound, count_filtered, filter_first, multi_filtered
+from raystream.programs.filters import Bound
 
 __all__ = ["Crossings", "Queries"]
 
@@ -49,7 +49,8 @@ class Queries(Traces):
             `trace` for what it may do. A `Bound` hands it constants.
         skip_prim_ids : array_like of shape S or S + (k,), int, optional
             Triangles that do not exist for each ray, such as those that it starts on; -1 for
-            none. The filter is not asked about them.
+            none. The filter is not asked about them. With rays in arrays on a GPU, it may be
+            one there, of int32 or int64.
         progress : callable, optional
             Called with (rays done, rays).
 
@@ -71,17 +72,17 @@ class Queries(Traces):
         -----
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
-        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
         if there is not None:
             return there.first_hit(progress)
         batch = RayBatch(origins, directions, t_min, t_max)
         status = np.zeros(len(batch), np.uint8)
         shape = batch.shape
         chosen = self._filter(on_hit, skip_prim_ids, shape)
-        ask = None if chosen is None else self._ask_hits(False)
-        t, u, v, prim_id = hits = self._machine.first_hit_batch(batch, status, progress)
-        if chosen is not None and ask is not None:
-            filter_first(chosen, ask, batch, hits)
+        if chosen is None:
+            t, u, v, prim_id = self._machine.first_hit_batch(batch, status, progress)
+        else:
+            t, u, v, prim_id = self._filtered_first(chosen, batch, status, progress)
         return Hits(
             t.reshape(shape),
             u.reshape(shape),
@@ -120,7 +121,7 @@ class Queries(Traces):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
         if there is not None:
             return there.any_hit(progress)
         batch = RayBatch(origins, directions, t_min, t_max)
@@ -128,9 +129,7 @@ class Queries(Traces):
         chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
         if chosen is None:
             return self._machine.any_hit_batch(batch, status, progress).reshape(batch.shape)
-        ask = self._ask_hits(False)
-        hits = self._machine.first_hit_batch(batch, status, progress)
-        filter_first(chosen, ask, batch, hits)
+        hits = self._filtered_first(chosen, batch, status, progress)
         return (hits.prim_id >= 0).reshape(batch.shape)
 
     def count_hits(
@@ -168,14 +167,13 @@ class Queries(Traces):
             As `first_hit`, or if `crossings` is unknown.
         """
         surfaces = is_surfaces(crossings)
-        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
         if there is not None:
             return there.count_hits(surfaces, progress)
         batch = RayBatch(origins, directions, t_min, t_max)
         chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
         if chosen is not None:
-            ask = self._ask_hits(surfaces)
-            return count_filtered(chosen, ask, batch, progress).reshape(batch.shape)
+            return self._filtered_counts(chosen, batch, surfaces, progress).reshape(batch.shape)
         status = np.zeros(len(batch), np.uint8)
         counts = self._machine.count_hits_batch(batch, surfaces, UNLIMITED, status, progress)
         return counts.reshape(batch.shape)
@@ -232,7 +230,7 @@ class Queries(Traces):
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
-        there = self._on_device(on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
         if there is not None:
             return there.multi_hit(surfaces, limit, progress)
         batch = RayBatch(origins, directions, t_min, t_max)
@@ -241,12 +239,5 @@ class Queries(Traces):
         if chosen is None or limit == 0:
             splits, hits = self._machine.multi_hit_batch(batch, surfaces, limit, status, progress)
         else:
-            ask = self._ask_hits(surfaces)
-            splits, hits = multi_filtered(chosen, ask, batch, limit, status, progress)
+            splits, hits = self._filtered_hits(chosen, batch, surfaces, limit, status, progress)
         return MultiHits(splits, *hits, status.reshape(batch.shape), self.structure.triangles)
-
-    def _on_device(self, on_hit: object, skip_prim_ids: object, *rays: Any) -> OnDevice | None:
-        """Who answers for rays on a GPU, if they are not filtered; else None."""
-        if on_hit is not None or skip_prim_ids is not None:
-            return None
-        return on_device(self._machine, *rays)

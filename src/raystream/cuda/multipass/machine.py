@@ -132,6 +132,11 @@ class Multipass(Branching):
         machine.passes = passes
         return machine
 
+    @property
+    def programs_there(self) -> None:
+        """Nothing: programs run on the CPU, at hits that the passes found."""
+        return None
+
     # ---- Queries.
 
     def _first_hit(self, asked: Asked, out: HitArrays) -> None:

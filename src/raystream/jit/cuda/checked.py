@@ -21,6 +21,9 @@ __all__ = ["CheckedKernel"]
 #: What Numba calls an exception that compiled code holds ready.
 _EXCEPTION = "picklebuf"
 
+#: Options that CUDA's compiler would take otherwise, or not at all.
+_OPTIONS = {name: FLAGS[name] for name in ("error_model", "fastmath", "boundscheck")}
+
 #: Of a compiler's message.
 _MOST_LETTERS = 200
 
@@ -66,7 +69,7 @@ class CheckedKernel(RangeKernel):
 
     def _look(self, arguments: tuple[Any, ...], capability: Capability) -> str | None:
         try:
-            check_options(self._user, FLAGS)
+            check_options(self._user, _OPTIONS)
             if is_simulated():
                 self._check_on_host(arguments)
             else:

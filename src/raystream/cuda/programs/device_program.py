@@ -1,0 +1,155 @@
+"""DeviceProgram: a user's function, compiled into a kernel over the rows of rays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from raystream.cuda.programs.records import is_aligned
+from raystream.jit.cuda import CheckedKernel, Compiled, Gpu, kernel_of_text
+from raystream.jit.fingerprint import fingerprint
+from raystream.jit.loops import as_device
+from raystream.jit.programs import record_at
+from raystream.kernels.collect import HitAddresses
+from raystream.programs.hits import RaysAt, RowsAt, SceneAt
+from raystream.programs.program import check_function
+from raystream.programs.rows import SkipsAt
+from raystream.programs.texts import Goal, names_of, text_of
+
+__all__ = ["DeviceProgram", "Record"]
+
+#: A payload's dtype, and how many of it a ray has if it has no fields.
+Record = tuple[np.dtype[Any], int]
+
+_AT = np.uint64(0)
+
+#: Arguments of each goal, good for their types alone.
+_GOALS: dict[str, tuple[Any, ...]] = {
+    "trace": (_AT,),
+    "first": (HitAddresses(_AT, _AT, _AT, _AT),),
+    "count": (_AT,),
+    "keep": (_AT, np.int64(0), _AT, HitAddresses(_AT, _AT, _AT, _AT)),
+}
+
+#: Kernels that stay in memory; the oldest go.
+_KEPT_KERNELS = 1024
+
+_MADE: dict[Any, CheckedKernel] = {}
+
+
+class DeviceProgram:
+    """A user's function as a kernel.
+
+    Parameters
+    ----------
+    function : callable
+        See `Program`.
+    goal : {"trace", "first", "count", "keep"}
+    skips : bool
+        Whether some triangles do not exist for a ray.
+    constants : tuple, optional
+        Handed to the function: numbers, and tuples of them.
+    record : (dtype, int), optional
+        With the goal ``"trace"``: of the payload.
+
+    Attributes
+    ----------
+    name : str
+        The function's.
+    kernel : CheckedKernel
+
+    Raises
+    ------
+    TypeError
+        If it is no function of so many arguments.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        goal: Goal,
+        *,
+        skips: bool = False,
+        constants: tuple[Any, ...] | None = None,
+        record: Record | None = None,
+    ) -> None:
+        self.name = check_function(function, goal, constants is not None)
+        self._goal, self._skips, self._record = goal, skips, record
+        self._constants = () if constants is None else (_numbers(constants),)
+        names, lines = text_of(
+            goal,
+            skips,
+            constants is not None,
+            "None" if record is None else "record_of(payload, ray)",
+            "return",
+        )
+        head = f"def run_program(i, {', '.join(names)}):"
+        text = "\n".join([head, *(f"    {line}" for line in lines), "    return"]) + "\n"
+        self.kernel = _kernel(text, function, goal, record)
+
+    def arguments(
+        self,
+        rows: RowsAt,
+        rays: RaysAt,
+        scene: SceneAt,
+        open_rays: np.uint64,
+        skips: SkipsAt | None,
+        goal: Iterable[Any],
+    ) -> tuple[Any, ...]:
+        """What the kernel is given, after an entry's number."""
+        own = () if skips is None else (skips,)
+        return (rows, rays, scene, open_rays, *own, *self._constants, *goal)
+
+    def typical(self) -> tuple[Any, ...]:
+        """Arguments that are good for their types alone."""
+        return self.arguments(
+            RowsAt.nowhere(),
+            RaysAt.nowhere(),
+            SceneAt(_AT, _AT, _AT, _AT),
+            _AT,
+            SkipsAt(_AT, _AT) if self._skips else None,
+            _GOALS[self._goal],
+        )
+
+    def compiled(self, capability: tuple[int, int]) -> Compiled:
+        """PTX; needs no device. See `CheckedKernel.compiled`."""
+        return self.kernel.compiled(self.typical(), capability)
+
+    def reason_against(self, gpu: Gpu) -> str | None:
+        """Why it has to run on the CPU; None if it runs on a device."""
+        return self.reason_on(gpu.capability)
+
+    def reason_on(self, capability: tuple[int, int]) -> str | None:
+        """The same for any device of a capability; needs none."""
+        if self._record is not None and not is_aligned(self._record[0]):
+            return "the fields of its payload are not aligned"
+        return self.kernel.reason_against(self.typical(), capability)
+
+
+def _kernel(
+    text: str, function: Callable[..., Any], goal: Goal, record: Record | None
+) -> CheckedKernel:
+    """Make a kernel, or find it: functions that do the same share one."""
+    key = fingerprint(function)
+    place = function if key is None else key, text, record
+    if place not in _MADE:
+        while len(_MADE) >= _KEPT_KERNELS:
+            del _MADE[next(iter(_MADE))]
+        names = {**names_of(goal), "function": as_device(function)}
+        if record is not None:
+            names["record_of"] = record_at(*record)
+        _MADE[place] = CheckedKernel(kernel_of_text(text, names, __name__), function)
+    return _MADE[place]
+
+
+def _numbers(constants: Any) -> Any:
+    """Numbers of NumPy's types, as kernels take them, in the same tuples."""
+    if isinstance(constants, tuple):
+        parts = map(_numbers, constants)
+        fields = hasattr(constants, "_fields")
+        return type(constants)(*parts) if fields else tuple(parts)
+    if isinstance(constants, int) and not isinstance(constants, bool):
+        return np.int64(constants) if constants < 2**63 else np.uint64(constants)
+    return constants

@@ -1,0 +1,76 @@
+"""Triangles that do not exist for each ray, in a GPU's memory."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from raystream.core.arrays import is_on_gpu
+from raystream.cuda.programs.steps import NARROW
+from raystream.jit.cuda import DeviceView, Work, view_of
+from raystream.programs.rows import SkipsAt, as_skips
+
+__all__ = ["is_packed", "place_skips"]
+
+_TYPES = (np.dtype(np.int32), np.dtype(np.int64))
+
+
+def place_skips(
+    work: Work, values: Any, shape: tuple[int, ...], triangle_count: int
+) -> SkipsAt | None:
+    """Copy `skip_prim_ids` to a device, or view it there.
+
+    Parameters
+    ----------
+    work : Work
+    values : array_like or None
+        On the host, as for `as_skips`; or on the device: int32 or int64 in C order.
+    shape : tuple of int
+        The rays'.
+    triangle_count : int
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `as_skips`. That numbers on the device are the scene's is not checked, for the host
+        would have to wait: others are no triangle's.
+    """
+    if values is None:
+        return None
+    if not is_on_gpu(values):
+        array = as_skips(values, shape, triangle_count)
+        work.keep(array)
+        placed = work.placed("skip_prim_ids", array)
+        return SkipsAt(placed.address, np.uint64(array.shape[1]))
+    view = view_of(work, "skip_prim_ids", values)
+    if view.dtype not in _TYPES:
+        raise TypeError(f"skip_prim_ids: expected int32 or int64 on a GPU, got {view.dtype}")
+    if view.shape != shape and view.shape[:-1] != shape:
+        raise ValueError(
+            f"skip_prim_ids: expected the rays' shape {shape}, or {shape} + (k,), got {view.shape}"
+        )
+    count = math.prod(view.shape)
+    if not is_packed(view):
+        raise TypeError(
+            "skip_prim_ids: the array on the GPU is not in C order, or not aligned; copy it"
+        )
+    address = np.uint64(view.address)
+    if view.dtype.itemsize == 8:
+        narrowed = work.empty("skip_prim_ids", count, np.int32)
+        work.launch(NARROW, count, (address, narrowed.address))
+        address = narrowed.address
+    return SkipsAt(address, np.uint64(1 if view.shape == shape else view.shape[-1]))
+
+
+def is_packed(view: DeviceView) -> bool:
+    """Whether an array's numbers are aligned and in C order, without gaps."""
+    if view.address % view.dtype.alignment:
+        return False
+    step = view.dtype.itemsize
+    for length, stride in zip(view.shape[::-1], view.strides[::-1], strict=True):
+        if length > 1 and stride != step:
+            return False
+        step *= length
+    return True

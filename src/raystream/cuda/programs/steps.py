@@ -1,0 +1,73 @@
+"""Small kernels between a query and a program: which rays go on, and what became of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.core.rays import RayStatus
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.simd import load, store
+from raystream.kernels.ray_source import load_ray
+
+__all__ = ["CLEAR_IGNORED", "IS_HIT", "NARROW", "NOTE_INVALID", "OPEN", "WANT"]
+
+_NOWHERE = np.uint64(0)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_LONG = np.uint64(3)
+_OPEN = np.uint8(1)
+_MISS = np.int32(-1)
+_VALID = np.uint8(RayStatus.VALID)
+
+
+@kernel
+def _open(i, open_rays):
+    store(open_rays + i, _OPEN)
+
+
+@kernel
+def _want(i, open_rays, found, latest, room, wanted):
+    """A ray wants room if no program has ended it, and the room that it had is full."""
+    wants = load(np.uint8, open_rays + i) == _OPEN
+    if found != _NOWHERE:
+        wants = wants and load(np.int64, found + (i << _LONG)) == latest
+    store(wanted + (i << _LONG), room if wants else np.int64(0))
+
+
+@kernel
+def _clear_ignored(i, open_rays, out):
+    """A ray that goes on has found nothing yet."""
+    if load(np.uint8, open_rays + i) == _OPEN:
+        at = i << _WORD
+        store(out.t + at, np.float32(np.inf))
+        store(out.u + at, np.float32(0.0))
+        store(out.v + at, np.float32(0.0))
+        store(out.prim_id + at, _MISS)
+
+
+@kernel
+def _is_hit(i, prim_ids, seen):
+    store(seen + i, np.uint8(load(np.int32, prim_ids + (i << _WORD)) != _MISS))
+
+
+@kernel
+def _note_invalid(i, source, frame, status):
+    ray = load_ray(source, i, frame)
+    if ray.status != _VALID:
+        store(status + i, ray.status)
+
+
+@kernel
+def _narrow(i, given, narrowed):
+    """A number that int32 has not is no triangle's."""
+    value = load(np.int64, given + (i << _LONG))
+    short = np.int32(value)
+    store(narrowed + (i << _WORD), short if np.int64(short) == value else _MISS)
+
+
+OPEN = RangeKernel(_open)
+WANT = RangeKernel(_want)
+CLEAR_IGNORED = RangeKernel(_clear_ignored)
+IS_HIT = RangeKernel(_is_hit)
+NOTE_INVALID = RangeKernel(_note_invalid)
+NARROW = RangeKernel(_narrow)
