@@ -10,7 +10,7 @@ import pytest
 
 import raystream as rs
 from cases import CASES
-from meshes import dented_sphere, grid_floor, soup
+from meshes import grid_floor, soup
 from raystream.jit.cuda import is_simulated
 from raystream.structures.graph.build import tree_method_of
 from raystream.structures.graph.structure import chosen_options, method_of
@@ -82,8 +82,8 @@ def test_large_cells_and_subtrees_are_numbered_as_on_the_cpu(device, monkeypatch
     from raystream.structures.kdtree import build
 
     for module in (build, rows):
-        monkeypatch.setattr(module, "subtree_size", lambda _: 40)
-    assert_same_graphs(scene_of(*dented_sphere(2)), **FINE)
+        monkeypatch.setattr(module, "subtree_size", lambda _: 70)
+    assert_same_graphs(scene_of(*soup(300)), **FINE)
 
 
 def test_cells_without_room_are_not_split(device, monkeypatch):

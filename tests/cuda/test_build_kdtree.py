@@ -7,7 +7,7 @@ import pytest
 
 import raystream as rs
 from cases import CASES
-from meshes import dented_sphere
+from meshes import soup
 from raystream.jit.cuda import is_simulated
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
@@ -48,11 +48,10 @@ def test_large_cells_and_subtrees_are_numbered_as_on_the_cpu(device, monkeypatch
     from raystream.cuda.builders.kdtree import rows
     from raystream.structures.kdtree import build
 
-    vertices, faces = dented_sphere(2)
-    scene = rs.Scene.from_arrays(vertices, faces)
+    scene = rs.Scene.from_arrays(*soup(300))
     usual = rs.Tracer(scene, "kdtree").structure.tree.nodes
     for module in (build, rows):
-        monkeypatch.setattr(module, "subtree_size", lambda _: 40)
+        monkeypatch.setattr(module, "subtree_size", lambda _: 70)
     ours, _ = assert_same_trees(scene)
     assert not np.array_equal(ours.tree.nodes, usual)
 

@@ -133,7 +133,8 @@ def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
     Notes
     -----
     The lists of a subtree's leaves lie one after the other in the order of its leaves, each with
-    its room: their union is written where the first one was.
+    its room: their union is written where the first one was. That is so in the subtrees that the
+    CPU gives to its threads; cells above those have more triangles than a new list may.
     """
     axis, first, _ = split_of(nodes, node)
     half, across = _areas(boxes + node * BOX_BYTES, axis)
