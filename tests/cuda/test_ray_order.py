@@ -292,3 +292,19 @@ def test_unknown_names_are_refused_before_anything_is_built(gpu, monkeypatch, op
 def test_passes_have_no_order(gpu):
     with pytest.raises(TypeError, match="multipass: has no option 'order'"):
         rs.Tracer(rs.load("cornell"), "bvh", "cuda", machine="multipass", order="sorted")
+
+
+def is_odd(hit):
+    return rs.CONTINUE if hit.prim_id % 2 else rs.IGNORE
+
+
+def test_programs_at_the_hits_of_sorted_rays(gpu, simple_sort, rays):
+    scene = case_of("random_soup").scene
+    tracer, oracle = rs.Tracer(scene, "brute", "cuda", order="sorted"), rs.Tracer(scene, "brute")
+    for query in ("first_hit", "multi_hit"):
+        ours, theirs = (getattr(one, query)(*rays, on_hit=is_odd) for one in (tracer, oracle))
+        assert ours.prim_id.tolist() == theirs.prim_id.tolist()
+        assert_same_bits(ours.t, theirs.t)
+    there = [CudaArray(gpu, np.ascontiguousarray(one)) for one in rays]
+    counts = tracer.count_hits(*there, on_hit=is_odd).host()
+    assert counts.tolist() == oracle.count_hits(*rays, on_hit=is_odd).tolist()
