@@ -106,11 +106,11 @@ class RangeKernel:
         if is_simulated():
             # A thread that has nothing to do takes as long as another.
             block_size = min(count, _BLOCK_SIZE)
-            run = cuda.jit(self._run)[-(-count // block_size), block_size]
+            block_count = -(-count // block_size)
 
             def simulate() -> None:
                 with simulating:
-                    run(np.uint64(count), arguments)
+                    cuda.jit(self._run)[block_count, block_size](np.uint64(count), arguments)
 
             return simulate
         loaded, block_count, block_size, values = self.loaded(gpu, count, arguments)

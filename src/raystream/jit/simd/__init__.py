@@ -57,6 +57,7 @@ from raystream.jit.simd.lanes import (
 from raystream.jit.simd.memory import address, load, load_constant, prefetch, scratch, store
 from raystream.jit.simd.numbers import next_above
 from raystream.jit.simd.records import load_records, store_records
+from raystream.jit.simd.single import lane_count, single_lane
 from raystream.jit.simd.triples import load_triples, store_past_cache, store_triples
 from raystream.jit.simd.types import (
     VectorType,
@@ -112,6 +113,7 @@ __all__ = [
     "i64x16",
     "lane",
     "lane_bits",
+    "lane_count",
     "lane_numbers",
     "lanes_from_bits",
     "load",
@@ -138,6 +140,7 @@ __all__ = [
     "scatter",
     "scratch",
     "select",
+    "single_lane",
     "square_root",
     "store",
     "store_past_cache",

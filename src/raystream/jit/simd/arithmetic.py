@@ -17,6 +17,7 @@ from raystream.jit.simd.types import (
     VECTORS,
     VectorType,
     broadcast,
+    constant,
     llvm_type,
     mask_of,
     refuse,
@@ -199,6 +200,8 @@ def _unary(
 
 
 def _negate(builder: Any, vector: VectorType, x: Any) -> Any:
+    if vector.is_float and is_cuda(builder):  # whose compiler is of the time before that word
+        return builder.fsub(constant(vector, -0.0), x)
     return builder.fneg(x) if vector.is_float else builder.neg(x)
 
 

@@ -8,6 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import (
     ELEMENTS,
@@ -68,6 +69,8 @@ def gather(typing_context: Any, type_: Any, base: Any, index: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         element = ELEMENTS[kind][1]
+        if _one_by_one(builder, index):
+            return _load_lanes(builder, arguments[1], result, index, arguments[2])
         places = _places(builder, arguments[1], element, index, arguments[2])
         all_set = ir.Constant(llvm_type(mask_of(index)), [True] * index.lane_count)
         nothing = ir.Constant(llvm_type(result), ir.Undefined)
@@ -105,6 +108,9 @@ def scatter(typing_context: Any, base: Any, index: Any, value: Any, mask: Any) -
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         element = ELEMENTS[value.kind][1]
+        if _one_by_one(builder, index):
+            _store_lanes(builder, arguments[0], value, index, arguments[1:])
+            return context.get_dummy_value()
         places = _places(builder, arguments[0], element, index, arguments[1])
         size = ir.Constant(_I32, value.element.bitwidth // 8)
         lanes = value.lane_count
@@ -113,6 +119,42 @@ def scatter(typing_context: Any, base: Any, index: Any, value: Any, mask: Any) -
         return context.get_dummy_value()
 
     return types.void(base, index, value, mask), generate
+
+
+def _one_by_one(builder: Any, index: VectorType) -> bool:
+    """Whether each lane is read or written by itself: CUDA's compiler has nothing for many."""
+    return index.lane_count == 1 or is_cuda(builder)
+
+
+def _lane_places(builder: Any, base: Any, vector: VectorType, index: VectorType, given: Any) -> Any:
+    """Of each lane its number, and a pointer to its element."""
+    first = pointer_to(builder, base, ELEMENTS[vector.kind][1])
+    widened = builder.zext if index.kind == "u32" else builder.sext
+    for k in range(index.lane_count):
+        lane = ir.Constant(_I32, k)
+        at = builder.extract_element(given, lane)
+        yield lane, builder.gep(first, [at if index.kind == "i64" else widened(at, _I64)])
+
+
+def _load_lanes(
+    builder: Any, base: Any, vector: VectorType, index: VectorType, indices: Any
+) -> Any:
+    result = ir.Constant(llvm_type(vector), ir.Undefined)
+    for lane, place in _lane_places(builder, base, vector, index, indices):
+        loaded = builder.load(place)
+        loaded.align = vector.element.bitwidth // 8
+        result = builder.insert_element(result, loaded, lane)
+    return result
+
+
+def _store_lanes(
+    builder: Any, base: Any, vector: VectorType, index: VectorType, arguments: Any
+) -> None:
+    indices, values, mask = arguments
+    for lane, place in _lane_places(builder, base, vector, index, indices):
+        with builder.if_then(builder.extract_element(mask, lane)):
+            stored = builder.store(builder.extract_element(values, lane), place)
+            stored.align = vector.element.bitwidth // 8
 
 
 def _suffix(kind: str) -> str:

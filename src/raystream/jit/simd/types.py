@@ -93,7 +93,10 @@ class _VectorModel(models.PrimitiveModel):
         super().__init__(manager, vector, llvm_type(vector))
 
 
-VECTORS = {(kind, lanes): VectorType(kind, lanes) for kind in ELEMENTS for lanes in (2, 4, 8, 16)}
+#: Those of one lane are for CUDA's threads, see `single`.
+VECTORS = {
+    (kind, lanes): VectorType(kind, lanes) for kind in ELEMENTS for lanes in (2, 4, 8, 16, 1)
+}
 
 
 def vector_type(kind: str, lane_count: int) -> VectorType:
