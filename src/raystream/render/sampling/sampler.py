@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.arrays import as_host_array
 from raystream.core.memory import check_memory
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import f32x16, lane, load, scratch, store
+from raystream.jit.simd import f32x16, lane, lane_count, load, scratch, store
 from raystream.jit.threads import parallel_for
 from raystream.render.sampling import owen, random, stratified
 
@@ -40,7 +40,7 @@ _RANGE = 1 << 32
 _CHUNK = 1 << 12
 
 #: Of vectors, and their bytes.
-_LANES, _WORD = 16, np.uint64(4)
+_WORD = np.uint64(4)
 _ROW = 64
 
 
@@ -217,7 +217,7 @@ def draw_lanes(sampler, pixels, samples, dimension):
         return owen.sample_number(sampler.seed, pixels, samples, dimension)
     if sampler.kind == _STRATIFIED:
         numbers = scratch(_ROW)
-        for i in range(_LANES):
+        for i in range(lane_count(pixels)):
             number = draw(sampler, lane(pixels, i), lane(samples, i), dimension)
             store(numbers + np.uint64(i) * _WORD, number)
         return load(f32x16, numbers)
@@ -231,7 +231,7 @@ def draw_pair_lanes(sampler, pixels, samples, dimension):
         return owen.sample_pair(sampler.seed, pixels, samples, dimension)
     if sampler.kind == _STRATIFIED:
         us, vs = scratch(_ROW), scratch(_ROW)
-        for i in range(_LANES):
+        for i in range(lane_count(pixels)):
             u, v = draw_pair(sampler, lane(pixels, i), lane(samples, i), dimension)
             store(us + np.uint64(i) * _WORD, u)
             store(vs + np.uint64(i) * _WORD, v)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import round_down, square_root
 from raystream.render.sampling.mixing import as_float, mix, stream_key
 
 __all__ = ["sample_number", "sample_pair"]
@@ -53,7 +54,7 @@ def _coordinate(cell, fine, jitter, cell_count, fine_count):
     """A number in one cell of many, in one stratum of those in the cell."""
     position = np.float64(cell) * np.float64(fine_count) + np.float64(fine) + np.float64(jitter)
     part = position / (np.float64(cell_count) * np.float64(fine_count))
-    return np.float32(np.floor(part * _STEPS)) * _STEP  # rounded down: never up to 1
+    return np.float32(round_down(part * _STEPS)) * _STEP  # rounded down: never up to 1
 
 
 @device
@@ -64,7 +65,7 @@ def _pair(seed, pixel, sample, pair, sample_count):
     own = np.uint32(number % count)
     key = mix(stream_key(seed, pixel, pair) ^ mix(np.uint32(number // count)))
 
-    columns = np.uint32(np.sqrt(np.float64(count)))
+    columns = np.uint32(square_root(np.float64(count)))
     rows = np.uint32(np.uint32(count + columns - _1) // columns)
     cell = _shuffled(own, np.uint32(columns * rows), np.uint32(key ^ _OF_CELL))
     column, row = np.uint32(cell % columns), np.uint32(cell // columns)

@@ -22,13 +22,13 @@ from raystream.jit.simd import (
 from raystream.render.sampling.sampler import draw_pair_lanes
 from raystream.render.sampling.warp import cosine_hemisphere, to_world
 from raystream.render.shading.points import surface_point, world_place
-from raystream.render.shading.streams import (
+from raystream.render.shading.rows import (
     append_numbers,
     append_pixels,
     append_places,
     append_vectors,
-    direction_of,
 )
+from raystream.render.shading.streams import direction_of
 
 __all__ = ["look_around"]
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
-    address,
     as_int32,
     as_uint32,
     f32x16,
@@ -25,10 +24,11 @@ from raystream.jit.simd import (
 )
 from raystream.render.sampling.sampler import draw_pair_lanes
 from raystream.render.sampling.warp import disk
-from raystream.render.shading.streams import put_vectors
+from raystream.render.shading.rows import put_vectors
+from raystream.render.shading.streams import addresses_of
 from raystream.scene.camera import Camera
 
-__all__ = ["View", "begin_paths", "view_of"]
+__all__ = ["View", "begin_block", "begin_paths", "view_of"]
 
 _HALF, _WHOLE, _INF = np.float32(0.5), np.float32(1.0), np.float32(np.inf)
 
@@ -93,6 +93,51 @@ def _combined(a, x, b, y):
     return a[0] * x + b[0] * y, a[1] * x + b[1] * y, a[2] * x + b[2] * y
 
 
+@device
+def begin_block(view, first_row, row, first, sampler, sample, paths):
+    """Begin 16 paths of a row of pixels.
+
+    Parameters
+    ----------
+    view : View
+    first_row, row, first : int
+        First row of the band, the row in it, and the first of 16 columns.
+    sampler : Sampler
+    sample : int
+    paths : StreamAddresses
+        Of the band's paths: pixels, origins and directions are written.
+    """
+    samples = u32x16(as_uint32(sample))
+    column = lane_numbers(i32x16) + as_int32(first)
+    mask = column < as_int32(view.width)
+    place = column + as_int32(row * view.width)
+    pixel = place + as_int32(first_row * view.width)
+    u, v = f32x16(_HALF), f32x16(_HALF)
+    if sampler.sample_count > 1:
+        u, v = draw_pair_lanes(sampler, as_uint32(pixel), samples, 0)
+    across = (f64x16(column) + widen(u) - 0.5 * view.width) * view.scale
+    down = (widen(v) + (first_row + row - 0.5 * view.height)) * view.scale
+    x, y, z = _combined(view.right, across, view.up, -down)
+    toward = x + view.forward[0], y + view.forward[1], z + view.forward[2]
+    origin = f64x16(view.eye[0]), f64x16(view.eye[1]), f64x16(view.eye[2])
+    if view.radius > 0.0 and sampler.sample_count > 1:
+        u, v = draw_pair_lanes(sampler, as_uint32(pixel), samples, 2)
+        a, b = disk(u, v)
+        x, y, z = _combined(view.right, widen(a) * view.radius, view.up, widen(b) * view.radius)
+        origin = origin[0] + x, origin[1] + y, origin[2] + z
+        toward = (
+            toward[0] * view.focus - x,
+            toward[1] * view.focus - y,
+            toward[2] * view.focus - z,
+        )
+    x, y, z = toward
+    length = square_root(x * x + y * y + z * z)
+    scatter(paths.pixels, place, i64x16(pixel), mask)
+    put_vectors(paths.origins, place, origin, mask)
+    x, y, z = narrow(x / length), narrow(y / length), narrow(z / length)
+    put_vectors(paths.directions, place, (x, y, z), mask)
+
+
 @kernel
 def begin_paths(view, first_row, row_count, sampler, sample, paths):
     """Begin a path at each pixel of some rows: at its centre if there is one sample, or spread.
@@ -106,39 +151,9 @@ def begin_paths(view, first_row, row_count, sampler, sample, paths):
     paths : Paths
         Of `row_count` times the picture's width; written.
     """
-    samples = u32x16(as_uint32(sample))
     for i in range(row_count * view.width):
         paths.weights[i, 0] = paths.weights[i, 1] = paths.weights[i, 2] = _WHOLE
         paths.pdfs[i] = _INF
     for row in range(row_count):
         for first in range(0, view.width, _LANES):
-            column = lane_numbers(i32x16) + as_int32(first)
-            mask = column < as_int32(view.width)
-            place = column + as_int32(row * view.width)
-            pixel = place + as_int32(first_row * view.width)
-            u, v = f32x16(_HALF), f32x16(_HALF)
-            if sampler.sample_count > 1:
-                u, v = draw_pair_lanes(sampler, as_uint32(pixel), samples, 0)
-            across = (f64x16(column) + widen(u) - 0.5 * view.width) * view.scale
-            down = (widen(v) + (first_row + row - 0.5 * view.height)) * view.scale
-            x, y, z = _combined(view.right, across, view.up, -down)
-            toward = x + view.forward[0], y + view.forward[1], z + view.forward[2]
-            origin = f64x16(view.eye[0]), f64x16(view.eye[1]), f64x16(view.eye[2])
-            if view.radius > 0.0 and sampler.sample_count > 1:
-                u, v = draw_pair_lanes(sampler, as_uint32(pixel), samples, 2)
-                a, b = disk(u, v)
-                x, y, z = _combined(
-                    view.right, widen(a) * view.radius, view.up, widen(b) * view.radius
-                )
-                origin = origin[0] + x, origin[1] + y, origin[2] + z
-                toward = (
-                    toward[0] * view.focus - x,
-                    toward[1] * view.focus - y,
-                    toward[2] * view.focus - z,
-                )
-            x, y, z = toward
-            length = square_root(x * x + y * y + z * z)
-            scatter(address(paths.pixels), place, i64x16(pixel), mask)
-            put_vectors(address(paths.origins), place, origin, mask)
-            x, y, z = narrow(x / length), narrow(y / length), narrow(z / length)
-            put_vectors(address(paths.directions), place, (x, y, z), mask)
+            begin_block(view, first_row, row, first, sampler, sample, addresses_of(paths))

@@ -36,18 +36,25 @@ from raystream.jit.simd import (
     u32x16,
     widen,
 )
+from raystream.kernels.collect import HitAddresses
 from raystream.render.sampling.sampler import draw_lanes, draw_pair_lanes
 from raystream.render.shading.absorption import left_of
 from raystream.render.shading.bsdf import emitted, lobes_at, reflected
 from raystream.render.shading.lights import sample_light, triangle_pdf
 from raystream.render.shading.points import surface_points
+from raystream.render.shading.rows import vector_at
 from raystream.render.shading.scatter import reflection_pdf, scatter
 from raystream.render.shading.sky_lanes import sky_pdf_lanes, sky_toward_lanes
-from raystream.render.shading.streams import add_lights, put_light_rays, put_paths, vector_at
+from raystream.render.shading.streams import (
+    add_lights,
+    addresses_of,
+    put_light_rays,
+    put_paths,
+)
 from raystream.render.shading.tables import ABSORBS
 from raystream.render.shading.vectors import dot, largest, scaled, times
 
-__all__ = ["PathRules", "follow_paths"]
+__all__ = ["PathRules", "follow_block", "follow_paths"]
 
 #: Numbers that a path takes at each surface, and those before the first one: for the place in
 #: the pixel and on the lens.
@@ -129,6 +136,111 @@ def _light_sampled(tables, lights, sampler, numbers, point, lobes, back, weights
     return found, light, mask
 
 
+@device
+def follow_block(
+    first,
+    count,
+    paths,
+    hits,
+    tables,
+    lights,
+    sampler,
+    sample,
+    bounce,
+    rules,
+    first_pixel,
+    radiance,
+    onward,
+    path_row,
+    rays,
+    ray_row,
+):
+    """Let 16 paths meet surfaces.
+
+    Parameters
+    ----------
+    first, count : int
+        The first of them, and how many paths there are: beyond, lanes do nothing.
+    paths, onward, rays : StreamAddresses
+    hits : HitAddresses
+    tables, lights, sampler, sample, bounce, rules, first_pixel
+        See `follow_paths`.
+    radiance : uint64
+        Address of the pixels' light.
+    path_row, ray_row : uint64
+        Where those go that are written.
+
+    Returns
+    -------
+    path_row, ray_row : uint64
+        Behind those.
+    """
+    dimension = _FIRST_DIMENSION + _DIMENSIONS * bounce
+    samples = u32x16(as_uint32(sample))
+    # The light of the first surface is that which it emits, samples, or finds by the next ray.
+    most_found = rules.clamp if bounce > _1 else _INF
+    most_sampled = rules.clamp if bounce > _0 else _INF
+    count = as_int32(count)
+    row = lane_numbers(i32x16) + as_int32(first)
+    is_path = row < count
+    row = minimum(row, as_int32(count - _1))
+    pixels = gather(np.int64, paths.pixels, row)
+    pixel, key = as_int32(pixels - first_pixel), as_uint32(pixels)
+    weights = vector_at(paths.colors, row)
+    dx, dy, dz = vector_at(paths.directions, row)
+    pdf = gather(np.float32, paths.numbers, row)
+    prim = gather(np.int32, hits.prim_id, row)
+    is_hit = is_path & (prim >= _0)
+    is_missed = is_path & (prim < _0)
+    if any_lane(is_missed):
+        share = f32x16(_WHOLE)
+        if rules.samples_lights:
+            share = _balance(pdf, sky_pdf_lanes(lights, (dx, dy, dz), is_missed))
+        color = sky_toward_lanes(lights, (dx, dy, dz), is_missed)
+        color = scaled(times(weights, color), share)
+        add_lights(radiance, pixel, _at_most(color, most_found), is_missed)
+    if not any_lane(is_hit):
+        return path_row, ray_row
+
+    u, v = gather(np.float32, hits.u, row), gather(np.float32, hits.v, row)
+    point = surface_points(tables, maximum(prim, _0), u, v, dx, dy, dz, is_hit)
+    length = square_root(dx * dx + dy * dy + dz * dz)
+    back = -dx / length, -dy / length, -dz / length
+    t = gather(np.float32, hits.t, row)
+    if tables.kinds & ABSORBS and any_lane(is_hit & ~point.is_front):
+        weights = times(weights, left_of(tables, point, t * length))
+    light, is_lit = _light_found(
+        tables, lights, rules, point, back, t, length, pdf, weights, is_hit
+    )
+    if any_lane(is_lit):
+        add_lights(radiance, pixel, _at_most(light, most_found), is_lit)
+    if bounce >= rules.max_bounces:
+        return path_row, ray_row
+
+    lobes = lobes_at(tables, point)
+    if rules.samples_lights and not lights.is_dark:
+        numbers = key, samples, dimension
+        found, light, is_lit = _light_sampled(
+            tables, lights, sampler, numbers, point, lobes, back, weights, is_hit
+        )
+        light = _at_most(light, most_sampled)
+        put_light_rays(rays, ray_row, is_lit, pixels, tables, point, found, light)
+        ray_row += count_bits(lane_bits(is_lit))
+
+    u, v = draw_pair_lanes(sampler, key, samples, dimension + 4)
+    choice = draw_lanes(sampler, key, samples, dimension + 6)
+    ray = scatter(lobes, point, back, choice, u, v)
+    weights = times(weights, ray.weight)
+    brightest = largest(weights[0], weights[1], weights[2])
+    goes_on = is_hit & ray.is_valid & (brightest > _NULL)
+    if bounce >= rules.roulette_bounce:
+        chance = minimum(brightest, _MOST_CHANCE)
+        goes_on &= draw_lanes(sampler, key, samples, dimension + 7) < chance
+        weights = scaled(weights, _WHOLE / chance)
+    put_paths(onward, path_row, goes_on, pixels, tables, point, ray.direction, weights, ray.pdf)
+    return path_row + count_bits(lane_bits(goes_on)), ray_row
+
+
 @kernel
 def follow_paths(
     paths, hits, tables, lights, sampler, sample, bounce, rules, first_pixel, radiance, onward, rays
@@ -165,72 +277,26 @@ def follow_paths(
         Rows written.
     """
     ts, us, vs, prim_ids = hits
+    places = HitAddresses(address(ts), address(us), address(vs), address(prim_ids))
     path_count, ray_count = np.uint64(0), np.uint64(0)
-    dimension = _FIRST_DIMENSION + _DIMENSIONS * bounce
-    samples = u32x16(as_uint32(sample))
-    # The light of the first surface is that which it emits, samples, or finds by the next ray.
-    most_found = rules.clamp if bounce > _1 else _INF
-    most_sampled = rules.clamp if bounce > _0 else _INF
-    count = as_int32(len(paths.pixels))
+    count = len(paths.pixels)
     for first in range(0, count, _LANES):
-        row = lane_numbers(i32x16) + as_int32(first)
-        is_path = row < count
-        row = minimum(row, as_int32(count - _1))
-        pixels = gather(np.int64, address(paths.pixels), row)
-        pixel, key = as_int32(pixels - first_pixel), as_uint32(pixels)
-        weights = vector_at(address(paths.weights), row)
-        dx, dy, dz = vector_at(address(paths.directions), row)
-        pdf = gather(np.float32, address(paths.pdfs), row)
-        prim = gather(np.int32, address(prim_ids), row)
-        is_hit = is_path & (prim >= _0)
-        is_missed = is_path & (prim < _0)
-        if any_lane(is_missed):
-            share = f32x16(_WHOLE)
-            if rules.samples_lights:
-                share = _balance(pdf, sky_pdf_lanes(lights, (dx, dy, dz), is_missed))
-            color = sky_toward_lanes(lights, (dx, dy, dz), is_missed)
-            color = scaled(times(weights, color), share)
-            add_lights(radiance, pixel, _at_most(color, most_found), is_missed)
-        if not any_lane(is_hit):
-            continue
-
-        u, v = gather(np.float32, address(us), row), gather(np.float32, address(vs), row)
-        point = surface_points(tables, maximum(prim, _0), u, v, dx, dy, dz, is_hit)
-        length = square_root(dx * dx + dy * dy + dz * dz)
-        back = -dx / length, -dy / length, -dz / length
-        t = gather(np.float32, address(ts), row)
-        if tables.kinds & ABSORBS and any_lane(is_hit & ~point.is_front):
-            weights = times(weights, left_of(tables, point, t * length))
-        light, is_lit = _light_found(
-            tables, lights, rules, point, back, t, length, pdf, weights, is_hit
+        path_count, ray_count = follow_block(
+            first,
+            count,
+            addresses_of(paths),
+            places,
+            tables,
+            lights,
+            sampler,
+            sample,
+            bounce,
+            rules,
+            first_pixel,
+            address(radiance),
+            addresses_of(onward),
+            path_count,
+            addresses_of(rays),
+            ray_count,
         )
-        if any_lane(is_lit):
-            add_lights(radiance, pixel, _at_most(light, most_found), is_lit)
-        if bounce >= rules.max_bounces:
-            continue
-
-        lobes = lobes_at(tables, point)
-        if rules.samples_lights and not lights.is_dark:
-            numbers = key, samples, dimension
-            found, light, is_lit = _light_sampled(
-                tables, lights, sampler, numbers, point, lobes, back, weights, is_hit
-            )
-            light = _at_most(light, most_sampled)
-            put_light_rays(rays, ray_count, is_lit, pixels, tables, point, found, light)
-            ray_count += count_bits(lane_bits(is_lit))
-
-        u, v = draw_pair_lanes(sampler, key, samples, dimension + 4)
-        choice = draw_lanes(sampler, key, samples, dimension + 6)
-        ray = scatter(lobes, point, back, choice, u, v)
-        weights = times(weights, ray.weight)
-        brightest = largest(weights[0], weights[1], weights[2])
-        goes_on = is_hit & ray.is_valid & (brightest > _NULL)
-        if bounce >= rules.roulette_bounce:
-            chance = minimum(brightest, _MOST_CHANCE)
-            goes_on &= draw_lanes(sampler, key, samples, dimension + 7) < chance
-            weights = scaled(weights, _WHOLE / chance)
-        put_paths(
-            onward, path_count, goes_on, pixels, tables, point, ray.direction, weights, ray.pdf
-        )
-        path_count += count_bits(lane_bits(goes_on))
     return np.int64(path_count), np.int64(ray_count)

@@ -9,56 +9,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import (
-    address,
-    compress,
-    count_bits,
-    f32x16,
-    gather,
-    lane_bits,
-    lanes_from_bits,
-    mask8,
-    narrow,
-    permutation,
-    scatter,
-    select,
-    store,
-    store_triples,
-)
+from raystream.jit.simd import address, f32x16, gather, load, narrow, select, store
 from raystream.render.shading.points import spawned, world_place
+from raystream.render.shading.rows import (
+    append_numbers,
+    append_pixels,
+    append_places,
+    append_vectors,
+    put_vectors,
+    vector_at,
+)
 
 __all__ = [
     "SLACK",
     "LightRays",
     "Paths",
+    "StreamAddresses",
+    "add_if_unblocked",
     "add_light",
     "add_lights",
     "add_unblocked",
+    "addresses_of",
     "aimed",
-    "append_numbers",
-    "append_pixels",
-    "append_places",
-    "append_vectors",
     "direction_of",
     "put_light_rays",
     "put_path",
     "put_paths",
     "put_ray",
-    "put_vectors",
-    "vector_at",
 ]
 
 _ONE, _INF = np.float32(1.0), np.float32(np.inf)
-_1, _2, _3 = np.int32(1), np.int32(2), np.int32(3)
+_3, _WORD, _CLEAR = np.uint64(3), np.uint64(4), np.uint8(0)
 
 #: Rows behind the last one of arrays that kernels write to: vectors that are written whole may
 #: reach so far.
 SLACK = 16
-
-# Bytes: of a number, of a long one, and of three.
-_WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np.uint64(24)
-
-_LOW, _HIGH = permutation(*range(8)), permutation(*range(8, 16))
 
 
 class Paths(NamedTuple):
@@ -122,6 +107,23 @@ class LightRays(NamedTuple):
         return LightRays._make(array[:count] for array in self)
 
 
+class StreamAddresses(NamedTuple):
+    """Where the columns of a stream of either kind begin: of the first path or ray.
+
+    Attributes
+    ----------
+    pixels, origins, directions, colors, numbers : uint64
+        In the order of `Paths` and `LightRays`; colours are weights or light, numbers densities
+        or ends.
+    """
+
+    pixels: np.uint64
+    origins: np.uint64
+    directions: np.uint64
+    colors: np.uint64
+    numbers: np.uint64
+
+
 def _room(count: int) -> list[NDArray[Any]]:
     """Arrays of either kind of stream for so many rows, with slack behind them."""
     rows = count + SLACK
@@ -129,6 +131,15 @@ def _room(count: int) -> list[NDArray[Any]]:
     directions, colors = (np.empty((rows, 3), np.float32) for _ in range(2))
     numbers = np.empty(rows, np.float32)
     return [array[:count] for array in (pixels, origins, directions, colors, numbers)]
+
+
+@device
+def addresses_of(stream):
+    """Where a stream's columns begin, `Paths` or `LightRays`."""
+    pixels, origins, directions, colors, numbers = stream
+    return StreamAddresses(
+        address(pixels), address(origins), address(directions), address(colors), address(numbers)
+    )
 
 
 @device
@@ -215,78 +226,13 @@ def add_light(radiance, pixel, weights, i, color, factor):
 
 
 @device
-def vector_at(base, row):
-    """Three float32 of rows of an array of shape (N, 3), by its address."""
-    at = row * _3
-    return (
-        gather(np.float32, base, at),
-        gather(np.float32, base, at + _1),
-        gather(np.float32, base, at + _2),
-    )
-
-
-@device
-def put_vectors(base, row, vector, mask):
-    """Write three vectors to rows of an array of shape (N, 3), where a mask is set."""
-    at = row * _3
-    scatter(base, at, vector[0], mask)
-    scatter(base, at + _1, vector[1], mask)
-    scatter(base, at + _2, vector[2], mask)
-
-
-# Of 16 rows those that a mask has are written one after the other, and what else is in the
-# vectors behind them: about two thirds of the time of writing each row to its place.
-
-
-@device
-def append_numbers(base, first, number, mask):
-    """Write float32 of some rows from a row on."""
-    store(base + first * _WORD, compress(mask, number))
-
-
-@device
-def append_pixels(base, first, pixel, mask):
-    """Write int64 of some rows from a row on."""
-    low, high = _halves(mask)
-    store(base + first * _LONG, compress(low, _LOW(pixel)))
-    second = first + count_bits(lane_bits(low))
-    store(base + second * _LONG, compress(high, _HIGH(pixel)))
-
-
-@device
-def append_vectors(base, first, vector, mask):
-    """Write three float32 of some rows from a row on."""
-    x, y, z = vector
-    at = base + first * _3_WORDS
-    store_triples(at, compress(mask, x), compress(mask, y), compress(mask, z))
-
-
-@device
-def append_places(base, first, place, mask):
-    """Write three float64 of some rows from a row on."""
-    x, y, z = place
-    low, high = _halves(mask)
-    at = base + first * _3_LONGS
-    store_triples(at, compress(low, _LOW(x)), compress(low, _LOW(y)), compress(low, _LOW(z)))
-    at += count_bits(lane_bits(low)) * _3_LONGS
-    store_triples(at, compress(high, _HIGH(x)), compress(high, _HIGH(y)), compress(high, _HIGH(z)))
-
-
-@device
-def _halves(mask):
-    """Lanes 0 to 7 of a mask, and 8 to 15."""
-    bits = lane_bits(mask)
-    return lanes_from_bits(mask8, bits), lanes_from_bits(mask8, bits >> np.uint64(8))
-
-
-@device
 def put_paths(onward, first, mask, pixels, tables, point, toward, weight, pdf):
     """Write those of 16 paths that leave their points, one after the other.
 
     Parameters
     ----------
-    onward : Paths
-        With slack, see `SLACK`.
+    onward : StreamAddresses
+        Of `Paths` with slack, see `SLACK`.
     first : uint64
         The row of the first.
     mask : mask16
@@ -297,11 +243,11 @@ def put_paths(onward, first, mask, pixels, tables, point, toward, weight, pdf):
     toward, weight : tuple of three f32x16
     pdf : f32x16
     """
-    append_pixels(address(onward.pixels), first, pixels, mask)
-    append_numbers(address(onward.pdfs), first, pdf, mask)
-    append_places(address(onward.origins), first, spawned(tables, point, toward), mask)
-    append_vectors(address(onward.directions), first, toward, mask)
-    append_vectors(address(onward.weights), first, weight, mask)
+    append_pixels(onward.pixels, first, pixels, mask)
+    append_numbers(onward.numbers, first, pdf, mask)
+    append_places(onward.origins, first, spawned(tables, point, toward), mask)
+    append_vectors(onward.directions, first, toward, mask)
+    append_vectors(onward.colors, first, weight, mask)
 
 
 @device
@@ -310,8 +256,8 @@ def put_light_rays(rays, first, mask, pixels, tables, point, found, light):
 
     Parameters
     ----------
-    rays : LightRays
-        With slack.
+    rays : StreamAddresses
+        Of `LightRays` with slack.
     first, mask, pixels, tables, point
         See `put_paths`.
     found : LightSample
@@ -325,11 +271,11 @@ def put_light_rays(rays, first, mask, pixels, tables, point, found, light):
         select(found.is_far, found.toward[1], narrow(py - y)),
         select(found.is_far, found.toward[2], narrow(pz - z)),
     )
-    append_pixels(address(rays.pixels), first, pixels, mask)
-    append_numbers(address(rays.t_max), first, select(found.is_far, _INF, f32x16(_ONE)), mask)
-    append_places(address(rays.origins), first, (x, y, z), mask)
-    append_vectors(address(rays.directions), first, toward, mask)
-    append_vectors(address(rays.light), first, light, mask)
+    append_pixels(rays.pixels, first, pixels, mask)
+    append_numbers(rays.numbers, first, select(found.is_far, _INF, f32x16(_ONE)), mask)
+    append_places(rays.origins, first, (x, y, z), mask)
+    append_vectors(rays.directions, first, toward, mask)
+    append_vectors(rays.colors, first, light, mask)
 
 
 @device
@@ -338,16 +284,40 @@ def add_lights(radiance, pixel, light, mask):
 
     Parameters
     ----------
-    radiance : ndarray of shape (P, 3), float32
+    radiance : uint64
+        Address of shape (P, 3), float32.
     pixel : i32x16
         Rows.
     light : tuple of three f32x16
     mask : mask16
         Which of them.
     """
-    base = address(radiance)
-    old = vector_at(base, pixel)
-    put_vectors(base, pixel, (old[0] + light[0], old[1] + light[1], old[2] + light[2]), mask)
+    old = vector_at(radiance, pixel)
+    put_vectors(radiance, pixel, (old[0] + light[0], old[1] + light[1], old[2] + light[2]), mask)
+
+
+@device
+def add_if_unblocked(i, rays, blocked, first_pixel, radiance):
+    """Add what ray i to a light brings, unless something is in its way.
+
+    Parameters
+    ----------
+    i : uint64
+    rays : StreamAddresses
+        Of `LightRays`.
+    blocked : uint64
+        Address of a byte for each ray, 0 where nothing is in its way.
+    first_pixel : int
+        The pixel of row 0 of the light.
+    radiance : uint64
+        Address of shape (P, 3), float32.
+    """
+    if load(np.uint8, blocked + i) == _CLEAR:
+        pixel = gather(np.int64, rays.pixels, i) - first_pixel
+        for k in range(3):
+            at = radiance + (np.uint64(pixel) * _3 + np.uint64(k)) * _WORD
+            light = gather(np.float32, rays.colors, i * _3 + np.uint64(k))
+            store(at, load(np.float32, at) + light)
 
 
 @kernel
@@ -363,8 +333,6 @@ def add_unblocked(rays, blocked, first_pixel, radiance):
     radiance : ndarray of shape (P, 3), float32
         Changed.
     """
+    places, answers, base = addresses_of(rays), address(blocked), address(radiance)
     for i in range(np.uint64(len(rays.pixels))):
-        if not blocked[i]:
-            pixel = np.uint64(rays.pixels[i] - first_pixel)
-            for k in range(3):
-                radiance[pixel, k] += rays.light[i, k]
+        add_if_unblocked(i, places, answers, first_pixel, base)

@@ -1,0 +1,130 @@
+"""Rows of streams: read where 16 paths are, and written one behind the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import (
+    as_int32,
+    compress,
+    count_bits,
+    gather,
+    i32x16,
+    lane_bits,
+    lanes_from_bits,
+    mask8,
+    permutation,
+    scatter,
+    store,
+    store_triples,
+)
+
+__all__ = [
+    "SINGLE_ROWS",
+    "append_numbers",
+    "append_pixels",
+    "append_places",
+    "append_vectors",
+    "put_vectors",
+    "vector_at",
+]
+
+_1, _2, _3 = np.int32(1), np.int32(2), np.int32(3)
+
+# Bytes: of a number, of a long one, and of three.
+_WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np.uint64(24)
+
+_LOW, _HIGH = permutation(*range(8)), permutation(*range(8, 16))
+
+
+@device
+def vector_at(base, row):
+    """Three float32 of rows of an array of shape (N, 3), by its address."""
+    at = row * _3
+    return (
+        gather(np.float32, base, at),
+        gather(np.float32, base, at + _1),
+        gather(np.float32, base, at + _2),
+    )
+
+
+@device
+def put_vectors(base, row, vector, mask):
+    """Write three vectors to rows of an array of shape (N, 3), where a mask is set."""
+    at = row * _3
+    scatter(base, at, vector[0], mask)
+    scatter(base, at + _1, vector[1], mask)
+    scatter(base, at + _2, vector[2], mask)
+
+
+# Of 16 rows those that a mask has are written one after the other, and what else is in the
+# vectors behind them: about two thirds of the time of writing each row to its place.
+
+
+@device
+def append_numbers(base, first, number, mask):
+    """Write float32 of some rows from a row on."""
+    store(base + first * _WORD, compress(mask, number))
+
+
+@device
+def append_pixels(base, first, pixel, mask):
+    """Write int64 of some rows from a row on."""
+    low, high = _halves(mask)
+    store(base + first * _LONG, compress(low, _LOW(pixel)))
+    second = first + count_bits(lane_bits(low))
+    store(base + second * _LONG, compress(high, _HIGH(pixel)))
+
+
+@device
+def append_vectors(base, first, vector, mask):
+    """Write three float32 of some rows from a row on."""
+    x, y, z = vector
+    at = base + first * _3_WORDS
+    store_triples(at, compress(mask, x), compress(mask, y), compress(mask, z))
+
+
+@device
+def append_places(base, first, place, mask):
+    """Write three float64 of some rows from a row on."""
+    x, y, z = place
+    low, high = _halves(mask)
+    at = base + first * _3_LONGS
+    store_triples(at, compress(low, _LOW(x)), compress(low, _LOW(y)), compress(low, _LOW(z)))
+    at += count_bits(lane_bits(low)) * _3_LONGS
+    store_triples(at, compress(high, _HIGH(x)), compress(high, _HIGH(y)), compress(high, _HIGH(z)))
+
+
+@device
+def _halves(mask):
+    """Lanes 0 to 7 of a mask, and 8 to 15."""
+    bits = lane_bits(mask)
+    return lanes_from_bits(mask8, bits), lanes_from_bits(mask8, bits >> np.uint64(8))
+
+
+# A thread that has one lane writes it to its own row, if at all.
+
+
+@device
+def _put_number(base, first, number, mask):
+    scatter(base, i32x16(as_int32(first)), number, mask)
+
+
+@device
+def _put_pixel(base, first, pixel, mask):
+    scatter(base, i32x16(as_int32(first)), pixel, mask)
+
+
+@device
+def _put_vector(base, first, vector, mask):
+    put_vectors(base, i32x16(as_int32(first)), vector, mask)
+
+
+#: For `single_lane`: what writes one row, in place of what appends 16.
+SINGLE_ROWS = {
+    append_numbers: _put_number,
+    append_pixels: _put_pixel,
+    append_vectors: _put_vector,
+    append_places: _put_vector,
+}
