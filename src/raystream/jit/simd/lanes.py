@@ -15,6 +15,7 @@ from raystream.jit.simd.arithmetic import (
     common,
     wider,
 )
+from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.types import (
     VectorClass,
     VectorType,
@@ -222,7 +223,7 @@ def compress(typing_context: Any, mask: Any, x: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         whole = int(x.element.bitwidth) * x.lane_count <= _WIDEST_COMPRESS
-        if whole and "+avx512vl" in str(context.codegen().magic_tuple()):
+        if whole and not is_cuda(builder) and "+avx512vl" in str(context.codegen().magic_tuple()):
             return _compress(builder, *arguments)
         return _compress_in_memory(builder, *arguments)
 

@@ -12,9 +12,11 @@ from raystream.jit.simd import (
     count_bits,
     f32x16,
     f64x16,
+    gather,
     i32x16,
     i64x16,
     lane_bits,
+    lane_count,
     lane_numbers,
     u32x16,
     widen,
@@ -28,21 +30,97 @@ from raystream.render.shading.rows import (
     append_places,
     append_vectors,
 )
-from raystream.render.shading.streams import direction_of
+from raystream.render.shading.streams import (
+    add_light,
+    addresses_of,
+    direction_of,
+    hits_at,
+    weights_of,
+)
 
-__all__ = ["look_around"]
+__all__ = ["look_around", "look_from"]
 
 #: The numbers before are for the place in the pixel and on the lens.
 _DIMENSION = 4
 
-#: Of vectors.
-_LANES = 16
+_WHITE = (1.0, 1.0, 1.0)
 
 
 @device
 def _spread(a):
     """A vector of three float64 in all lanes, float32."""
     return f32x16(np.float32(a[0])), f32x16(np.float32(a[1])), f32x16(np.float32(a[2]))
+
+
+@device
+def look_from(
+    i,
+    paths,
+    hits,
+    tables,
+    sampler,
+    sample,
+    count,
+    distance,
+    first_pixel,
+    radiance,
+    rays,
+    row,
+):
+    """Send rays from the surface that path i meets.
+
+    Parameters
+    ----------
+    i : uint64
+    paths, rays : StreamAddresses
+    hits : HitAddresses
+    tables, sampler, sample, count, distance, first_pixel
+        See `look_around`.
+    radiance : uint64
+        Address of the pixels' light.
+    row : uint64
+        Where the rays go.
+
+    Returns
+    -------
+    uint64
+        The row behind them.
+    """
+    pixel_id, weights = gather(np.int64, paths.pixels, i), weights_of(paths, i)
+    prim_id = gather(np.int32, hits.prim_id, i)
+    if prim_id < 0:
+        add_light(radiance, pixel_id - first_pixel, weights, _WHITE, 1.0)
+        return row
+    dx, dy, dz, _ = direction_of(paths, i)
+    across, up = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
+    point = surface_point(tables, prim_id, across, up, dx, dy, dz)
+    share, reach = np.float64(1.0 / count), f32x16(np.float32(distance))
+    light = _spread((weights[0] * share, weights[1] * share, weights[2] * share))
+    normal = _spread((point.nx, point.ny, point.nz))
+    # All leave on the side of the view, from one place.
+    origin = world_place(
+        tables,
+        point.x + point.offset * point.gx,
+        point.y + point.offset * point.gy,
+        point.z + point.offset * point.gz,
+    )
+    lanes = lane_numbers(i32x16)
+    for first in range(0, count, lane_count(lanes)):
+        j = lanes + as_int32(first)
+        samples = as_uint32(j) + as_uint32(sample * count)
+        u, v = draw_pair_lanes(sampler, u32x16(as_uint32(pixel_id)), samples, _DIMENSION)
+        x, y, z = to_world(*cosine_hemisphere(u, v), *normal)
+        # Those that a smooth normal sends below the triangle meet it at once.
+        height = widen(x) * point.gx + widen(y) * point.gy + widen(z) * point.gz
+        mask = (j < as_int32(count)) & (height > 0.0)
+        append_pixels(rays.pixels, row, i64x16(pixel_id), mask)
+        append_numbers(rays.numbers, row, reach, mask)
+        start = f64x16(origin[0]), f64x16(origin[1]), f64x16(origin[2])
+        append_places(rays.origins, row, start, mask)
+        append_vectors(rays.directions, row, (x, y, z), mask)
+        append_vectors(rays.colors, row, light, mask)
+        row += count_bits(lane_bits(mask))
+    return row
 
 
 @kernel
@@ -65,45 +143,20 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
     int
         Rays written.
     """
-    _, us, vs, prim_ids = hits
-    row, reach = np.uint64(0), f32x16(np.float32(distance))
+    row = np.uint64(0)
     for i in range(np.uint64(len(paths.pixels))):
-        pixel_id = paths.pixels[i]
-        if prim_ids[i] < 0:
-            for k in range(3):
-                radiance[np.uint64(pixel_id - first_pixel), k] += paths.weights[i, k]
-            continue
-        dx, dy, dz, _ = direction_of(paths, i)
-        point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
-        share = np.float64(1.0 / count)
-        light = _spread(
-            (
-                paths.weights[i, 0] * share,
-                paths.weights[i, 1] * share,
-                paths.weights[i, 2] * share,
-            )
-        )
-        normal = _spread((point.nx, point.ny, point.nz))
-        # All leave on the side of the view, from one place.
-        origin = world_place(
+        row = look_from(
+            i,
+            addresses_of(paths),
+            hits_at(hits),
             tables,
-            point.x + point.offset * point.gx,
-            point.y + point.offset * point.gy,
-            point.z + point.offset * point.gz,
+            sampler,
+            sample,
+            count,
+            distance,
+            first_pixel,
+            address(radiance),
+            addresses_of(rays),
+            row,
         )
-        for first in range(0, count, _LANES):
-            j = lane_numbers(i32x16) + as_int32(first)
-            samples = as_uint32(j) + as_uint32(sample * count)
-            u, v = draw_pair_lanes(sampler, u32x16(as_uint32(pixel_id)), samples, _DIMENSION)
-            x, y, z = to_world(*cosine_hemisphere(u, v), *normal)
-            # Those that a smooth normal sends below the triangle meet it at once.
-            height = widen(x) * point.gx + widen(y) * point.gy + widen(z) * point.gz
-            mask = (j < as_int32(count)) & (height > 0.0)
-            append_pixels(address(rays.pixels), row, i64x16(pixel_id), mask)
-            append_numbers(address(rays.t_max), row, reach, mask)
-            start = f64x16(origin[0]), f64x16(origin[1]), f64x16(origin[2])
-            append_places(address(rays.origins), row, start, mask)
-            append_vectors(address(rays.directions), row, (x, y, z), mask)
-            append_vectors(address(rays.light), row, light, mask)
-            row += count_bits(lane_bits(mask))
     return np.int64(row)

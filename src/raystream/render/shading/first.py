@@ -4,15 +4,60 @@ from __future__ import annotations
 
 import numpy as np
 
-from raystream.jit.cpu import kernel
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import address, gather
 from raystream.render.shading.bsdf import emitted, lobes_at, reflected
 from raystream.render.shading.classic import arriving
 from raystream.render.shading.points import surface_point
 from raystream.render.shading.sky import sky_toward
-from raystream.render.shading.streams import add_light, direction_of
+from raystream.render.shading.streams import (
+    add_light,
+    addresses_of,
+    direction_of,
+    hits_at,
+    weights_of,
+)
 from raystream.render.shading.vectors import dot, times
 
-__all__ = ["light_unblocked", "shade_by_view"]
+__all__ = ["light_first", "light_unblocked", "shade_by_view", "view_first"]
+
+
+@device
+def light_first(i, paths, hits, tables, lights, first_pixel, radiance):
+    """Light the surface that ray i meets; see `light_unblocked`.
+
+    Parameters
+    ----------
+    i : uint64
+    paths : StreamAddresses
+    hits : HitAddresses
+    tables, lights, first_pixel
+        See `light_unblocked`.
+    radiance : uint64
+        Address of the pixels' light.
+    """
+    pixel, weights = gather(np.int64, paths.pixels, i) - first_pixel, weights_of(paths, i)
+    dx, dy, dz, length = direction_of(paths, i)
+    prim_id = gather(np.int32, hits.prim_id, i)
+    if prim_id < 0:
+        add_light(radiance, pixel, weights, sky_toward(lights, dx, dy, dz), 1.0)
+        return
+    back = -dx / length, -dy / length, -dz / length
+    u, v = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
+    point = surface_point(tables, prim_id, u, v, dx, dy, dz)
+    lobes = lobes_at(tables, point)
+    red, green, blue = times(lobes.diffuse, lights.ambient)
+    if point.is_front:
+        glow = emitted(tables, point)
+        red, green, blue = red + glow[0], green + glow[1], blue + glow[2]
+    for number in range(lights.light_count):
+        found = arriving(tables, lights, number, point)
+        if found.is_valid:
+            color, _, _ = reflected(lobes, point, back, found.toward)
+            red += color[0] * found.color[0]
+            green += color[1] * found.color[1]
+            blue += color[2] * found.color[2]
+    add_light(radiance, pixel, weights, (red, green, blue), 1.0)
 
 
 @kernel
@@ -25,28 +70,24 @@ def light_unblocked(paths, hits, tables, lights, first_pixel, radiance):
         See `paths.follow_paths`.
     lights : ClassicLights
     """
-    _, us, vs, prim_ids = hits
+    places, found, base = addresses_of(paths), hits_at(hits), address(radiance)
     for i in range(np.uint64(len(paths.pixels))):
-        pixel = np.uint64(paths.pixels[i] - first_pixel)
-        dx, dy, dz, length = direction_of(paths, i)
-        if prim_ids[i] < 0:
-            add_light(radiance, pixel, paths.weights, i, sky_toward(lights, dx, dy, dz), 1.0)
-            continue
-        back = -dx / length, -dy / length, -dz / length
-        point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
-        lobes = lobes_at(tables, point)
-        red, green, blue = times(lobes.diffuse, lights.ambient)
-        if point.is_front:
-            glow = emitted(tables, point)
-            red, green, blue = red + glow[0], green + glow[1], blue + glow[2]
-        for number in range(lights.light_count):
-            found = arriving(tables, lights, number, point)
-            if found.is_valid:
-                color, _, _ = reflected(lobes, point, back, found.toward)
-                red += color[0] * found.color[0]
-                green += color[1] * found.color[1]
-                blue += color[2] * found.color[2]
-        add_light(radiance, pixel, paths.weights, i, (red, green, blue), 1.0)
+        light_first(i, places, found, tables, lights, first_pixel, base)
+
+
+@device
+def view_first(i, paths, hits, tables, lights, first_pixel, radiance):
+    """Show the surface that ray i meets in grey; see `light_first` and `shade_by_view`."""
+    pixel, weights = gather(np.int64, paths.pixels, i) - first_pixel, weights_of(paths, i)
+    dx, dy, dz, length = direction_of(paths, i)
+    prim_id = gather(np.int32, hits.prim_id, i)
+    if prim_id < 0:
+        add_light(radiance, pixel, weights, sky_toward(lights, dx, dy, dz), 1.0)
+        return
+    u, v = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
+    point = surface_point(tables, prim_id, u, v, dx, dy, dz)
+    cosine = abs(dot((point.nx, point.ny, point.nz), (dx, dy, dz))) / length
+    add_light(radiance, pixel, weights, (cosine, cosine, cosine), 1.0)
 
 
 @kernel
@@ -60,13 +101,6 @@ def shade_by_view(paths, hits, tables, lights, first_pixel, radiance):
     lights : ClassicLights
         Their sky is what rays that miss see.
     """
-    _, us, vs, prim_ids = hits
+    places, found, base = addresses_of(paths), hits_at(hits), address(radiance)
     for i in range(np.uint64(len(paths.pixels))):
-        pixel = np.uint64(paths.pixels[i] - first_pixel)
-        dx, dy, dz, length = direction_of(paths, i)
-        if prim_ids[i] < 0:
-            add_light(radiance, pixel, paths.weights, i, sky_toward(lights, dx, dy, dz), 1.0)
-            continue
-        point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
-        cosine = abs(dot((point.nx, point.ny, point.nz), (dx, dy, dz))) / length
-        add_light(radiance, pixel, paths.weights, i, (cosine, cosine, cosine), 1.0)
+        view_first(i, places, found, tables, lights, first_pixel, base)

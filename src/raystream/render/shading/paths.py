@@ -36,7 +36,6 @@ from raystream.jit.simd import (
     u32x16,
     widen,
 )
-from raystream.kernels.collect import HitAddresses
 from raystream.render.sampling.sampler import draw_lanes, draw_pair_lanes
 from raystream.render.shading.absorption import left_of
 from raystream.render.shading.bsdf import emitted, lobes_at, reflected
@@ -48,6 +47,7 @@ from raystream.render.shading.sky_lanes import sky_pdf_lanes, sky_toward_lanes
 from raystream.render.shading.streams import (
     add_lights,
     addresses_of,
+    hits_at,
     put_light_rays,
     put_paths,
 )
@@ -276,8 +276,6 @@ def follow_paths(
     path_count, ray_count : int
         Rows written.
     """
-    ts, us, vs, prim_ids = hits
-    places = HitAddresses(address(ts), address(us), address(vs), address(prim_ids))
     path_count, ray_count = np.uint64(0), np.uint64(0)
     count = len(paths.pixels)
     for first in range(0, count, _LANES):
@@ -285,7 +283,7 @@ def follow_paths(
             first,
             count,
             addresses_of(paths),
-            places,
+            hits_at(hits),
             tables,
             lights,
             sampler,

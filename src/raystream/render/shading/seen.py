@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.render.shading.bsdf import lobes_at
 from raystream.render.shading.points import surface_point
-from raystream.render.shading.streams import direction_of
+from raystream.render.shading.streams import addresses_of, direction_of
 
 __all__ = ["SeenSurfaces", "see_surfaces"]
 
@@ -67,6 +67,7 @@ def see_surfaces(paths, hits, tables, first_pixel, seen):
         Written, for the pixels of all paths; all but `emission`.
     """
     ts, us, vs, prim_ids = hits
+    places = addresses_of(paths)
     for i in range(np.uint64(len(paths.pixels))):
         pixel = np.uint64(paths.pixels[i] - first_pixel)
         seen.prim_id[pixel] = prim_ids[i]
@@ -76,7 +77,7 @@ def see_surfaces(paths, hits, tables, first_pixel, seen):
                 seen.normal[pixel, k] = np.float32(np.nan)
                 seen.albedo[pixel, k] = np.float32(np.nan)
             continue
-        dx, dy, dz, length = direction_of(paths, i)
+        dx, dy, dz, length = direction_of(places, i)
         point = surface_point(tables, prim_ids[i], us[i], vs[i], dx, dy, dz)
         lobes = lobes_at(tables, point)
         seen.depth[pixel] = np.float32(np.float64(ts[i]) * length)

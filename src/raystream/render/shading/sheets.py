@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import kernel
+from raystream.jit.simd import address
 from raystream.render.shading.bsdf import lobes_at
 from raystream.render.shading.points import surface_point
 from raystream.render.shading.sky import sky_toward
-from raystream.render.shading.streams import add_light, direction_of
+from raystream.render.shading.streams import add_light, addresses_of, direction_of, weights_of
 
 __all__ = ["look_through"]
 
@@ -31,10 +32,11 @@ def look_through(paths, splits, rows, tables, opacity, lights, first_pixel, radi
         Their sky is behind the last sheet.
     """
     us, vs, prim_ids = rows
-    clear = 1.0 - opacity
+    clear, places, base = 1.0 - opacity, addresses_of(paths), address(radiance)
     for i in range(np.uint64(len(paths.pixels))):
         pixel = np.uint64(paths.pixels[i] - first_pixel)
-        dx, dy, dz, length = direction_of(paths, i)
+        dx, dy, dz, length = direction_of(places, i)
+        weights = weights_of(places, i)
         passed = 1.0
         for row in range(np.uint64(splits[i]), np.uint64(splits[i + _ONE])):
             point = surface_point(tables, prim_ids[row], us[row], vs[row], dx, dy, dz)
@@ -43,7 +45,7 @@ def look_through(paths, splits, rows, tables, opacity, lights, first_pixel, radi
             here = clear ** (1.0 / cosine) if cosine > 0.0 else 0.0
             color = lobes_at(tables, point).diffuse
             shade = passed * (1.0 - here) * facing
-            add_light(radiance, pixel, paths.weights, i, color, shade)
+            add_light(base, pixel, weights, color, shade)
             passed *= here
         behind = sky_toward(lights, dx, dy, dz)
-        add_light(radiance, pixel, paths.weights, i, behind, passed)
+        add_light(base, pixel, weights, behind, passed)

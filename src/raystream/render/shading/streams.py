@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, f32x16, gather, load, narrow, select, store
+from raystream.jit.simd import (
+    address,
+    as_int32,
+    f32x16,
+    gather,
+    load,
+    narrow,
+    scatter,
+    select,
+)
+from raystream.kernels.collect import HitAddresses
 from raystream.render.shading.points import spawned, world_place
 from raystream.render.shading.rows import (
     append_numbers,
@@ -32,14 +42,16 @@ __all__ = [
     "addresses_of",
     "aimed",
     "direction_of",
+    "hits_at",
     "put_light_rays",
     "put_path",
     "put_paths",
     "put_ray",
+    "weights_of",
 ]
 
 _ONE, _INF = np.float32(1.0), np.float32(np.inf)
-_3, _WORD, _CLEAR = np.uint64(3), np.uint64(4), np.uint8(0)
+_CLEAR, _WHITE = np.uint8(0), (1.0, 1.0, 1.0)
 
 #: Rows behind the last one of arrays that kernels write to: vectors that are written whole may
 #: reach so far.
@@ -143,11 +155,23 @@ def addresses_of(stream):
 
 
 @device
+def hits_at(hits):
+    """Where hits begin, of a tuple of contiguous arrays t, u, v and prim_id."""
+    ts, us, vs, prim_ids = hits
+    return HitAddresses(address(ts), address(us), address(vs), address(prim_ids))
+
+
+@device
+def weights_of(paths, i):
+    """Weights of path i of a stream, by its addresses, three float32."""
+    return vector_at(paths.colors, as_int32(i))
+
+
+@device
 def direction_of(paths, i):
-    """Direction of path i, and its length, float64."""
-    x = np.float64(paths.directions[i, 0])
-    y = np.float64(paths.directions[i, 1])
-    z = np.float64(paths.directions[i, 2])
+    """Direction of path i of a stream, by its addresses, and its length, float64."""
+    x, y, z = vector_at(paths.directions, as_int32(i))
+    x, y, z = np.float64(x), np.float64(y), np.float64(z)
     return x, y, z, math.sqrt(x * x + y * y + z * z)
 
 
@@ -157,7 +181,8 @@ def put_path(onward, row, pixel, tables, point, toward, weight, pdf):
 
     Parameters
     ----------
-    onward : Paths
+    onward : StreamAddresses
+        Of `Paths`.
     row : uint64
     pixel : int64
     tables : SceneTables
@@ -165,13 +190,11 @@ def put_path(onward, row, pixel, tables, point, toward, weight, pdf):
     toward, weight : tuple of three float64
     pdf : float64
     """
-    origin = spawned(tables, point, toward)
-    onward.pixels[row] = pixel
-    onward.pdfs[row] = pdf
-    for k in range(3):
-        onward.origins[row, k] = origin[k]
-        onward.directions[row, k] = np.float32(toward[k])
-        onward.weights[row, k] = np.float32(weight[k])
+    scatter(onward.pixels, row, pixel, True)
+    scatter(onward.numbers, row, np.float32(pdf), True)
+    put_vectors(onward.origins, as_int32(row), spawned(tables, point, toward), True)
+    put_vectors(onward.directions, as_int32(row), _narrowed(toward), True)
+    put_vectors(onward.colors, as_int32(row), _narrowed(weight), True)
 
 
 @device
@@ -203,26 +226,48 @@ def put_ray(rays, row, pixel, origin, toward, t_max, light):
 
     Parameters
     ----------
-    rays : LightRays
+    rays : StreamAddresses
+        Of `LightRays`.
     row : uint64
     pixel : int64
     origin, toward, light : tuple of three float64 or float32
     t_max : float32
     """
-    rays.pixels[row] = pixel
-    rays.t_max[row] = t_max
-    for k in range(3):
-        rays.origins[row, k] = origin[k]
-        rays.directions[row, k] = np.float32(toward[k])
-        rays.light[row, k] = np.float32(light[k])
+    scatter(rays.pixels, row, pixel, True)
+    scatter(rays.numbers, row, t_max, True)
+    put_vectors(rays.origins, as_int32(row), origin, True)
+    put_vectors(rays.directions, as_int32(row), _narrowed(toward), True)
+    put_vectors(rays.colors, as_int32(row), _narrowed(light), True)
 
 
 @device
-def add_light(radiance, pixel, weights, i, color, factor):
-    """Add light that path i brings to its pixel."""
-    radiance[pixel, 0] += np.float32(weights[i, 0] * color[0] * factor)
-    radiance[pixel, 1] += np.float32(weights[i, 1] * color[1] * factor)
-    radiance[pixel, 2] += np.float32(weights[i, 2] * color[2] * factor)
+def _narrowed(a):
+    return np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
+
+
+@device
+def add_light(radiance, pixel, weights, color, factor):
+    """Add light that a path brings to its pixel.
+
+    Parameters
+    ----------
+    radiance : uint64
+        Address of shape (P, 3), float32.
+    pixel : int
+        Its row.
+    weights : tuple of three float32
+        The path's.
+    color : tuple of three float64
+    factor : float64
+    """
+    row = as_int32(pixel)
+    red, green, blue = vector_at(radiance, row)
+    more = (
+        red + np.float32(weights[0] * color[0] * factor),
+        green + np.float32(weights[1] * color[1] * factor),
+        blue + np.float32(weights[2] * color[2] * factor),
+    )
+    put_vectors(radiance, row, more, True)
 
 
 @device
@@ -314,10 +359,7 @@ def add_if_unblocked(i, rays, blocked, first_pixel, radiance):
     """
     if load(np.uint8, blocked + i) == _CLEAR:
         pixel = gather(np.int64, rays.pixels, i) - first_pixel
-        for k in range(3):
-            at = radiance + (np.uint64(pixel) * _3 + np.uint64(k)) * _WORD
-            light = gather(np.float32, rays.colors, i * _3 + np.uint64(k))
-            store(at, load(np.float32, at) + light)
+        add_light(radiance, pixel, vector_at(rays.colors, as_int32(i)), _WHITE, 1.0)
 
 
 @kernel
