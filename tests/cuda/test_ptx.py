@@ -110,6 +110,32 @@ def test_arrays_on_the_device_are_traced_where_they_are(dtype):
     assert blocked.tolist() == expected.any_hit(*rays, t_max=t_max).tolist()
 
 
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(
+    ("mode", "options"),
+    [
+        ("path", {}),
+        ("kajiya", {"order": "sorted", "kernel": "binary"}),
+        ("ao", {}),
+        ("raycast", {}),
+        ("shadow", {}),
+        ("vis", {}),
+    ],
+)
+def test_pictures_are_the_processor_s(driver, mode, options):
+    scene = rs.load("cornell")
+    size = {
+        "width": 5,
+        "height": 4,
+        "mode": mode,
+        "samples": 1 if mode in ("raycast", "vis") else 2,
+    }
+    tracer = rs.Tracer(scene, device="cuda", gpu=NUMBER, **options)
+    ours, theirs = rs.render(tracer, **size), rs.render(scene, **size)
+    assert any("begin" in name for name in driver.launched)
+    assert ours.pixels.tobytes() == theirs.pixels.tobytes()
+
+
 # ---- The machine itself.
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ from raystream.kernels.ray_source import ResultAddresses
 from raystream.structures import Structure
 from raystream.structures.batches import BatchQueries
 from raystream.structures.found import allocate_hits
+
+if TYPE_CHECKING:
+    from raystream.cuda.rendering import CudaBands
+    from raystream.render.sampled import Setting
 
 __all__ = ["Branching"]
 
@@ -120,6 +124,13 @@ class Branching(BatchQueries):
             self._is_sorted,
             self._in_order,
         )
+
+    def bands_on_device(self, setting: Setting) -> CudaBands | None:
+        """What takes samples of a picture on the device; see `Queries.bands_on_device`."""
+        from raystream.cuda.rendering import CudaBands
+
+        own = self.gpu, self._kernels, self._resident, self.frame, self._lanes
+        return CudaBands(setting, *own, self.rays_at_once, is_sorted=self._is_sorted)
 
     # ---- Whole batches, in world space.
 

@@ -130,15 +130,15 @@ class Lanes:
         self._lock = threading.Lock()
 
     @contextmanager
-    def taken(self) -> Iterator[list[Lane]]:
+    def taken(self, count: int = LANE_COUNT) -> Iterator[list[Lane]]:
         """Lanes for one query: queries in other threads have others.
 
         However it ends, they are empty then.
         """
         with self._lock:
-            lanes = [self._free.pop() for _ in range(min(LANE_COUNT, len(self._free)))]
+            lanes = [self._free.pop() for _ in range(min(count, len(self._free)))]
         try:
-            while len(lanes) < LANE_COUNT:
+            while len(lanes) < count:
                 lanes.append(Lane(self._gpu))
             yield lanes
         except BaseException:

@@ -241,3 +241,21 @@ class Queries(Traces):
         else:
             splits, hits = self._filtered_hits(chosen, batch, surfaces, limit, status, progress)
         return MultiHits(splits, *hits, status.reshape(batch.shape), self.structure.triangles)
+
+    def bands_on_device(self, setting: Any) -> Any:
+        """What takes samples of a picture where the tracer's rays are; None if the host does.
+
+        It does if the machine shades nothing, or a subclass has queries of its own, which are to
+        be asked.
+
+        Parameters
+        ----------
+        setting : render.sampled.Setting
+
+        Returns
+        -------
+        render.device_bands.DeviceBands or None
+        """
+        own, make = type(self), getattr(self._machine, "bands_on_device", None)
+        is_usual = own.first_hit is Queries.first_hit and own.any_hit is Queries.any_hit
+        return make(setting) if make is not None and is_usual else None

@@ -19,10 +19,11 @@ from raystream.render.sampled import (
     find_surfaces,
     reach_lights,
 )
+from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.around import look_around
 from raystream.render.shading.streams import LightRays
 
-__all__ = ["AO"]
+__all__ = ["AO", "ask_around", "sampler_of"]
 
 #: Most rays from a point.
 MAX_RAYS = 4096
@@ -34,7 +35,7 @@ def ask_around(stream: PathStream, band: Band) -> PathStream:
     setting, hits = band.setting, stream.hits
     count = setting.options["rays"]
     rays = LightRays.empty(len(stream) * count)
-    sampler = setting.sampler._replace(sample_count=setting.sampler.sample_count * count)
+    sampler = sampler_of(setting)
     ray_count = look_around(
         stream.paths,
         (hits.t, hits.u, hits.v, hits.prim_id),
@@ -48,6 +49,12 @@ def ask_around(stream: PathStream, band: Band) -> PathStream:
         rays,
     )
     return PathStream(stream.paths.first(0), rays=rays.first(ray_count))
+
+
+def sampler_of(setting: Setting) -> Sampler:
+    """The setting's sampler, for all rays of a sample."""
+    count = setting.sampler.sample_count * setting.options["rays"]
+    return setting.sampler._replace(sample_count=count)
 
 
 def _rays_per_pixel(setting: Setting) -> int:

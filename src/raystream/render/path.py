@@ -24,7 +24,7 @@ from raystream.render.sampled import (
 from raystream.render.shading.paths import PathRules, follow_paths
 from raystream.render.shading.streams import LightRays
 
-__all__ = ["PATH", "PATH_STAGES", "check_path"]
+__all__ = ["PATH", "PATH_STAGES", "check_path", "meet_surfaces"]
 
 #: From so many bounces on, dim paths end by chance: before, nearly all of the light comes.
 ROULETTE_BOUNCE = 3

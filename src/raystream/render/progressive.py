@@ -230,10 +230,7 @@ def trace_sample(
         What it sees first, if layers are asked for.
     """
     width, height = setting.width, setting.height
-    share = -(-width * height // (4 * thread_count()))
-    per_pixel = max(renderer.rays_per_pixel(setting), 1)
-    most = min(MOST_BAND, MOST_RAYS // per_pixel)
-    rows_per_band = max(1, min(max(share, LEAST_BAND), most) // width)
+    rows_per_band = max(1, _band_size(renderer, setting) // width)
     band_count = -(-height // rows_per_band)
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
     seen = SeenSurfaces.empty(width * height) if setting.layers else None
@@ -251,6 +248,16 @@ def trace_sample(
         report = lambda done, steps: whole(width * height * done // steps, width * height)  # noqa: E731
     parallel_for(trace, band_count, 1, report)
     return light, seen
+
+
+def _band_size(renderer: SampledRenderer, setting: Setting) -> int:
+    """Pixels that go through the stages together."""
+    bands = renderer.bands_of(setting)
+    per_pixel = max(renderer.rays_per_pixel(setting), 1)
+    if bands is not None:
+        return bands.pixels_at_once // per_pixel
+    share = -(-setting.width * setting.height // (4 * thread_count()))
+    return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
 
 
 def _add(

@@ -15,7 +15,7 @@ from raystream.render.sampled import (
 )
 from raystream.render.shading.first import light_unblocked
 
-__all__ = ["RAYCAST"]
+__all__ = ["RAYCAST", "shade_by_lights"]
 
 
 def shade_by_lights(stream: PathStream, band: Band) -> PathStream:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
 from raystream.programs.filters import Bound
+from raystream.render.device_bands import DeviceBands
 from raystream.render.opacity import Opacity, filter_of
 from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.classic import ClassicLights, classic_lights_of
@@ -70,6 +71,8 @@ class Setting:
         What lies at the tables' addresses.
     layers : sequence of str
         Those of `LAYERS` that are asked for.
+    bands : DeviceBands, optional
+        What takes samples where the tracer's rays are, if that is not the host.
     """
 
     tracer: Tracer
@@ -84,6 +87,7 @@ class Setting:
     options: Mapping[str, Any]
     kept: object
     layers: Sequence[str] = ()
+    bands: DeviceBands | None = None
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
         """What the tracer's queries take as ``on_hit`` for rays of shape (N, 3)."""
@@ -104,9 +108,10 @@ def make_setting(
     classic, kept_classic = classic_lights_of(tracer.scene, camera)
     kept = kept_tables, kept_lights, kept_classic
     opacity = Opacity.of(tracer.scene, sampler.seed)
-    return Setting(
+    made = Setting(
         tracer, camera, *size, tables, lights, classic, sampler, opacity, options, kept, layers
     )
+    return replace(made, bands=tracer.bands_on_device(made))
 
 
 @dataclass(frozen=True)
@@ -181,6 +186,11 @@ class SampledRenderer:
     check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
     rays_per_pixel: Callable[[Setting], int] = lambda _: 1
 
+    def bands_of(self, setting: Setting) -> DeviceBands | None:
+        """What takes its samples on a device; None if the host does, as for layers."""
+        bands = setting.bands
+        return bands if bands and not setting.layers and bands.takes(self.stages) else None
+
     def trace(
         self, setting: Setting, rows: range, sample: int, seen: SeenSurfaces | None = None
     ) -> NDArray[np.float32]:
@@ -199,6 +209,9 @@ class SampledRenderer:
         ndarray of shape (rows * width, 3), float32
             Linear RGB.
         """
+        bands = self.bands_of(setting)
+        if bands is not None and seen is None:
+            return bands.trace(self.stages, rows, sample)
         count = len(rows) * setting.width
         radiance = np.zeros((count, 3), np.float32)
         band = Band(setting, sample, rows.start * setting.width, radiance)

@@ -11,7 +11,7 @@ from raystream.render.sampled import (
 )
 from raystream.render.shading.first import shade_by_view
 
-__all__ = ["VIS"]
+__all__ = ["VIS", "show_facing"]
 
 
 def show_facing(stream: PathStream, band: Band) -> PathStream:

@@ -23,7 +23,7 @@ from raystream.render.sampled import (
 from raystream.render.shading.streams import LightRays, Paths
 from raystream.render.shading.whitted import light_surfaces
 
-__all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel"]
+__all__ = ["WHITTED", "WHITTED_STAGES", "ask_every_light", "check_whitted", "lights_per_pixel"]
 
 
 def ask_every_light(stream: PathStream, band: Band) -> PathStream:

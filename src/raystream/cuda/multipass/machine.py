@@ -137,6 +137,9 @@ class Multipass(Branching):
         """Nothing: programs run on the CPU, at hits that the passes found."""
         return None
 
+    def bands_on_device(self, setting: object) -> None:
+        """Nothing takes samples of a picture in passes but the host."""
+
     # ---- Queries.
 
     def _first_hit(self, asked: Asked, out: HitArrays) -> None:

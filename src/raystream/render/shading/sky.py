@@ -21,6 +21,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.render.color import LUMINANCE
 from raystream.render.environment import axes_of, image_light, row_heights, texels_of
+from raystream.render.shading.kept import AddressRow
 from raystream.render.shading.shares import chosen, double
 from raystream.render.shading.textures import place_of
 from raystream.scene.lights import EnvironmentLight
@@ -50,6 +51,9 @@ _TEXEL = np.uint64(12)
 _HEIGHT, _TEXELS, _ROW_ENDS, _COLUMN_ENDS, _TINT, _RIGHT, _UP, _MIDDLE = map(
     np.uint64, (1, 2, 3, 4, 5, 8, 11, 14)
 )
+
+#: Those of them that are addresses.
+_ADDRESSES = (2, 3, 4)
 
 #: Shares of a texel's neighbours, along each side, in how often it is chosen. Where one texel is
 #: bright, the root of the bilinear image's mean square over texels is as 0.27 : 1 : 0.27; with
@@ -120,7 +124,7 @@ def sky_of(
         place_of(row_ends),
         place_of(column_ends),
     ]
-    kept = numbers, texels, row_ends, column_ends
+    kept = AddressRow(numbers, _ADDRESSES), texels, row_ends, column_ends
     return Sky((red, green, blue), place_of(numbers)), mean, kept
 
 

@@ -1,0 +1,95 @@
+"""Columns of paths, of rays to lights and of hits in a GPU's memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cuda import DeviceArray
+from raystream.kernels.collect import HitAddresses
+from raystream.kernels.ray_source import RaySource
+from raystream.render.shading.streams import StreamAddresses
+
+__all__ = ["HitColumns", "StreamColumns"]
+
+#: Makes an array: (name, shape, dtype).
+Empty = Callable[[str, Any, Any], DeviceArray]
+
+#: Bytes from an origin, a direction and a number to the next.
+_ORIGIN, _DIRECTION, _NUMBER = np.uint64(24), np.uint64(12), np.uint64(4)
+
+
+class StreamColumns:
+    """Room for a stream of either kind, see `render.shading.streams`.
+
+    Parameters
+    ----------
+    empty : callable
+        Makes its memory.
+    count : int
+        Rows.
+
+    Attributes
+    ----------
+    addresses : StreamAddresses
+    """
+
+    def __init__(self, empty: Empty, count: int) -> None:
+        self.arrays = (
+            empty("pixels", count, np.int64),
+            empty("origins", (count, 3), np.float64),
+            empty("directions", (count, 3), np.float32),
+            empty("weights", (count, 3), np.float32),
+            empty("densities", count, np.float32),
+        )
+        self.addresses = StreamAddresses(*(array.address for array in self.arrays))
+
+    @classmethod
+    def copied(
+        cls, upload: Callable[[str, NDArray[Any]], DeviceArray], stream: tuple[NDArray[Any], ...]
+    ) -> StreamColumns:
+        """Those of a stream on the host."""
+        given = iter(stream)
+
+        def copied(name: str, _shape: Any, _dtype: Any) -> DeviceArray:
+            return upload(name, next(given))
+
+        return cls(copied, len(stream[0]))
+
+    def source(self, t_min: np.uint64, t_max: np.uint64, has_ends: bool) -> RaySource:
+        """Its rays as queries take them.
+
+        Parameters
+        ----------
+        t_min, t_max : uint64
+            Addresses of the usual limits.
+        has_ends : bool
+            Whether the numbers are the rays' ends.
+        """
+        origins, directions, ends = self.addresses[1], self.addresses[2], self.addresses[4]
+        none = np.uint64(0)
+        end = (ends, _NUMBER) if has_ends else (t_max, none)
+        return RaySource(origins, _ORIGIN, True, directions, _DIRECTION, False, t_min, none, *end)
+
+
+class HitColumns:
+    """Room for hits of as many rays.
+
+    Parameters
+    ----------
+    empty : callable
+        Makes its memory.
+    count : int
+
+    Attributes
+    ----------
+    addresses : HitAddresses
+    """
+
+    def __init__(self, empty: Empty, count: int) -> None:
+        self._memory = empty("hits", (4, count), np.float32)
+        first, step = self._memory.address, np.uint64(4 * count)
+        self.addresses = HitAddresses(*(first + np.uint64(k) * step for k in range(4)))

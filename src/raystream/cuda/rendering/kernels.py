@@ -1,0 +1,204 @@
+"""What a thread does for one path: the CPU's shading, with vectors of one lane.
+
+Each thread writes to rows of its own. Those that were written are then moved together, in their
+order, by a scan of their counts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.simd import load, single_lane, store
+from raystream.render.shading.around import look_from
+from raystream.render.shading.eyes import begin_block
+from raystream.render.shading.first import light_first, view_first
+from raystream.render.shading.paths import follow_block
+from raystream.render.shading.rows import SINGLE_ROWS
+from raystream.render.shading.streams import add_if_unblocked
+from raystream.render.shading.whitted import light_surface
+
+__all__ = ["ADD", "ASK_LIGHTS", "BEGIN", "FOLLOW", "KEEP", "LIGHT", "LOOK_AROUND", "VIEW"]
+
+_NONE, _ONE = np.uint64(0), np.uint64(1)
+_WHOLE, _INF = np.float32(1.0), np.float32(np.inf)
+
+# Bytes: of a number, of a long one, and of three.
+_WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np.uint64(24)
+
+_begin_path = single_lane(begin_block)
+_look_from = single_lane(look_from, SINGLE_ROWS)
+_follow_path = single_lane(follow_block, SINGLE_ROWS)
+
+
+@kernel
+def _begin(i, view, first_row, sampler, sample, paths):
+    width = np.uint64(view.width)
+    row, column = np.int64(i // width), np.int64(i % width)
+    _begin_path(view, first_row, row, column, sampler, sample, paths)
+    store(paths.numbers + i * _WORD, _INF)
+    for k in range(3):
+        store(paths.colors + i * _3_WORDS + np.uint64(k) * _WORD, _WHOLE)
+
+
+@kernel
+def _follow(
+    i,
+    count,
+    paths,
+    hits,
+    tables,
+    lights,
+    sampler,
+    sample,
+    bounce,
+    rules,
+    first_pixel,
+    radiance,
+    onward,
+    goes_on,
+    rays,
+    is_asked,
+):
+    path_row, ray_row = _follow_path(
+        i,
+        count,
+        paths,
+        hits,
+        tables,
+        lights,
+        sampler,
+        sample,
+        bounce,
+        rules,
+        first_pixel,
+        radiance,
+        onward,
+        i,
+        rays,
+        i,
+    )
+    store(goes_on + i * _WORD, np.uint32(path_row - i))
+    store(is_asked + i * _WORD, np.uint32(ray_row - i))
+
+
+@device
+def _copy_three(source, to):
+    for k in range(3):
+        at = np.uint64(k) * _WORD
+        store(to + at, load(np.float32, source + at))
+
+
+@kernel
+def _light(i, paths, hits, tables, lights, first_pixel, radiance):
+    light_first(i, paths, hits, tables, lights, first_pixel, radiance)
+
+
+@kernel
+def _view(i, paths, hits, tables, lights, first_pixel, radiance):
+    view_first(i, paths, hits, tables, lights, first_pixel, radiance)
+
+
+@kernel
+def _ask_lights(i, paths, hits, tables, lights, first_pixel, radiance, per_thread, rays, is_asked):
+    first = i * per_thread
+    _, ray_row = light_surface(
+        i,
+        paths,
+        hits,
+        tables,
+        lights,
+        False,
+        0.0,
+        first_pixel,
+        radiance,
+        paths,
+        _NONE,
+        rays,
+        first,
+    )
+    store(is_asked + i * _WORD, np.uint32(ray_row - first))
+
+
+@kernel
+def _look_around(
+    i,
+    paths,
+    hits,
+    tables,
+    sampler,
+    sample,
+    count,
+    distance,
+    first_pixel,
+    radiance,
+    rays,
+    is_asked,
+):
+    first = i * np.uint64(count)
+    ray_row = _look_from(
+        i,
+        paths,
+        hits,
+        tables,
+        sampler,
+        sample,
+        count,
+        distance,
+        first_pixel,
+        radiance,
+        rays,
+        first,
+    )
+    store(is_asked + i * _WORD, np.uint32(ray_row - first))
+
+
+@device
+def _row(rows, i):
+    return np.uint64(load(np.uint32, rows + i * _WORD))
+
+
+@kernel
+def _keep(slot, per_thread, rows, given, kept):
+    i = slot // per_thread
+    row = _row(rows, i) + slot - i * per_thread
+    if row >= _row(rows, i + _ONE):
+        return
+    store(kept.pixels + row * _LONG, load(np.int64, given.pixels + slot * _LONG))
+    for k in range(3):
+        at = np.uint64(k) * _LONG
+        origin = load(np.float64, given.origins + slot * _3_LONGS + at)
+        store(kept.origins + row * _3_LONGS + at, origin)
+    _copy_three(given.directions + slot * _3_WORDS, kept.directions + row * _3_WORDS)
+    _copy_three(given.colors + slot * _3_WORDS, kept.colors + row * _3_WORDS)
+    store(kept.numbers + row * _WORD, load(np.float32, given.numbers + slot * _WORD))
+
+
+@kernel
+def _add(i, rows, rays, blocked, first_pixel, radiance):
+    for row in range(_row(rows, i), _row(rows, i + _ONE)):
+        add_if_unblocked(row, rays, blocked, first_pixel, radiance)
+
+
+#: Begins path i of a band: ``(view, first_row, sampler, sample, paths)``.
+BEGIN = RangeKernel(_begin)
+
+#: Lets path i meet a surface, see `follow_block`; and how many rows it wrote to `onward`, and to
+#: `rays`: two uint32.
+FOLLOW = RangeKernel(_follow)
+
+#: Lights the surface that path i meets, or shows it in grey.
+LIGHT, VIEW = RangeKernel(_light), RangeKernel(_view)
+
+#: Lights the surface that path i meets, by rays to lights, and how many these are.
+ASK_LIGHTS = RangeKernel(_ask_lights)
+
+#: Sends rays from the surface that path i meets, and how many these are.
+LOOK_AROUND = RangeKernel(_look_around)
+
+#: Moves what a thread wrote to a slot to where the scan of the threads' counts says.
+KEEP = RangeKernel(_keep)
+
+#: Adds what the rays of path i bring, one after the other.
+ADD = RangeKernel(_add)

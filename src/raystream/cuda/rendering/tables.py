@@ -1,0 +1,109 @@
+"""Tables of a scene in a GPU's memory: what they point to is copied, and addresses changed."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.jit.cuda import CudaError, DeviceArray, Gpu
+from raystream.render.shading.kept import AddressRow, kept_arrays
+
+__all__ = ["TableMemory", "plain"]
+
+#: How names of numbers end that are no addresses.
+_COUNT = "_count"
+
+
+class _Region(NamedTuple):
+    """An array of the host's."""
+
+    begin: int
+    array: NDArray[Any]
+    addresses: tuple[int, ...]
+
+    @property
+    def end(self) -> int:
+        return self.begin + self.array.nbytes
+
+
+class TableMemory:
+    """Copies what tables need to a device, each array once.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    kept : object
+        What the tables' makers gave to be kept.
+
+    Attributes
+    ----------
+    arrays : dict
+        What was copied, by the host's address: to be kept as long as the tables are used.
+    """
+
+    def __init__(self, gpu: Gpu, kept: object) -> None:
+        self._gpu = gpu
+        self.arrays: dict[int, DeviceArray] = {}
+        self._regions: list[_Region] = []
+        for one in kept_arrays(kept):
+            array, places = one if isinstance(one, AddressRow) else (one, ())
+            if array.size:
+                self._regions.append(_Region(array.ctypes.data, array, places))
+
+    def placed(self, tables: Any) -> Any:
+        """A named tuple of tables with addresses on the device, and numbers as kernels take them.
+
+        Fields of type uint64 are addresses, or 0 for none, unless their names end in ``_count``.
+
+        Raises
+        ------
+        CudaError
+            If there is no memory for what they point to.
+        LookupError
+            If one points to nothing that is kept.
+        """
+        return tables._make(
+            self._value(name, value) for name, value in zip(tables._fields, tables, strict=True)
+        )
+
+    def _value(self, name: str, value: Any) -> Any:
+        if isinstance(value, np.uint64) and not name.endswith(_COUNT):
+            return self._address(name, int(value))
+        return self.placed(value) if hasattr(value, "_fields") else plain(value)
+
+    def _address(self, name: str, address: int) -> np.uint64:
+        if address == 0:
+            return np.uint64(0)
+        for region in self._regions:
+            if region.begin <= address < region.end:
+                return self._copied(name, region) + np.uint64(address - region.begin)
+        raise LookupError(f"{name}: nothing is kept at its address")
+
+    def _copied(self, name: str, region: _Region) -> np.uint64:
+        if region.begin not in self.arrays:
+            array = region.array
+            if region.addresses:
+                array = array.copy()
+                numbers = array.view(np.uint64)
+                for place in region.addresses:
+                    numbers[place] = self._address(f"{name}, {place}", int(numbers[place]))
+            free = self._gpu.free_byte_count()
+            if array.nbytes > free:
+                raise CudaError(
+                    f"device 'cuda': the scene's {name} take {array.nbytes:,} bytes, and "
+                    f"{self._gpu.name} has {free:,} free; use device='cpu'"
+                )
+            self.arrays[region.begin] = self._gpu.upload(f"the scene's {name}", array)
+        return self.arrays[region.begin].address
+
+
+def plain(value: Any) -> Any:
+    """Numbers in (named) tuples as kernels take them: whole ones as int64."""
+    if isinstance(value, tuple):
+        kind: Any = type(value)
+        made = map(plain, value)
+        return kind._make(made) if hasattr(kind, "_fields") else kind(made)
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    return np.int64(value) if is_whole else value
