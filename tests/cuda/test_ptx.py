@@ -110,6 +110,32 @@ def test_arrays_on_the_device_are_traced_where_they_are(dtype):
     assert blocked.tolist() == expected.any_hit(*rays, t_max=t_max).tolist()
 
 
+def is_odd(hit):
+    return rs.CONTINUE if hit.prim_id % 2 else rs.IGNORE
+
+
+def add_up(hit, payload):
+    payload[0] += hit.t
+    payload[1] = hit.prim_id
+    return rs.STOP if hit.t > 1.0 else rs.CONTINUE
+
+
+@pytest.mark.exhaustive
+def test_programs_give_what_they_give_on_the_cpu(driver, monkeypatch):
+    case = few_of(case_of("random_soup"))
+    rays, oracle = rays_of(case), rs.Tracer(case.scene, "brute")
+    theirs = oracle.multi_hit(**rays, on_hit=is_odd)
+    sums = oracle.trace(**rays, on_hit=add_up, payload=np.zeros((RAY_COUNT, 2), np.float32))
+    tracer = rs.Tracer(case.scene, device="cuda", gpu=NUMBER)
+    monkeypatch.setattr("raystream.programs.program.Program.run", None)
+    ours = tracer.multi_hit(**rays, on_hit=is_odd)
+    assert ours.ray_splits.tolist() == theirs.ray_splits.tolist()
+    assert ours.t.tobytes() == theirs.t.tobytes()
+    found = tracer.trace(**rays, on_hit=add_up, payload=np.zeros((RAY_COUNT, 2), np.float32))
+    assert found.tobytes() == sums.tobytes()
+    assert any("multi_hit" in name for name in driver.launched)
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("mode", "options"),
@@ -124,14 +150,9 @@ def test_arrays_on_the_device_are_traced_where_they_are(dtype):
 )
 def test_pictures_are_the_processor_s(driver, mode, options):
     scene = rs.load("cornell")
-    size = {
-        "width": 5,
-        "height": 4,
-        "mode": mode,
-        "samples": 1 if mode in ("raycast", "vis") else 2,
-    }
+    samples = 1 if mode in ("raycast", "vis", "shadow") else 2
     tracer = rs.Tracer(scene, device="cuda", gpu=NUMBER, **options)
-    ours, theirs = rs.render(tracer, **size), rs.render(scene, **size)
+    ours, theirs = (rs.render(one, mode, (5, 4), samples=samples) for one in (tracer, scene))
     assert any("begin" in name for name in driver.launched)
     assert ours.pixels.tobytes() == theirs.pixels.tobytes()
 

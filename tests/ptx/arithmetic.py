@@ -199,12 +199,31 @@ def _lost(a: Any, b: Any) -> Any:
     return type(a)(math.copysign(b, a))
 
 
+def _counted(words: list[str], operands: tuple[str, ...], slots: Slots) -> Step:
+    """Zeros before the first bit that is set."""
+    width = width_of(words[-1])
+    return _whole(lambda a: width - a.bit_length())(words, operands, slots)
+
+
+def _funnel(words: list[str], operands: tuple[str, ...], slots: Slots) -> Step:
+    """A shift of two registers as one, of which half is kept."""
+    low_first, wraps = words[0] == "r", words[1] == "wrap"
+
+    def shift(a: int, b: int, count: int) -> int:
+        count = count % 32 if wraps else min(count, 32)
+        both = b << 32 | a
+        return both >> count if low_first else (both << count) >> 32
+
+    return _whole(shift)(words, operands, slots)
+
+
 MAKERS = {
     "abs": _either(abs, np.abs),
     "add": _float_of("add", operator.add, operator.add),
     "and": _logic(operator.and_),
     "bfi": _inserted,
     "copysign": _either(None, _lost),
+    "clz": _counted,
     "div": _float_of("div", _quotient, np.divide),
     "fma": _float_of("fma", None, _OfKind(fused)),
     "mad": _multiplied_and_added,
@@ -219,6 +238,7 @@ MAKERS = {
     "rem": _either(_remainder, None),
     "shl": _shift(is_left=True),
     "shr": _shift(is_left=False),
+    "shf": _funnel,
     "sqrt": _float_of("sqrt", None, np.sqrt),
     "sub": _float_of("sub", operator.sub, operator.sub),
     "xor": _logic(operator.xor),

@@ -92,6 +92,11 @@ class Kernel:
         self.name = entry
         self._module: Module = parse(ptx)
         self._codes: dict[str, _Code] = {}
+        self._constants = []
+        for one, data in self._module.constants:
+            room = room_for(one.byte_count, one.align)
+            room[:] = np.frombuffer(data, np.uint8)
+            self._constants.append((one.name, room))
 
     def code(self, name: str) -> _Code:
         """The steps of one of its functions."""
@@ -117,17 +122,20 @@ class Kernel:
             if len(data) != one.byte_count:
                 raise PtxError(f"{one.name[-40:]}: takes {one.byte_count} bytes, not {len(data)}")
             given[one.name] = data
+        addresses = {name: memory.add(name, room) for name, room in self._constants}
         with np.errstate(all="ignore"):
             for block in range(block_count):
-                self._run_block(memory, (block, block_count, block_size), given)
+                self._run_block(memory, (block, block_count, block_size), given, addresses)
+        for address in addresses.values():
+            memory.drop(address)
 
-    def _run_block(self, memory: Memory, where: tuple[int, int, int], given: Any) -> None:
+    def _run_block(
+        self, memory: Memory, where: tuple[int, int, int], given: Any, constants: dict[str, int]
+    ) -> None:
         inside = [one for f in self._module.functions.values() for one in f.memory]
         shared = _Rooms(memory, "shared", (*self._module.shared, *inside))
-        threads = [
-            _Thread(self, memory, shared.addresses, (i, *where), given).run()
-            for i in range(where[2])
-        ]
+        named = constants | shared.addresses
+        threads = [_Thread(self, memory, named, (i, *where), given).run() for i in range(where[2])]
         run_together(threads)
         shared.close()
 
@@ -157,7 +165,7 @@ class _Thread:
         self._kernel, self._memory, self._shared = kernel, memory, shared
         number, block, block_count, block_size = where
         self.lane = number % WARP_SIZE
-        given_to = number, block, block_size, block_count, self.lane
+        given_to = (number, block, block_size, block_count, self.lane, 0, 0, 0, 0)
         self._special = dict(zip(SPECIAL, given_to, strict=True))
         self._parameters: list[dict[str, bytearray]] = [{k: bytearray(v) for k, v in given.items()}]
 

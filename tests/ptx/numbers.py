@@ -38,6 +38,10 @@ _KINDS = {"f32": (np.float32, np.uint32), "f64": (np.float64, np.uint64)}
 _DIGITS = {"f32": 24, "f64": 53}
 
 
+#: What makes floats whole.
+_FRACTIONS = {"rmi": np.floor, "rpi": np.ceil, "rzi": np.trunc, "rni": np.rint}
+
+
 def is_float(kind: str) -> bool:
     """Whether numbers of a type are floats."""
     return kind[0] == "f"
@@ -113,8 +117,9 @@ def converted(to: str, source: str, rounding: str):
     """The function of a cvt instruction."""
     if is_float(to) and is_float(source):
         made = _KINDS[to][0]
-        if rounding == "rmi":
-            return lambda a: made(np.floor(a))
+        if rounding in _FRACTIONS:
+            whole_of = _FRACTIONS[rounding]
+            return lambda a: made(whole_of(a))
         assert rounding in ("", "rn"), rounding
         return made
     if is_float(to):
@@ -123,17 +128,16 @@ def converted(to: str, source: str, rounding: str):
             return lambda a: rounded(signed(a & _mask(source), width_of(source)), to)
         return lambda a: rounded(a & _mask(source), to)
     if is_float(source):
-        assert rounding in ("rzi", "rmi"), rounding
         low = -(1 << (width_of(to) - 1)) if to[0] == "s" else 0
         high = low + _mask(to)
-        way = math.trunc if rounding == "rzi" else math.floor
+        way = _FRACTIONS[rounding]
 
         def whole(a):
             if math.isnan(a):
                 return 0
             if math.isinf(a):
                 return (high if a > 0 else low) & _mask(to)
-            return min(max(way(float(a)), low), high) & _mask(to)
+            return min(max(int(way(a)), low), high) & _mask(to)
 
         return whole
     if source[0] == "s" and width_of(to) > width_of(source):

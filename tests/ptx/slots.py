@@ -10,7 +10,10 @@ from ptx.numbers import constant
 __all__ = ["SPECIAL", "Slots", "class_of"]
 
 #: What a thread is told of itself.
-SPECIAL = ("%tid.x", "%ctaid.x", "%ntid.x", "%nctaid.x", "%laneid")
+SPECIAL = (
+    *("%tid.x", "%ctaid.x", "%ntid.x", "%nctaid.x", "%laneid"),
+    *("%tid.y", "%tid.z", "%ctaid.y", "%ctaid.z"),
+)
 
 
 class Slots:

@@ -24,14 +24,24 @@ _IGNORED = ("nc", "volatile", "relaxed", "gpu", "cta", "sys", "weak", "uni")
 def step_of(one: Instruction, slots: Slots) -> Step:
     """The function of an instruction that is no branch, call, barrier or return.
 
+    One that is not known is an error when it is run: libraries have some for numbers that are rare.
+
     Raises
     ------
     PtxError
-        If it is not known.
+        If it may be fused with another one.
     """
     name, *more = one.opcode
     words = [word for word in more if word not in _IGNORED]
     maker = _MAKERS.get(name)
-    if maker is None:
-        raise PtxError(f"no such instruction is known: {'.'.join(one.opcode)}")
+    text = ".".join(one.opcode)
+    if maker is None or "cc" in words or "approx" in words:
+        return _unknown(text)
     return maker(words, one.operands, slots)
+
+
+def _unknown(text: str) -> Step:
+    def step(_frame):
+        raise PtxError(f"no such instruction is known: {text}")
+
+    return step

@@ -21,7 +21,7 @@ _HEAD = re.compile(
     re.DOTALL,
 )
 _MEMORY = re.compile(
-    r"\.(?P<space>local|shared|param|global)(?:\s+\.align\s+(?P<align>\d+))?\s+\.[bsuf](?P<bits>\d+)"
+    r"\.(?P<space>local|shared|param|global|const)(?:\s+\.align\s+(?P<align>\d+))?\s+\.[bsuf](?P<bits>\d+)"
     r"\s+(?P<name>[\w$]+)(?:\[(?P<count>\d+)\])?$"
 )
 _GUARD = re.compile(r"^@(?P<not>!?)(?P<register>%\w+)\s+(?P<rest>.*)$", re.DOTALL)
@@ -58,10 +58,11 @@ class Function(NamedTuple):
 
 
 class Module(NamedTuple):
-    """All functions of a text, by name, and the memory that blocks share."""
+    """All functions of a text, by name, the memory that blocks share, and bytes that are given."""
 
     functions: dict[str, Function]
     shared: tuple[Declared, ...]
+    constants: tuple[tuple[Declared, bytes], ...]
 
 
 def parse(text: str) -> Module:
@@ -72,16 +73,28 @@ def parse(text: str) -> Module:
     ValueError
         If there is something that is not known.
     """
-    functions, shared = {}, []
+    functions, shared, constants = {}, [], []
     for head, body in _parts(_COMMENT.sub("", text)):
         if body is None:
             declared = _declared(head)
             if declared is not None and declared.space == "shared":
                 shared.append(declared)
             continue
+        if head.endswith("="):
+            declared = _declared(head[:-1].strip())
+            if declared is None:
+                raise ValueError(f"not known: {head[:200]}")
+            constants.append((declared, _bytes_of(declared, body)))
+            continue
         function = _function(head, body)
         functions[function.name] = function
-    return Module(functions, tuple(shared))
+    return Module(functions, tuple(shared), tuple(constants))
+
+
+def _bytes_of(declared: Declared, text: str) -> bytes:
+    """The numbers of an array of bytes; those that are not given are 0."""
+    given = bytes(int(number, 0) for number in text.split(","))
+    return given + bytes(declared.byte_count - len(given))
 
 
 def _parts(text: str):

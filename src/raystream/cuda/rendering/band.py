@@ -181,11 +181,13 @@ class DeviceBand:
         places["status"] = status.address
         source = rays.source(*self._limits, has_ends)
         scene, answers = self.scene, ResultAddresses(**places)
-        order: tuple[np.uint64, ...] = ()
-        if scene.is_sorted:
-            own = self.empty, self._lane.stream
-            order = (sort_rays(scene.gpu, source, count, scene.frame, *own).address,)
-        self.run(kernel, count, *order, source, scene.frame, scene.resident.tree, None, answers)
+        shared = source, scene.frame, scene.resident.tree, None, answers
+        if not scene.is_sorted:
+            self.run(kernel, count, *shared)
+            return
+        own = self.empty, self._lane.stream
+        order = sort_rays(scene.gpu, source, count, scene.frame, *own)
+        self.run(kernel, count, order.address, *shared)
 
     def wait(self) -> None:
         """Wait until all that was begun is done."""
