@@ -192,7 +192,6 @@ def test_what_empty_lanes_cost():
     result = Recirculation("grid", 100, False, passes, 0.0, launch, idle, 2.1, 1)
     assert (result.step_count, result.efficiency) == (210, pytest.approx(0.42))
     assert result.sparse_share == pytest.approx(1.0 - (1.6 + 0.5) / 4.0)
-    assert result.launch_share == pytest.approx(0.5 / 4.0)
     assert result.idle_share == pytest.approx((60 + 90) * 0.001 / 4.0)
     assert result.branching_seconds_per_step == pytest.approx(0.01)
     assert [one.pass_count for one in by_occupancy(passes, (0.0, 0.1, 0.5, 1.0))] == [0, 3, 2]

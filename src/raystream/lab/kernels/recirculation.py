@@ -120,12 +120,6 @@ class Recirculation:
         return sum(lost) / self.multipass_seconds
 
     @property
-    def launch_share(self) -> float:
-        """Share of the passes' time that goes to starting them, at `launch_seconds` for each."""
-        lost = [self.launch_seconds.get(one.kernel, 0.0) for one in self.passes]
-        return sum(lost) / self.multipass_seconds
-
-    @property
     def sparse_share(self) -> float:
         """Share of the passes' time that full ones would save.
 
