@@ -15,11 +15,12 @@ from raystream.cuda.builders.clusters import merge_clusters
 from raystream.cuda.builders.linear import link_by_keys
 from raystream.cuda.builders.moving import cost_of, refit
 from raystream.cuda.builders.records import COARSE_BITS, FINE_BITS, Nodes, make_leaves
+from raystream.cuda.builders.there import StaysThere, finish
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
-from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.base import Structure, UpdateReport
 from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays, aligned_array
 from raystream.structures.bvh.steps import TreeAddresses
 from raystream.structures.bvh.structure import Bvh, hittable_corners
@@ -30,7 +31,7 @@ __all__ = ["METHODS", "DeviceBvh", "build_bvh"]
 METHODS = ("clusters", "linear")
 
 
-class DeviceBvh(Bvh):
+class DeviceBvh(StaysThere, Bvh):
     """A BVH in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -48,6 +49,8 @@ class DeviceBvh(Bvh):
     A file of it has the option ``quality="fast"``: the CPU's, should it be built again there.
     """
 
+    _host_names = ("tree", "_numbers")
+
     def __init__(
         self,
         triangles: Triangles,
@@ -61,9 +64,8 @@ class DeviceBvh(Bvh):
         self.options = {"quality": "fast", "max_leaf_size": max_leaf_size, "kernel": "auto"}
         self.resident = Resident(TreeAddresses(wide.nodes.address, wide.leaves.address), wide[:2])
         self._held_ids, self._lists_twice = triangles.prim_ids, False
-        gpu.wait()
         byte_count = sum(4 * one.shape[0] * one.shape[1] for one in wide[:2])
-        self.report = BuildReport(time.perf_counter() - started, byte_count)
+        self.report = finish(gpu, byte_count, started)
 
     @cached_property
     def _on_host(self) -> Bvh:
@@ -72,12 +74,6 @@ class DeviceBvh(Bvh):
         tree = BvhArrays(*(_aligned(one) for one in self.wide[:2]))
         made._set(self.triangles, tree, self.options, 0.0)
         return made
-
-    def __getattr__(self, name: str) -> Any:
-        # What only the host's queries and figures need, when they do.
-        if name in ("tree", "_numbers"):
-            return getattr(self._on_host, name)
-        raise AttributeError(name)
 
     @cached_property
     def cost_when_built(self) -> float:

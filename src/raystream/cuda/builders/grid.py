@@ -11,10 +11,10 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.lists import DeviceLists, build_lists
+from raystream.cuda.builders.there import RebuiltThere, finish
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.jit.threads import Progress
-from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.base import Structure
 from raystream.structures.grid.build import choose_and_build
 from raystream.structures.grid.lattice import Lattice, chosen_resolution
 from raystream.structures.grid.layout import FineArrays, GridAddresses, GridArrays
@@ -25,7 +25,7 @@ __all__ = ["DeviceGrid", "build_grid"]
 _NOWHERE = np.uint64(0)
 
 
-class DeviceGrid(Grid):
+class DeviceGrid(RebuiltThere, Grid):
     """A grid in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -40,6 +40,8 @@ class DeviceGrid(Grid):
     started : float
         When the build began, by `time.perf_counter`.
     """
+
+    _host_names = ("lists", "_kept", "_addresses")
 
     def __init__(
         self,
@@ -62,9 +64,8 @@ class DeviceGrid(Grid):
         addresses = [one.address for one in arrays]
         tree = GridAddresses(low, high, size, counts, *addresses, *[_NOWHERE] * 4)
         self.resident = Resident(tree, arrays)
-        gpu.wait()
         byte_count = 4 * (lists.splits.shape[0] + lists.references.shape[0])
-        self.report = BuildReport(time.perf_counter() - started, byte_count)
+        self.report = finish(gpu, byte_count, started)
 
     @cached_property
     def _on_host(self) -> Grid:
@@ -75,19 +76,8 @@ class DeviceGrid(Grid):
         made._set(self.triangles, self.lattice, lists, self.fine, self.options, 0.0)
         return made
 
-    def __getattr__(self, name: str) -> Any:
-        # What only the host's queries and figures need, when they do.
-        if name in ("lists", "_kept", "_addresses"):
-            return getattr(self._on_host, name)
-        raise AttributeError(name)
-
-    def updated(
-        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
-    ) -> tuple[Structure, UpdateReport]:
-        """Build it anew, on the device; see `Structure.updated`. Costs are not said."""
-        del max_cost_growth, progress
-        rebuilt = build_grid(self.gpu, triangles, **self.options)
-        return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
+    def _built_anew(self, triangles: Triangles) -> Structure:
+        return build_grid(self.gpu, triangles, **self.options)
 
 
 def build_grid(

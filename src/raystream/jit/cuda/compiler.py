@@ -78,7 +78,8 @@ def compile_function(
         If it is checked, and has other bits than on the CPU, or may raise something.
     """
     make = _checked_ptx_of if is_checked else _ptx_of
-    path = path_of(function, arguments, capability, f"{numba_cuda.__version__} {make.__name__}")
+    how = f"{numba_cuda.__version__}{', checked' if is_checked else ''}"
+    path = path_of(function, arguments, capability, how)
     ptx = kept(path, lambda: make(function, tuple(arguments), capability))
     (entry,) = _ENTRY.findall(ptx)
     return Compiled(entry, ptx)

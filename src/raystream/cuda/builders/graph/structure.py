@@ -18,10 +18,10 @@ from raystream.cuda.builders.graph.sectors import Ordered, number_sectors, order
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.cuda.builders.kdtree.grow import GrownTree, grow_tree
 from raystream.cuda.builders.kdtree.rows import number_nodes
+from raystream.cuda.builders.there import RebuiltThere, finish
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
-from raystream.jit.threads import Progress
-from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.base import Structure
 from raystream.structures.bvh.layout import BLOCK_FLOATS
 from raystream.structures.graph.bins import bin_corners, choose_bin_counts
 from raystream.structures.graph.build import graph_box, tree_method_of
@@ -40,7 +40,7 @@ class _Built(NamedTuple):
     bins: DeviceArray
 
 
-class DeviceGraph(Graph):
+class DeviceGraph(RebuiltThere, Graph):
     """A graph in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -53,6 +53,8 @@ class DeviceGraph(Graph):
     started : float
         When the build began, by `time.perf_counter`.
     """
+
+    _host_names = ("graph", "blocks", "_rows", "_addresses")
 
     def __init__(
         self,
@@ -67,9 +69,8 @@ class DeviceGraph(Graph):
         arrays = built.rows, built.blocks, built.bins
         addresses = [one.address for one in arrays]
         self.resident = Resident(addresses_of(triangles, built.bins.shape, *addresses), arrays)
-        gpu.wait()
         byte_count = sum(one.nbytes for one in arrays)
-        self.report = BuildReport(time.perf_counter() - started, byte_count)
+        self.report = finish(gpu, byte_count, started)
 
     @cached_property
     def _on_host(self) -> Graph:
@@ -83,19 +84,8 @@ class DeviceGraph(Graph):
         made._set(self.triangles, graph, self.options, 0.0)
         return made
 
-    def __getattr__(self, name: str) -> Any:
-        # What only the host's queries and figures need, when they do.
-        if name in ("graph", "blocks", "_rows", "_addresses"):
-            return getattr(self._on_host, name)
-        raise AttributeError(name)
-
-    def updated(
-        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
-    ) -> tuple[Structure, UpdateReport]:
-        """Build it anew, on the device; see `Structure.updated`. Costs are not said."""
-        del max_cost_growth, progress
-        rebuilt = build_graph(self.gpu, triangles, **self.options)
-        return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
+    def _built_anew(self, triangles: Triangles) -> Structure:
+        return build_graph(self.gpu, triangles, **self.options)
 
 
 def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:

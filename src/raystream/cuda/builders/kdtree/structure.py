@@ -13,10 +13,10 @@ from raystream.core.triangles import Triangles
 from raystream.cuda.builders.kdtree.grow import grow_tree
 from raystream.cuda.builders.kdtree.rows import number_nodes
 from raystream.cuda.builders.kdtree.trees import WrittenTree, write_tree
+from raystream.cuda.builders.there import RebuiltThere, finish
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import Gpu
-from raystream.jit.threads import Progress
-from raystream.structures.base import BuildReport, Structure, UpdateReport
+from raystream.structures.base import Structure
 from raystream.structures.kdtree.layout import KdArrays
 from raystream.structures.kdtree.state import KdAddresses
 from raystream.structures.kdtree.structure import TRAVERSALS, KdTree, chosen_options, method_of
@@ -26,7 +26,7 @@ __all__ = ["DeviceKdTree", "build_kdtree"]
 _NOWHERE = np.uint64(0)
 
 
-class DeviceKdTree(KdTree):
+class DeviceKdTree(RebuiltThere, KdTree):
     """A kd-tree in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -39,6 +39,8 @@ class DeviceKdTree(KdTree):
     started : float
         When the build began, by `time.perf_counter`.
     """
+
+    _host_names = ("tree", "blocks", "packed", "extended", "_memory", "_addresses")
 
     def __init__(
         self,
@@ -64,9 +66,8 @@ class DeviceKdTree(KdTree):
             (high_x, high_y, high_z),
         )
         self.resident = Resident(tree, arrays)
-        gpu.wait()
         byte_count = sum(one.nbytes for one in arrays)
-        self.report = BuildReport(time.perf_counter() - started, byte_count)
+        self.report = finish(gpu, byte_count, started)
 
     @cached_property
     def _on_host(self) -> KdTree:
@@ -78,19 +79,8 @@ class DeviceKdTree(KdTree):
         made._set(self.triangles, tree, self.options, 0.0)
         return made
 
-    def __getattr__(self, name: str) -> Any:
-        # What only the host's queries and figures need, when they do.
-        if name in ("tree", "blocks", "packed", "extended", "_memory", "_addresses"):
-            return getattr(self._on_host, name)
-        raise AttributeError(name)
-
-    def updated(
-        self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
-    ) -> tuple[Structure, UpdateReport]:
-        """Build it anew, on the device; see `Structure.updated`. Costs are not said."""
-        del max_cost_growth, progress
-        rebuilt = build_kdtree(self.gpu, triangles, **self.options)
-        return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
+    def _built_anew(self, triangles: Triangles) -> Structure:
+        return build_kdtree(self.gpu, triangles, **self.options)
 
 
 def build_kdtree(
