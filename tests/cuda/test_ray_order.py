@@ -229,15 +229,15 @@ def test_rays_in_arrays_on_the_device(gpu, simple_sort, rays):
         return sort_rays(gpu, source, count, *more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("raystream.cuda.device_queries.sort_rays", note)
+        patch.setattr("raystream.cuda.asking.sort_rays", note)
         hits, expected = tracer.first_hit(*placed).host(), oracle.first_hit(*on_host)
         for column in ("t", "u", "v", "prim_id", "status"):
             assert_same_bits(getattr(hits, column), getattr(expected, column))
         assert sorts == [RAYS]
         assert_same_bits(tracer.any_hit(*placed).host(), oracle.any_hit(*on_host))
         sorts.clear()
-        patch.setattr("raystream.cuda.device_queries.TABLE_BYTES", 10 * (4 * 32 + 4))
-        patch.setattr("raystream.cuda.device_queries.LEAST_ROOM", np.uint64(32))
+        patch.setattr("raystream.cuda.tables.TABLE_BYTES", 10 * (4 * 32 + 4))
+        patch.setattr("raystream.cuda.tables.LEAST_ROOM", np.uint64(32))
         many, expected = tracer.multi_hit(*placed).host(), oracle.multi_hit(*on_host)
         for column in ("ray_splits", "t", "u", "v", "prim_id", "status"):
             assert_same_bits(getattr(many, column), getattr(expected, column))
