@@ -26,11 +26,11 @@ class Asking:
     """
 
     def __init__(self, work: Work, scene: DeviceScene, rays: DeviceRays) -> None:
-        self._work, self._scene, self._rays = work, scene, rays
+        self.work, self.scene, self.rays = work, scene, rays
         self._orders: dict[tuple[int, int], DeviceArray] = {}
 
     def __len__(self) -> int:
-        return len(self._rays)
+        return len(self.rays)
 
     def shared(self, first: int, count: int) -> tuple[Any, ...]:
         """Arguments for some of the rays: their order, if they are sorted, and where they lie.
@@ -40,12 +40,12 @@ class Asking:
         CudaError
             If there is no memory for the order.
         """
-        scene, source = self._scene, self._rays.source_from(first)
+        scene, source = self.scene, self.rays.source_from(first)
         shared = source, scene.frame, scene.resident.tree, None
         if not scene.is_sorted:
             return shared
         if (first, count) not in self._orders:  # else they were sorted before
-            work = self._work
+            work = self.work
             order = sort_rays(work.gpu, source, count, scene.frame, work.ready, work.stream)
             self._orders[first, count] = order
         return self._orders[first, count].address, *shared

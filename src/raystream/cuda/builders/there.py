@@ -35,11 +35,12 @@ class StaysThere:
 
 
 class RebuiltThere(StaysThere):
-    """One that is built anew for triangles that have moved."""
+    """One that is built anew for triangles that have moved, by ``_built_anew``."""
 
-    def _built_anew(self, triangles: Triangles) -> Structure:
-        """Another one, on the same device, with the same options."""
-        raise NotImplementedError
+    if TYPE_CHECKING:
+
+        def _built_anew(self, triangles: Triangles) -> Structure:
+            """Another one, on the same device, with the same options."""
 
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None

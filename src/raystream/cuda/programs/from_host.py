@@ -205,8 +205,7 @@ class HostRays:
             skips = SkipsAt(placed.address, np.uint64(filter_.skipped.shape[1]))
         triangles = self._scene.in_order.place()
         asking = Asking(work, self._scene, rays)
-        own = work, self._scene, triangles, rays, rows.start, program, asking
-        return Search(*own, surfaces, skips)
+        return Search(asking, triangles, rows.start, program, surfaces, skips)
 
 
 def _copied(work: Work, name: str, array: NDArray[Any]) -> DeviceArray:

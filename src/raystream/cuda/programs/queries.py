@@ -144,7 +144,7 @@ class ProgramQueries(DeviceQueries):
             program = program_of(self._scene, function, "trace", record=placed.record)
             triangles = self._scene.in_order.place()
             asking = Asking(work, self._scene, rays)
-            search = Search(work, self._scene, triangles, rays, 0, program, asking, surfaces)
+            search = Search(asking, triangles, 0, program, surfaces)
             search.trace(placed.address, placed.record_bytes)
             placed.finish(work)
         report(progress, len(rays), 1)
@@ -166,7 +166,7 @@ class ProgramQueries(DeviceQueries):
         skips = place_skips(work, self._skipped, rays.shape, len(scene.triangles))
         asking = Asking(work, scene, rays)
         placed = scene.in_order.place()
-        return Search(work, scene, placed, rays, 0, program, asking, surfaces, skips)
+        return Search(asking, placed, 0, program, surfaces, skips)
 
 
 def program_of(

@@ -59,29 +59,38 @@ class Search(NamedTuple):
 
     Attributes
     ----------
-    work : Work
-    scene : DeviceScene
+    asking : Asking
+        The rays, and what their kernels are given.
     triangles : SceneAt
-    rays : DeviceRays
     first : int
         Index of the first ray in the batch.
     program : DeviceProgram
     surfaces : bool
-    asking : Asking
-        Of these rays.
     skips : SkipsAt or None
         Of these rays.
     """
 
-    work: Work
-    scene: DeviceScene
+    asking: Asking
     triangles: SceneAt
-    rays: DeviceRays
     first: int
     program: DeviceProgram
-    asking: Asking
     surfaces: bool = False
     skips: SkipsAt | None = None
+
+    @property
+    def work(self) -> Work:
+        """What keeps the memory of the whole search."""
+        return self.asking.work
+
+    @property
+    def scene(self) -> DeviceScene:
+        """What is searched."""
+        return self.asking.scene
+
+    @property
+    def rays(self) -> DeviceRays:
+        """Whose hits are looked at."""
+        return self.asking.rays
 
     def trace(self, payload: np.uint64, record_bytes: int) -> None:
         """Give all hits to the program, with the records of these rays."""
