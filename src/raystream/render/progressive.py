@@ -209,9 +209,13 @@ def _expected_samples(
 
 
 def trace_sample(
-    renderer: SampledRenderer, setting: Setting, sample: int, progress: Progress | None = None
+    renderer: SampledRenderer,
+    setting: Setting,
+    sample: int,
+    progress: Progress | None = None,
+    rows: range | None = None,
 ) -> tuple[NDArray[np.float32], SeenSurfaces | None]:
-    """Take one more sample of every pixel, on all threads.
+    """Take one more sample of every pixel, or of every one of some rows, on all threads.
 
     Parameters
     ----------
@@ -221,15 +225,18 @@ def trace_sample(
         Its number.
     progress : callable, optional
         Called with (pixels done, pixels).
+    rows : range, optional
+        Those to look at, one after another; all without it.
 
     Returns
     -------
-    light : ndarray of shape (H * W, 3), float32
-        Linear RGB.
+    light : ndarray of shape (R * W, 3), float32
+        Linear RGB of the R rows.
     seen : SeenSurfaces or None
         What it sees first, if layers are asked for.
     """
-    width, height = setting.width, setting.height
+    rows = range(setting.height) if rows is None else rows
+    width, height = setting.width, len(rows)
     rows_per_band = max(1, _band_size(renderer, setting) // width)
     band_count = -(-height // rows_per_band)
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
@@ -237,10 +244,11 @@ def trace_sample(
 
     def trace(begin: int, end: int) -> None:
         for band in range(begin, end):
-            rows = range(band * rows_per_band, min((band + 1) * rows_per_band, height))
-            first, last = rows.start * width, rows.stop * width
+            here = rows[band * rows_per_band : (band + 1) * rows_per_band]
+            first = (here.start - rows.start) * width
+            last = first + len(here) * width
             part = None if seen is None else seen.part(first, last)
-            light[first:last] = renderer.trace(setting, rows, sample, part)
+            light[first:last] = renderer.trace(setting, here, sample, part)
 
     report = None
     if progress is not None:
