@@ -144,6 +144,8 @@ class Accumulation:
         return variance.reshape(self.height, self.width, 3)
 
     def _variance(self) -> NDArray[np.float64]:
+        if not (self.counts > 1).any():
+            return np.full(self._sum.shape, np.inf)
         n = np.maximum(self.counts, 2)[:, None].astype(np.float64)
         variance = (self._squares - self._sum * self._sum / n) / (n * (n - 1.0))
         np.maximum(variance, 0.0, out=variance)  # rounding

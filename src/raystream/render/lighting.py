@@ -48,7 +48,8 @@ def area_patches(scene: Scene) -> list[PatchLight]:
     """Turn a scene's area lights into one patch each."""
     patches = []
     for light in scene.area_lights:
-        solid = np.intersect1d(light.prim_ids, scene.triangles.prim_ids)
+        solid = np.unique(light.prim_ids)
+        solid = solid[np.isin(solid, scene.triangles.prim_ids)]
         if not len(solid):
             continue
         corners = scene.triangles.to_world(scene.triangles.corners[solid])

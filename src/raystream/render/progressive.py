@@ -113,7 +113,7 @@ def render_samples(
     """
     interval = checkpoint_seconds()
     pixel_count = setting.width * setting.height
-    name = identity(renderer, setting)
+    name = "" if checkpoint is None else identity(renderer, setting)  # reads the whole scene
     sums = Accumulation(setting.width, setting.height)
     if checkpoint is not None and Path(checkpoint).exists():
         sums = Accumulation.load(checkpoint, name)

@@ -84,7 +84,8 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     prims = np.concatenate(
         [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
     )
-    prims = np.intersect1d(prims, scene.triangles.prim_ids).astype(np.int32)
+    prims = np.unique(prims).astype(np.int32)  # intersect1d would sort the scene's, too
+    prims = prims[np.isin(prims, scene.triangles.prim_ids)]
     check_rows(len(prims), 17, "triangles that emit light")
     if not (scene.lights or len(prims) or color.any()):
         color = np.ones(3)
