@@ -13,7 +13,7 @@ from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, single_lane, store
 from raystream.render.shading.around import look_from
 from raystream.render.shading.eyes import begin_block
-from raystream.render.shading.first import light_first, view_first
+from raystream.render.shading.first import light_block, view_block
 from raystream.render.shading.paths import follow_block
 from raystream.render.shading.rows import SINGLE_ROWS
 from raystream.render.shading.streams import add_if_unblocked
@@ -30,6 +30,8 @@ _WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np
 _begin_path = single_lane(begin_block)
 _look_from = single_lane(look_from, SINGLE_ROWS)
 _follow_path = single_lane(follow_block, SINGLE_ROWS)
+_light_path = single_lane(light_block)
+_view_path = single_lane(view_block)
 
 
 @kernel
@@ -92,12 +94,12 @@ def _copy_three(source, to):
 
 @kernel
 def _light(i, paths, hits, tables, lights, first_pixel, radiance):
-    light_first(i, paths, hits, tables, lights, first_pixel, radiance)
+    _light_path(i, i + _ONE, paths, hits, tables, lights, first_pixel, radiance)
 
 
 @kernel
 def _view(i, paths, hits, tables, lights, first_pixel, radiance):
-    view_first(i, paths, hits, tables, lights, first_pixel, radiance)
+    _view_path(i, i + _ONE, paths, hits, tables, lights, first_pixel, radiance)
 
 
 @kernel

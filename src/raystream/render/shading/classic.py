@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from raystream.core.spawn import UNIT
 from raystream.jit.cpu import device, device_call
-from raystream.jit.simd import load
+from raystream.jit.simd import load, maximum, minimum, narrow_lanes, select, square_root
 from raystream.render.lighting import PatchLight, area_patches, classic_lights
 from raystream.render.shading.lights import LightSample
 from raystream.render.shading.points import offset_at
 from raystream.render.shading.sky import Sky, background_of
 from raystream.render.shading.textures import place_of
+from raystream.render.shading.vectors import added, dot, scaled
 from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
@@ -36,7 +37,6 @@ _KIND, _NORMAL, _RADIUS, _CLEARANCE = 6, 7, 10, 11
 _COLUMNS = 12
 _ROW = np.uint64(8 * _COLUMNS)
 _LONG = np.uint64(8)
-_NOTHING = (0.0, 0.0, 0.0)
 
 Vector = tuple[float, float, float]
 
@@ -128,13 +128,20 @@ def _three(row, k):
 
 
 @device
-def _none():
-    return LightSample(_NOTHING, _NOTHING, True, _NOTHING, 0.0, False)
+def _lanes(of, place):
+    """A vector that is the same in all lanes of a point: numbers as `of`, float64 or f64x16."""
+    zero = of * 0.0
+    return zero + place[0], zero + place[1], zero + place[2]
+
+
+@device
+def _narrowed(a):
+    return narrow_lanes(a[0]), narrow_lanes(a[1]), narrow_lanes(a[2])
 
 
 @device_call
 def arriving(tables, lights, number, point):
-    """What a light sends to a point, if nothing is in its way.
+    """What a light sends to a point, or to 16, if nothing is in its way.
 
     Parameters
     ----------
@@ -150,34 +157,59 @@ def arriving(tables, lights, number, point):
     """
     row = lights.rows + number * _ROW
     kind, place, color = np.int64(_double(row, _KIND)), _three(row, 0), _three(row, 3)
+    # All lanes have the same light, so these are branches; what differs is chosen.
+    x, y, z = _lanes(point.x, place)
+    target = x, y, z
+    factor = point.x * 0.0 + 1.0
+    is_far = factor < 0.0
+    is_valid = factor > 0.0
     if kind == _SUN:
-        return LightSample(place, _NOTHING, True, color, np.inf, True)
-    x, y, z = place[0] - point.x, place[1] - point.y, place[2] - point.z
-    distance = math.sqrt(x * x + y * y + z * z)
-    if not distance > 0.0:
-        return _none()
-    x, y, z = x / distance, y / distance, z / distance
-    factor, target = 1.0, place
-    if kind == _POINT:
-        factor = 1.0 / (distance * distance)
-    elif kind != _STEADY:
-        radius, clearance = _double(row, _RADIUS), _double(row, _CLEARANCE)
-        # As a disc seen from its axis, finite everywhere; a sphere shows a quarter of its area.
-        ratio = distance / radius
-        factor = 1.0 / (ratio * ratio + 1.0)
-        reach = max(abs(place[0]), abs(place[1]), abs(place[2])) + radius + clearance
-        away = clearance + offset_at(tables, 4.0 * (radius + clearance), reach)
-        away += 2.0 * UNIT * distance
-        if kind == _PATCH:
-            nx, ny, nz = _three(row, _NORMAL)
-            cosine = -(x * nx + y * ny + z * nz)
-            if cosine <= 0.0:
-                return _none()
-            factor *= cosine
-            target = place[0] + away * nx, place[1] + away * ny, place[2] + away * nz
-        else:
-            factor *= 0.25
-            away = min(away, 0.999 * distance)
-            target = place[0] - away * x, place[1] - away * y, place[2] - away * z
-    color = color[0] * factor, color[1] * factor, color[2] * factor
-    return LightSample((x, y, z), target, False, color, np.inf, True)
+        is_far = is_valid
+    else:
+        x, y, z = x - point.x, y - point.y, z - point.z
+        distance = square_root(x * x + y * y + z * z)
+        is_valid = distance > 0.0
+        distance = select(is_valid, distance, factor)
+        x, y, z = x / distance, y / distance, z / distance
+        if kind == _POINT:
+            factor = 1.0 / (distance * distance)
+        elif kind != _STEADY:
+            factor, away = _of_area(tables, row, kind, place, (x, y, z), distance)
+            is_valid &= factor > 0.0
+            if kind == _PATCH:
+                normal = _three(row, _NORMAL)
+                target = added(target, normal, away)
+            else:
+                target = added(target, (x, y, z), -away)
+    return LightSample(
+        _narrowed((x, y, z)),
+        target,
+        is_far,
+        _narrowed(scaled(color, factor)),
+        np.inf,
+        is_valid,
+    )
+
+
+@device
+def _of_area(tables, row, kind, place, toward, distance):
+    """The share of a patch's or a bulb's light that arrives, and where rays to it end.
+
+    Returns
+    -------
+    factor : float64
+        0 behind a patch.
+    away : float64
+        How far before the light's place: along a patch's normal, or along the ray.
+    """
+    radius, clearance = _double(row, _RADIUS), _double(row, _CLEARANCE)
+    # As a disc seen from its axis, finite everywhere; a sphere shows a quarter of its area.
+    ratio = distance / radius
+    factor = 1.0 / (ratio * ratio + 1.0)
+    reach = max(abs(place[0]), abs(place[1]), abs(place[2])) + radius + clearance
+    away = clearance + offset_at(tables, 4.0 * (radius + clearance), reach)
+    away = distance * (2.0 * UNIT) + away
+    if kind == _PATCH:
+        cosine = -dot(toward, _three(row, _NORMAL))
+        return factor * maximum(cosine, 0.0), away
+    return factor * 0.25, minimum(away, distance * 0.999)

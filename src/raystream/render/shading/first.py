@@ -5,30 +5,80 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, gather
+from raystream.jit.simd import (
+    absolute,
+    address,
+    any_lane,
+    as_int32,
+    gather,
+    i32x16,
+    lane_numbers,
+    maximum,
+    minimum,
+    square_root,
+)
 from raystream.render.shading.bsdf import emitted, lobes_at, reflected
 from raystream.render.shading.classic import arriving
-from raystream.render.shading.points import surface_point
-from raystream.render.shading.sky import sky_toward
-from raystream.render.shading.streams import (
-    add_light,
-    addresses_of,
-    direction_of,
-    hits_at,
-    weights_of,
-)
-from raystream.render.shading.vectors import dot, times
+from raystream.render.shading.points import surface_points
+from raystream.render.shading.rows import vector_at
+from raystream.render.shading.sky_lanes import sky_toward_lanes
+from raystream.render.shading.streams import add_lights, addresses_of, hits_at
+from raystream.render.shading.vectors import added, chosen, dot, scaled, times
 
-__all__ = ["light_first", "light_unblocked", "shade_by_view", "view_first"]
+__all__ = ["light_block", "light_unblocked", "shade_by_view", "view_block"]
+
+#: Of vectors.
+_LANES = 16
+
+_0, _1 = np.int32(0), np.int32(1)
+_NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
 
 
 @device
-def light_first(i, paths, hits, tables, lights, first_pixel, radiance):
-    """Light the surface that ray i meets; see `light_unblocked`.
+def _met(first, count, paths, hits, first_pixel):
+    """What 16 rays meet.
+
+    Returns
+    -------
+    row, pixel, prim : i32x16
+        Of the streams, of the band's light, and triangles.
+    toward : tuple of three f32x16
+        Unit directions.
+    is_hit, is_missed : mask16
+        Neither beyond the last ray.
+    """
+    count = as_int32(count)
+    row = lane_numbers(i32x16) + as_int32(first)
+    is_path = row < count
+    row = minimum(row, as_int32(count - _1))
+    pixel = as_int32(gather(np.int64, paths.pixels, row) - first_pixel)
+    toward = vector_at(paths.directions, row)
+    toward = scaled(toward, _WHOLE / square_root(dot(toward, toward)))
+    prim = gather(np.int32, hits.prim_id, row)
+    return row, pixel, prim, toward, is_path & (prim >= _0), is_path & (prim < _0)
+
+
+@device
+def _points(tables, hits, row, prim, toward, is_hit):
+    u, v = gather(np.float32, hits.u, row), gather(np.float32, hits.v, row)
+    x, y, z = toward
+    return surface_points(tables, maximum(prim, _0), u, v, x, y, z, is_hit)
+
+
+@device
+def _add_sky(paths, lights, row, pixel, toward, is_missed, radiance):
+    color = sky_toward_lanes(lights, toward, is_missed)
+    add_lights(radiance, pixel, times(vector_at(paths.colors, row), color), is_missed)
+
+
+@device
+def light_block(first, count, paths, hits, tables, lights, first_pixel, radiance):
+    """Light the surfaces that 16 rays meet; see `light_unblocked`.
 
     Parameters
     ----------
-    i : uint64
+    first, count : int
+        The first of them, and how many rays there are: beyond, lanes do nothing.
     paths : StreamAddresses
     hits : HitAddresses
     tables, lights, first_pixel
@@ -36,28 +86,24 @@ def light_first(i, paths, hits, tables, lights, first_pixel, radiance):
     radiance : uint64
         Address of the pixels' light.
     """
-    pixel, weights = gather(np.int64, paths.pixels, i) - first_pixel, weights_of(paths, i)
-    dx, dy, dz, length = direction_of(paths, i)
-    prim_id = gather(np.int32, hits.prim_id, i)
-    if prim_id < 0:
-        add_light(radiance, pixel, weights, sky_toward(lights, dx, dy, dz), 1.0)
+    row, pixel, prim, toward, is_hit, is_missed = _met(first, count, paths, hits, first_pixel)
+    if any_lane(is_missed):
+        _add_sky(paths, lights, row, pixel, toward, is_missed, radiance)
+    if not any_lane(is_hit):
         return
-    back = -dx / length, -dy / length, -dz / length
-    u, v = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
-    point = surface_point(tables, prim_id, u, v, dx, dy, dz)
+    back = scaled(toward, -_WHOLE)
+    point = _points(tables, hits, row, prim, toward, is_hit)
     lobes = lobes_at(tables, point)
-    red, green, blue = times(lobes.diffuse, lights.ambient)
-    if point.is_front:
-        glow = emitted(tables, point)
-        red, green, blue = red + glow[0], green + glow[1], blue + glow[2]
+    red, green, blue = lights.ambient
+    color = times(lobes.diffuse, (np.float32(red), np.float32(green), np.float32(blue)))
+    glow = added(color, emitted(tables, point), _WHOLE)
+    color = chosen(point.is_front, glow, color)
     for number in range(lights.light_count):
         found = arriving(tables, lights, number, point)
-        if found.is_valid:
-            color, _, _ = reflected(lobes, point, back, found.toward)
-            red += color[0] * found.color[0]
-            green += color[1] * found.color[1]
-            blue += color[2] * found.color[2]
-    add_light(radiance, pixel, weights, (red, green, blue), 1.0)
+        share, _, _ = reflected(lobes, point, back, found.toward)
+        more = added(color, times(share, found.color), _WHOLE)
+        color = chosen(found.is_valid, more, color)
+    add_lights(radiance, pixel, times(vector_at(paths.colors, row), color), is_hit)
 
 
 @kernel
@@ -71,23 +117,22 @@ def light_unblocked(paths, hits, tables, lights, first_pixel, radiance):
     lights : ClassicLights
     """
     places, found, base = addresses_of(paths), hits_at(hits), address(radiance)
-    for i in range(np.uint64(len(paths.pixels))):
-        light_first(i, places, found, tables, lights, first_pixel, base)
+    count = len(paths.pixels)
+    for first in range(0, count, _LANES):
+        light_block(first, count, places, found, tables, lights, first_pixel, base)
 
 
 @device
-def view_first(i, paths, hits, tables, lights, first_pixel, radiance):
-    """Show the surface that ray i meets in grey; see `light_first` and `shade_by_view`."""
-    pixel, weights = gather(np.int64, paths.pixels, i) - first_pixel, weights_of(paths, i)
-    dx, dy, dz, length = direction_of(paths, i)
-    prim_id = gather(np.int32, hits.prim_id, i)
-    if prim_id < 0:
-        add_light(radiance, pixel, weights, sky_toward(lights, dx, dy, dz), 1.0)
+def view_block(first, count, paths, hits, tables, lights, first_pixel, radiance):
+    """Show the surfaces that 16 rays meet in grey; see `light_block` and `shade_by_view`."""
+    row, pixel, prim, toward, is_hit, is_missed = _met(first, count, paths, hits, first_pixel)
+    if any_lane(is_missed):
+        _add_sky(paths, lights, row, pixel, toward, is_missed, radiance)
+    if not any_lane(is_hit):
         return
-    u, v = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
-    point = surface_point(tables, prim_id, u, v, dx, dy, dz)
-    cosine = abs(dot((point.nx, point.ny, point.nz), (dx, dy, dz))) / length
-    add_light(radiance, pixel, weights, (cosine, cosine, cosine), 1.0)
+    point = _points(tables, hits, row, prim, toward, is_hit)
+    cosine = absolute(dot((point.nx, point.ny, point.nz), toward))
+    add_lights(radiance, pixel, scaled(vector_at(paths.colors, row), cosine), is_hit)
 
 
 @kernel
@@ -102,5 +147,6 @@ def shade_by_view(paths, hits, tables, lights, first_pixel, radiance):
         Their sky is what rays that miss see.
     """
     places, found, base = addresses_of(paths), hits_at(hits), address(radiance)
-    for i in range(np.uint64(len(paths.pixels))):
-        view_first(i, places, found, tables, lights, first_pixel, base)
+    count = len(paths.pixels)
+    for first in range(0, count, _LANES):
+        view_block(first, count, places, found, tables, lights, first_pixel, base)

@@ -18,7 +18,6 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
     absolute,
     any_lane,
-    as_float32,
     as_int32,
     gather,
     maximum,
@@ -26,8 +25,8 @@ from raystream.jit.simd import (
     square_root,
     widen_number,
 )
-from raystream.render.color import LUMINANCE
-from raystream.render.shading.textures import ROLES, texture_color, texture_of, texture_size
+from raystream.render.shading.heights import texture_slopes
+from raystream.render.shading.textures import ROLES, texture_color, texture_of
 from raystream.render.shading.vectors import added, chosen, dot, mirrored, scaled
 from raystream.render.shading.vertices import attribute_pair, attribute_vector, vertices_of
 
@@ -39,7 +38,6 @@ LEAST_COSINE = np.float32(1e-3)
 
 _NORMAL = np.int32(ROLES.index("normal"))
 _BUMP = np.int32(ROLES.index("bump"))
-_RED, _GREEN, _BLUE = map(np.float32, LUMINANCE)
 
 _NULL, _HALF, _WHOLE = map(np.float32, (0.0, 0.5, 1.0))
 _INF = np.float32(np.inf)
@@ -69,12 +67,6 @@ def _is_unit(a):
 
 
 @device
-def _height(textures, texture, s, t):
-    color = texture_color(textures, texture, s, t, textures.plain)
-    return _RED * color[0] + _GREEN * color[1] + _BLUE * color[2]
-
-
-@device
 def _scale(textures, material, column):
     at = as_int32(material * _RELIEF + column)
     return widen_number(gather(np.float32, textures.reliefs, at))
@@ -91,16 +83,10 @@ def _mapped(textures, material, s, t):
         found = texture_color(textures, maximum(texture, _0), s, t, textures.signed)
         x, y, z = chosen(is_mapped, (scale * found[0], scale * found[1], found[2]), (x, y, z))
     texture = texture_of(textures, material, _BUMP)
-    is_bumpy = (texture >= _0) ^ (is_mapped & (texture >= _0))
+    is_bumpy = texture >= _0
     if any_lane(is_bumpy):
-        texture = maximum(texture, _0)
         scale = _HALF * _scale(textures, material, _1)
-        width, height = texture_size(textures, texture)
-        across, up = _WHOLE / as_float32(width), _WHOLE / as_float32(height)
-        left, right = s - across, s + across
-        dx = _height(textures, texture, left, t) - _height(textures, texture, right, t)
-        below, above = t - up, t + up
-        dy = _height(textures, texture, s, below) - _height(textures, texture, s, above)
+        dx, dy = texture_slopes(textures, maximum(texture, _0), s, t)
         x, y = select(is_bumpy, scale * dx, x), select(is_bumpy, scale * dy, y)
     return x, y, z
 

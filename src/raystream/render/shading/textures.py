@@ -21,7 +21,7 @@ from raystream.jit.simd import (
     round_down,
     select,
 )
-from raystream.render.color import decode_srgb
+from raystream.render.color import LUMINANCE, decode_srgb
 from raystream.scene.material import Material
 from raystream.scene.texture import Texture
 
@@ -29,12 +29,14 @@ __all__ = [
     "MAX_TEXELS",
     "ROLES",
     "TextureTables",
+    "nearest_texels",
     "pack_textures",
     "place_of",
     "texture_arrays",
     "texture_color",
     "texture_of",
     "texture_size",
+    "wrapped",
 ]
 
 #: What of a material a texture may multiply, or make, in the order of
@@ -61,6 +63,7 @@ class TextureTables(NamedTuple):
     ----------
     texels : uint64
         Of shape (K, 4), uint8: sRGB and a byte without meaning, row after row, the top one first.
+        Of bump maps the same bytes are float32: heights.
     places : uint64
         Of shape (T, 4), int32: first texel, width, height, and 1 for a texture that is clamped,
         0 if it repeats.
@@ -103,35 +106,22 @@ def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
         For each texture that cannot be read; the plain colour is then used.
     """
     of_material = np.full((len(materials), len(ROLES)), -1, np.int32)
-    known: dict[int, int] = {}
-    parts: list[NDArray[np.uint8]] = []
-    places: list[tuple[int, int, int, int]] = []
-    first = 0
-    for row, material in zip(of_material, materials, strict=True):
+    reliefs = np.array([_relief_of(material) for material in materials], np.float32)
+    atlas = _Atlas()
+    for row, material, relief in zip(of_material, materials, reliefs, strict=True):
         for column, role in enumerate(ROLES):
             texture = material.textures.get(role)
             if texture is None or not _is_seen(material, role):
                 continue
-            if id(texture) not in known:
-                pixels = _rgb_of(texture)
-                known[id(texture)] = -1
-                if pixels is not None and first + pixels.size // 4 > MAX_TEXELS:
-                    raise MemoryError(f"textures: more than {MAX_TEXELS:,} texels in one scene")
-                if pixels is not None:
-                    known[id(texture)] = len(places)
-                    height, width = pixels.shape[:2]
-                    places.append((first, width, height, int(texture.wrap == "clamp")))
-                    parts.append(pixels.reshape(-1, 4))
-                    first += height * width
-            row[column] = known[id(texture)]
-    reliefs = np.array([_relief_of(material) for material in materials], np.float32)
-    for row, material, relief in zip(of_material, materials, reliefs, strict=True):
-        if row[_BUMP] >= 0 and row[_NORMAL] < 0 and _holds_normals(parts[row[_BUMP]]):
-            row[_NORMAL], relief[0] = row[_BUMP], material.bump_scale
+            if column != _BUMP:
+                row[column] = atlas.place(texture)
+            elif row[_NORMAL] < 0 and atlas.holds_normals(texture):
+                row[_NORMAL], relief[0] = atlas.place(texture), material.bump_scale
+            elif row[_NORMAL] < 0:  # a normal map says more
+                row[_BUMP] = atlas.place(texture, are_heights=True)
     bytes_ = np.arange(256, dtype=np.uint8)
     return (
-        np.concatenate(parts) if parts else np.empty((0, 4), np.uint8),
-        np.array(places, np.int32).reshape(-1, 4),
+        *atlas.arrays(),
         of_material,
         reliefs,
         decode_srgb(bytes_),
@@ -168,11 +158,65 @@ def _holds_normals(texels: NDArray[np.uint8]) -> bool:
     return bool(is_normal.mean() > 0.9 and max(abs(x), abs(y)) < 0.25 < 0.5 < z)
 
 
+class _Atlas:
+    """Bitmaps one behind the other, each once."""
+
+    def __init__(self) -> None:
+        self._pixels: dict[int, NDArray[np.uint8] | None] = {}
+        self._numbers: dict[tuple[int, bool], int] = {}
+        self._parts: list[NDArray[np.uint8]] = []
+        self._places: list[tuple[int, int, int, int]] = []
+        self._count = 0
+
+    def place(self, texture: Texture, are_heights: bool = False) -> int:
+        """The number of a texture, in colours or as heights; -1 if it cannot be read."""
+        key = id(texture), are_heights
+        if key not in self._numbers:
+            pixels = self._rgb_of(texture)
+            self._numbers[key] = -1
+            if pixels is not None:
+                self._numbers[key] = self._add(pixels, are_heights, texture.wrap)
+        return self._numbers[key]
+
+    def holds_normals(self, texture: Texture) -> bool:
+        """See `_holds_normals`."""
+        pixels = self._rgb_of(texture)
+        return pixels is not None and _holds_normals(pixels.reshape(-1, 4))
+
+    def arrays(self) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+        """Texels and places of `TextureTables`."""
+        texels = np.concatenate(self._parts) if self._parts else np.empty((0, 4), np.uint8)
+        return texels, np.array(self._places, np.int32).reshape(-1, 4)
+
+    def _add(self, pixels: NDArray[np.uint8], are_heights: bool, wrap: str) -> int:
+        height, width = pixels.shape[:2]
+        if self._count + height * width > MAX_TEXELS:
+            raise MemoryError(f"textures: more than {MAX_TEXELS:,} texels in one scene")
+        texels = pixels.reshape(-1, 4)
+        self._places.append((self._count, width, height, int(wrap == "clamp")))
+        self._parts.append(_heights_of(texels) if are_heights else texels)
+        self._count += height * width
+        return len(self._places) - 1
+
+    def _rgb_of(self, texture: Texture) -> NDArray[np.uint8] | None:
+        if id(texture) not in self._pixels:
+            self._pixels[id(texture)] = _rgb_of(texture)
+        return self._pixels[id(texture)]
+
+
+def _heights_of(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The luminance of texels, in [0, 1]: the four bytes of each a float32."""
+    linear = texels[:, :3] @ (np.array(LUMINANCE, np.float32) / np.float32(255.0))
+    heights: NDArray[np.uint8] = linear.astype(np.float32).view(np.uint8).reshape(-1, 4)
+    return heights
+
+
 def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
+    """Texels of shape (H, W, 4); None, with a warning, if they cannot be read."""
     try:
         pixels = texture.pixels()
     except FileFormatError as error:
-        warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=5)
+        warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=7)
         return None
     padded: NDArray[np.uint8] = np.zeros((*pixels.shape[:2], 4), np.uint8)
     padded[:, :, :3] = pixels[:, :, :3]  # one channel is grey
@@ -196,8 +240,8 @@ def texture_size(tables, texture):
 
 
 @device
-def _wrapped(index, size, is_clamped):
-    """The texel at an index of -1 to `size`."""
+def wrapped(index, size, is_clamped):
+    """The texel at an index of -1 to `size`, or any if the texture is clamped."""
     last = as_int32(size - _1)
     around = select(index < _0, last, select(index > last, _0, index))
     return select(is_clamped, minimum(maximum(index, _0), last), around)
@@ -219,6 +263,38 @@ def _mixed(a, b, share):
     return a[0] * rest + b[0] * share, a[1] * rest + b[1] * share, a[2] * rest + b[2] * share
 
 
+@device
+def nearest_texels(tables, texture, u, v, beyond):
+    """The four texels whose centres are around a place.
+
+    Parameters
+    ----------
+    tables, texture, u, v
+        See `texture_color`; finite.
+    beyond : float32
+        How many widths beyond a clamped texture a place may be; those further are moved there.
+
+    Returns
+    -------
+    first, width, height, is_clamped
+        The texture's row of `places`.
+    left, top : int32
+        The texel at the upper left; from -1 on, unless the texture is clamped.
+    across, down : float32
+        The place between it and the next.
+    """
+    first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
+    width, height = texture_size(tables, texture)
+    is_clamped = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3)) != _0
+    most = _WHOLE + beyond
+    u = select(is_clamped, minimum(maximum(u, -beyond), most), u - round_down(u))
+    v = select(is_clamped, minimum(maximum(v, -beyond), most), v - round_down(v))
+    x, y = u * as_float32(width) - _HALF, (_WHOLE - v) * as_float32(height) - _HALF
+    left, top = round_down(x), round_down(y)
+    across, down = as_float32(x - left), as_float32(y - top)
+    return first, width, height, is_clamped, as_int32(left), as_int32(top), across, down
+
+
 @device_call
 def texture_color(tables, texture, u, v, values):
     """RGB between the four nearest texels' centres; white where u or v is NaN.
@@ -238,19 +314,12 @@ def texture_color(tables, texture, u, v, values):
     tuple of three float32, or f32x16
     """
     is_known = (absolute(u) < _INF) & (absolute(v) < _INF)
-    u, v = select(is_known, u, _HALF), select(is_known, v, _HALF)
-    first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
-    width, height = texture_size(tables, texture)
-    is_clamped = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3)) != _0
-    u = select(is_clamped, minimum(maximum(u, _NULL), _WHOLE), u - round_down(u))
-    v = select(is_clamped, minimum(maximum(v, _NULL), _WHOLE), v - round_down(v))
-    x, y = u * as_float32(width) - _HALF, (_WHOLE - v) * as_float32(height) - _HALF
-    left, top = round_down(x), round_down(y)
-    across, down = as_float32(x - left), as_float32(y - top)
-    left, top = as_int32(left), as_int32(top)
-    right = _wrapped(as_int32(left + _1), width, is_clamped)
-    bottom = _wrapped(as_int32(top + _1), height, is_clamped)
-    left, top = _wrapped(left, width, is_clamped), _wrapped(top, height, is_clamped)
+    first, width, height, is_clamped, left, top, across, down = nearest_texels(
+        tables, texture, select(is_known, u, _HALF), select(is_known, v, _HALF), _NULL
+    )
+    right = wrapped(as_int32(left + _1), width, is_clamped)
+    bottom = wrapped(as_int32(top + _1), height, is_clamped)
+    left, top = wrapped(left, width, is_clamped), wrapped(top, height, is_clamped)
     upper = _mixed(
         _texel(tables, values, first, width, left, top),
         _texel(tables, values, first, width, right, top),
