@@ -29,7 +29,8 @@ default_role = "code"
 
 html_theme = "furo"
 html_title = "raystream"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_extra_path = ["extra"]  # the report of the lab, as it was written
 
 add_module_names = False
