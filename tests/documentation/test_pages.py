@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
 
 import pytest
 
@@ -55,11 +56,22 @@ def test_page_runs(page, tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     try:
         run_page(page.relative_to(REPOSITORY).as_posix(), PAGES[page])
+        _check_pictures(page, tmp_path)
     finally:
         set_thread_count(None)
         _close_figures()
         gc.collect()
         os.chdir(tmp_path)
+
+
+def _check_pictures(page, folder):
+    """See that the page has those pictures of its code that it shows, and renew them if asked."""
+    images = DOCS / "images"
+    for picture in folder.glob("*.png"):
+        if f"images/{picture.name}" in page.read_text(encoding="utf-8"):
+            assert (images / picture.name).is_file(), f"{page.name} shows {picture.name}"
+            if os.environ.get("RAYSTREAM_RENEW_PICTURES"):
+                shutil.copy(picture, images / picture.name)
 
 
 def _close_figures() -> None:
