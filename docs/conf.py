@@ -25,7 +25,9 @@ extensions = [
     "numpydoc",
 ]
 exclude_patterns = ["_build"]
-default_role = "code"
+# `Tracer` on any page is a link to raystream.Tracer, and what has no entry is shown as code.
+default_role = "py:obj"
+rst_prolog = ".. py:currentmodule:: raystream\n"
 
 html_theme = "furo"
 html_title = "raystream"

@@ -1,0 +1,71 @@
+"""The page of the interface has every name that users are to find."""
+
+from __future__ import annotations
+
+import importlib
+import re
+
+import pytest
+
+import raystream
+from documentation.commands import REPOSITORY
+
+PAGE = (REPOSITORY / "docs" / "api.rst").read_text(encoding="utf-8")
+
+#: Modules whose names are for users, beside the package's own.
+MODULES = (
+    "cuda.streams",
+    "graphics",
+    "lab.caches",
+    "lab.cost_model",
+    "lab.stepper",
+    "lab.walks",
+    "machines",
+    "physics.attenuation",
+    "physics.lidar",
+    "programs",
+    "render",
+    "render.compare",
+    "render.denoise",
+    "render.frames",
+    "render.heatmap",
+    "scene.animation",
+    "scene.textures",
+    "streams",
+)
+
+#: Names of those modules that the package's own rooms share.
+FOR_ROOMS = {
+    "machines": {"Counting", "Observer", "make_machine", "own_options"},
+}
+
+
+def documented() -> set[str]:
+    """Give the last parts of the names on the page."""
+    found = re.findall(r"^\.\. (?:auto\w+|data):: (\S+)((?:\n {10,}\S+)*)", PAGE, re.MULTILINE)
+    names = [name for first, more in found for name in (first, *more.split())]
+    return {name.rpartition(".")[2] for name in names}
+
+
+@pytest.mark.parametrize("name", sorted(set(raystream.__all__) - {"__version__"}))
+def test_the_package_s_names_are_there(name):
+    module = name in {"streams", "textures"}  # a module is there if its names are
+    assert name in documented() or (module and f"raystream.{name}." in PAGE)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_the_modules_names_are_there(module):
+    try:
+        names = importlib.import_module(f"raystream.{module}").__all__
+    except ModuleNotFoundError as error:  # an extra
+        pytest.skip(str(error))
+    wanted = {name for name in names if not name.isupper()} - FOR_ROOMS.get(module, set())
+    assert not wanted - documented(), f"docs/api.rst lacks {sorted(wanted - documented())}"
+
+
+def test_nothing_is_there_twice():
+    names = re.findall(r"^\.\. auto\w+:: (\S+)", PAGE, re.MULTILINE)
+    last = [name.rpartition(".")[2] for name in names]
+    twice = {name for name in names if names.count(name) > 1}
+    assert not twice
+    assert len(last) > 90
