@@ -26,6 +26,7 @@ ROOMS = (
     "cuda",
     "graphics",
     "lab",
+    "zarr_queries",
     "cluster",
     "viewer",
     "bench",

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from raystream.scene.texture import Texture
     from raystream.structures.base import UpdateReport
     from raystream.tracer import Tracer
+    from raystream.zarr_queries.query import QueryReport, query_zarr
 
 #: Modules as a whole; the first is callable, see there.
 _MODULES = {"render": "render", "streams": "streams", "textures": "scene.textures"}
@@ -76,6 +77,7 @@ _HOMES = {
     "Mesh": "scene.mesh",
     "MultiHits": "core.hits",
     "PointLight": "scene.lights",
+    "QueryReport": "zarr_queries.query",
     "RayCost": "render.heatmap",
     "RayStatus": "core.rays",
     "RaystreamError": "core.errors",
@@ -90,6 +92,7 @@ _HOMES = {
     "heatmap": "render.heatmap",
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
+    "query_zarr": "zarr_queries.query",
     "register_device": "machines.devices",
     "render_frames": "render.frames",
     "set_thread_count": "jit.threads",
@@ -119,6 +122,7 @@ __all__ = [
     "Mesh",
     "MultiHits",
     "PointLight",
+    "QueryReport",
     "RayCost",
     "RayStatus",
     "RaystreamError",
@@ -134,6 +138,7 @@ __all__ = [
     "heatmap",
     "lidar_returns",
     "load",
+    "query_zarr",
     "register_device",
     "render",
     "render_frames",
