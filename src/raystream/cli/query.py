@@ -13,6 +13,7 @@ from raystream.cli.bars import Bars
 from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
+from raystream.cli.zarr_query import check_stores, is_store, trace_store
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from raystream.core.hits import Hits, MultiHits
     from raystream.jit.threads import Progress
     from raystream.tracer import Tracer
+    from raystream.zarr_queries import QueryReport
 
 __all__ = ["query"]
 
@@ -41,14 +43,20 @@ def query(
         Path,
         typer.Argument(
             metavar="RAYS",
-            help="An .npz file with arrays origins and directions of shape (..., 3), and perhaps "
-            "t_min and t_max.",
+            help="An .npz file, or a Zarr store of any size (.zarr, a folder, or .zip), with "
+            "arrays origins and directions of shape (..., 3), and perhaps t_min and t_max.",
             show_default=False,
         ),
     ],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE", help="The hits: .npz.", show_default=False),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="The hits: .npz, or .zarr for rays in a Zarr store.",
+            show_default=False,
+        ),
     ],
     first: Annotated[
         bool, typer.Option("--first", help="The nearest hit of each ray; the default.")
@@ -86,16 +94,40 @@ def query(
     threads: options.Threads = None,
     time: options.Time = 0.0,
     triangles: options.Triangles = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="With .zarr: go on from the hits of a query that was broken off, if any.",
+        ),
+    ] = False,
+    block_rays: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            show_default=False,
+            help="With .zarr: about how many rays are in memory at a time; 1048576 without it.",
+        ),
+    ] = None,
     json: options.Json = False,
 ) -> None:
     """Trace the rays of a file, and write their hits to a file.
 
     The hits are arrays: t, u, v, prim_id, mesh_id, status with --first; hit with --any;
-    ray_splits, t, u, v, prim_id, status with --multi; count with --count.
+    ray_splits, t, u, v, prim_id, status with --multi; count with --count. Rays in a Zarr
+    store are traced block by block, in bounded memory.
     """
     chosen = {"first": first, "any": anything, "multi": multi, "count": count}
     question = _Question(_only(chosen), max_hits, crossings)
-    options.check_output(output, (".npz",), inputs=[scene, str(rays)])
+    in_store = is_store(rays, output)
+    if in_store:
+        check_stores(rays, output)
+    elif resume or block_rays is not None:
+        name = "--resume" if resume else "--block-rays"
+        raise BadInputError(f"{name}: only with rays in a Zarr store, and hits that go to one")
+    else:
+        options.check_output(output, (".npz",), inputs=[scene, str(rays)])
     tracing = tracer_options(
         option or [],
         device,
@@ -106,19 +138,22 @@ def query(
         scheduler=scheduler,
     )
     choose_threads(threads)
-    from raystream.core.npz import write_npz
-
     watch = Stopwatch()
     with Bars() as bars:
-        given = _read_rays(rays)
-        tracer = open_tracer(
-            Source(scene, structure, device, time, triangles, tracing), bars, watch
-        )
-        with watch.measure("trace"), bars.step("tracing") as progress:
-            answer = question.ask(tracer, given, progress)
-        with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
-            write_npz(output, answer.arrays)
-    speed = rays_per_second(answer.ray_count, watch.seconds["trace"])
+        given = {} if in_store else _read_rays(rays)
+        source = Source(scene, structure, device, time, triangles, tracing)
+        tracer = open_tracer(source, bars, watch)
+        found: QueryReport | _Answer
+        if in_store:
+            asked = question.options
+            if block_rays is not None:
+                asked["block_rays"] = block_rays
+            found = trace_store(
+                tracer, rays, output, question.kind, asked, resume=resume, bars=bars, watch=watch
+            )
+        else:
+            found = _trace_file(tracer, given, output, question, bars, watch)
+    speed = rays_per_second(found.rays - found.rays_before, watch.seconds["trace"])
     triangle_count = len(tracer.structure.triangles)
     if json:
         write_json(
@@ -129,21 +164,40 @@ def query(
                 "structure": tracer.structure.name,
                 **machine_figures(tracing, device),
                 "triangles": triangle_count,
-                "rays": answer.ray_count,
-                "invalid_rays": answer.invalid_count,
-                "rays_hit": answer.rays_hit,
-                "hits": answer.hit_count,
+                "rays": found.rays,
+                **({"rays_before": found.rays_before} if in_store else {}),
+                "invalid_rays": found.invalid_rays,
+                "rays_hit": found.rays_hit,
+                "hits": found.hits,
                 "seconds": watch.rounded(),
                 "mrays_per_second": speed,
             }
         )
     else:
-        invalid = f" ({answer.invalid_count:,} invalid)" if answer.invalid_count else ""
-        hits = f", {answer.hit_count:,} hits" if question.kind in ("multi", "count") else ""
+        invalid = f" ({found.invalid_rays:,} invalid)" if found.invalid_rays else ""
+        hits = f", {found.hits:,} hits" if question.kind in ("multi", "count") else ""
         write_line(
-            f"{one_line(str(output))}: {answer.ray_count:,} rays{invalid}, {answer.rays_hit:,} "
+            f"{one_line(str(output))}: {found.rays:,} rays{invalid}, {found.rays_hit:,} "
             f"of them hit{hits}; {triangle_count:,} triangles; {watch.text()}; {speed:g} Mrays/s"
         )
+
+
+def _trace_file(
+    tracer: Tracer,
+    rays: dict[str, NDArray[Any]],
+    output: Path,
+    question: _Question,
+    bars: Bars,
+    watch: Stopwatch,
+) -> _Answer:
+    """Trace rays that are in memory, and write the hits to an ``.npz``."""
+    from raystream.core.npz import write_npz
+
+    with watch.measure("trace"), bars.step("tracing") as progress:
+        answer = question.ask(tracer, rays, progress)
+    with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
+        write_npz(output, answer.arrays)
+    return answer
 
 
 def _only(chosen: dict[str, bool]) -> str:
@@ -176,10 +230,11 @@ class _Answer:
     """Arrays for the file, and figures about them."""
 
     arrays: dict[str, NDArray[Any]]
-    ray_count: int
-    invalid_count: int | None  # where the query tells
+    rays: int
+    invalid_rays: int | None  # where the query tells
     rays_hit: int
-    hit_count: int
+    hits: int
+    rays_before: int = 0
 
 
 @dataclass(frozen=True)
@@ -196,6 +251,12 @@ class _Question:
         if self.crossings is not None and self.kind not in ("multi", "count"):
             raise BadInputError("--crossings: only with --multi or --count")
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """Those that were given, by the tracer's names."""
+        given = {"max_hits": self.max_hits, "crossings": self.crossings}
+        return {name: value for name, value in given.items() if value is not None}
+
     def ask(
         self, tracer: Tracer, rays: dict[str, NDArray[Any]], progress: Progress | None
     ) -> _Answer:
@@ -210,9 +271,7 @@ class _Question:
         """
         import numpy as np
 
-        options: dict[str, Any] = {**rays, "progress": progress}
-        if self.crossings is not None:
-            options["crossings"] = self.crossings
+        options: dict[str, Any] = {**rays, **self.options, "progress": progress}
         if self.kind == "any":
             seen = tracer.any_hit(**options)
             hit_count = int(np.count_nonzero(seen))
@@ -223,7 +282,7 @@ class _Question:
             return _Answer({"count": counts}, counts.size, None, rays_hit, hit_count)
         hits: Hits | MultiHits
         if self.kind == "multi":
-            hits = tracer.multi_hit(**options, max_hits=self.max_hits)
+            hits = tracer.multi_hit(**options)
             rays_hit, hit_count = int(np.count_nonzero(hits.counts)), len(hits.t)
         else:
             hits = tracer.first_hit(**options)
