@@ -31,21 +31,29 @@ def panels(plan):
 
 
 @pytest.fixture(scope="module")
-def walks(plan, panels):
-    """The walk of each ray through each structure, by the panel's key."""
+def tracers(plan, panels):
+    """Those of the panels, by their keys, and one of a structure that none draws."""
+    bvh = rs.Tracer(plan.scene, "bvh", counters=True)
+    return {**{key: panel.tracer for key, panel in panels.items()}, "bvh": bvh}
+
+
+@pytest.fixture(scope="module")
+def walks(plan, tracers):
+    """The walk of each ray through each structure, by the tracer's key."""
     return {
-        key: [walk(panel.tracer, *plan.ray(ray.origin, ray.direction)) for ray in RAYS]
-        for key, panel in panels.items()
+        key: [walk(tracer, *plan.ray(ray.origin, ray.direction)) for ray in RAYS]
+        for key, tracer in tracers.items()
     }
 
 
 PANELS = ("grid", "kdtree-stack", "kdtree-restart", "kdtree-backtrack", "graph")
+WALKED = (*PANELS, "bvh")
 
 
-@pytest.mark.parametrize("key", PANELS)
-def test_a_walk_is_what_the_tracer_does(plan, panels, walks, key):
+@pytest.mark.parametrize("key", WALKED)
+def test_a_walk_is_what_the_tracer_does(plan, tracers, walks, key):
     """The hit's bits and all counts are those of the branching machine, which has no steps."""
-    tracer = panels[key].tracer
+    tracer = tracers[key]
     assert tracer.machine == "branching"
     rays = [plan.ray(ray.origin, ray.direction) for ray in RAYS]
     origins, directions = (np.array(column) for column in zip(*rays, strict=True))
@@ -63,14 +71,15 @@ def test_a_walk_is_what_the_tracer_does(plan, panels, walks, key):
         assert added == walked.counts
 
 
-@pytest.mark.parametrize("key", PANELS)
+@pytest.mark.parametrize("key", WALKED)
 def test_steps_tell_their_counts(walks, key):
     """What was recorded besides says as much as the machine's own counts."""
     for walked in walks[key]:
         ran = [step.kernel for step in walked.steps]
         assert sum(len(step.tested) for step in walked.steps) == walked.counts["tests"]
-        assert len(walked.cells) == (
-            walked.counts["leaves"] if walked.structure == "kdtree" else walked.counts["steps"]
+        assert (
+            len(walked.cells)
+            == (walked.counts["leaves" if walked.structure in ("kdtree", "bvh") else "steps"])
         )
         assert ran.count("shade") == walked.counts["shadings"] == (walked.prim_id >= 0)
         if walked.structure == "kdtree":
@@ -82,7 +91,7 @@ def test_steps_tell_their_counts(walks, key):
         assert len(restarts) == walked.counts["restarts"]
 
 
-@pytest.mark.parametrize("key", PANELS)
+@pytest.mark.parametrize("key", WALKED)
 def test_steps_follow_each_other(walks, key):
     for walked in walks[key]:
         steps = walked.steps
@@ -96,7 +105,7 @@ def test_steps_follow_each_other(walks, key):
         assert (steps[-1].t, steps[-1].prim_id) == (walked.t, walked.prim_id)
 
 
-@pytest.mark.parametrize("key", PANELS)
+@pytest.mark.parametrize("key", WALKED)
 def test_the_ray_is_in_the_box_that_is_named(plan, walks, key):
     """At the middle of its interval it is in the box of the cell, leaf or sector."""
     corners = plan.scene.triangles.corners.reshape(-1, 3).astype(float)
@@ -107,6 +116,10 @@ def test_the_ray_is_in_the_box_that_is_named(plan, walks, key):
             spot = step.at
             if spot is None or spot.kind == "split" or step.kernel == "up":
                 continue  # going up, the interval is what is left of the ray
+            if key == "bvh" and spot.t_in > spot.t_out:
+                assert spot.number == 0  # which the ray misses
+                assert walked.prim_id == -1
+                continue
             # The last cell of an axis reaches on without end: up to the side of the scene's box.
             sides = np.where(direction > 0.0, box[1], box[0])
             ahead = np.divide(sides - origin, direction, np.full(3, np.inf), where=direction != 0.0)
@@ -115,7 +128,7 @@ def test_the_ray_is_in_the_box_that_is_named(plan, walks, key):
             assert (middle <= np.array(spot.high) + 1e-3).all()
 
 
-@pytest.mark.parametrize("key", PANELS)
+@pytest.mark.parametrize("key", WALKED)
 def test_the_nearest_hit_was_tested(walks, key):
     for walked in walks[key]:
         tested = {prim_id for step in walked.steps for prim_id in step.tested}
@@ -174,6 +187,42 @@ def test_the_stack_is_what_continue_pops(walks):
     assert pushed > 10
     for key in ("kdtree-restart", "kdtree-backtrack"):
         assert not any(step.stack for walked in walks[key] for step in walked.steps)
+
+
+def test_a_bvh_puts_children_aside_the_nearest_on_top(walks):
+    put = 0
+    for walked in walks["bvh"]:
+        waiting = ()
+        for step in walked.steps:
+            numbers = [spot.number for spot in step.stack]
+            starts = [spot.t_in for spot in step.stack]
+            if step.kernel == "traverse" and step.at is not None and step.at.kind == "node":
+                added = step.stack[: max(len(numbers) + 1 - len(waiting), 0)]
+                assert [spot.t_in for spot in added] == sorted(spot.t_in for spot in added)
+                if step.to is not None and added:
+                    assert step.to.t_in <= starts[0]
+                    put += 1
+            else:  # what is too far is left out as soon as a nearer hit is known
+                assert numbers == [number for number in waiting if number in numbers]
+            waiting = numbers if step.to is None else [step.to.number, *numbers]
+    assert put > 10
+
+
+@pytest.mark.parametrize("key", [*PANELS, "bvh"])
+def test_a_walk_can_end_early(plan, tracers, walks, key):
+    ray, longest = max(zip(RAYS, walks[key], strict=True), key=lambda pair: len(pair[1].steps))
+    short = walk(tracers[key], *plan.ray(ray.origin, ray.direction), most_steps=3)
+    assert (short.is_whole, longest.is_whole) == (False, True)
+    assert short.steps == longest.steps[:3]
+    assert sum(short.counts.values()) <= sum(longest.counts.values())
+
+
+@pytest.mark.parametrize("key", ["grid", "kdtree-stack", "graph"])
+def test_one_box_is_that_of_all_boxes(panels, key):
+    chart = panels[key].chart
+    assert len(chart.boxes) > 20
+    for number, box in enumerate(chart.boxes):
+        assert chart.box(number).tolist() == box.tolist()
 
 
 def test_sectors_are_left_through_the_face_that_is_named(walks):
@@ -248,6 +297,8 @@ def test_two_levels_of_a_grid(plan):
                 assert (wall.min(axis=0) <= high + 0.01).all()
             deepest = max(deepest, step.at.number if step.at else 0)
     assert deepest >= first_fine
+    for number in (0, first_fine - 1, first_fine, len(chart.boxes) - 1, deepest):
+        assert chart.box(number) == pytest.approx(chart.boxes[number])
 
 
 def test_a_scene_far_away_walks_the_same():
@@ -275,7 +326,7 @@ def test_what_is_no_walk_is_said():
         walk(tracer, np.zeros((2, 3)), [1.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="is invalid"):
         walk(tracer, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match="grid, kdtree or graph, got one of 'brute'"):
+    with pytest.raises(ValueError, match="grid, kdtree, graph or bvh, got one of 'brute'"):
         walk(rs.Tracer(plan.scene, "brute"), [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
 
 

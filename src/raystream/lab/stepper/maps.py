@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.lab.stepper.bvh_map import BvhMap
+from raystream.lab.stepper.chart import BlockMap, LocalSpot, Records, StructureMap, to_world
 from raystream.structures import Structure
+from raystream.structures.bvh import Bvh
 from raystream.structures.graph import Graph
 from raystream.structures.graph.layout import FACES, NODE_BIT, SECTOR_ROWS, VOID
 from raystream.structures.grid import Grid
@@ -17,61 +20,7 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.packed import LEAF_BIT
 from raystream.structures.kdtree.short_stack import kept_entries
 
-__all__ = ["GraphMap", "GridMap", "KdMap", "LocalSpot", "StructureMap", "map_of"]
-
-#: Bytes of a block of four triangles.
-_BLOCK_BYTES = 160
-_LANES = 4
-
-
-class LocalSpot(NamedTuple):
-    """A place in a structure, and the part of a ray in it in local direction lengths."""
-
-    number: int
-    t_in: float
-    t_out: float
-
-
-class StructureMap(ABC):
-    """Reads what a ray's records say of one structure.
-
-    Attributes
-    ----------
-    boxes : ndarray of shape (M, 2, 3), float64
-        Low and high corner of each cell, node or sector; world space.
-    """
-
-    boxes: NDArray[np.float64]
-
-    @abstractmethod
-    def kind(self, number: int) -> str:
-        """``"cell"``, ``"split"``, ``"leaf"`` or ``"sector"``."""
-
-    @abstractmethod
-    def label(self, number: int) -> str:
-        """What to call it in a sentence."""
-
-    @abstractmethod
-    def list_size(self, number: int) -> int:
-        """How many triangles it lists."""
-
-    @abstractmethod
-    def spot(self, ray: Any, place: Any) -> LocalSpot:
-        """Where a ray is that has something to search."""
-
-    @abstractmethod
-    def tested(self, place: Any, count: int) -> tuple[int, ...]:
-        """The prim_ids of the next `count` triangles that a ray tests."""
-
-    def stack(self, place: Any, memory: NDArray[np.uint8]) -> tuple[LocalSpot, ...]:
-        """What a ray has put aside, that which is next first."""
-        del place, memory
-        return ()
-
-    def way(self, origin: int, target: int, direction: NDArray[np.float64]) -> str | None:
-        """How a ray went from one place to another: a face, or None if that says nothing."""
-        del origin, target, direction
-        return None
+__all__ = ["GraphMap", "GridMap", "KdMap", "map_of"]
 
 
 def map_of(structure: Structure) -> StructureMap:
@@ -82,18 +31,12 @@ def map_of(structure: Structure) -> StructureMap:
     ValueError
         If there is none.
     """
-    for kind, made in ((Grid, GridMap), (KdTree, KdMap), (Graph, GraphMap)):
+    for kind, made in ((Grid, GridMap), (KdTree, KdMap), (Graph, GraphMap), (Bvh, BvhMap)):
         if isinstance(structure, kind):
             return made(structure)  # type: ignore[arg-type]
     raise ValueError(
-        f"walk: expected a tracer of a grid, kdtree or graph, got one of {structure.name!r}"
+        f"walk: expected a tracer of a grid, kdtree, graph or bvh, got one of {structure.name!r}"
     )
-
-
-def _to_world(structure: Structure, local: NDArray[np.float64]) -> NDArray[np.float64]:
-    triangles = structure.triangles
-    world: NDArray[np.float64] = local / triangles.scale + triangles.center
-    return world
 
 
 class GridMap(StructureMap):
@@ -103,16 +46,31 @@ class GridMap(StructureMap):
         self._grid = grid
         lattice, fine = grid.lattice, grid.fine
         self.counts = lattice.counts
-        coarse = _cell_boxes(np.array(lattice.low), np.array(lattice.size), lattice.counts)
-        parts = [coarse]
-        self._first_of = {}
-        first = lattice.cell_count
+        # Where the cells of each fine lattice begin.
+        sizes = np.prod(fine.counts, axis=1, dtype=np.int64)
+        self._firsts = lattice.cell_count + np.cumsum(sizes) - sizes
+        self._row_of = {cell: row for row, cell in enumerate(fine.cells.tolist())}
+
+    @cached_property
+    def boxes(self) -> NDArray[np.float64]:
+        """Boxes of all cells by number, of shape (M, 2, 3), float64, world space."""
+        lattice, fine = self._grid.lattice, self._grid.fine
+        parts = [_cell_boxes(np.array(lattice.low), np.array(lattice.size), lattice.counts)]
         for cell, counts in zip(fine.cells.tolist(), fine.counts.tolist(), strict=True):
-            self._first_of[cell] = first
-            low, high = coarse[cell]
+            low, high = parts[0][cell]
             parts.append(_cell_boxes(low, (high - low) / counts, counts))
-            first += len(parts[-1])
-        self.boxes = _to_world(grid, np.concatenate(parts))
+        return to_world(self._grid, np.concatenate(parts))
+
+    def box(self, number: int) -> NDArray[np.float64]:
+        """See `StructureMap.box`."""
+        lattice, fine = self._grid.lattice, self._grid.fine
+        row = int(np.searchsorted(self._firsts, number, "right")) - 1
+        cell = number if row < 0 else int(fine.cells[row])
+        box = _cell_box(np.array(lattice.low), np.array(lattice.size), lattice.counts, cell)
+        if row >= 0:
+            counts, inner = fine.counts[row], number - int(self._firsts[row])
+            box = _cell_box(box[0], (box[1] - box[0]) / counts, counts, inner)
+        return to_world(self._grid, box)
 
     def kind(self, number: int) -> str:
         """See `StructureMap.kind`."""
@@ -133,11 +91,11 @@ class GridMap(StructureMap):
         row = number if number < count else number - count
         return int(lists.splits[row + 1]) - int(lists.splits[row])
 
-    def spot(self, ray: Any, place: Any) -> LocalSpot:
+    def spot(self, records: Records) -> LocalSpot:
         """See `StructureMap.spot`."""
-        del ray
+        place = records.place
         outer, cell = int(place["outer"]), int(place["cell"])
-        number = cell if outer < 0 else self._first_of[outer] + cell
+        number = cell if outer < 0 else int(self._firsts[self._row_of[outer]]) + cell
         t_out = min(float(place["t_next"].min()), float(place["t_end"]))
         return LocalSpot(number, float(place["t_in"]), t_out)
 
@@ -155,20 +113,14 @@ def _cell_boxes(low: Any, size: Any, counts: Any) -> NDArray[np.float64]:
     return np.stack([low + corner * size, low + (corner + 1) * size], axis=1)
 
 
-class _BlockMap(StructureMap):
-    """What lists triangles in blocks of four."""
-
-    _block_rows: NDArray[np.int32]
-    _blocks: NDArray[np.float32]
-
-    def tested(self, place: Any, count: int) -> tuple[int, ...]:
-        """See `StructureMap.tested`."""
-        row = (int(place["block"]) - self._blocks.ctypes.data) // _BLOCK_BYTES
-        last = row + -(-count // _LANES)
-        return tuple(self._block_rows[row:last].ravel()[:count].tolist())
+def _cell_box(low: Any, size: Any, counts: Any, number: int) -> NDArray[np.float64]:
+    """The box of one of a lattice's cells, of shape (2, 3)."""
+    nx, ny, _ = (int(count) for count in counts)
+    corner = np.array([number % nx, number // nx % ny, number // (nx * ny)])
+    return np.stack([low + corner * size, low + (corner + 1) * size])
 
 
-class KdMap(_BlockMap):
+class KdMap(BlockMap):
     """Nodes of a kd-tree, by their rows in `KdArrays.nodes`.
 
     Attributes
@@ -176,8 +128,6 @@ class KdMap(_BlockMap):
     axes, children : ndarray of shape (M,), int32
         Axis of each split, 3 for a leaf; row of its child below the plane, the other one being
         next to it, or number of a leaf's triangles.
-    planes : ndarray of shape (M,), float64
-        Where splits are, in world space; of no meaning for leaves.
     """
 
     def __init__(self, tree: KdTree) -> None:
@@ -191,22 +141,42 @@ class KdMap(_BlockMap):
         every = np.arange(len(nodes))
         self._splits = np.flatnonzero(~is_leaf) if packed else every
         self._leaves = np.flatnonzero(is_leaf) if packed else every
-        local = np.ascontiguousarray(nodes).view(np.float32)[:, 0].astype(np.float64)
-        boxes = np.zeros((len(nodes), 2, 3))
-        if len(nodes):
-            boxes[0] = tree.triangles.bounds
-        for node in self._rows_of_splits():
+        self._planes = np.ascontiguousarray(nodes).view(np.float32)[:, 0].astype(np.float64)
+        self._tree = tree
+        splits = np.flatnonzero(~is_leaf)
+        self._parents = np.full(len(nodes), -1)
+        self._parents[self.children[splits]] = self._parents[self.children[splits] + 1] = splits
+
+    @cached_property
+    def boxes(self) -> NDArray[np.float64]:
+        """Boxes of all nodes by row, of shape (M, 2, 3), float64, world space."""
+        boxes = np.zeros((len(self.axes), 2, 3))
+        if len(boxes):
+            boxes[0] = self._tree.triangles.bounds
+        for node in np.flatnonzero(self.axes != LEAF_AXIS).tolist():
             axis, child = self.axes[node], self.children[node]
             boxes[child : child + 2] = boxes[node]
-            boxes[child, 1, axis] = boxes[child + 1, 0, axis] = local[node]
-        self.boxes = _to_world(tree, boxes)
-        self.planes = np.zeros(len(nodes))
-        for node in self._rows_of_splits():
-            self.planes[node] = self.boxes[self.children[node], 1, self.axes[node]]
+            boxes[child, 1, axis] = boxes[child + 1, 0, axis] = self._planes[node]
+        return to_world(self._tree, boxes)
 
-    def _rows_of_splits(self) -> list[int]:
-        rows: list[int] = np.flatnonzero(self.axes != LEAF_AXIS).tolist()
-        return rows
+    @cached_property
+    def planes(self) -> NDArray[np.float64]:
+        """Where splits are, of shape (M,), float64, world space; leaves have 0."""
+        centers = np.append(self._tree.triangles.center, 0.0)[self.axes]
+        world = self._planes / self._tree.triangles.scale + centers
+        return np.where(self.axes == LEAF_AXIS, 0.0, world)
+
+    def box(self, number: int) -> NDArray[np.float64]:
+        """See `StructureMap.box`."""
+        box: NDArray[np.float64] = self._tree.triangles.bounds.astype(np.float64)
+        is_cut = np.zeros((2, 3), np.bool_)
+        while number != 0:  # upward: the first plane met on a side is the one that counts
+            parent = int(self._parents[number])
+            axis, side = int(self.axes[parent]), int(number == self.children[parent])
+            if not is_cut[side, axis]:
+                box[side, axis], is_cut[side, axis] = self._planes[parent], True
+            number = parent
+        return to_world(self._tree, box)
 
     def kind(self, number: int) -> str:
         """See `StructureMap.kind`."""
@@ -225,14 +195,15 @@ class KdMap(_BlockMap):
             return int(self._leaves[node & ((1 << LEAF_BIT) - 1)])
         return int(self._splits[node])
 
-    def spot(self, ray: Any, place: Any) -> LocalSpot:
+    def spot(self, records: Records) -> LocalSpot:
         """See `StructureMap.spot`."""
-        del ray
+        place = records.place
         row = self._row(int(place["node"]))
         return LocalSpot(row, float(place["t_in"]), float(place["t_out"]))
 
-    def stack(self, place: Any, memory: NDArray[np.uint8]) -> tuple[LocalSpot, ...]:
+    def stack(self, records: Records) -> tuple[LocalSpot, ...]:
         """See `StructureMap.stack`."""
+        place, memory = records.place, records.memory
         top = int(place["top"])
         if self._traversal == "stack":
             entries = memory[:top].view(np.uint32).reshape(-1, 2)
@@ -250,29 +221,32 @@ class KdMap(_BlockMap):
         return tuple(spots)
 
 
-class GraphMap(_BlockMap):
-    """Sectors of a graph.
-
-    Attributes
-    ----------
-    neighbors : list of list of list of int
-        For each sector and each of its faces, in the order of `FACES`, the sectors behind it.
-    """
+class GraphMap(BlockMap):
+    """Sectors of a graph."""
 
     def __init__(self, graph: Graph) -> None:
         self._block_rows, self._blocks = graph.graph.prim_ids, graph.blocks
         count, rows = graph.graph.sector_count, graph.graph.rows
         self._row_at = int(graph.arrays.rows)
-        self._nodes = rows.tolist()
+        self._nodes = rows
         sectors = rows[: SECTOR_ROWS * count].reshape(count, 16)
         planes = np.ascontiguousarray(sectors).view(np.float32).astype(np.float64)
-        self.boxes = _to_world(graph, np.stack([planes[:, 0:3], planes[:, 4:7]], axis=1))
+        self.boxes = to_world(graph, np.stack([planes[:, 0:3], planes[:, 4:7]], axis=1))
         self._opened = np.stack([planes[:, 0:3], planes[:, 4:7]], axis=1)
         links = sectors[:, 8:14]
         self._opened[:, 0][links[:, 0::2] == VOID] = -np.inf
         self._opened[:, 1][links[:, 1::2] == VOID] = np.inf
-        self._sizes = sectors[:, 7].tolist()
-        self.neighbors = [[self._behind(link) for link in row] for row in links.tolist()]
+        self._sizes, self._links = sectors[:, 7], links
+
+    @cached_property
+    def neighbors(self) -> list[list[list[int]]]:
+        """For each sector and each of its faces, in the order of `FACES`, the sectors behind."""
+        return [[self._behind(link) for link in row] for row in self._links.tolist()]
+
+    def box(self, number: int) -> NDArray[np.float64]:
+        """See `StructureMap.box`."""
+        box: NDArray[np.float64] = self.boxes[number]
+        return box
 
     def _behind(self, link: int) -> list[int]:
         """The sectors that a link leads to."""
@@ -283,7 +257,7 @@ class GraphMap(_BlockMap):
             if link == VOID:
                 continue
             if link & NODE_BIT:
-                waiting += self._nodes[link ^ NODE_BIT][2:4]
+                waiting += self._nodes[link ^ NODE_BIT][2:4].tolist()
             elif link // SECTOR_ROWS not in found:
                 found.append(link // SECTOR_ROWS)
         return sorted(found)
@@ -301,8 +275,9 @@ class GraphMap(_BlockMap):
         """See `StructureMap.list_size`."""
         return int(self._sizes[number])
 
-    def spot(self, ray: Any, place: Any) -> LocalSpot:
+    def spot(self, records: Records) -> LocalSpot:
         """See `StructureMap.spot`."""
+        ray, place = records.ray, records.place
         number = (int(place["sector"]) - self._row_at) // (16 * SECTOR_ROWS)
         # A place does not keep where its sector ends: it follows from the planes, as kernels
         # find it, here to a rounding.
@@ -318,6 +293,6 @@ class GraphMap(_BlockMap):
         """See `StructureMap.way`."""
         for axis in range(3):
             face = 2 * axis + int(direction[axis] > 0.0)
-            if direction[axis] != 0.0 and target in self.neighbors[origin][face]:
+            if direction[axis] != 0.0 and target in self._behind(int(self._links[origin, face])):
                 return FACES[face]
         return None

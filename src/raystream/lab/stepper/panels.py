@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from raystream.lab.stepper.flat import FlatScene
-from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap, StructureMap, map_of
+from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap, map_of
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.tracer import Tracer
 
@@ -29,13 +29,13 @@ class Panel(NamedTuple):
     title : str
     tracer : Tracer
         With ``counters=True``.
-    chart : StructureMap
+    chart : GridMap, KdMap or GraphMap
     """
 
     key: str
     title: str
     tracer: Tracer
-    chart: StructureMap
+    chart: GridMap | KdMap | GraphMap
 
     def drawing(self) -> dict[str, Any]:
         """What the page draws of the structure, in the plan."""
@@ -76,7 +76,9 @@ def make_panels(plan: FlatScene) -> list[Panel]:
     panels = []
     for key, title, structure, options in chosen:
         tracer = Tracer(plan.scene, structure, counters=True, **options)
-        panels.append(Panel(key, title, tracer, map_of(tracer.structure)))
+        chart = map_of(tracer.structure)
+        assert isinstance(chart, GridMap | KdMap | GraphMap)
+        panels.append(Panel(key, title, tracer, chart))
     return panels
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap, StructureMap
+from raystream.lab.stepper.chart import StructureMap
+from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap
 from raystream.lab.stepper.walk import Step, Walk
 from raystream.machines.records import RayState
 from raystream.structures.kdtree.short_stack import PLACES

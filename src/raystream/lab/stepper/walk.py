@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from raystream.core.rays import RayBatch
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.tally import COLUMNS, new_tallies
-from raystream.lab.stepper.maps import LocalSpot, StructureMap, map_of
+from raystream.lab.stepper.chart import LocalSpot, Records, StructureMap
+from raystream.lab.stepper.maps import map_of
 from raystream.machines import Multipass, Shown
 from raystream.machines.records import RayState
 from raystream.structures.ray_block import RayBlock, blocks
@@ -27,15 +28,17 @@ class Spot(NamedTuple):
     ----------
     number : int
         In a grid the cell's number (those of a second level come after all of the first); in a
-        kd-tree the node's row; in a graph the sector's number.
+        kd-tree the node's row; in a graph the sector's number; in a BVH the node's row, or
+        for a leaf the number of nodes and its first block.
     kind : str
-        ``"cell"``, ``"split"``, ``"leaf"`` or ``"sector"``.
+        ``"cell"``, ``"split"``, ``"node"``, ``"leaf"`` or ``"sector"``.
     low, high : tuple of three float
         Its box, world space.
     t_in, t_out : float
         In direction lengths. A ray that backtracks, or begins anew at the root, has an interval
         that ends where its search does. The last cell of a grid along an axis reaches on without
-        end: its t_out may lie far behind its box, and be inf.
+        end: its t_out may lie far behind its box, and be inf. A BVH's root is looked at by rays
+        that miss it, too: t_out is then below t_in.
     """
 
     number: int
@@ -91,7 +94,7 @@ class Walk(NamedTuple):
     Attributes
     ----------
     structure : str
-        ``"grid"``, ``"kdtree"`` or ``"graph"``.
+        ``"grid"``, ``"kdtree"``, ``"graph"`` or ``"bvh"``.
     traversal : str or None
         Of a kd-tree.
     origin, direction : tuple of three float
@@ -102,6 +105,8 @@ class Walk(NamedTuple):
     t : float
     prim_id : int
         The hit; inf and -1 for a miss.
+    is_whole : bool
+        Whether this is all; else hit and counts are those so far.
     """
 
     structure: str
@@ -112,17 +117,19 @@ class Walk(NamedTuple):
     counts: dict[str, int]
     t: float
     prim_id: int
+    is_whole: bool = True
 
     @property
     def cells(self) -> list[int]:
         """The cells, leaves or sectors that the ray looked at, in order."""
-        looks = ("leaf",) if self.structure == "kdtree" else ("traverse",)
-        return [
-            step.at.number for step in self.steps if step.kernel in looks and step.at is not None
-        ]
+        looks = "leaf" if self.structure == "kdtree" else "traverse"
+        spots = [step.at for step in self.steps if step.kernel == looks and step.at is not None]
+        return [at.number for at in spots if self.structure != "bvh" or at.kind == "leaf"]
 
 
-def walk(tracer: Tracer, origin: ArrayLike, direction: ArrayLike) -> Walk:
+def walk(
+    tracer: Tracer, origin: ArrayLike, direction: ArrayLike, *, most_steps: int | None = None
+) -> Walk:
     """Follow one ray to its nearest hit.
 
     The ray is traced by the multipass machine, a step in each pass, and its streams are read
@@ -131,9 +138,11 @@ def walk(tracer: Tracer, origin: ArrayLike, direction: ArrayLike) -> Walk:
     Parameters
     ----------
     tracer : Tracer
-        Of a grid, a kd-tree or a graph, on the CPU; its machine does not matter.
+        Of a grid, a kd-tree, a graph or a BVH, on the CPU; its machine does not matter.
     origin, direction : array_like of shape (3,), real
         World space, scene units.
+    most_steps : int, optional
+        Stop after so many: a cell of a grid can list a large part of a scene.
 
     Returns
     -------
@@ -165,8 +174,12 @@ def walk(tracer: Tracer, origin: ArrayLike, direction: ArrayLike) -> Walk:
     (block,) = blocks(batch, structure.frame, status, None)
     if status[0]:
         raise ValueError(f"walk: the ray from {origin!r} in direction {direction!r} is invalid")
-    recorder = _Recorder(chart, block)
-    Multipass(structure).shown_to(recorder.note).first_hit(block.rays, hits, None, tallies)
+    recorder = _Recorder(chart, block, math.inf if most_steps is None else most_steps)
+    is_whole = True
+    try:
+        Multipass(structure).shown_to(recorder.note).first_hit(block.rays, hits, None, tallies)
+    except _EnoughError:
+        is_whole = False
     start, way = (np.asarray(array, np.float64).reshape(3) for array in (origin, direction))
     return Walk(
         structure.name,
@@ -177,15 +190,20 @@ def walk(tracer: Tracer, origin: ArrayLike, direction: ArrayLike) -> Walk:
         dict(zip(COLUMNS, tallies[0].tolist(), strict=True)),
         recorder.world_t(float(hits.t[0])),
         int(hits.prim_id[0]),
+        is_whole,
     )
+
+
+class _EnoughError(Exception):
+    """Ends a walk that has as many steps as are wanted."""
 
 
 class _Recorder:
     """Turns what a machine shows of one ray into steps."""
 
-    def __init__(self, chart: StructureMap, block: RayBlock) -> None:
+    def __init__(self, chart: StructureMap, block: RayBlock, most_steps: float) -> None:
         self.steps: list[Step] = []
-        self._chart = chart
+        self._chart, self._most_steps = chart, most_steps
         self._block = block
         self._direction = block.rays.directions[0].astype(np.float64)
         self._place: Any = None
@@ -199,19 +217,22 @@ class _Recorder:
         assert shown.tallies is not None
         ray, place, state = (shown.streams[name][0].copy() for name in ("ray", "place", "state"))
         counts = dict(zip(COLUMNS, shown.tallies[0].tolist(), strict=True))
+        t_far = float(shown.streams["found"][0]["t_far"])
+        records = Records(ray, place, t_far, shown.stacks[0])
         if shown.kernel is not None:
             added = {name: n - self._counts[name] for name, n in counts.items()}
             after, at = RayState(int(state)), self._spot
+            if len(self.steps) >= self._most_steps:
+                raise _EnoughError
             # A ray that never entered is nowhere, and one that has ended stays where it was.
-            if at is None and after in (RayState.DONE, RayState.SHADING):
-                to = None
-            else:
-                to = self._world(self._chart.spot(ray, place))
+            is_over = at is None and after in (RayState.DONE, RayState.SHADING)
+            spot = None if is_over else self._chart.spot(records)
+            to = None if spot is None else self._world(spot)
             face = None
             if at is not None and to is not None and at.number != to.number:
                 face = self._chart.way(at.number, to.number, self._direction)
             tested = self._chart.tested(self._place, added["tests"]) if added["tests"] else ()
-            stack = () if to is None else self._chart.stack(place, shown.stacks[0])
+            stack = () if to is None else self._chart.stack(records)
             step = Step(
                 shown.kernel.name,
                 self._state,
@@ -238,7 +259,7 @@ class _Recorder:
         return float(array[0])
 
     def _world(self, spot: LocalSpot) -> Spot:
-        low, high = self._chart.boxes[spot.number]
+        low, high = self._chart.box(spot.number)
         return Spot(
             spot.number,
             self._chart.kind(spot.number),

@@ -1,0 +1,102 @@
+"""What a map of any structure tells: where a ray is, what is there, and what it tests."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.structures import Structure
+
+__all__ = ["BlockMap", "LocalSpot", "Records", "StructureMap", "to_world"]
+
+#: Bytes of a block of four triangles.
+_BLOCK_BYTES = 160
+_LANES = 4
+
+
+class LocalSpot(NamedTuple):
+    """A place in a structure, and the part of a ray in it in local direction lengths."""
+
+    number: int
+    t_in: float
+    t_out: float
+
+
+class Records(NamedTuple):
+    """What a machine keeps of one ray between two passes; see `machines.Shown`.
+
+    Attributes
+    ----------
+    ray, place : void
+        Its records in the streams of these names.
+    t_far : float
+        Beyond which no hit is wanted any more, local direction lengths.
+    memory : ndarray of shape (B,), uint8
+        Its own.
+    """
+
+    ray: Any
+    place: Any
+    t_far: float
+    memory: NDArray[np.uint8]
+
+
+class StructureMap(ABC):
+    """Reads what a ray's records say of one structure."""
+
+    @abstractmethod
+    def box(self, number: int) -> NDArray[np.float64]:
+        """Low and high corner of a cell, node or sector: shape (2, 3), float64, world space."""
+
+    @abstractmethod
+    def kind(self, number: int) -> str:
+        """``"cell"``, ``"split"``, ``"node"``, ``"leaf"`` or ``"sector"``."""
+
+    @abstractmethod
+    def label(self, number: int) -> str:
+        """What to call it in a sentence."""
+
+    @abstractmethod
+    def list_size(self, number: int) -> int:
+        """How many triangles it lists."""
+
+    @abstractmethod
+    def spot(self, records: Records) -> LocalSpot | None:
+        """Where a ray is; None for one that has nothing left to search."""
+
+    @abstractmethod
+    def tested(self, place: Any, count: int) -> tuple[int, ...]:
+        """The prim_ids of the next `count` triangles that a ray tests."""
+
+    def stack(self, records: Records) -> tuple[LocalSpot, ...]:
+        """What a ray has put aside, that which is next first."""
+        del records
+        return ()
+
+    def way(self, origin: int, target: int, direction: NDArray[np.float64]) -> str | None:
+        """How a ray went from one place to another: a face, or None if that says nothing."""
+        del origin, target, direction
+        return None
+
+
+def to_world(structure: Structure, local: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places of a structure's local frame in world space."""
+    triangles = structure.triangles
+    world: NDArray[np.float64] = local / triangles.scale + triangles.center
+    return world
+
+
+class BlockMap(StructureMap):
+    """What lists triangles in blocks of four."""
+
+    _block_rows: NDArray[np.int32]
+    _blocks: NDArray[np.float32]
+
+    def tested(self, place: Any, count: int) -> tuple[int, ...]:
+        """See `StructureMap.tested`."""
+        row = (int(place["block"]) - self._blocks.ctypes.data) // _BLOCK_BYTES
+        last = row + -(-count // _LANES)
+        return tuple(self._block_rows[row:last].ravel()[:count].tolist())
