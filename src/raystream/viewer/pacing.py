@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
-__all__ = ["SCALES", "Cost", "Resolution", "rows_of_slice"]
+__all__ = ["SCALES", "Cost", "FrameRate", "Resolution", "pause_after", "rows_of_slice"]
 
 #: Parts of the canvas's width and height that pictures have, from all of it down to an eighth.
 SCALES = (1.0, 0.8, 0.64, 0.5, 0.4, 0.32, 0.25, 0.2, 0.16, 0.125)
@@ -23,6 +24,10 @@ _NEW = 0.3
 #: A measurement that is so many times off says that the scene has changed: it is believed.
 _OTHER = 2.0
 
+#: Pauses between two pictures of a camera that rests: at first, in proportion to the time that
+#: has gone by, and at last.
+_FIRST_PAUSE, _PAUSE_SHARE, _LAST_PAUSE = 0.1, 0.15, 2.0
+
 
 class Cost:
     """What a pixel costs, learned from what pixels did.
@@ -36,6 +41,11 @@ class Cost:
     def __init__(self) -> None:
         self.seconds = math.nan
 
+    @property
+    def is_known(self) -> bool:
+        """Whether there is a number."""
+        return not math.isnan(self.seconds)
+
     def note(self, pixels: int, seconds: float) -> None:
         """Take in that so many pixels took so long."""
         measured = max(seconds, 1e-9) / max(pixels, 1)
@@ -48,6 +58,24 @@ class Cost:
     def expected(self, pixels: int) -> float:
         """Seconds that so many pixels will take; nan if that is not known."""
         return self.seconds * pixels
+
+
+class FrameRate:
+    """Pictures in a second, over the last one."""
+
+    def __init__(self) -> None:
+        self._moments: deque[float] = deque(maxlen=256)
+
+    def note(self, now: float) -> None:
+        """Take in that there is one more."""
+        self._moments.append(now)
+
+    def now(self, now: float) -> float:
+        """How many there are in a second; 0 where there were none in the last one."""
+        recent = [moment for moment in self._moments if now - moment <= 1.0]
+        if len(recent) < 2:
+            return 0.0
+        return round((len(recent) - 1) / max(recent[-1] - recent[0], 1e-9), 2)
 
 
 class Resolution:
@@ -89,9 +117,24 @@ class Resolution:
             From one frame to the next.
         """
         self._cost.note(pixels, seconds)
-        self.settle(width, height)
+        self._settle(width, height)
 
-    def settle(self, width: int, height: int) -> None:
+    def heed(self, width: int, height: int, cost: Cost) -> None:
+        """Take in what pixels cost to render: a frame takes at least as long as that.
+
+        So that even the first frames, and those that are broken off, are not too large.
+
+        Parameters
+        ----------
+        width, height : int
+            Of the canvas.
+        cost : Cost
+        """
+        if cost.seconds > self._cost.seconds or math.isnan(self._cost.seconds):
+            self._cost.seconds = cost.seconds
+            self._settle(width, height)
+
+    def _settle(self, width: int, height: int) -> None:
         """Choose the size for a canvas by what is known."""
         expected = self._expected(self._step, width, height)
         if expected > _TOO_LONG * self._target:
@@ -115,6 +158,11 @@ def scaled_size(width: int, height: int, scale: float) -> tuple[int, int]:
     return max(round(width * scale), least[0]), max(round(height * scale), least[1])
 
 
+def pause_after(seconds: float) -> float:
+    """Seconds between two pictures while samples are gathered, after so many of gathering."""
+    return min(max(_FIRST_PAUSE, _PAUSE_SHARE * seconds), _LAST_PAUSE)
+
+
 def rows_of_slice(rows_left: int, row_seconds: float, seconds: float) -> int:
     """Rows to do now, so that slices take about as long as they may, and end together.
 
@@ -128,6 +176,6 @@ def rows_of_slice(rows_left: int, row_seconds: float, seconds: float) -> int:
         What a slice may take.
     """
     if math.isnan(row_seconds):
-        return max(1, rows_left // 16)
+        return max(1, rows_left // 8)
     slices = max(1, round(rows_left * row_seconds / seconds))
     return min(rows_left, max(1, -(-rows_left // slices)))

@@ -7,7 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,11 @@ from raystream.render.accumulation import Accumulation
 from raystream.render.progressive import trace_sample
 from raystream.render.sampled import SampledRenderer, Setting
 from raystream.render.sampling.sampler import Sampler
+from raystream.viewer.messages import Message
 from raystream.viewer.pacing import Cost, rows_of_slice
+from raystream.viewer.settings import Look
 
-__all__ = ["BrokenOffError", "Picture", "SampledPicture", "centered", "spread"]
+__all__ = ["BrokenOffError", "Drawing", "Picture", "SampledPicture", "centered", "spread"]
 
 #: A slice that takes so many times what it may is given up, and tried with fewer rows.
 _GIVE_UP = 6.0
@@ -33,6 +35,42 @@ class _TooLongError(Exception):
     """Ends a slice that takes much longer than was expected."""
 
 
+class _Watch:
+    """Watches over a slice, as the callback for its progress."""
+
+    def __init__(self, is_wanted: Callable[[], bool], most: float) -> None:
+        self._is_wanted, self._most = is_wanted, most
+        self._started = time.perf_counter()
+        self.reached = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Since it began."""
+        return time.perf_counter() - self._started
+
+    def __call__(self, done: int, total: int) -> None:
+        self.reached = done / max(total, 1)
+        if not self._is_wanted():
+            raise BrokenOffError
+        if done < total and self.seconds > self._most:
+            raise _TooLongError
+
+
+class Drawing(NamedTuple):
+    """A picture as it is shown.
+
+    Attributes
+    ----------
+    pixels : ndarray of shape (H, W, 3), float32
+        Linear RGB.
+    look : Look
+        How it is encoded.
+    """
+
+    pixels: NDArray[np.float32]
+    look: Look
+
+
 class Picture(ABC):
     """A picture that is made row by row, once for each of its samples.
 
@@ -44,6 +82,8 @@ class Picture(ABC):
         Samples.
     cost : Cost
         What is known of such pictures; it learns from this one.
+    most_rows : int, optional
+        That fit into a slice.
 
     Attributes
     ----------
@@ -53,8 +93,11 @@ class Picture(ABC):
         That the latest sample took, or took so far.
     """
 
-    def __init__(self, size: tuple[int, int], target: int, cost: Cost) -> None:
+    def __init__(
+        self, size: tuple[int, int], target: int, cost: Cost, most_rows: int = 1 << 30
+    ) -> None:
         self.width, self.height = size
+        self._most_rows = most_rows
         self.target = target
         self.samples = 0
         self.seconds = 0.0
@@ -65,11 +108,6 @@ class Picture(ABC):
     def is_done(self) -> bool:
         """Whether it has all its samples."""
         return self.samples >= self.target
-
-    @property
-    def is_between_samples(self) -> bool:
-        """Whether no sample is begun."""
-        return self._row == 0
 
     @property
     def seconds_left(self) -> float:
@@ -103,29 +141,20 @@ class Picture(ABC):
         """
         left = self.height - self._row
         count = rows_of_slice(left, self._cost.expected(self.width), seconds)
-        started = time.perf_counter()
+        count = min(count, self._most_rows)
         if self._row == 0:
             self.seconds = 0.0
-
-        def watch(done: int, total: int) -> None:
-            if not is_wanted():
-                raise BrokenOffError
-            if count > 1 and done < total:
-                spent = time.perf_counter() - started
-                if spent > _GIVE_UP * seconds:
-                    raise _TooLongError
-
+        watch = _Watch(is_wanted, _GIVE_UP * seconds if count > 1 else math.inf)
         rows = range(self._row, self._row + count)
         try:
             self._trace(rows, self.samples, watch)
         except _TooLongError:
-            spent = time.perf_counter() - started
-            self.seconds += spent
-            self._cost.note(1, max(self._cost.seconds, spent / (self.width * count)) * 2.0)
+            # What was done says how long the rest would have taken, as far as it can be told.
+            self._cost.note(max(int(self.width * count * watch.reached), 1), watch.seconds)
+            self.seconds += watch.seconds
             return False
-        spent = time.perf_counter() - started
-        self.seconds += spent
-        self._cost.note(self.width * count, spent)
+        self.seconds += watch.seconds
+        self._cost.note(self.width * count, watch.seconds)
         self._row = rows.stop
         if self._row < self.height:
             return False
@@ -138,8 +167,17 @@ class Picture(ABC):
         """Take one sample of some rows."""
 
     @abstractmethod
-    def pixels(self) -> NDArray[np.float32]:
-        """What it shows so far: shape (H, W, 3), float32, linear RGB."""
+    def draw(self, look: Look) -> Callable[[], Drawing]:
+        """What it shows so far; to be asked on any thread, while more samples are taken."""
+
+    def draw_whole(self, look: Look) -> Callable[[], Drawing]:
+        """The same for a file of its own, where nothing is beside it to explain it."""
+        return self.draw(look)
+
+    def facts(self, look: Look) -> Message:
+        """What is known of it besides."""
+        del look
+        return {"counters": None}
 
     def noise(self) -> float | None:
         """Its relative error, if that is known; it takes a while to find."""
@@ -175,12 +213,14 @@ class SampledPicture(Picture):
         elif self._light is not None:
             self._light[first : first + len(light)] = light
 
-    def pixels(self) -> NDArray[np.float32]:
-        """See `Picture.pixels`."""
+    def draw(self, look: Look) -> Callable[[], Drawing]:
+        """See `Picture.draw`."""
         if self._sums is not None:
-            return self._sums.mean()
-        assert self._light is not None
-        return self._light.reshape(self.height, self.width, 3)
+            pixels = self._sums.mean()
+        else:
+            assert self._light is not None
+            pixels = self._light.reshape(self.height, self.width, 3)
+        return lambda: Drawing(pixels, look)
 
     def noise(self) -> float | None:
         """See `Picture.noise`."""

@@ -137,6 +137,7 @@ class Settings:
                 read.setdefault(name, None)
         made = replace(self, **read)
         made._check_together()
+        _ = made.mode_options  # which checks them
         return made
 
     def _check_together(self) -> None:

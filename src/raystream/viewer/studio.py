@@ -10,14 +10,12 @@ from typing import Any
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 from raystream.viewer.catalogue import hello
-from raystream.viewer.encoding import Encoder
-from raystream.viewer.jobs import Jobs
 from raystream.viewer.messages import Send
 from raystream.viewer.scenes import Staged
 from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import Tracers
 from raystream.viewer.turns import Turns
-from raystream.viewer.visitor import Visitor
+from raystream.viewer.visitor import Crew, Visitor
 
 __all__ = ["Studio"]
 
@@ -61,13 +59,14 @@ class Studio:
         tracer = scene if isinstance(scene, Tracer) else None
         self._settings = _settings_of(tracer, settings or {})
         shown = scene.scene if isinstance(scene, Tracer) else scene
-        self.jobs = Jobs()
+        self._crew = Crew(self._wake)
         key = None if tracer is None else _settings_of(tracer, {}).tracer_key
-        self.home = Staged(shown, name, False, Tracers(shown, self.jobs, tracer, key))
-        self.encoder = Encoder()
+        tracers = Tracers(shown, self._crew.builds, tracer, key)
+        self._home = Staged(shown, name, False, tracers)
         self._turns: Turns[Visitor] = Turns()
         self._changed = threading.Condition()
         self._visitors: list[Visitor] = []
+        self._left: list[Visitor] = []
         self._is_closed = False
         self._is_woken = False
         self._thread = threading.Thread(target=self._work, name="raystream viewer", daemon=True)
@@ -91,14 +90,14 @@ class Studio:
         RuntimeError
             If the studio is closed.
         """
-        visitor = Visitor(self, send, self.home, self._settings)
+        visitor = Visitor(self._crew, send, self._home, self._settings, self._drop)
         visitor.tell(hello())
         visitor.begin()
         with self._changed:
             if self._is_closed:
                 raise RuntimeError("the studio is closed")
             self._visitors.append(visitor)
-        self.wake()
+        self._wake()
         return visitor
 
     def close(self) -> None:
@@ -112,22 +111,23 @@ class Studio:
         for visitor in visitors:
             visitor.tell({"type": "closing", "reason": "the viewer was closed"})
             visitor.leave()
-        self.jobs.close()
         self._thread.join(10.0)
-        self.encoder.close()
+        self._crew.close()
 
-    def wake(self) -> None:
+    def _wake(self) -> None:
         """Let the worker look for work."""
         with self._changed:
             self._is_woken = True
             self._changed.notify_all()
 
-    def drop(self, visitor: Visitor) -> None:
+    def _drop(self, visitor: Visitor) -> None:
         """Forget a visitor who has left."""
         with self._changed:
             if visitor in self._visitors:
                 self._visitors.remove(visitor)
             self._turns.forget(visitor)
+            self._left.append(visitor)
+            self._changed.notify_all()
 
     def _work(self) -> None:
         while True:
@@ -135,11 +135,14 @@ class Studio:
                 if self._is_closed:
                     return
                 self._is_woken = False
-                visitors = list(self._visitors)
+                visitors, left = list(self._visitors), list(self._left)
+                self._left.clear()
+            for visitor in left:
+                visitor.rest()
             ready = [visitor for visitor in visitors if visitor.has_work()]
             if not ready:
                 with self._changed:
-                    if not self._is_woken and not self._is_closed:
+                    if not self._is_woken and not self._left and not self._is_closed:
                         self._changed.wait(_LOOK_SECONDS if visitors else None)
                 continue
             self._take_turn(ready)

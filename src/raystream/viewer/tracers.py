@@ -19,7 +19,7 @@ from raystream.viewer.jobs import Job, Jobs
 from raystream.viewer.messages import Message, finite_or_none
 from raystream.viewer.settings import Settings, TracerKey
 
-__all__ = ["Prepared", "Tracers", "Waiter", "device_lock"]
+__all__ = ["Prepared", "Tracers", "Waiter", "device_is_free", "device_lock"]
 
 #: Tracers that are kept of a scene, and their structures' bytes together; the ones that were
 #: used last, and at least one.
@@ -241,7 +241,12 @@ def _try(settings: Settings, setting: Setting) -> None:
     Accumulation(_TRIAL, 1).add_samples(0, light)
 
 
-_LOCKS: dict[str, Any] = {"graphics": threading.Lock(), "cuda": threading.Lock()}
+_LOCKS: dict[str, threading.Lock] = {"graphics": threading.Lock(), "cuda": threading.Lock()}
+
+
+def device_is_free(device: str) -> bool:
+    """Whether `device_lock` can be had at once."""
+    return device not in _LOCKS or not _LOCKS[device].locked()
 
 
 def device_lock(device: str) -> AbstractContextManager[Any]:

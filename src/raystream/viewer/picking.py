@@ -1,0 +1,115 @@
+"""Picking: what lies along the ray of a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.hits import MultiHits
+from raystream.scene.camera import Camera
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+from raystream.viewer.messages import Message, finite_or_none, read_number, read_whole
+
+__all__ = ["MAX_ROWS", "PixelRay", "hits_along", "pixel_ray"]
+
+#: Hits that are told; the total says how many there are.
+MAX_ROWS = 1000
+
+_WHOLE = 1 << 53  # integers that a page can count
+_LONGEST_NAME = 200
+
+
+class PixelRay(NamedTuple):
+    """The ray through the middle of a pixel.
+
+    Attributes
+    ----------
+    number : int
+        Of the message that asked for it.
+    origin : ndarray of shape (3,), float64
+    direction : ndarray of shape (3,), float32
+        Unit length.
+    """
+
+    number: int
+    origin: NDArray[np.float64]
+    direction: NDArray[np.float32]
+
+    def message(self) -> Message:
+        """Where it runs."""
+        return {
+            "type": "hits",
+            "number": self.number,
+            "origin": self.origin.tolist(),
+            "direction": self.direction.tolist(),
+        }
+
+
+def pixel_ray(message: Mapping[str, Any], camera: Camera, size: tuple[int, int]) -> PixelRay:
+    """The ray that a message asks for.
+
+    Parameters
+    ----------
+    message : mapping
+        With ``number``, and ``x`` and ``y`` from 0 to 1: across and down the picture.
+    camera : Camera
+    size : (int, int)
+        Width and height of the picture in pixels.
+
+    Raises
+    ------
+    MessageError
+        If it asks for none.
+    """
+    number = read_whole(message, "number", 0, _WHOLE)
+    x, y = (read_number(message, name, 0.0, 1.0) for name in ("x", "y"))
+    width, height = size
+    column, row = min(int(x * width), width - 1), min(int(y * height), height - 1)
+    origin, direction = camera.rays(width, height, column + 0.5, row + 0.5)
+    return PixelRay(number, np.array(origin), direction)
+
+
+def hits_along(tracer: Tracer, ray: PixelRay) -> Message:
+    """All hits of a ray by increasing distance, the first `MAX_ROWS` of them in detail.
+
+    Returns
+    -------
+    dict
+        ``hits`` and ``total``.
+    """
+    origin, direction = ray.origin[None], ray.direction[None]
+    total = int(tracer.count_hits(origin, direction)[0])
+    found = tracer.multi_hit(origin, direction, max_hits=MAX_ROWS)
+    return {"hits": _rows(tracer.scene, found), "total": total}
+
+
+def _rows(scene: Scene, found: MultiHits) -> list[Message]:
+    columns = zip(
+        found.t.tolist(),
+        found.prim_id.tolist(),
+        found.mesh_id.tolist(),
+        found.mesh_prim_id.tolist(),
+        found.positions.tolist(),
+        found.normals.tolist(),
+        strict=True,
+    )
+    rows = []
+    for t, prim_id, mesh_id, mesh_prim_id, position, normal in columns:
+        mesh = scene.meshes[mesh_id]
+        material = scene.materials[int(mesh.material_ids[mesh_prim_id])]
+        rows.append(
+            {
+                "t": finite_or_none(t),
+                "prim_id": prim_id,
+                "mesh_id": mesh_id,
+                "mesh": mesh.name[:_LONGEST_NAME],
+                "material": material.name[:_LONGEST_NAME],
+                "position": [finite_or_none(part) for part in position],
+                "normal": [finite_or_none(part) for part in normal],
+            }
+        )
+    return rows

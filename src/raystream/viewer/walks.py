@@ -1,0 +1,96 @@
+"""Walks: one ray's way through a structure, for messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raystream.core.rays import RayBatch
+from raystream.kernels.tally import COLUMNS
+from raystream.lab.stepper import Spot, Step, Walk, walk
+from raystream.machines import make_machine
+from raystream.machines.counting import Counting
+from raystream.tracer import Tracer
+from raystream.viewer.messages import Message, finite_or_none
+from raystream.viewer.picking import PixelRay
+
+__all__ = ["MAX_STEPS", "MAX_TESTED", "walk_along"]
+
+#: Steps that are told, and triangles that one tells of.
+MAX_STEPS, MAX_TESTED = 300, 32
+
+#: Structures whose walks say nothing.
+_NO_WALK = {"brute": "brute force has no structure to walk through: it tests every triangle"}
+
+
+def walk_along(tracer: Tracer, ray: PixelRay) -> Message:
+    """A ray's way to its nearest hit, step by step, and what it met in all.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    ray : PixelRay
+
+    Returns
+    -------
+    dict
+        ``walk``: see `_walk_message`; None where there is none, with ``walk_reason``. And
+        ``counts`` of the ray, by the names of `RayCounters`; None on devices that keep theirs.
+    """
+    if tracer.device == "cuda":
+        reason = "walks are followed on the cpu: choose that device"
+        return {"walk": None, "walk_reason": reason, "counts": None}
+    counts = _counts(tracer, ray)
+    if tracer.structure.name in _NO_WALK:
+        reason = _NO_WALK[tracer.structure.name]
+        return {"walk": None, "walk_reason": reason, "counts": counts}
+    way = walk(tracer, ray.origin, ray.direction, most_steps=MAX_STEPS)
+    return {"walk": _walk_message(way, counts), "walk_reason": None, "counts": counts}
+
+
+def _counts(tracer: Tracer, ray: PixelRay) -> dict[str, int]:
+    counting = make_machine("branching", tracer.structure, True, {})
+    assert isinstance(counting, Counting)
+    batch = RayBatch(ray.origin[None], ray.direction[None], 0.0, np.inf)
+    counting.first_hit_batch(batch, np.zeros(1, np.uint8))
+    assert counting.latest is not None
+    return {name: int(getattr(counting.latest, name)[0]) for name in COLUMNS}
+
+
+def _walk_message(way: Walk, counts: dict[str, int]) -> Message:
+    """A walk: ``more`` is how many steps are left out, None where nobody has counted them."""
+    return {
+        "structure": way.structure,
+        "traversal": way.traversal,
+        "counts": counts,
+        "steps": [_step_message(step) for step in way.steps],
+        "more": 0 if way.is_whole else None,
+        "is_whole": way.is_whole,
+    }
+
+
+def _step_message(step: Step) -> Message:
+    at = step.at
+    return {
+        "kernel": step.kernel,
+        "at": None if at is None else _spot_message(at),
+        "face": step.face,
+        "tested": list(step.tested[:MAX_TESTED]),
+        "tested_count": len(step.tested),
+        "t_in": None if at is None else finite_or_none(at.t_in),
+        "t_out": None if at is None else finite_or_none(at.t_out),
+        "t": finite_or_none(step.t),
+        "prim_id": step.prim_id,
+        "put_aside": len(step.stack),
+        "counts": step.counts,
+    }
+
+
+def _spot_message(spot: Spot) -> dict[str, Any]:
+    return {
+        "number": spot.number,
+        "kind": spot.kind,
+        "low": [finite_or_none(part) for part in spot.low],
+        "high": [finite_or_none(part) for part in spot.high],
+    }
