@@ -1,0 +1,212 @@
+"""Serve: a studio on an address of this machine, in a thread, with a clean end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import ipaddress
+import os
+import socket
+import threading
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from raystream.core.errors import RaystreamError
+
+if TYPE_CHECKING:
+    from uvicorn import Server as UvicornServer
+
+    from raystream.viewer.server.visits import Visits
+    from raystream.viewer.studio import Studio
+
+__all__ = ["DEFAULT_UPLOAD_LIMIT", "PREFERRED_PORT", "ViewServer", "bind"]
+
+#: The port that is tried first when none is asked for.
+PREFERRED_PORT = 8008
+
+#: Bytes of one upload, all its files together.
+DEFAULT_UPLOAD_LIMIT = 256 << 20
+
+#: Seconds that connections have to end when the server does.
+END_TIMEOUT = 5
+
+
+def bind(host: str = "127.0.0.1", port: int | None = None) -> socket.socket:
+    """Take an address of this machine.
+
+    Parameters
+    ----------
+    host : str
+        An address, or a name that has one.
+    port : int, optional
+        Without it, 8008, or any that is free.
+
+    Returns
+    -------
+    socket
+        Bound, not yet listening.
+
+    Raises
+    ------
+    RaystreamError
+        If there is no such address here, or the port is taken.
+    """
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except (OSError, UnicodeError):
+        raise RaystreamError(f"--host: {host!r} is no address of this machine") from None
+    family, _, _, _, address = found[0]
+    if port is not None:
+        return _bind_to(family, str(address[0]), port)
+    try:
+        return _bind_to(family, str(address[0]), PREFERRED_PORT)
+    except RaystreamError:
+        return _bind_to(family, str(address[0]), 0)
+
+
+def _bind_to(family: int, address: str, port: int) -> socket.socket:
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if os.name == "posix":  # elsewhere it would let two servers share a port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((address, port))
+        listener.listen(128)
+    except OSError as error:
+        listener.close()
+        raise RaystreamError(_why_not(error, address, port)) from error
+    return listener
+
+
+def _why_not(error: OSError, address: str, port: int) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return f"--port: {port} is in use on {address}; leave it out to take any that is free"
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return f"--port: {port} may not be used by this user; choose one above 1023"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"--host: {address} is no address of this machine"
+    return f"--host, --port: cannot use {address}, port {port} ({error.strerror})"
+
+
+class ViewServer:
+    """A studio that can be reached at an address, until it is closed.
+
+    It runs in a thread of its own, which ends with the process; a context manager.
+
+    Parameters
+    ----------
+    studio : Studio
+        Closed with the server.
+    listener : socket
+        From `bind`.
+    upload_limit : int
+        Bytes of one upload, all its files together.
+
+    Raises
+    ------
+    RaystreamError
+        If the extra packages are not installed.
+    """
+
+    def __init__(
+        self,
+        studio: Studio,
+        listener: socket.socket,
+        *,
+        upload_limit: int = DEFAULT_UPLOAD_LIMIT,
+    ) -> None:
+        self._studio = studio
+        self._listener = listener
+        self._server, self._visits = _make_server(studio, upload_limit)
+        self._started = threading.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._lock = threading.Lock()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, name="raystream-view", daemon=True)
+        self._thread.start()
+        self._started.wait()
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the page."""
+        address, port = self._listener.getsockname()[:2]
+        host = f"[{address}]" if ipaddress.ip_address(address).version == 6 else address
+        return f"http://{host}:{port}/"
+
+    @property
+    def visit_count(self) -> int:
+        """How many are connected."""
+        return len(self._visits)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it can be reached."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """End all connections, the server and the studio; again has no effect."""
+        with self._lock:
+            if self._is_closed:
+                return
+            self._is_closed = True
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has ended by itself
+                self._loop.call_soon_threadsafe(self._visits.close)
+        self._server.should_exit = True
+        self._thread.join(2 * END_TIMEOUT)
+        self._studio.close()
+
+    def __enter__(self) -> ViewServer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        try:
+            with asyncio.Runner() as runner:
+                runner.run(self._serve())
+        finally:
+            self._started.set()
+            self._listener.close()
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._started.set()
+        await self._server.serve(sockets=[self._listener])
+
+
+def _make_server(studio: Studio, upload_limit: int) -> tuple[UvicornServer, Visits]:
+    try:
+        import starlette  # noqa: F401
+        import uvicorn
+        import websockets  # noqa: F401
+    except ImportError as error:
+        raise RaystreamError(
+            f"the viewer needs {error.name}: pip install 'raystream[view]'"
+        ) from None
+    from raystream.viewer.server.app import make_app
+    from raystream.viewer.server.messages import MAX_MESSAGE_BYTES
+    from raystream.viewer.server.transport import HttpProtocol, WebSocketProtocol
+    from raystream.viewer.server.visits import Visits
+
+    visits = Visits(upload_limit)
+    config = uvicorn.Config(
+        make_app(studio, visits),
+        loop="asyncio",
+        http=HttpProtocol,
+        ws=WebSocketProtocol,
+        ws_max_size=MAX_MESSAGE_BYTES,
+        ws_per_message_deflate=False,  # pictures are packed, and a small message may unpack to much
+        lifespan="off",
+        log_config=None,
+        proxy_headers=False,
+        server_header=False,
+        timeout_graceful_shutdown=END_TIMEOUT,
+    )
+    return uvicorn.Server(config), visits

@@ -1,0 +1,147 @@
+"""Transport: uvicorn's protocols, with an end to the patience that they have with clients."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from raystream.viewer.server.socket import ABORT
+
+__all__ = ["HttpProtocol", "WebSocketProtocol"]
+
+#: Seconds that a client has for the head of a request.
+HEAD_TIMEOUT = 10.0
+
+#: Seconds in which a client has to read something of what waits for it.
+READ_TIMEOUT = 20.0
+
+#: Seconds from the end of a connection until it is cut, whatever still waits.
+CLOSE_TIMEOUT = 5.0
+
+#: Connections of any kind; a page uses up to seven.
+MAX_SOCKETS = 256
+
+
+class HttpProtocol(H11Protocol):
+    """HTTP for clients that may send slowly, read nothing, or be too many."""
+
+    _alarm: asyncio.TimerHandle | None = None
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.access_log = False  # a line would show the token
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Count one more, and wait for its request."""
+        super().connection_made(transport)
+        if len(self.connections) > MAX_SOCKETS:
+            transport.abort()
+            return
+        self._set_alarm(HEAD_TIMEOUT)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Let it go."""
+        self._unset_alarm()
+        super().connection_lost(error)
+
+    def data_received(self, data: bytes) -> None:
+        """Read on; from the head of a request on, the application is patient or not."""
+        super().data_received(data)
+        cycle: Any = self.cycle  # None before the first request
+        if cycle is not None and not cycle.response_complete:
+            self._unset_alarm()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request, or for the end."""
+        self._set_alarm(HEAD_TIMEOUT)
+        super().on_response_complete()
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """Leave the connection to the other protocol."""
+        self._unset_alarm()
+        super().handle_websocket_upgrade(event)
+
+    def pause_writing(self) -> None:
+        """Wait for a client to read."""
+        super().pause_writing()
+        self._set_alarm(READ_TIMEOUT)
+
+    def resume_writing(self) -> None:
+        """Go on: it has read."""
+        super().resume_writing()
+        self._unset_alarm()
+
+    def _set_alarm(self, seconds: float) -> None:
+        self._unset_alarm()
+        if self.transport.is_closing():
+            seconds = min(seconds, CLOSE_TIMEOUT)
+        self._alarm = self.loop.call_later(seconds, self.transport.abort)
+
+    def _unset_alarm(self) -> None:
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
+
+
+class WebSocketProtocol(WebSocketsSansIOProtocol):
+    """A websocket for clients that may read nothing; the application can cut it."""
+
+    _alarm: asyncio.TimerHandle | None = None
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.close_timeout = CLOSE_TIMEOUT
+
+    def handle_connect(self, event: Any) -> None:
+        """Begin, and tell the application how to end."""
+        super().handle_connect(event)
+        if hasattr(self, "scope"):
+            self.scope["extensions"][ABORT] = {"call": self.transport.abort}
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Let it go."""
+        self._unset_alarm()
+        super().connection_lost(error)
+
+    def pause_writing(self) -> None:
+        """Wait for a client to read, and answer no pings meanwhile."""
+        super().pause_writing()
+        self.transport.pause_reading()
+        self._set_alarm(READ_TIMEOUT)
+
+    def resume_writing(self) -> None:
+        """Go on: it has read."""
+        super().resume_writing()
+        if self.transport.is_closing():
+            return
+        if not self.read_paused:
+            self.transport.resume_reading()
+        self._unset_alarm()
+
+    async def run_asgi(self) -> None:
+        """Run the application; what it leaves unread is not waited for."""
+        await super().run_asgi()
+        self._set_alarm(CLOSE_TIMEOUT)
+
+    def keepalive_timeout(self) -> None:
+        """End with a client that answers no pings."""
+        super().keepalive_timeout()
+        self._set_alarm(CLOSE_TIMEOUT)
+
+    def shutdown(self) -> None:
+        """End with the server."""
+        super().shutdown()
+        self._set_alarm(CLOSE_TIMEOUT)
+
+    def _set_alarm(self, seconds: float) -> None:
+        self._unset_alarm()
+        if self in self.connections:
+            self._alarm = self.loop.call_later(seconds, self.transport.abort)
+
+    def _unset_alarm(self) -> None:
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
