@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from raystream.core.errors import RaystreamError
+from raystream.viewer.server.access import Access
 
 if TYPE_CHECKING:
     from uvicorn import Server as UvicornServer
@@ -98,14 +99,19 @@ class ViewServer:
     studio : Studio
         Closed with the server.
     listener : socket
-        From `bind`.
+        From `bind`; closed with the server.
+    host : str, optional
+        What the user called the listener's address.
+    token : str, optional
+        What a browser must show first. Made if it is left out and the address is not the
+        loopback one: no other can be used without a token.
     upload_limit : int
         Bytes of one upload, all its files together.
 
     Raises
     ------
     RaystreamError
-        If the extra packages are not installed.
+        If the extra packages are not installed, or the token is too easy to guess.
     """
 
     def __init__(
@@ -113,11 +119,15 @@ class ViewServer:
         studio: Studio,
         listener: socket.socket,
         *,
+        host: str = "",
+        token: str | None = None,
         upload_limit: int = DEFAULT_UPLOAD_LIMIT,
     ) -> None:
         self._studio = studio
         self._listener = listener
-        self._server, self._visits = _make_server(studio, upload_limit)
+        self.address, self.port = listener.getsockname()[:2]
+        self._access = Access(self.address, self.port, host=host, token=token)
+        self._server, self._visits = _make_server(studio, self._access, upload_limit)
         self._started = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lock = threading.Lock()
@@ -127,11 +137,19 @@ class ViewServer:
         self._started.wait()
 
     @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        return self._access.is_loopback
+
+    @property
     def url(self) -> str:
-        """Where a browser finds the page."""
-        address, port = self._listener.getsockname()[:2]
-        host = f"[{address}]" if ipaddress.ip_address(address).version == 6 else address
-        return f"http://{host}:{port}/"
+        """Where a browser finds the page, with the token if there is one."""
+        address = ipaddress.ip_address(self.address)
+        host = f"[{address}]" if address.version == 6 else str(address)
+        if address.is_unspecified:
+            host = socket.gethostname().lower()
+        query = "" if self._access.token is None else f"?token={self._access.token}"
+        return f"http://{host}:{self.port}/{query}"
 
     @property
     def visit_count(self) -> int:
@@ -181,7 +199,7 @@ class ViewServer:
         await self._server.serve(sockets=[self._listener])
 
 
-def _make_server(studio: Studio, upload_limit: int) -> tuple[UvicornServer, Visits]:
+def _make_server(studio: Studio, access: Access, upload_limit: int) -> tuple[UvicornServer, Visits]:
     try:
         import starlette  # noqa: F401
         import uvicorn
@@ -197,7 +215,7 @@ def _make_server(studio: Studio, upload_limit: int) -> tuple[UvicornServer, Visi
 
     visits = Visits(upload_limit)
     config = uvicorn.Config(
-        make_app(studio, visits),
+        make_app(studio, visits, access),
         loop="asyncio",
         http=HttpProtocol,
         ws=WebSocketProtocol,

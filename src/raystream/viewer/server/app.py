@@ -8,8 +8,11 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
+from raystream.viewer.server.access import Access
+from raystream.viewer.server.guard import Guard
 from raystream.viewer.server.pages import INDEX, read_page_files
 from raystream.viewer.server.socket import live
 from raystream.viewer.server.uploads import receive_upload
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["make_app"]
 
 
-def make_app(studio: Studio, visits: Visits) -> Starlette:
+def make_app(studio: Studio, visits: Visits, access: Access) -> ASGIApp:
     """Make the application.
 
     Parameters
@@ -30,10 +33,12 @@ def make_app(studio: Studio, visits: Visits) -> Starlette:
         What renders.
     visits : Visits
         Who is connected.
+    access : Access
+        Who may be.
 
     Returns
     -------
-    Starlette
+    ASGI application
         ``GET /``, ``GET /page/NAME``, ``PUT /uploads/ID/NAME`` and the websocket ``/live``;
         whatever else is asked for is not there.
     """
@@ -51,11 +56,12 @@ def make_app(studio: Studio, visits: Visits) -> Starlette:
     async def socket(websocket: WebSocket) -> None:
         await live(websocket, studio, visits)
 
-    return Starlette(
-        routes=[
-            Route("/", page, methods=["GET"]),
-            Route("/page/{name}", page, methods=["GET"]),
-            Route("/uploads/{upload}/{name}", upload, methods=["PUT"]),
-            WebSocketRoute("/live", socket),
-        ]
-    )
+    routes = [
+        Route("/", page, methods=["GET"]),
+        Route("/page/{name}", page, methods=["GET"]),
+        Route("/uploads/{upload}/{name}", upload, methods=["PUT"]),
+        WebSocketRoute("/live", socket),
+    ]
+    app = Starlette(routes=routes)
+    app.router.redirect_slashes = False
+    return Guard(app, access)

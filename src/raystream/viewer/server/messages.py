@@ -7,8 +7,10 @@ import math
 import struct
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
-    from raystream.viewer.studio import Frame
+    from raystream.viewer.messages import Frame
 
 __all__ = [
     "MAX_MESSAGE_BYTES",
@@ -106,7 +108,7 @@ def pack(message: dict[str, Any] | Frame) -> str | bytes:
     Parameters
     ----------
     message : dict or Frame
-        Numbers that JSON does not have become null.
+        Numbers that JSON does not have become null; NumPy's scalars and arrays are taken, too.
 
     Returns
     -------
@@ -122,9 +124,17 @@ def pack(message: dict[str, Any] | Frame) -> str | bytes:
 
 def _json(value: dict[str, Any]) -> str:
     try:
-        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+        return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
     except ValueError:
-        return json.dumps(_without_nan(value), allow_nan=False, separators=(",", ":"))
+        value = _without_nan(value)
+        return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    """What a value of NumPy is in Python."""
+    if isinstance(value, np.generic | np.ndarray):
+        return _without_nan(value.tolist())
+    raise TypeError(f"{type(value).__name__} has no JSON")
 
 
 def _without_nan(value: Any) -> Any:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from raystream.viewer.server.messages import pack
 
 if TYPE_CHECKING:
-    from raystream.viewer.studio import Frame
+    from raystream.viewer.messages import Frame
 
 __all__ = ["Outbox"]
 

@@ -10,7 +10,7 @@ from raystream.viewer.server.outbox import Outbox
 from raystream.viewer.server.upload_folder import UploadFolder
 
 if TYPE_CHECKING:
-    from raystream.viewer.studio import Visitor
+    from raystream.viewer.visitor import Visitor
 
 __all__ = ["MAX_VISITS", "Visit", "Visits"]
 

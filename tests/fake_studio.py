@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import threading
-from typing import Any, NamedTuple
 
-
-class Frame(NamedTuple):
-    header: dict[str, Any]
-    content: bytes
+from raystream.viewer.messages import Frame
 
 
 class FakeStudio:
