@@ -1,140 +1,17 @@
-"""A server on a free port of this machine, clients that can be rude, and a search for leaks."""
+"""Servers for tests, and a search for what they leave behind."""
 
 from __future__ import annotations
 
-import json
-import os
-import socket
 import tempfile
 import threading
-import time
-from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
 
-from websockets.sync.client import connect
-
-from fake_studio import FakeStudio
-from raystream.viewer.serve import ViewServer, bind
 from raystream.viewer.server import app
-from raystream.viewer.server.pages import PageFile
-
-PAGE = {
-    "index.html": PageFile(b"<!doctype html><title>page</title>", "text/html; charset=utf-8"),
-    "view.js": PageFile(b"start()", "text/javascript; charset=utf-8"),
-}
-
-LIMIT = 1 << 20
-
-
-def wait_until(condition, seconds=10.0):
-    """Wait for what the server does in its own time."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.005)
-
-
-class Home:
-    """A server with a studio that only pretends, and ways to get at it."""
-
-    def __init__(self, host="127.0.0.1", **options):
-        self.studio = FakeStudio()
-        options.setdefault("upload_limit", LIMIT)
-        self.server = ViewServer(self.studio, bind(host, 0), **options)
-        self.port = self.server.port
-        self.name = f"127.0.0.1:{self.port}"
-        self.origin = f"http://{self.name}"
-        self._clients = ExitStack()
-
-    def connect(self, origin="", headers=None, **options):
-        """Open a websocket; ``client.hello`` is what it was greeted with."""
-        client = self._clients.enter_context(
-            connect(
-                f"ws://{self.name}/live",
-                origin=self.origin if origin == "" else origin,
-                additional_headers=headers,
-                proxy=None,
-                close_timeout=1,
-                max_size=None,
-                **options,
-            )
-        )
-        client.hello = json.loads(client.recv(10))
-        return client
-
-    def open_socket(self):
-        """Open a connection and say nothing."""
-        raw = self._clients.enter_context(socket.create_connection(("127.0.0.1", self.port), 10))
-        raw.settimeout(10)
-        return raw
-
-    def ask(self, head, body=b""):
-        """Send a request as it is, and read the answer: status, headers, body."""
-        with socket.create_connection(("127.0.0.1", self.port), 10) as raw:
-            raw.sendall(head.replace("\n", "\r\n").encode("latin-1") + b"\r\n\r\n" + body)
-            return read_answer(raw)
-
-    def get(self, path="/", **headers):
-        """Ask for a path, with right headers unless others are given; None leaves one out."""
-        return self.request("GET", path, **headers)
-
-    def request(self, method, path, body=b"", **headers):
-        """The same with any method."""
-        given = {"Host": self.name, "Connection": "close"}
-        if body:
-            given["Content-Length"] = str(len(body))
-        given |= {name.replace("_", "-"): value for name, value in headers.items()}
-        lines = [f"{name}: {value}" for name, value in given.items() if value is not None]
-        return self.ask("\n".join([f"{method} {path} HTTP/1.1", *lines]), body)
-
-    def put(self, client, path, body=b"v 0 0 0\n", **headers):
-        """Upload a file for a connection."""
-        given = {"Origin": self.origin, "X-Upload-Key": client.hello["upload_key"]} | headers
-        return self.request("PUT", path, body, **given)
-
-    def upgrade(self, **headers):
-        """Ask for a websocket, with right headers unless others are given; its status."""
-        given = {"Connection": "Upgrade", "Upgrade": "websocket", "Origin": self.origin}
-        given |= {"Sec_WebSocket_Key": "c3RyZWFtcyBvZiByYXlzIQ==", "Sec_WebSocket_Version": "13"}
-        return self.get("/live", **given | headers)
-
-    def drop_clients(self):
-        """End all that a test opened; afterwards the server holds nothing for it."""
-        self._clients.close()
-        wait_until(lambda: not self.studio.present)
-        wait_until(lambda: self.server.visit_count == 0)
-        self.studio.visitors.clear()
-
-    def close(self):
-        self.drop_clients()
-        self.server.close()
-        assert not self.server.is_running
-        assert self.studio.is_closed
-
-
-class Answer:
-    def __init__(self, content):
-        head, _, self.body = content.partition(b"\r\n\r\n")
-        status, *lines = head.decode("latin-1").split("\r\n")
-        self.status = int(status.split()[1]) if status else 0
-        pairs = [line.partition(": ") for line in lines]
-        self.headers = {name.lower(): value for name, _, value in pairs}
-
-
-def read_answer(raw):
-    """Read until the server ends the connection."""
-    content = b""
-    try:
-        while chunk := raw.recv(65536):
-            content += chunk
-    except ConnectionResetError:  # it read no more of what was sent
-        pass
-    return Answer(content)
+from viewer_home import PAGE, Home, count_files, wait_until
 
 
 @pytest.fixture(scope="session")
@@ -184,9 +61,3 @@ def home(shared_home, no_leaks):
     """A server that nobody else uses while the test runs."""
     yield shared_home
     shared_home.drop_clients()
-
-
-def count_files():
-    """Open files of this process, where the system tells."""
-    folder = Path("/proc/self/fd")
-    return len(os.listdir(folder)) if folder.is_dir() else 0

@@ -29,8 +29,9 @@ PART_SUFFIXES = (
 
 MAX_NAME_BYTES = 200
 
-#: Separators, and what some file systems give a meaning of its own.
-_FORBIDDEN = re.compile(r'[/\\:*?"<>|\x00-\x1f\x7f]')
+#: Separators, what some file systems give a meaning of its own, and what stands for bytes that
+#: are no text.
+_FORBIDDEN = re.compile('[/\\\\:*?"<>|\ufffd]')
 
 #: Devices of Windows, whatever suffix follows.
 _RESERVED = re.compile(

@@ -90,8 +90,10 @@ class Visits:
 
     def end(self, visit: Visit) -> None:
         """Let one go."""
-        self._visits.discard(visit)
-        visit.end()
+        try:
+            visit.end()
+        finally:
+            self._visits.discard(visit)
 
     def of_key(self, key: str) -> Visit | None:
         """Find the visit that has a key, in a time that tells nothing of the keys."""
