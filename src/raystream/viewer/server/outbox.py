@@ -39,16 +39,14 @@ class Outbox:
     ----------
     error_count : int
         Answers so far that blame a message of the client.
-    has_run_over : bool
-        Whether more waited than may.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, greeting: Mapping[str, Any]) -> None:
         self.error_count = 0
-        self.has_run_over = False
         self._loop = loop
         self._greeting = greeting
         self._filled = asyncio.Event()
+        self._too_full = asyncio.Event()
         self._lock = threading.Lock()
         self._waiting: deque[str | bytes] = deque()
         self._byte_count = 0
@@ -69,12 +67,12 @@ class Outbox:
             self._waiting.append(packed)
             self._byte_count += len(packed)
             if self._byte_count > MAX_WAITING_BYTES or len(self._waiting) > MAX_WAITING_MESSAGES:
-                self.has_run_over = True
                 self._end()
-        self._wake()
+                self._set(self._too_full)
+        self._set(self._filled)
 
     async def take(self) -> str | bytes | None:
-        """Wait for the next message; None once the outbox is closed or ran over."""
+        """Wait for the next message; None once the outbox is closed."""
         while True:
             with self._lock:
                 if self._waiting:
@@ -91,17 +89,28 @@ class Outbox:
         self.put(message)
         with self._lock:
             self._is_closed = True
-        self._wake()
+        self._set(self._filled)
 
     def close(self) -> None:
         """Drop what waits, and take nothing more."""
         with self._lock:
             self._end()
-        self._wake()
+        self._set(self._filled)
 
-    def _wake(self) -> None:
+    async def run_over(self) -> None:
+        """Wait until too much waits.
+
+        Raises
+        ------
+        TimeoutError
+            Then: the client reads too slowly.
+        """
+        await self._too_full.wait()
+        raise TimeoutError("the client reads too slowly")
+
+    def _set(self, event: asyncio.Event) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended before the engine
-            self._loop.call_soon_threadsafe(self._filled.set)
+            self._loop.call_soon_threadsafe(event.set)
 
     def _end(self) -> None:
         self._is_closed = True

@@ -76,6 +76,7 @@ async def _attend(websocket: WebSocket, studio: Studio, visit: Visit) -> None:
     ways = {
         asyncio.create_task(_send_all(websocket, visit.outbox)),
         asyncio.create_task(_receive_all(websocket, visit)),
+        asyncio.create_task(visit.outbox.run_over()),
     }
     try:
         done, _ = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
@@ -110,8 +111,6 @@ async def _send_all(websocket: WebSocket, outbox: Outbox) -> None:
                 await websocket.send_text(message)
             else:
                 await websocket.send_bytes(message)
-    if outbox.has_run_over:
-        raise TimeoutError("the client reads too slowly")
     raise _EndError(GOING_AWAY, "the viewer has ended")
 
 
