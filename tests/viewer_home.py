@@ -17,6 +17,7 @@ from raystream.viewer.server.pages import PageFile
 
 PAGE = {
     "index.html": PageFile(b"<!doctype html><title>page</title>", "text/html; charset=utf-8"),
+    "large.js": PageFile(bytes(16 << 20), "text/javascript; charset=utf-8"),
     "view.js": PageFile(b"start()", "text/javascript; charset=utf-8"),
 }
 

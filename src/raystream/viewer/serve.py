@@ -126,8 +126,13 @@ class ViewServer:
         self._studio = studio
         self._listener = listener
         self.address, self.port = listener.getsockname()[:2]
-        self._access = Access(self.address, self.port, host=host, token=token)
-        self._server, self._visits = _make_server(studio, self._access, upload_limit)
+        try:
+            self._access = Access(self.address, self.port, host=host, token=token)
+            self._server, self._visits = _make_server(studio, self._access, upload_limit)
+        except BaseException:
+            listener.close()
+            studio.close()
+            raise
         self._started = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lock = threading.Lock()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -25,14 +26,33 @@ CLOSE_TIMEOUT = 5.0
 MAX_SOCKETS = 256
 
 
+class _Alarm:
+    """Something that is done after a time, unless it is put off."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._timer: asyncio.TimerHandle | None = None
+
+    def set(self, seconds: float, action: Callable[[], object]) -> None:
+        """Do it after so long, and nothing that was to be done before."""
+        self.stop()
+        self._timer = self._loop.call_later(seconds, action)
+
+    def stop(self) -> None:
+        """Do nothing."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+
 class HttpProtocol(H11Protocol):
     """HTTP for clients that may send slowly, read nothing, or be too many."""
-
-    _alarm: asyncio.TimerHandle | None = None
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self.access_log = False  # a line would show the token
+        self._head = _Alarm(self.loop)
+        self._read = _Alarm(self.loop)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Count one more, and wait for its request."""
@@ -40,11 +60,12 @@ class HttpProtocol(H11Protocol):
         if len(self.connections) > MAX_SOCKETS:
             transport.abort()
             return
-        self._set_alarm(HEAD_TIMEOUT)
+        self._head.set(HEAD_TIMEOUT, self._give_up)
 
     def connection_lost(self, error: Exception | None) -> None:
         """Let it go."""
-        self._unset_alarm()
+        self._head.stop()
+        self._read.stop()
         super().connection_lost(error)
 
     def data_received(self, data: bytes) -> None:
@@ -52,48 +73,41 @@ class HttpProtocol(H11Protocol):
         super().data_received(data)
         cycle: Any = self.cycle  # None before the first request
         if cycle is not None and not cycle.response_complete:
-            self._unset_alarm()
+            self._head.stop()
 
     def on_response_complete(self) -> None:
         """Wait for the next request, or for the end."""
-        self._set_alarm(HEAD_TIMEOUT)
+        self._head.set(HEAD_TIMEOUT, self._give_up)
         super().on_response_complete()
 
     def handle_websocket_upgrade(self, event: Any) -> None:
         """Leave the connection to the other protocol."""
-        self._unset_alarm()
+        self._head.stop()
         super().handle_websocket_upgrade(event)
 
     def pause_writing(self) -> None:
         """Wait for a client to read."""
         super().pause_writing()
-        self._set_alarm(READ_TIMEOUT)
+        self._read.set(READ_TIMEOUT, self.transport.abort)
 
     def resume_writing(self) -> None:
         """Go on: it has read."""
         super().resume_writing()
-        self._unset_alarm()
+        self._read.stop()
 
-    def _set_alarm(self, seconds: float) -> None:
-        self._unset_alarm()
-        if self.transport.is_closing():
-            seconds = min(seconds, CLOSE_TIMEOUT)
-        self._alarm = self.loop.call_later(seconds, self.transport.abort)
-
-    def _unset_alarm(self) -> None:
-        if self._alarm is not None:
-            self._alarm.cancel()
-            self._alarm = None
+    def _give_up(self) -> None:
+        """End, but let the client read what is on its way."""
+        self.transport.close()
+        self._read.set(READ_TIMEOUT, self.transport.abort)
 
 
 class WebSocketProtocol(WebSocketsSansIOProtocol):
     """A websocket for clients that may read nothing; the application can cut it."""
 
-    _alarm: asyncio.TimerHandle | None = None
-
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self.close_timeout = CLOSE_TIMEOUT
+        self._read = _Alarm(self.loop)
 
     def handle_connect(self, event: Any) -> None:
         """Begin, and tell the application how to end."""
@@ -103,14 +117,14 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
 
     def connection_lost(self, error: Exception | None) -> None:
         """Let it go."""
-        self._unset_alarm()
+        self._read.stop()
         super().connection_lost(error)
 
     def pause_writing(self) -> None:
         """Wait for a client to read, and answer no pings meanwhile."""
         super().pause_writing()
         self.transport.pause_reading()
-        self._set_alarm(READ_TIMEOUT)
+        self._read.set(READ_TIMEOUT, self.transport.abort)
 
     def resume_writing(self) -> None:
         """Go on: it has read."""
@@ -119,29 +133,23 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
             return
         if not self.read_paused:
             self.transport.resume_reading()
-        self._unset_alarm()
+        self._read.stop()
 
     async def run_asgi(self) -> None:
         """Run the application; what it leaves unread is not waited for."""
         await super().run_asgi()
-        self._set_alarm(CLOSE_TIMEOUT)
+        self._end_soon()
 
     def keepalive_timeout(self) -> None:
         """End with a client that answers no pings."""
         super().keepalive_timeout()
-        self._set_alarm(CLOSE_TIMEOUT)
+        self._end_soon()
 
     def shutdown(self) -> None:
         """End with the server."""
         super().shutdown()
-        self._set_alarm(CLOSE_TIMEOUT)
+        self._end_soon()
 
-    def _set_alarm(self, seconds: float) -> None:
-        self._unset_alarm()
+    def _end_soon(self) -> None:
         if self in self.connections:
-            self._alarm = self.loop.call_later(seconds, self.transport.abort)
-
-    def _unset_alarm(self) -> None:
-        if self._alarm is not None:
-            self._alarm.cancel()
-            self._alarm = None
+            self._read.set(CLOSE_TIMEOUT, self.transport.abort)

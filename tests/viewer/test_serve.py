@@ -1,0 +1,97 @@
+"""Serve: addresses and ports, and a server's life."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import urllib.request
+
+import pytest
+
+pytest.importorskip("uvicorn")
+pytest.importorskip("websockets")
+
+from fake_studio import FakeStudio
+from raystream.core.errors import RaystreamError
+from raystream.viewer import serve
+from raystream.viewer.serve import ViewServer, bind
+from raystream.viewer.server import app
+from viewer_home import PAGE
+
+
+@pytest.fixture(autouse=True)
+def page(monkeypatch):
+    monkeypatch.setattr(app, "read_page_files", lambda: PAGE)
+
+
+def test_port_is_the_preferred_one_if_it_is_free(monkeypatch):
+    with bind("127.0.0.1", 0) as free:
+        monkeypatch.setattr(serve, "PREFERRED_PORT", free.getsockname()[1])
+        with bind() as other:  # it is taken: any that is free
+            assert other.getsockname()[1] != serve.PREFERRED_PORT
+    with bind() as preferred:
+        assert preferred.getsockname() == ("127.0.0.1", serve.PREFERRED_PORT)
+
+
+def test_taken_port_is_said():
+    with bind("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(RaystreamError, match=f"^--port: {port} is in use on 127.0.0.1"):
+            bind("127.0.0.1", port)
+
+
+@pytest.mark.parametrize("host", ["nowhere.invalid", "203.0.113.7", "1.2.3.4.5", "", "a" * 300])
+def test_address_of_nobody_is_said(host):
+    with pytest.raises(RaystreamError, match=r"^--host: .*is no address of this machine"):
+        bind(host, 0)
+
+
+def test_it_ends_cleanly_and_frees_its_port():
+    threads = threading.active_count()
+    studio = FakeStudio()
+    with ViewServer(studio, bind("localhost", 0)) as server:
+        with urllib.request.urlopen(server.url, timeout=10) as answer:
+            assert answer.read() == PAGE["index.html"].content
+        assert server.is_running
+        assert server.is_loopback
+    server.close()
+    assert not server.is_running
+    assert studio.is_closed
+    assert threading.active_count() == threads
+    with bind("127.0.0.1", server.port):
+        pass
+
+
+def test_several_at_once():
+    first, second = (ViewServer(FakeStudio(), bind("127.0.0.1", 0)) for _ in range(2))
+    assert first.url != second.url
+    first.close()
+    with urllib.request.urlopen(second.url, timeout=10) as answer:
+        assert answer.status == 200
+    second.close()
+
+
+def test_address_has_the_token_once_others_can_reach_it():
+    with ViewServer(FakeStudio(), bind("0.0.0.0", 0)) as server:
+        assert not server.is_loopback
+        assert server.url.startswith(f"http://{socket.gethostname().lower()}:{server.port}/?token=")
+
+
+@pytest.mark.skipif(not socket.has_ipv6, reason="there is no IPv6 here")
+def test_address_of_version_6_is_in_brackets():
+    try:
+        listener = bind("::1", 0)
+    except RaystreamError:
+        pytest.skip("there is no IPv6 here")
+    with ViewServer(FakeStudio(), listener) as server:
+        assert server.url == f"http://[::1]:{server.port}/"
+        with urllib.request.urlopen(server.url, timeout=10) as answer:
+            assert answer.status == 200
+
+
+def test_failing_start_closes_what_it_was_given():
+    studio, listener = FakeStudio(), bind("127.0.0.1", 0)
+    with pytest.raises(RaystreamError, match="--token"):
+        ViewServer(studio, listener, token="short")
+    assert studio.is_closed
+    assert listener.fileno() == -1
