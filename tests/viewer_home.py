@@ -32,15 +32,17 @@ def wait_until(condition, seconds=10.0):
         time.sleep(0.005)
 
 
-class Home:
-    """A server with a studio that only pretends, and ways to get at it."""
+class Guest:
+    """Clients of a server on this machine.
 
-    def __init__(self, host="127.0.0.1", **options):
-        self.studio = FakeStudio()
-        options.setdefault("upload_limit", LIMIT)
-        self.server = ViewServer(self.studio, bind(host, 0), **options)
-        self.port = self.server.port
-        self.name = f"127.0.0.1:{self.port}"
+    Parameters
+    ----------
+    port : int
+    """
+
+    def __init__(self, port):
+        self.port = port
+        self.name = f"127.0.0.1:{port}"
         self.origin = f"http://{self.name}"
         self._clients = ExitStack()
 
@@ -96,9 +98,23 @@ class Home:
         given |= {"Sec_WebSocket_Key": "c3RyZWFtcyBvZiByYXlzIQ==", "Sec_WebSocket_Version": "13"}
         return self.get("/live", **given | headers)
 
+    def leave(self):
+        """End all connections."""
+        self._clients.close()
+
+
+class Home(Guest):
+    """A server with a studio that only pretends, and its clients."""
+
+    def __init__(self, host="127.0.0.1", **options):
+        self.studio = FakeStudio()
+        options.setdefault("upload_limit", LIMIT)
+        self.server = ViewServer(self.studio, bind(host, 0), **options)
+        super().__init__(self.server.port)
+
     def drop_clients(self):
         """End all that a test opened; afterwards the server holds nothing for it."""
-        self._clients.close()
+        self.leave()
         wait_until(lambda: not self.studio.present)
         wait_until(lambda: self.server.visit_count == 0)
         self.studio.visitors.clear()

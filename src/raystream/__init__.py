@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from raystream.scene.texture import Texture
     from raystream.structures.base import UpdateReport
     from raystream.tracer import Tracer
+    from raystream.viewer.notebook import view
     from raystream.zarr_queries.query import QueryReport, query_zarr
 
 #: Modules as a whole; the first is callable, see there.
@@ -98,6 +99,7 @@ _HOMES = {
     "set_thread_count": "jit.threads",
     "thickness": "physics.segments",
     "thread_count": "jit.threads",
+    "view": "viewer.notebook",
 }
 
 __all__ = [
@@ -147,6 +149,7 @@ __all__ = [
     "textures",
     "thickness",
     "thread_count",
+    "view",
 ]
 
 

@@ -26,6 +26,7 @@ from raystream.cli.messages import (
 )
 from raystream.cli.query import query
 from raystream.cli.render import render
+from raystream.cli.view import view
 from raystream.core.errors import RaystreamError
 
 __all__ = ["app", "main"]
@@ -48,6 +49,7 @@ app.command()(query)
 app.command()(compare)
 app.command()(bench)
 app.command()(lab)
+app.command()(view)
 
 
 @dataclass

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import importlib.util
 import ipaddress
 import os
 import socket
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from raystream.viewer.server.visits import Visits
     from raystream.viewer.studio import Studio
 
-__all__ = ["DEFAULT_UPLOAD_LIMIT", "PREFERRED_PORT", "ViewServer", "bind"]
+__all__ = ["DEFAULT_UPLOAD_LIMIT", "PREFERRED_PORT", "ViewServer", "bind", "require_packages"]
 
 #: The port that is tried first when none is asked for.
 PREFERRED_PORT = 8008
@@ -153,6 +154,15 @@ class ViewServer:
         host = f"[{address}]" if address.version == 6 else str(address)
         if address.is_unspecified:
             host = socket.gethostname().lower()
+        return self._url(host)
+
+    @property
+    def local_url(self) -> str:
+        """The same for a browser on this machine."""
+        is_any = ipaddress.ip_address(self.address).is_unspecified
+        return self._url("localhost") if is_any else self.url
+
+    def _url(self, host: str) -> str:
         query = "" if self._access.token is None else f"?token={self._access.token}"
         return f"http://{host}:{self.port}/{query}"
 
@@ -165,6 +175,11 @@ class ViewServer:
     def is_running(self) -> bool:
         """Whether it can be reached."""
         return self._thread.is_alive()
+
+    def wait(self) -> None:
+        """Return when the server has ended; signals are handled meanwhile."""
+        while self._thread.is_alive():
+            self._thread.join(1.0)
 
     def close(self) -> None:
         """End all connections, the server and the studio; again has no effect."""
@@ -204,15 +219,23 @@ class ViewServer:
         await self._server.serve(sockets=[self._listener])
 
 
+def require_packages() -> None:
+    """Find out whether the packages of the extra are there.
+
+    Raises
+    ------
+    RaystreamError
+        If one is not.
+    """
+    for name in ("starlette", "uvicorn", "websockets"):
+        if importlib.util.find_spec(name) is None:
+            raise RaystreamError(f"the viewer needs {name}: pip install 'raystream[view]'")
+
+
 def _make_server(studio: Studio, access: Access, upload_limit: int) -> tuple[UvicornServer, Visits]:
-    try:
-        import starlette  # noqa: F401
-        import uvicorn
-        import websockets  # noqa: F401
-    except ImportError as error:
-        raise RaystreamError(
-            f"the viewer needs {error.name}: pip install 'raystream[view]'"
-        ) from None
+    require_packages()
+    import uvicorn
+
     from raystream.viewer.server.app import make_app
     from raystream.viewer.server.messages import MAX_MESSAGE_BYTES
     from raystream.viewer.server.transport import HttpProtocol, WebSocketProtocol
