@@ -1,0 +1,249 @@
+// The page: puts its parts together, and speaks with the server.
+
+import * as address from "./address.js";
+import {Connection} from "./connection.js";
+import {byId} from "./elements.js";
+import {Figures} from "./figures.js";
+import {Gestures} from "./gestures.js";
+import {HitsPanel} from "./hits.js";
+import {Keys} from "./keys.js";
+import {Models} from "./models.js";
+import {Panels} from "./panels.js";
+import {Picking} from "./picking.js";
+import {Picture} from "./picture.js";
+import {Pilot} from "./pilot.js";
+import {Settings} from "./settings.js";
+import {Toasts} from "./toasts.js";
+import {look, lookAt, orbit, pan, toCamera, zoom} from "./view.js";
+import {Views} from "./views.js";
+import {Work} from "./work.js";
+
+const WRITE_DELAY = 250; // ms
+const KEPT_VIEWS = 64;
+
+const toasts = new Toasts(byId("toasts"));
+const panels = new Panels();
+const figures = new Figures();
+const seen = new Map(); // views by the numbers of their cameras
+let wanted = address.read(location.hash); // what the next scene is to be seen with
+let line = null;
+let isWelcome = false; // hello has come
+let screenshots = 0;
+let writing = null;
+
+const send = message => line !== null && isWelcome && line.send(message);
+
+const pilot = new Pilot({
+  send(message) {
+    seen.set(message.number, pilot.view);
+    if (seen.size > KEPT_VIEWS) seen.delete(seen.keys().next().value);
+    send(message);
+  },
+  changed: () => writeAddress(),
+});
+const picture = new Picture(byId("picture"), (header, isDrawn) => {
+  send({type: "shown", frame: header.number});
+  if (isDrawn) byId("stage").dataset.frame = header.number;
+  const view = seen.get(header.camera);
+  if (isDrawn && view) picking.follow(view);
+  figures.drew(header, isDrawn);
+});
+const views = new Views(pilot, picture, (width, height) => send({type: "size", width, height}));
+const settings = new Settings(byId("settings"), changed => {
+  send({type: "settings", ...changed});
+  writeAddress();
+});
+const panel = new HitsPanel({
+  closed: () => picking.clear(),
+  copied: done => (done ? toasts.show("The hits are on the clipboard.") : toasts.error("This browser does not let pages copy.")),
+});
+const picking = new Picking({
+  ask: send,
+  picked: (message, place) => panel.show(message, place),
+  centre: point => pilot.view && pilot.go(lookAt(pilot.view, point)),
+  missed: () => toasts.show("There is nothing to orbit about at this place."),
+});
+const work = new Work(() => models.cancel());
+const models = new Models({send, error: text => toasts.error(text)}, work);
+
+/** The user moves: no camera of the scene's any more. */
+function fly(how) {
+  pilot.change(how);
+  views.mark();
+}
+
+new Gestures(byId("picture"), {
+  orbit: (dx, dy) => fly(view => orbit(view, dx, dy)),
+  pan: (dx, dy) => fly(view => pan(view, dx, dy)),
+  look: (dx, dy) => fly(view => look(view, dx, dy)),
+  zoom: (factor, x, y) => fly(view => zoom(view, factor, x, y)),
+  looking: () => pilot.isWalking,
+  tap: (x, y) => picking.pick(x, y),
+  doubleTap: (x, y) => picking.pick(x, y, true),
+});
+
+const PRESSES = {
+  h: () => views.home(),
+  f: () => views.frameAll(),
+  1: () => views.side("front"),
+  2: () => views.side("right"),
+  3: () => views.side("top"),
+  o: () => views.otherProjection(),
+  x: () => picking.showCrosshair(!picking.isAiming),
+  z: () => picking.isAiming && picking.pick(...picking.aim, true),
+  p: () => takeScreenshot(),
+  c: () => panels.toggleControls(),
+  "?": () => panels.showHelp(),
+  "+": () => fly(view => zoom(view, 0.85)),
+  "=": () => fly(view => zoom(view, 0.85)),
+  "-": () => fly(view => zoom(view, 1 / 0.85)),
+  Enter: () => picking.isAiming && picking.pick(...picking.aim),
+  Escape: () => closeOne(),
+};
+
+function closeOne() {
+  if (panel.isOpen) panel.close();
+  else if (picking.isAiming) picking.showCrosshair(false);
+  else panels.close();
+}
+
+new Keys({
+  walk: (going, fast) => {
+    pilot.walk(going, fast);
+    if (pilot.isWalking) views.mark();
+  },
+  orbit: (dx, dy) => fly(view => orbit(view, dx, dy)),
+  look: (dx, dy) => fly(view => look(view, dx, dy)),
+  arrow: (code, isLong) => picking.arrow(code, isLong),
+  press(key) {
+    const action = PRESSES[key.length === 1 ? key.toLowerCase() : key];
+    if (action) action();
+    return Boolean(action);
+  },
+});
+addEventListener("keydown", event => {
+  const inPanel = byId("hits").contains(event.target) || byId("controls").contains(event.target);
+  if (event.key === "Escape" && inPanel && !event.defaultPrevented) closeOne();
+});
+byId("aim").onclick = () => {
+  picking.showCrosshair(!picking.isAiming);
+  if (picking.isAiming) byId("picture").focus();
+};
+byId("screenshot").onclick = takeScreenshot;
+byId("retry").onclick = () => line.retry();
+
+function takeScreenshot() {
+  screenshots += 1;
+  send({type: "screenshot", number: screenshots});
+}
+
+function saveScreenshot(header, bytes) {
+  const place = URL.createObjectURL(new Blob([bytes], {type: header.format}));
+  const link = document.createElement("a");
+  const name = (views.scene ? views.scene.name : "picture").replace(/[^\w.-]+/g, "_");
+  link.href = place;
+  link.download = `${name}-${header.number}.png`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(place), 10000);
+  toasts.show(`Saved ${link.download}, ${header.width} × ${header.height} pixels.`);
+}
+
+function writeAddress() {
+  clearTimeout(writing);
+  writing = setTimeout(() => {
+    if (!views.scene || !pilot.view) return;
+    const said = {
+      scene: views.scene.name, camera: toCamera(pilot.view), settings: settings.chosen,
+      size: views.choice,
+    };
+    history.replaceState(null, "", address.write(said));
+  }, WRITE_DELAY);
+}
+
+const ANSWERS = {
+  hello(message) {
+    isWelcome = true;
+    byId("banner").hidden = true;
+    views.limits = message.limits;
+    models.uploads.key = message.upload_key || "";
+    models.uploads.limit = message.limits.upload_bytes || Infinity;
+    settings.offer(message);
+    settings.restore(wanted.settings);
+    views.chooseSize(wanted.size);
+    const {width, height} = picture.canvas;
+    send({type: "size", width, height});
+    send({type: "pause", paused: document.hidden});
+    models.again();
+  },
+  scene(message) {
+    views.take(message);
+    const isWanted = wanted.camera && wanted.scene === message.name;
+    views.begin(isWanted ? wanted.camera : null);
+    if (isWanted || !models.files) wanted.camera = null;
+    panel.close();
+    figures.showScene(message);
+    models.loaded(message);
+  },
+  structure: message => figures.showStructure(message),
+  settings(message) {
+    if (message.refused) {
+      toasts.error(message.refused);
+      settings.refuse(message);
+      writeAddress();
+    }
+    settings.show(message);
+  },
+  progress: message => work.show("server", message.what, message.done, models.isLoading),
+  hits: message => picking.take(message),
+  error(message) {
+    toasts.error(message.message);
+    if (message.about === "open") models.loaded(null);
+    if (message.about === "settings") {
+      settings.refuse(settings.current);
+      settings.show(settings.current);
+      writeAddress();
+    }
+  },
+};
+
+/** What is lost with the connection comes back with the next one. */
+function lose(seconds, reason) {
+  if (isWelcome && views.scene) {
+    wanted = {
+      scene: views.scene.name, camera: toCamera(pilot.view), settings: {...settings.chosen},
+      size: views.choice,
+    };
+  }
+  isWelcome = false;
+  models.uploads.cancel();
+  work.clear();
+  const why = reason ? ` (${reason})` : "";
+  const text = `No connection to raystream${why}. Trying again in ${Math.ceil(seconds)} s.`;
+  byId("banner-text").textContent = text;
+  byId("banner").hidden = false;
+}
+
+document.addEventListener("visibilitychange", () => {
+  send({type: "pause", paused: document.hidden});
+  if (!document.hidden) line.retry();
+});
+addEventListener("hashchange", () => {
+  const said = address.read(location.hash);
+  if (!views.scene) return;
+  if (said.camera) views.begin(said.camera);
+  settings.restore(said.settings);
+  views.chooseSize(said.size);
+});
+
+const live = new URL("live", document.baseURI);
+live.protocol = live.protocol.replace("http", "ws");
+live.hash = "";
+line = new Connection(live, {
+  open() {},
+  text: message => (ANSWERS[message.type] || (() => {}))(message),
+  picture(header, bytes) {
+    if (header.type === "screenshot") saveScreenshot(header, bytes);
+    else picture.take(header, bytes);
+  },
+  lost: lose,
+});

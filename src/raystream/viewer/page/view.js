@@ -1,0 +1,232 @@
+// A view: where the eye is, said so that it can be turned without flipping over.
+//
+// {world, target, yaw, pitch, roll, distance, fov, projection, height, aspect}: the eye is
+// `distance` away from the target, toward angles about the world's up; roll turns the picture.
+// Angles are radians, fov is degrees from top to bottom, height is what an orthographic picture
+// shows, aspect is its width over its height. A picture narrower than 4 : 3 shows more above and
+// below instead of less at the sides. All functions give a new view. Shifts on the screen are in
+// picture heights, places are fractions of the picture from its upper left corner.
+
+import {add, cross, dot, length, mix, scale, subtract, unit} from "./vector.js";
+
+const RADIANS = Math.PI / 180;
+const STEEPEST = Math.PI / 2;
+const FULL_ASPECT = 4 / 3;
+const WIDEST_SLOPE = Math.tan(85 * RADIANS);
+
+const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+/** Axes of a world: up, front (toward the viewer of a front view) and right. */
+export function worldOf(up, size = 1) {
+  up = unit(up, [0, 1, 0]);
+  const toward = Math.abs(up[1]) >= Math.abs(up[2]) ? [0, 0, 1] : [0, -1, 0];
+  const right = unit(cross(up, toward), [1, 0, 0]);
+  return {up, right, front: cross(right, up), size: size > 0 ? size : 1};
+}
+
+/** The world's up, where only a camera's is known: the axis next to it, or the one itself. */
+export function likelyUp(up) {
+  up = unit(up, [0, 1, 0]);
+  const [y, z] = [Math.abs(up[1]), Math.abs(up[2])];
+  if (Math.max(y, z) < 0.5) return up;
+  return y >= z ? [0, Math.sign(up[1]), 0] : [0, 0, Math.sign(up[2])];
+}
+
+/** Axes of the picture: toward the eye, right and up. */
+export function axesOf(view) {
+  const {up, front, right} = view.world;
+  const [sine, cosine] = [Math.sin(view.yaw), Math.cos(view.yaw)];
+  const level = add(scale(right, sine), scale(front, cosine));
+  const back = add(scale(level, Math.cos(view.pitch)), scale(up, Math.sin(view.pitch)));
+  const side = add(scale(right, cosine), scale(front, -sine));
+  const above = cross(back, side);
+  const [turn, rest] = [Math.sin(view.roll), Math.cos(view.roll)];
+  return {
+    back,
+    right: add(scale(side, rest), scale(above, -turn)),
+    up: add(scale(above, rest), scale(side, turn)),
+  };
+}
+
+export const eyeOf = view => add(view.target, scale(axesOf(view).back, view.distance));
+
+const widened = view => Math.max(1, FULL_ASPECT / view.aspect);
+const nominalSlope = view => Math.tan(view.fov * RADIANS / 2);
+const slopeOf = view => Math.min(nominalSlope(view) * widened(view), WIDEST_SLOPE);
+
+/** The camera of a view, whatever the shape of the picture. */
+export function toCamera(view) {
+  const camera = {
+    eye: eyeOf(view), look_at: view.target, up: axesOf(view).up,
+    fov: view.fov, projection: view.projection,
+  };
+  if (view.projection === "orthographic") camera.height = view.height;
+  return camera;
+}
+
+/** The camera for a picture of the view's shape: what the server is told. */
+export function toShapedCamera(view) {
+  const camera = {...toCamera(view), fov: 2 * Math.atan(slopeOf(view)) / RADIANS};
+  if (view.projection === "orthographic") camera.height = heightAt(view);
+  return camera;
+}
+
+export function fromCamera(camera, world, aspect = FULL_ASPECT) {
+  const apart = subtract(camera.eye, camera.look_at);
+  const distance = length(apart) || world.size;
+  const back = unit(apart, world.front);
+  const pitch = Math.asin(clamp(dot(back, world.up), -1, 1));
+  let heading = back;
+  if (Math.abs(pitch) > STEEPEST - 1e-6) heading = scale(camera.up, -Math.sign(pitch));
+  const yaw = Math.atan2(dot(heading, world.right), dot(heading, world.front));
+  const fov = camera.fov || 40;
+  const view = {
+    world, target: [...camera.look_at], yaw, pitch, roll: 0, distance, fov,
+    projection: camera.projection || "perspective",
+    height: camera.height || 2 * distance * Math.tan(fov * RADIANS / 2), aspect,
+  };
+  const axes = axesOf(view);
+  const roll = Math.atan2(dot(camera.up, axes.right), dot(camera.up, axes.up));
+  return {...view, roll: Math.abs(roll) < 1e-6 ? 0 : roll};
+}
+
+/** World units from top to bottom of the picture, at the target. */
+export function heightAt(view) {
+  if (view.projection === "orthographic") return view.height * widened(view);
+  return 2 * view.distance * slopeOf(view);
+}
+
+export function orbit(view, dx, dy) {
+  return {
+    ...view,
+    yaw: view.yaw - dx * Math.PI,
+    pitch: clamp(view.pitch + dy * Math.PI, -STEEPEST, STEEPEST),
+  };
+}
+
+/** Turn about the eye, so that what is in view follows the pointer. */
+export function look(view, dx, dy) {
+  const eye = eyeOf(view);
+  const angle = 2 * Math.atan(slopeOf(view));
+  const turned = {
+    ...view,
+    yaw: view.yaw + dx * angle,
+    pitch: clamp(view.pitch - dy * angle, -STEEPEST, STEEPEST),
+  };
+  return {...turned, target: subtract(eye, scale(axesOf(turned).back, view.distance))};
+}
+
+/** Look at a point from where the eye is, which is then the centre of orbits. */
+export function lookAt(view, point) {
+  const camera = toCamera(view);
+  const distance = length(subtract(camera.eye, point));
+  if (!(distance > 1e-9 * view.world.size)) return view;
+  const turned = fromCamera({...camera, look_at: point}, view.world, view.aspect);
+  return {...turned, height: view.height, roll: view.roll};
+}
+
+export function pan(view, dx, dy) {
+  const axes = axesOf(view);
+  const height = heightAt(view);
+  const shift = add(scale(axes.right, -dx * height), scale(axes.up, dy * height));
+  return {...view, target: add(view.target, shift)};
+}
+
+/** The point at a place of the picture, in the plane of the target. */
+export function pointAt(view, x, y) {
+  const axes = axesOf(view);
+  const height = heightAt(view);
+  const across = scale(axes.right, (x - 0.5) * height * view.aspect);
+  return add(view.target, add(across, scale(axes.up, (0.5 - y) * height)));
+}
+
+/** Nearer by a factor below 1, or farther; what is at a place of the picture stays there. */
+export function zoom(view, factor, x = 0.5, y = 0.5) {
+  const flat = view.projection === "orthographic";
+  const size = flat ? view.height : view.distance;
+  const kept = clamp(size * factor, 1e-5 * view.world.size, 100 * view.world.size) / size;
+  if (!Number.isFinite(kept)) return view;
+  const around = view.projection === "equirectangular";
+  const point = around ? view.target : pointAt(view, x, y);
+  const target = mix(point, view.target, kept);
+  const distance = flat ? view.distance : view.distance * kept;
+  return {...view, target, distance, height: view.height * kept};
+}
+
+/** Go right, up (the world's) and ahead, by world units. */
+export function walk(view, right, up, ahead) {
+  const axes = axesOf(view);
+  const shift = add(scale(axes.right, right), scale(axes.back, -ahead));
+  return {...view, target: add(view.target, add(shift, scale(view.world.up, up)))};
+}
+
+/** Fill the picture with a box, seen from where the view looks now. */
+export function frame(view, low, high) {
+  const target = mix(low, high, 0.5);
+  const axes = axesOf(view);
+  const slope = slopeOf(view);
+  let [distance, height, depth] = [0, 0, 0];
+  for (let corner = 0; corner < 8; corner++) {
+    const point = [0, 1, 2].map(axis => (corner >> axis & 1 ? high : low)[axis]);
+    const apart = subtract(point, target);
+    const [near, across, above] = [
+      dot(apart, axes.back),
+      Math.abs(dot(apart, axes.right)) / view.aspect,
+      Math.abs(dot(apart, axes.up)),
+    ];
+    distance = Math.max(distance, near + Math.max(across, above) / slope);
+    height = Math.max(height, 2 * across, 2 * above);
+    depth = Math.max(depth, near);
+  }
+  const size = view.world.size;
+  distance = 1.04 * distance || size;
+  if (view.projection === "orthographic") distance = Math.max(distance, depth + size);
+  return {...view, target, distance, height: 1.04 * height / widened(view) || size};
+}
+
+const SIDES = {front: [0, 0], right: [STEEPEST, 0], top: [0, STEEPEST]};
+
+/** Turn to "front", "right" or "top". */
+export function facing(view, side) {
+  const [yaw, pitch] = SIDES[side];
+  return {...view, yaw, pitch, roll: 0};
+}
+
+/** Another projection that shows as much at the target. */
+export function projected(view, projection) {
+  if (projection === view.projection) return view;
+  if (view.projection === "orthographic") {
+    return {...view, projection, distance: view.height / (2 * nominalSlope(view))};
+  }
+  return {...view, projection, height: 2 * view.distance * nominalSlope(view)};
+}
+
+/** Where a point is in the picture, as [x, y]; null behind the eye. */
+export function place(view, point) {
+  if (view.projection === "equirectangular") return null;
+  const axes = axesOf(view);
+  const apart = subtract(point, view.target);
+  let height = heightAt(view);
+  if (view.projection !== "orthographic") {
+    const depth = view.distance - dot(apart, axes.back);
+    if (!(depth > 0)) return null;
+    height = 2 * depth * slopeOf(view);
+  }
+  return [
+    0.5 + dot(apart, axes.right) / (height * view.aspect),
+    0.5 - dot(apart, axes.up) / height,
+  ];
+}
+
+/** A view on the way from one to another, which lie in the same world. */
+export function between(from, to, share) {
+  const turn = (to.yaw - from.yaw) % (2 * Math.PI);
+  const shortest = turn - 2 * Math.PI * Math.round(turn / (2 * Math.PI));
+  const number = name => from[name] + (to[name] - from[name]) * share;
+  const size = name => from[name] * (to[name] / from[name]) ** share;
+  return {
+    ...to, target: mix(from.target, to.target, share), yaw: from.yaw + shortest * share,
+    pitch: number("pitch"), roll: number("roll"), fov: number("fov"),
+    distance: size("distance"), height: size("height"),
+  };
+}
