@@ -13,7 +13,7 @@ from PIL import Image
 from raystream.viewer import Frame, Studio, Visitor
 
 #: Nothing that a test waits for takes so long, but compiling does.
-TIMEOUT = 60.0
+TIMEOUT = 300.0
 
 
 class Page:

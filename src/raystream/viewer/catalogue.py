@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from raystream._version import __version__
+from raystream.core.errors import RaystreamError
 from raystream.machines.schedulers import SCHEDULERS
 from raystream.render.heatmap import HEATMAPS
 from raystream.render.picture import RENDERERS
 from raystream.render.tone import TONES
-from raystream.viewer.messages import Message
+from raystream.viewer.heat import ramp
+from raystream.viewer.messages import Message, error_text
 from raystream.viewer.settings import MACHINES, MAX_SAMPLES, STRUCTURES, TRAVERSALS
 from raystream.viewer.visitor import MAX_PIXELS, MAX_SIDE
 
-__all__ = ["hello"]
+__all__ = ["devices_message", "hello"]
 
 
 def hello() -> Message:
-    """The first message to a visitor."""
+    """The first message to a visitor; which devices there are is told later."""
     return {
         "type": "hello",
         "version": __version__,
@@ -28,8 +32,12 @@ def hello() -> Message:
         ],
         "machines": list(dict.fromkeys(sum(MACHINES.values(), ()))),
         "schedulers": list(SCHEDULERS),
-        "devices": [{"name": name, "available": True, "reason": None} for name in MACHINES],
+        "devices": [
+            {"name": name, "available": True if name == "cpu" else None, "reason": None}
+            for name in MACHINES
+        ],
         "heatmaps": dict(HEATMAPS),
+        "ramp": ramp(),
         "tones": list(TONES),
         "limits": {
             "width": MAX_SIDE,
@@ -38,3 +46,37 @@ def hello() -> Message:
             "samples": MAX_SAMPLES,
         },
     }
+
+
+@cache
+def devices_message() -> Message:
+    """Which devices can be used here, and why others cannot: takes a second at first."""
+    reasons = {"cpu": None, "graphics": _no_graphics(), "cuda": _no_cuda()}
+    devices = [
+        {"name": name, "available": reason is None, "reason": reason}
+        for name, reason in reasons.items()
+    ]
+    return {"type": "devices", "devices": devices}
+
+
+def _no_graphics() -> str | None:
+    try:
+        from raystream.graphics.adapters import choose_adapter
+
+        choose_adapter()
+    except (RaystreamError, ImportError, OSError) as error:
+        return error_text(error)
+    return None
+
+
+def _no_cuda() -> str | None:
+    try:
+        from raystream.cuda.machines import list_gpus
+
+        gpus, _ = list_gpus()
+    except (RaystreamError, ImportError, OSError) as error:
+        return error_text(error)
+    faults = [gpu.error for gpu in gpus]
+    if None in faults:
+        return None
+    return error_text(Exception(faults[0] if faults else "there is no GPU"))

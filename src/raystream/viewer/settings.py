@@ -175,11 +175,15 @@ class Settings:
     @property
     def mode_options(self) -> Mapping[str, Any]:
         """Options of the mode, as its stages take them."""
-        renderer = RENDERERS[self.mode]
-        options = dict(renderer.options)
+        return RENDERERS[self.mode].check(self._named_options)
+
+    @property
+    def _named_options(self) -> dict[str, Any]:
+        """The same as `raystream.render` takes them."""
+        options = dict(RENDERERS[self.mode].options)
         if self.max_bounces is not None and "max_bounces" in options:
             options["max_bounces"] = self.max_bounces
-        return renderer.check(options)
+        return options
 
     @property
     def target_samples(self) -> int:
@@ -195,7 +199,7 @@ class Settings:
         key = self.tracer_key
         shown = {field.name: getattr(self, field.name) for field in fields(self)}
         shown |= {"traversal": key.traversal, "machine": key.machine, "scheduler": key.scheduler}
-        shown["max_bounces"] = self.mode_options.get("max_bounces")
+        shown["max_bounces"] = self._named_options.get("max_bounces")
         shown["samples"] = self.target_samples
         possible = {
             "traversal": list(TRAVERSALS.get(self.structure, ())),

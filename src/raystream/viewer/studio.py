@@ -9,8 +9,9 @@ from typing import Any
 
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
-from raystream.viewer.catalogue import hello
-from raystream.viewer.messages import Send
+from raystream.viewer.catalogue import devices_message, hello
+from raystream.viewer.jobs import Job
+from raystream.viewer.messages import Message, Send
 from raystream.viewer.scenes import Staged
 from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import Tracers
@@ -69,8 +70,10 @@ class Studio:
         self._left: list[Visitor] = []
         self._is_closed = False
         self._is_woken = False
+        self._devices: Message | None = None
         self._thread = threading.Thread(target=self._work, name="raystream viewer", daemon=True)
         self._thread.start()
+        self._crew.asides.start(Job(lambda *_: None), self._look_for_devices, lambda _: None)
 
     def join(self, send: Send) -> Visitor:
         """Let a visitor in.
@@ -94,9 +97,16 @@ class Studio:
         visitor.tell(hello())
         visitor.begin()
         with self._changed:
-            if self._is_closed:
-                raise RuntimeError("the studio is closed")
+            is_closed = self._is_closed
             self._visitors.append(visitor)
+            devices = self._devices
+        if is_closed:
+            visitor.leave()
+            raise RuntimeError("the studio is closed")
+        if visitor.has_left:  # it could not even be told that
+            self._drop(visitor)
+        elif devices is not None:
+            visitor.tell(devices)
         self._wake()
         return visitor
 
@@ -125,9 +135,16 @@ class Studio:
         with self._changed:
             if visitor in self._visitors:
                 self._visitors.remove(visitor)
-            self._turns.forget(visitor)
             self._left.append(visitor)
             self._changed.notify_all()
+
+    def _look_for_devices(self, _: Job) -> None:
+        message = devices_message()
+        with self._changed:
+            self._devices = message
+            visitors = list(self._visitors)
+        for visitor in visitors:
+            visitor.tell(message)
 
     def _work(self) -> None:
         while True:
@@ -139,6 +156,7 @@ class Studio:
                 self._left.clear()
             for visitor in left:
                 visitor.rest()
+                self._turns.forget(visitor)
             ready = [visitor for visitor in visitors if visitor.has_work()]
             if not ready:
                 with self._changed:
@@ -148,12 +166,10 @@ class Studio:
             self._take_turn(ready)
 
     def _take_turn(self, ready: list[Visitor]) -> None:
-        with self._changed:
-            visitor = self._turns.choose(ready)
+        visitor = self._turns.choose(ready)
         started = time.perf_counter()
         visitor.step(_ALONE if len(ready) == 1 else _AMONG_OTHERS)
-        with self._changed:
-            self._turns.charge(visitor, time.perf_counter() - started)
+        self._turns.charge(visitor, time.perf_counter() - started)
 
 
 def _settings_of(tracer: Tracer | None, given: Mapping[str, Any]) -> Settings:

@@ -26,7 +26,7 @@ __all__ = ["Prepared", "Tracers", "Waiter", "device_is_free", "device_lock"]
 _MOST_TRACERS = 8
 _MOST_BYTES = 2 << 30
 
-#: Width and height of the picture of which a row is rendered to compile what is not yet.
+#: Width and height of the picture that is rendered to compile what is not yet.
 _TRIAL = 16
 
 
@@ -230,15 +230,15 @@ def _wanted(settings: Settings) -> tuple[TracerKey, str]:
 
 
 def _try(settings: Settings, setting: Setting) -> None:
-    """Render a row, so that all kernels are compiled and nothing waits for that later."""
+    """Render a small picture, so that kernels are compiled and nothing waits for that later."""
     if settings.heatmap is not None:
-        origins, directions = setting.camera.rays(_TRIAL, 1)
+        origins, directions = setting.camera.rays(_TRIAL, _TRIAL)
         setting.tracer.first_hit(origins, directions)
         return
     chosen = replace(setting, options=settings.mode_options)
     chosen = chosen.seen_by(setting.camera, (_TRIAL, _TRIAL))
-    light = RENDERERS[settings.mode].trace(chosen, range(1), 0)
-    Accumulation(_TRIAL, 1).add_samples(0, light)
+    light = RENDERERS[settings.mode].trace(chosen, range(_TRIAL), 0)
+    Accumulation(_TRIAL, _TRIAL).add_samples(0, light)
 
 
 _LOCKS: dict[str, threading.Lock] = {"graphics": threading.Lock(), "cuda": threading.Lock()}

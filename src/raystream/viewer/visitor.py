@@ -104,6 +104,11 @@ class Visitor:
         """Tell the page what there is, and prepare the first picture."""
         self._choice.enter(self._choice.staged)
 
+    @property
+    def has_left(self) -> bool:
+        """Whether it is gone."""
+        return self._has_left
+
     # For the server.
 
     def take(self, message: Any) -> None:
