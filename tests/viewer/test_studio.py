@@ -203,6 +203,33 @@ def test_a_long_picture_does_not_keep_others_waiting(studio: Studio) -> None:
     quick.visitor.leave()
 
 
+def test_what_cannot_be_divided_does_not_keep_others_waiting(
+    studio: Studio, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trace, began, go_on = SampledPicture._trace, threading.Event(), threading.Event()
+
+    def block(picture: SampledPicture, *arguments: Any) -> None:
+        if picture.width == 40:
+            began.set()
+            assert go_on.wait(TIMEOUT)
+        trace(picture, *arguments)
+
+    monkeypatch.setattr(SampledPicture, "_trace", block)
+    slow, other = Page(studio, size=(40, 30)), Page(studio)
+    assert began.wait(TIMEOUT)
+    other.frame(done=True)
+    other.forget()
+    other.take("camera", number=3, moving=False, **OTHER)
+    other.frame(done=True, camera=3)
+    assert slow.frames() == []
+    other.visitor.leave()
+    slow.visitor.leave()
+    go_on.set()
+    other = Page(studio)
+    other.frame(done=True)
+    other.visitor.leave()
+
+
 def test_nothing_is_sent_to_a_page_that_has_left(studio: Studio) -> None:
     page = Page(studio)
     page.frame(done=True)
@@ -222,7 +249,7 @@ def test_a_page_that_cannot_be_reached_has_left(studio: Studio) -> None:
 
     visitor = studio.join(send)
     assert visitor.has_left
-    assert visitor not in studio._visitors
+    assert visitor not in studio._worker.customers
 
 
 def test_an_error_in_a_picture_is_told_and_others_go_on(

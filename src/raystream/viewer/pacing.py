@@ -171,11 +171,11 @@ def rows_of_slice(rows_left: int, row_seconds: float, seconds: float) -> int:
     rows_left : int
         Of the picture.
     row_seconds : float
-        What a row is expected to take; nan if that is not known.
+        What a row is expected to take; nan if that is not known: then it is tried with one.
     seconds : float
         What a slice may take.
     """
     if math.isnan(row_seconds):
-        return max(1, rows_left // 8)
+        return 1
     slices = max(1, round(rows_left * row_seconds / seconds))
     return min(rows_left, max(1, -(-rows_left // slices)))

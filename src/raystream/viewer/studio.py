@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,16 +13,10 @@ from raystream.viewer.messages import Message, Send
 from raystream.viewer.scenes import Staged
 from raystream.viewer.settings import Settings
 from raystream.viewer.tracers import Tracers
-from raystream.viewer.turns import Turns
 from raystream.viewer.visitor import Crew, Visitor
+from raystream.viewer.worker import Worker
 
 __all__ = ["Studio"]
-
-#: What a slice of work may take: alone, and while others wait for their turn.
-_ALONE, _AMONG_OTHERS = 0.1, 0.04
-
-#: The worker looks again after so long, for cameras that have come to rest.
-_LOOK_SECONDS = 0.1
 
 
 class Studio:
@@ -48,8 +40,8 @@ class Studio:
 
     Notes
     -----
-    One thread renders for all visitors in turn, on all cores; another encodes what is done;
-    structures are built beside them, on threads of their own.
+    Visitors are rendered for in turn, on all cores, in slices of bounded time; a thread encodes
+    what is done; structures are built beside them, on threads of their own.
     """
 
     def __init__(
@@ -60,19 +52,12 @@ class Studio:
         tracer = scene if isinstance(scene, Tracer) else None
         self._settings = _settings_of(tracer, settings or {})
         shown = scene.scene if isinstance(scene, Tracer) else scene
-        self._crew = Crew(self._wake)
+        self._worker = Worker()
+        self._crew = Crew(self._worker.wake)
         key = None if tracer is None else _settings_of(tracer, {}).tracer_key
         tracers = Tracers(shown, self._crew.builds, tracer, key)
         self._home = Staged(shown, name, False, tracers)
-        self._turns: Turns[Visitor] = Turns()
-        self._changed = threading.Condition()
-        self._visitors: list[Visitor] = []
-        self._left: list[Visitor] = []
-        self._is_closed = False
-        self._is_woken = False
         self._devices: Message | None = None
-        self._thread = threading.Thread(target=self._work, name="raystream viewer", daemon=True)
-        self._thread.start()
         self._crew.asides.start(Job(lambda *_: None), self._look_for_devices, lambda _: None)
 
     def join(self, send: Send) -> Visitor:
@@ -93,83 +78,36 @@ class Studio:
         RuntimeError
             If the studio is closed.
         """
-        visitor = Visitor(self._crew, send, self._home, self._settings, self._drop)
+        visitor = Visitor(self._crew, send, self._home, self._settings, self._worker.drop)
         visitor.tell(hello())
         visitor.begin()
-        with self._changed:
-            is_closed = self._is_closed
-            self._visitors.append(visitor)
-            devices = self._devices
-        if is_closed:
+        if not self._worker.add(visitor):
             visitor.leave()
             raise RuntimeError("the studio is closed")
         if visitor.has_left:  # it could not even be told that
-            self._drop(visitor)
-        elif devices is not None:
-            visitor.tell(devices)
-        self._wake()
+            self._worker.drop(visitor)
+        elif self._devices is not None:
+            visitor.tell(self._devices)
+        self._worker.wake()
         return visitor
 
     def close(self) -> None:
         """Send everybody away, and end the threads."""
-        with self._changed:
-            if self._is_closed:
-                return
-            self._is_closed = True
-            visitors = list(self._visitors)
-            self._changed.notify_all()
-        for visitor in visitors:
+        for visitor in self._visitors():
             visitor.tell({"type": "closing", "reason": "the viewer was closed"})
             visitor.leave()
-        self._thread.join(10.0)
+        self._worker.close()
+        for visitor in self._visitors():  # who came meanwhile
+            visitor.leave()
         self._crew.close()
 
-    def _wake(self) -> None:
-        """Let the worker look for work."""
-        with self._changed:
-            self._is_woken = True
-            self._changed.notify_all()
-
-    def _drop(self, visitor: Visitor) -> None:
-        """Forget a visitor who has left."""
-        with self._changed:
-            if visitor in self._visitors:
-                self._visitors.remove(visitor)
-            self._left.append(visitor)
-            self._changed.notify_all()
+    def _visitors(self) -> list[Visitor]:
+        return [one for one in self._worker.customers if isinstance(one, Visitor)]
 
     def _look_for_devices(self, _: Job) -> None:
-        message = devices_message()
-        with self._changed:
-            self._devices = message
-            visitors = list(self._visitors)
-        for visitor in visitors:
-            visitor.tell(message)
-
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                if self._is_closed:
-                    return
-                self._is_woken = False
-                visitors, left = list(self._visitors), list(self._left)
-                self._left.clear()
-            for visitor in left:
-                visitor.rest()
-                self._turns.forget(visitor)
-            ready = [visitor for visitor in visitors if visitor.has_work()]
-            if not ready:
-                with self._changed:
-                    if not self._is_woken and not self._left and not self._is_closed:
-                        self._changed.wait(_LOOK_SECONDS if visitors else None)
-                continue
-            self._take_turn(ready)
-
-    def _take_turn(self, ready: list[Visitor]) -> None:
-        visitor = self._turns.choose(ready)
-        started = time.perf_counter()
-        visitor.step(_ALONE if len(ready) == 1 else _AMONG_OTHERS)
-        self._turns.charge(visitor, time.perf_counter() - started)
+        self._devices = devices_message()
+        for visitor in self._visitors():
+            visitor.tell(self._devices)
 
 
 def _settings_of(tracer: Tracer | None, given: Mapping[str, Any]) -> Settings:

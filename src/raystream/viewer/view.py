@@ -29,8 +29,9 @@ __all__ = ["Shot", "View", "Wish"]
 #: camera has moved on: else there would be none before it rests.
 _QUICK, _SOON = 1.0, 0.25
 
-#: A first picture that would take longer is preceded by a smaller one.
-_PATIENCE = 0.5
+#: A first picture that would take longer is preceded by a smaller one; what has taken less so
+#: far says nothing of the rest.
+_PATIENCE, _LEAST_SIGN = 0.5, 0.05
 
 #: Modes and tracers whose cost is remembered.
 _MOST_COSTS = 64
@@ -238,6 +239,8 @@ class View:
 
     def _hurry(self, picture: Picture, wish: Wish) -> None:
         """Make a smaller picture first, if the one that is begun takes long."""
+        if picture.seconds < _LEAST_SIGN:
+            return
         if self._purpose in (_MOVING, _GLANCE):
             self._resolution.heed(*wish.size, self._cost(wish, is_small=True))
             width, height = self._resolution.size(*wish.size)
