@@ -1,9 +1,11 @@
+import io
 import math
 
 import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.scene.texture import FORMATS
 
 TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
@@ -97,6 +99,32 @@ def test_textures_are_decoded_when_asked_for(tmp_path):
         (tmp_path / "bad.png").write_bytes(content)
         with pytest.raises(rs.FileFormatError, match=r"bad\.png: cannot read this image"):
             rs.Texture(tmp_path / "bad.png").pixels()
+
+
+def test_textures_are_bitmaps_and_no_programs(tmp_path, monkeypatch):
+    """Pillow would have Ghostscript run PostScript, whatever the file is called."""
+    from PIL import EpsImagePlugin
+
+    def run(*arguments, **named):
+        pytest.fail("the program was run")
+
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", run)
+    program = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n"
+    (tmp_path / "wood.png").write_bytes(program)
+    for source in (tmp_path / "wood.png", program):
+        with pytest.raises(rs.FileFormatError, match="cannot read this image"):
+            rs.Texture(source).pixels()
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_textures_of_all_formats_are_read(name):
+    from PIL import Image
+
+    content = io.BytesIO()
+    Image.new("RGB", (4, 2), (10, 20, 30)).save(content, name)
+    pixels = rs.Texture(content.getvalue()).pixels()
+    assert pixels.shape == (2, 4, 3)
+    assert np.abs(pixels.astype(int) - [10, 20, 30]).max() < 12
 
 
 def test_scenes_and_results_travel_to_other_processes():

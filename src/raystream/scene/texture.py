@@ -17,6 +17,23 @@ __all__ = ["MAX_TEXTURE_PIXELS", "Texture"]
 #: Larger images are refused before they are decoded: a few kilobytes can claim terabytes.
 MAX_TEXTURE_PIXELS = 1 << 28
 
+#: What textures come in. Pillow knows more, and goes by the content, not by the name: among them
+#: are programs for Ghostscript, which it would run. TGA has no mark of its own, and comes last.
+FORMATS = (
+    "PNG",
+    "JPEG",
+    "WEBP",
+    "GIF",
+    "BMP",
+    "TIFF",
+    "DDS",
+    "JPEG2000",
+    "PPM",
+    "SGI",
+    "PCX",
+    "TGA",
+)
+
 
 class Texture:
     """A bitmap, from a file or from memory.
@@ -87,7 +104,7 @@ class Texture:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", Image.DecompressionBombWarning)
                 source = self.path if self.path else io.BytesIO(self._encoded or b"")
-                with Image.open(source) as image:
+                with Image.open(source, formats=FORMATS) as image:
                     width, height = image.size
                     if width * height > MAX_TEXTURE_PIXELS:
                         raise FileFormatError(label, f"image of {width}x{height} is too large")
