@@ -60,6 +60,9 @@ class FakeVisitor:
 
     def open(self, path, name):
         self.opened.append((path, name))
+        if name == "bad.obj":
+            self.send({"type": "error", "message": f"{path}: is damaged", "about": "open"})
+            return
         self.send({"type": "opened", "name": name, "content": path.read_bytes().decode("latin-1")})
 
     def leave(self):

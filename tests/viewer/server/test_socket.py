@@ -255,6 +255,14 @@ def test_client_that_stops_in_the_middle_of_a_message_is_let_go(home):
     wait_until(lambda: not home.studio.present)
 
 
+def begin_websocket(home, raw):
+    raw.sendall(
+        f"GET /live HTTP/1.1\r\nHost: {home.name}\r\nOrigin: {home.origin}\r\n"
+        "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: c3RyZWFtcyBvZiByYXlzIQ==\r\n\r\n".encode()
+    )
+
+
 @pytest.fixture
 def deaf(home):
     """A websocket that reads nothing after its beginning, and has little room for it."""
@@ -262,11 +270,7 @@ def deaf(home):
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         raw.settimeout(10)
         raw.connect(("127.0.0.1", home.port))
-        raw.sendall(
-            f"GET /live HTTP/1.1\r\nHost: {home.name}\r\nOrigin: {home.origin}\r\n"
-            "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: c3RyZWFtcyBvZiByYXlzIQ==\r\n\r\n".encode()
-        )
+        begin_websocket(home, raw)
         wait_until(lambda: home.studio.present)
         yield raw
 
@@ -298,6 +302,17 @@ def test_pings_are_not_answered_without_end(home, deaf, monkeypatch):
             sent += deaf.send(pings)
     assert sent < 64 << 20
     wait_until(lambda: is_rid_of_all(home))
+
+
+def test_client_that_answers_no_pings_is_let_go(make_home):
+    home = make_home()
+    config = home.server._server.config
+    assert 0.0 < config.ws_ping_interval + config.ws_ping_timeout <= 60.0
+    config.ws_ping_interval = config.ws_ping_timeout = 0.1
+    with home.open_socket() as raw:
+        begin_websocket(home, raw)
+        wait_until(lambda: home.studio.visitors)
+        wait_until(lambda: is_rid_of_all(home))
 
 
 def test_end_of_the_server_is_said(make_home):

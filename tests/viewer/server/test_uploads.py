@@ -91,6 +91,13 @@ def test_model_is_opened_with_the_name_that_it_had(home, temporary):
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
+def test_reasons_do_not_tell_where_files_lie(home):
+    client = home.connect()
+    home.put(client, f"/uploads/{ID}/bad.obj", OBJ)
+    open_model(client, "bad.obj")
+    assert read_until(client, "error")["message"] == "bad.obj: is damaged"
+
+
 def test_files_go_with_their_connection(home, temporary):
     client, other = home.connect(), home.connect()
     home.put(client, f"/uploads/{ID}/a.obj", OBJ)

@@ -33,8 +33,8 @@ def make_token(chosen: str | None = None) -> str:
         return secrets.token_urlsafe(32)
     if _TOKEN.fullmatch(chosen) is None:
         raise RaystreamError(
-            "--token: expected 16 to 256 letters, digits, - or _; leave --host or --token out "
-            "to have one made"
+            "--token: expected 16 to 256 letters, digits, - or _; without it one is made where "
+            "it is needed"
         )
     return chosen
 

@@ -72,7 +72,7 @@ async def live(websocket: WebSocket, studio: Studio, visits: Visits) -> None:
 
 async def _attend(websocket: WebSocket, studio: Studio, visit: Visit) -> None:
     """Let messages go both ways until one way ends."""
-    visit.visitor = studio.join(visit.outbox.put)
+    visit.visitor = studio.join(visit.tell)
     ways = {
         asyncio.create_task(_send_all(websocket, visit.outbox)),
         asyncio.create_task(_receive_all(websocket, visit)),

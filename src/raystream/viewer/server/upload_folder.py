@@ -123,6 +123,14 @@ class UploadFolder:
         if shutil.disk_usage(place).free < count + DISK_RESERVE:
             raise FullError("no room: the disk of this viewer is nearly full")
 
+    def without_place(self, text: str) -> str:
+        """A text with files called as they were sent, not where they lie."""
+        if self._root is None:
+            return text
+        for upload in list(self._sizes):  # from another thread than the one that adds
+            text = text.replace(f"{self._root / upload}{os.sep}", "")
+        return text
+
     def remove(self) -> None:
         """Remove all files; files that are still arriving end."""
         self._is_removed = True

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from raystream.viewer.server.outbox import Outbox
 from raystream.viewer.server.upload_folder import UploadFolder
 
 if TYPE_CHECKING:
+    from raystream.viewer.messages import Frame
     from raystream.viewer.visitor import Visitor
 
 __all__ = ["MAX_VISITS", "Visit", "Visits"]
@@ -39,6 +40,12 @@ class Visit:
         self.outbox = outbox
         self.uploads = uploads
         self.visitor: Visitor | None = None
+
+    def tell(self, message: dict[str, Any] | Frame) -> None:
+        """Send the client a message, from any thread; where its files lie is not its concern."""
+        if isinstance(message, dict) and message.get("type") == "error":
+            message = {**message, "message": self.uploads.without_place(message["message"])}
+        self.outbox.put(message)
 
     def end(self) -> None:
         """Free what it holds: its work in the engine, its messages, its files."""
