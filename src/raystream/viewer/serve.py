@@ -10,6 +10,7 @@ import ipaddress
 import os
 import socket
 import threading
+import time
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,10 @@ PREFERRED_PORT = 8008
 #: Bytes of one upload, all its files together.
 DEFAULT_UPLOAD_LIMIT = 256 << 20
 
-#: Seconds that connections have to end when the server does.
+#: Seconds that connections have to end when the server does; and that a page has, of these, to
+#: hear why.
 END_TIMEOUT = 5
+GOODBYE_TIMEOUT = 1.0
 
 
 def bind(host: str = "127.0.0.1", port: int | None = None) -> socket.socket:
@@ -187,12 +190,19 @@ class ViewServer:
             if self._is_closed:
                 return
             self._is_closed = True
-        if self._loop is not None:
-            with contextlib.suppress(RuntimeError):  # it has ended by itself
-                self._loop.call_soon_threadsafe(self._visits.close)
+        self._send_away()
         self._server.should_exit = True
         self._thread.join(2 * END_TIMEOUT)
         self._studio.close()
+
+    def _send_away(self) -> None:
+        """Tell all that are connected, and give them a moment to hear it."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has ended by itself
+                self._loop.call_soon_threadsafe(self._visits.close)
+        end = time.monotonic() + GOODBYE_TIMEOUT
+        while self.visit_count and self.is_running and time.monotonic() < end:
+            time.sleep(0.01)
 
     def __enter__(self) -> ViewServer:
         return self

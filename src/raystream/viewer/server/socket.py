@@ -59,7 +59,7 @@ async def live(websocket: WebSocket, studio: Studio, visits: Visits) -> None:
         )
     )
     if visit is None:
-        reason = "too many are connected to this viewer: try again later"
+        reason = visits.refusal
         with contextlib.suppress(WebSocketDisconnect):
             await websocket.send_json({"type": "closing", "reason": reason})
             await websocket.close(TRY_LATER, reason)

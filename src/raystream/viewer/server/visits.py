@@ -80,6 +80,13 @@ class Visits:
     def __len__(self) -> int:
         return len(self._visits)
 
+    @property
+    def refusal(self) -> str:
+        """Why nobody can come in, when nobody can."""
+        if self._is_open:
+            return "too many are connected to this viewer: try again later"
+        return "the viewer has ended"
+
     def begin(self, make_outbox: Callable[[str], Outbox]) -> Visit | None:
         """Let one in; None when as many as there may be are there.
 
