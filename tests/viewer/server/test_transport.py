@@ -5,6 +5,8 @@ from __future__ import annotations
 import socket
 import time
 
+import pytest
+
 from raystream.viewer.server import transport
 from viewer_home import PAGE, read_answer, wait_until
 
@@ -66,8 +68,9 @@ def test_nonsense_is_refused(home):
     assert home.get().status == 200
 
 
-def test_connections_are_bounded(home, monkeypatch):
-    monkeypatch.setattr(transport, "MAX_SOCKETS", 5)
+@pytest.mark.parametrize("limit", ["MAX_SOCKETS", "MAX_SOCKETS_OF_ONE"])
+def test_connections_are_bounded(home, monkeypatch, limit):
+    monkeypatch.setattr(transport, limit, 5)
     kept = [home.open_socket() for _ in range(5)]
     wait_until(lambda: connection_count(home) == 5)
     assert home.get().status == 0

@@ -255,7 +255,7 @@ def begin_upload(home, client, name, length=1000):
 
 
 def uploading(home):
-    return home.server._visits.arriving_count
+    return sum(visit.uploads.arriving_count for visit in home.server._visits._visits)
 
 
 def test_upload_that_stops_is_given_up(home, temporary, monkeypatch):
@@ -305,14 +305,28 @@ def test_upload_ends_when_its_connection_does(home, temporary):
     assert list(temporary.iterdir()) == []
 
 
-def test_uploads_at_once_are_bounded(home, monkeypatch):
-    monkeypatch.setattr(uploads, "MAX_ARRIVING", 1)
-    client = home.connect()
+def test_uploads_at_once_are_bounded_for_each_connection(home, monkeypatch):
+    monkeypatch.setattr(upload_folder, "MAX_ARRIVING", 1)
+    client, other = home.connect(), home.connect()
     with begin_upload(home, client, "a.obj"):
         wait_until(lambda: uploading(home) == 1)
         assert home.put(client, f"/uploads/{ID}/b.obj", OBJ).status == 503
+        assert home.put(other, f"/uploads/{ID}/b.obj", OBJ).status == 204
     wait_until(lambda: uploading(home) == 0)
     assert home.put(client, f"/uploads/{ID}/b.obj", OBJ).status == 204
+
+
+def test_upload_that_was_given_up_for_others_does_not_come_back(home):
+    client = home.connect()
+    with begin_upload(home, client, "a.obj", 4) as raw:
+        raw.sendall(b"v 0")
+        wait_until(lambda: uploading(home) == 1)
+        for number in range(3):
+            home.put(client, f"/uploads/{ID}{number}/a.obj", OBJ)
+        raw.sendall(b"\n")
+        assert read_answer(raw).status == 409
+    open_model(client, "a.obj")
+    assert "has not been uploaded" in read_until(client, "error")["message"]
 
 
 # Names, as such.

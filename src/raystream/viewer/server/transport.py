@@ -22,8 +22,9 @@ READ_TIMEOUT = 20.0
 #: Seconds from the end of a connection until it is cut, whatever still waits.
 CLOSE_TIMEOUT = 5.0
 
-#: Connections of any kind; a page uses up to seven.
-MAX_SOCKETS = 256
+#: Connections of any kind, and those from one address; a page uses up to seven.
+MAX_SOCKETS = 640
+MAX_SOCKETS_OF_ONE = 256
 
 
 class _Alarm:
@@ -57,7 +58,7 @@ class HttpProtocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Count one more, and wait for its request."""
         super().connection_made(transport)
-        if len(self.connections) > MAX_SOCKETS:
+        if len(self.connections) > MAX_SOCKETS or self._of_one() > MAX_SOCKETS_OF_ONE:
             transport.abort()
             return
         self._head.set(HEAD_TIMEOUT, self._give_up)
@@ -94,6 +95,13 @@ class HttpProtocol(H11Protocol):
         """Go on: it has read."""
         super().resume_writing()
         self._read.stop()
+
+    def _of_one(self) -> int:
+        """Connections from the same address."""
+        if self.client is None:
+            return 1
+        clients = [getattr(connection, "client", None) for connection in self.connections]
+        return sum(one is not None and one[0] == self.client[0] for one in clients)
 
     def _give_up(self) -> None:
         """End, but let the client read what is on its way."""

@@ -12,6 +12,7 @@ from typing import BinaryIO
 __all__ = [
     "MAX_FILES",
     "ArrivingFile",
+    "BusyError",
     "FullError",
     "RefusedError",
     "TooLargeError",
@@ -21,6 +22,9 @@ __all__ = [
 #: Files that one upload may consist of.
 MAX_FILES = 256
 
+#: Files of one connection that arrive at once.
+MAX_ARRIVING = 4
+
 #: Uploads that are kept for a connection: the one that it shows, the one before, in case that
 #: the new one cannot be shown, and the one that arrives.
 MAX_UPLOADS = 3
@@ -29,12 +33,19 @@ MAX_UPLOADS = 3
 DISK_RESERVE = 256 << 20
 
 
+_GIVEN_UP = "the connection of this upload has ended, or has sent others since"
+
+
 class RefusedError(Exception):
     """A file that may not come: too many, there already, or its connection is gone."""
 
 
 class TooLargeError(RefusedError):
     """A file with which an upload would have too many bytes."""
+
+
+class BusyError(RefusedError):
+    """A file too many at once."""
 
 
 class FullError(RefusedError):
@@ -51,10 +62,16 @@ class UploadFolder:
     ----------
     limit : int
         Bytes of one upload, all its files together.
+
+    Attributes
+    ----------
+    arriving_count : int
+        Files that have begun to come.
     """
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
+        self.arriving_count = 0
         self._root: Path | None = None
         self._sizes: dict[str, dict[str, int]] = {}
         self._whole: set[tuple[str, str]] = set()
@@ -90,7 +107,9 @@ class UploadFolder:
             If the file cannot come.
         """
         if self._is_removed:
-            raise RefusedError("the connection that this upload belongs to has ended")
+            raise RefusedError(_GIVEN_UP)
+        if self.arriving_count >= MAX_ARRIVING:
+            raise BusyError(f"at most {MAX_ARRIVING} files can arrive at once")
         sizes = self._sizes.get(upload, {})
         if name in sizes:
             raise RefusedError(f"{name}: is there already")
@@ -147,13 +166,21 @@ class UploadFolder:
         RefusedError
             If they are too many, or the connection has ended.
         """
-        if self._is_removed or name not in self._sizes.get(upload, {}):
-            raise RefusedError("the connection that this upload belongs to has ended")
+        if name not in self._sizes.get(upload, {}):
+            raise RefusedError(_GIVEN_UP)
         self.require_room(upload, count)
         self._sizes[upload][name] += count
 
     def complete(self, upload: str, name: str) -> None:
-        """Say that a file has come as a whole."""
+        """Say that a file has come as a whole.
+
+        Raises
+        ------
+        RefusedError
+            If its upload has been given up meanwhile.
+        """
+        if name not in self._sizes.get(upload, {}):
+            raise RefusedError(_GIVEN_UP)
         self._whole.add((upload, name))
 
     def forget(self, upload: str, name: str) -> None:
@@ -198,7 +225,12 @@ class ArrivingFile:
     def __enter__(self) -> ArrivingFile:
         # Never what is there already, nor through a link.
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-        self._file = os.fdopen(os.open(self._path, flags, 0o600), "wb")
+        try:
+            self._file = os.fdopen(os.open(self._path, flags, 0o600), "wb")
+        except OSError:
+            self._folder.forget(self._upload, self._name)
+            raise
+        self._folder.arriving_count += 1
         return self
 
     def write(self, chunk: bytes) -> None:
@@ -228,6 +260,7 @@ class ArrivingFile:
         trace: TracebackType | None,
     ) -> None:
         assert self._file is not None
+        self._folder.arriving_count -= 1
         self._file.close()
         if not self._is_whole:
             self._folder.forget(self._upload, self._name)

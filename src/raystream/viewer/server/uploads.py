@@ -10,6 +10,7 @@ from starlette.responses import PlainTextResponse, Response
 from raystream.viewer.server.names import is_upload_id, safe_name
 from raystream.viewer.server.upload_folder import (
     ArrivingFile,
+    BusyError,
     FullError,
     RefusedError,
     TooLargeError,
@@ -20,9 +21,6 @@ __all__ = ["KEY_HEADER", "receive_upload"]
 
 #: Says which connection an upload belongs to.
 KEY_HEADER = "X-Upload-Key"
-
-#: Uploads at once, over all connections.
-MAX_ARRIVING = 32
 
 #: Seconds without a byte, and bytes a second on average after that, below which an upload ends.
 IDLE_TIMEOUT = 20.0
@@ -54,14 +52,13 @@ async def receive_upload(request: Request, visits: Visits) -> Response:
         claimed = _claimed(request)
     except ValueError as error:
         return _refusal(400, str(error))
-    if visits.arriving_count >= MAX_ARRIVING:
-        return _refusal(503, "too many files are arriving: try again later")
-    visits.arriving_count += 1
     try:
         with visit.uploads.receive(upload, name, claimed) as arriving:
             await _store(request, arriving)
     except TooLargeError as error:
         return _refusal(413, str(error))
+    except BusyError as error:
+        return _refusal(503, str(error))
     except FullError as error:
         return _refusal(507, str(error))
     except RefusedError as error:
@@ -72,8 +69,6 @@ async def receive_upload(request: Request, visits: Visits) -> Response:
         return _refusal(507, f"the file could not be kept: {error.strerror}")
     except ClientDisconnect:
         return _refusal(400, "the file did not come as a whole")
-    finally:
-        visits.arriving_count -= 1
     return Response(status_code=204)
 
 

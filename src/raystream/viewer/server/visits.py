@@ -64,16 +64,10 @@ class Visits:
     ----------
     upload_limit : int
         Bytes that one upload may have, all its files together.
-
-    Attributes
-    ----------
-    arriving_count : int
-        Files that are being uploaded.
     """
 
     def __init__(self, upload_limit: int) -> None:
         self.upload_limit = upload_limit
-        self.arriving_count = 0
         self._visits: set[Visit] = set()
         self._is_open = True
 
