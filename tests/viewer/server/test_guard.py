@@ -122,6 +122,12 @@ def test_wrong_origin_opens_no_websocket(home, origin):
     assert home.studio.visitors == []
 
 
+def test_refusal_of_a_websocket_is_no_fault_of_the_server(home, caplog):
+    assert home.upgrade(Origin="http://evil.example").status == 403
+    home.get()  # the task of the refusal has ended
+    assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
+
+
 def test_two_origins_open_no_websocket(home):
     assert home.upgrade(Origin=f"{home.origin}\nOrigin: {home.origin}").status in (400, 403)
     assert home.studio.visitors == []

@@ -143,6 +143,12 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
             self.transport.resume_reading()
         self._read.stop()
 
+    async def send(self, message: Any) -> None:
+        """Send; a refusal is an answer, too, and nothing to complain of in the log."""
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body" and not message.get("more_body"):
+            self.handshake_complete = True
+
     async def run_asgi(self) -> None:
         """Run the application; what it leaves unread is not waited for."""
         await super().run_asgi()
