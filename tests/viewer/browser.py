@@ -22,7 +22,7 @@ from conftest import child_environment
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 #: Seconds that anything may take: kernels may have to be compiled.
-PATIENCE = 120.0
+PATIENCE = 300.0
 
 #: What a phone is.
 PHONE = {

@@ -1,7 +1,7 @@
 // Figures: what the server measured, what the page did, and what was built.
 
 import {byId, fillFigures} from "./elements.js";
-import {bytes, count, many, milliseconds, number, seconds, words} from "./format.js";
+import {bytes, capital, count, many, milliseconds, number, seconds, words} from "./format.js";
 
 const PERIOD = 160; // ms between two refreshes: figures should be readable
 const WINDOW = 1000; // ms over which frames are counted
@@ -14,6 +14,7 @@ export class Figures {
     this.serverRate = null;
     this.timer = null;
     this.built = null;
+    this.titles = {}; // of heat maps, by name
   }
 
   /** A frame was drawn, or passed over. */
@@ -51,7 +52,7 @@ export class Figures {
       ? counters.map(([name, mean]) => [words(name), number(mean)])
       : [["With a heat map", "–"]];
     fillFigures(byId("counters"), rows);
-    showLegend(header.legend);
+    this.showLegend(header.legend);
   }
 
   rows(header) {
@@ -93,13 +94,15 @@ export class Figures {
       `${some(scene.vertices, "vertex", "vertices")}, ${some(scene.materials, "material", "materials")}`;
     document.title = `${scene.name} – raystream`;
   }
-}
 
-function showLegend(legend) {
-  const figure = byId("legend");
-  figure.hidden = !legend;
-  if (!legend) return;
-  figure.querySelector("figcaption").textContent = words(legend.what);
-  byId("legend-middle").textContent = number(legend.maximum / 2);
-  byId("legend-top").textContent = number(legend.maximum);
+  showLegend(legend) {
+    const figure = byId("legend");
+    figure.hidden = !legend;
+    if (!legend) return;
+    const title = capital(this.titles[legend.what] || words(legend.what));
+    const caption = figure.querySelector("figcaption");
+    if (caption.textContent !== title) caption.textContent = title;
+    byId("legend-middle").textContent = number(legend.maximum / 2);
+    byId("legend-top").textContent = number(legend.maximum);
+  }
 }

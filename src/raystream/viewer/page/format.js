@@ -22,6 +22,9 @@ export const coordinate = n => (Number.isFinite(n) ? String(Number(n.toPrecision
 
 export const point = p => (p ? p.map(coordinate).join(", ") : "–");
 
+/** The same with fewer digits, for a table. */
+export const shortPoint = p => (p ? p.map(n => String(Number(n.toPrecision(4)))).join(", ") : "–");
+
 /** Many of them: 12.3 M. */
 export function many(n) {
   if (!Number.isFinite(n)) return "–";
@@ -51,3 +54,5 @@ export function seconds(n) {
 
 /** A name in code as words: "ray_count" is "ray count". */
 export const words = name => String(name).replaceAll("_", " ");
+
+export const capital = text => text.charAt(0).toUpperCase() + text.slice(1);

@@ -1,7 +1,7 @@
 // The picked ray: every hit along it, and its walk through the structure.
 
 import {byId, make} from "./elements.js";
-import {coordinate, count, number, point, words} from "./format.js";
+import {capital, coordinate, count, number, point, shortPoint, words} from "./format.js";
 
 const MOST_TESTED = 12;
 
@@ -13,13 +13,18 @@ function hitTable(message) {
     if (!text) cell.className = "order";
     return cell;
   }));
+  const position = hit => {
+    const cell = make("td", "figure place", shortPoint(hit.position));
+    cell.title = point(hit.position);
+    return cell;
+  };
   const rows = message.hits.map((hit, index) => make("tr", "", [
     make("td", "order", String(index + 1)),
     make("td", "figure", coordinate(hit.t)),
     make("td", "figure", count(hit.prim_id)),
     make("td", "", hit.mesh || `mesh ${hit.mesh_id}`),
     make("td", "", hit.material || "–"),
-    make("td", "figure place", point(hit.position)),
+    position(hit),
   ]));
   const table = make("table", "", [make("thead", "", [head]), make("tbody", "", rows)]);
   const scroller = make("div", "scroller", [table]);
@@ -40,18 +45,20 @@ function rayLines(message) {
 function stepLine(step) {
   const item = make("li");
   item.append(make("b", "", words(step.kernel)));
-  if (step.at !== undefined && step.at !== null) {
-    item.append(make("span", "at", Array.isArray(step.at) ? `(${step.at.join(", ")})` : words(step.at)));
-  }
-  const ends = [step.t_in, step.t_out].map(t => (t === null || t === undefined ? null : coordinate(t)));
-  if (ends[0] !== null || ends[1] !== null) {
-    item.append(make("span", "between", `t ${ends[0] ?? "–"} … ${ends[1] ?? "∞"}`));
+  const {at} = step;
+  if (at) {
+    const spot = make("span", "at", `${words(at.kind)} ${count(at.number)}`);
+    spot.title = `from ${point(at.low)} to ${point(at.high)}`;
+    item.append(spot);
+    const ends = [step.t_in ?? -Infinity, step.t_out ?? Infinity].map(coordinate);
+    item.append(make("span", "between", `t ${ends.join(" … ")}`));
   }
   const tested = step.tested || [];
   if (tested.length) {
-    const left = tested.length - MOST_TESTED;
-    const some = tested.slice(0, MOST_TESTED).map(one => count(one)).join(" · ");
-    item.append(make("span", "tested", `tests ${some}${left > 0 ? ` and ${count(left)} more` : ""}`));
+    const left = step.tested_count - Math.min(tested.length, MOST_TESTED);
+    const some = tested.slice(0, MOST_TESTED).map(count).join(" · ");
+    const rest = left > 0 ? ` and ${count(left)} more` : "";
+    item.append(make("span", "tested", `tests ${some}${rest}`));
   }
   if (step.prim_id >= 0 && Number.isFinite(step.t)) {
     item.append(make("span", "found", `nearest ${count(step.prim_id)} at t = ${coordinate(step.t)}`));
@@ -63,17 +70,21 @@ function walkPart(message) {
   const {walk} = message;
   const part = make("section", "walk", [make("h3", "", "Walk through the structure")]);
   if (!walk) {
-    part.append(make("p", "says", message.walk_reason || "There is no walk to show."));
+    const reason = message.walk_reason || "there is no walk to show";
+    part.append(make("p", "says", capital(reason) + "."), chips(message.counts));
     return part;
   }
   const way = walk.traversal ? `${walk.structure}, ${words(walk.traversal)}` : walk.structure;
   part.append(make("p", "says", `The search for the nearest hit in ${way}, step by step.`));
-  const chips = Object.entries(walk.counts || {}).filter(([, n]) => n)
-    .map(([name, n]) => make("span", "chip", `${words(name)} ${number(n)}`));
-  part.append(make("p", "chips", chips));
-  part.append(make("ol", "steps", (walk.steps || []).map(stepLine)));
-  if (walk.more > 0) part.append(make("p", "says", `… and ${count(walk.more)} steps more.`));
+  part.append(chips(walk.counts), make("ol", "steps", walk.steps.map(stepLine)));
+  if (!walk.is_whole) part.append(make("p", "says", "… and more steps, which are left out."));
   return part;
+}
+
+/** What the ray met in all. */
+function chips(counts) {
+  const met = Object.entries(counts || {}).filter(([, n]) => n);
+  return make("p", "chips", met.map(([name, n]) => make("span", "chip", `${words(name)} ${number(n)}`)));
 }
 
 /** The hits as text that a spreadsheet takes. */

@@ -167,6 +167,7 @@ const ANSWERS = {
     views.limits = message.limits;
     models.uploads.key = message.upload_key || "";
     models.uploads.limit = message.limits.upload_bytes || Infinity;
+    figures.titles = message.heatmaps;
     settings.offer(message);
     settings.restore(wanted.settings);
     views.chooseSize(wanted.size);

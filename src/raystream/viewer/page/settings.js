@@ -1,7 +1,7 @@
 // The settings' form: shows what is in effect, sends what people change.
 
 import {fillSelect} from "./elements.js";
-import {number, words} from "./format.js";
+import {capital, number, words} from "./format.js";
 
 const NUMBERS = ["samples", "max_bounces", "maximum"];
 const AUTOMATIC = "";
@@ -10,8 +10,6 @@ const STRUCTURE_NAMES = {
   bvh: "BVH", kdtree: "k-d tree", graph: "Graph", grid: "Grid", brute: "Brute force",
 };
 const DEVICE_NAMES = {cpu: "CPU", cuda: "CUDA", graphics: "Graphics"};
-
-const capital = text => text.charAt(0).toUpperCase() + text.slice(1);
 
 export class Settings {
   /** `changed(settings)` is called with what the user changed, by name. */

@@ -1,8 +1,7 @@
 // Work: a bar for what takes a while, such as loading and building.
 
 import {byId} from "./elements.js";
-
-const capital = text => text.charAt(0).toUpperCase() + text.slice(1);
+import {capital} from "./format.js";
 
 const PATIENCE = 200; // ms before a bar appears: most work is done by then
 
