@@ -19,15 +19,19 @@ export class Figures {
 
   /** A frame was drawn, or passed over. */
   drew(header, isDrawn) {
-    const now = performance.now();
-    if (isDrawn && header.moving) this.times.push(now);
-    while (this.times.length && now - this.times[0] > WINDOW) this.times.shift();
-    if (this.times.length > 2) {
-      this.rate = (this.times.length - 1) / (now - this.times[0]) * 1000;
-    }
+    if (isDrawn && header.moving) this.count();
     if (!header.moving) this.times = [];
     this.header = header;
     if (this.timer === null) this.timer = setTimeout(() => this.show(), PERIOD);
+  }
+
+  /** One more frame of a moving camera. */
+  count() {
+    const now = performance.now();
+    this.times.push(now);
+    while (now - this.times[0] > WINDOW) this.times.shift();
+    if (this.times.length < 3) return;
+    this.rate = (this.times.length - 1) / (now - this.times[0]) * 1000;
   }
 
   show() {

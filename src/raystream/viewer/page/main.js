@@ -44,7 +44,8 @@ const pilot = new Pilot({
 const picture = new Picture(byId("picture"), (header, isDrawn) => {
   send({type: "shown", frame: header.number});
   if (isDrawn) byId("stage").dataset.frame = header.number;
-  const view = seen.get(header.camera);
+  // A picture that was there before its camera was numbered is the view's all the same.
+  const view = seen.get(header.camera) || pilot.view;
   if (isDrawn && view) picking.follow(view);
   figures.drew(header, isDrawn);
 });
@@ -58,7 +59,9 @@ const panel = new HitsPanel({
   copied: done => (done ? toasts.show("The hits are on the clipboard.") : toasts.error("This browser does not let pages copy.")),
 });
 const picking = new Picking({
-  ask: send,
+  ask(message) {
+    if (send(message)) work.show("ray", "Following the ray", undefined);
+  },
   picked: (message, place) => panel.show(message, place),
   centre: point => pilot.view && pilot.go(lookAt(pilot.view, point)),
   missed: () => toasts.show("There is nothing to orbit about at this place."),
@@ -195,10 +198,14 @@ const ANSWERS = {
     settings.show(message);
   },
   progress: message => work.show("server", message.what, message.done, models.isLoading),
-  hits: message => picking.take(message),
+  hits(message) {
+    work.show("ray", "", null);
+    picking.take(message);
+  },
   error(message) {
     toasts.error(message.message);
     if (message.about === "open") models.loaded(null);
+    if (message.about === "pick") work.show("ray", "", null);
     if (message.about === "settings") {
       settings.refuse(settings.current);
       settings.show(settings.current);

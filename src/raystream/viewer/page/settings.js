@@ -19,8 +19,14 @@ export class Settings {
     this.hello = null;
     this.current = {};
     this.chosen = {};
+    this.typed = new Set(); // fields in which somebody is writing
     form.addEventListener("submit", event => event.preventDefault());
-    form.addEventListener("change", event => this.change(event.target));
+    form.addEventListener("input", event => this.typed.add(event.target.name));
+    form.addEventListener("focusout", event => this.typed.delete(event.target.name));
+    form.addEventListener("change", event => {
+      this.typed.delete(event.target.name);
+      this.change(event.target);
+    });
     this.field("exposure").addEventListener("input", event => this.change(event.target));
   }
 
@@ -65,7 +71,7 @@ export class Settings {
     }
     for (const name of NUMBERS) {
       const field = this.field(name);
-      if (field !== document.activeElement || !field.dataset.typed) field.value = settings[name] ?? "";
+      if (!this.typed.has(name)) field.value = settings[name] ?? "";
     }
     const exposure = this.field("exposure");
     if (exposure !== document.activeElement) exposure.value = Math.log2(settings.exposure || 1);
