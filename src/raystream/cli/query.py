@@ -115,8 +115,9 @@ def query(
     """Trace the rays of a file, and write their hits to a file.
 
     The hits are arrays: t, u, v, prim_id, mesh_id, status with --first; hit with --any;
-    ray_splits, t, u, v, prim_id, status with --multi; count with --count. Rays in a Zarr
-    store are traced block by block, in bounded memory.
+    ray_splits, t, u, v, prim_id, status with --multi; count with --count.
+
+    Rays in a Zarr store are traced block by block, in bounded memory.
     """
     chosen = {"first": first, "any": anything, "multi": multi, "count": count}
     question = _Question(_only(chosen), max_hits, crossings)
