@@ -12,6 +12,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "raystream"
 
 #: A room may import itself and the rooms before it.
 ROOMS = (
+    "notebook",
     "core",
     "jit",
     "kernels",

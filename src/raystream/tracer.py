@@ -12,6 +12,7 @@ from raystream.jit.threads import Progress
 from raystream.kernels.moving import move_triangles
 from raystream.machines.devices import device_of
 from raystream.machines.queries import Crossings, Queries
+from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
 from raystream.scene.scene import Scene
@@ -310,3 +311,29 @@ class Tracer(Queries):
             f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r}"
             f"{device}{machine})"
         )
+
+    def _repr_html_(self) -> str:
+        """Show the structure and its figures in a notebook."""
+        structure = self.structure
+        triangles, report = structure.triangles, structure.report
+        unused = (
+            (triangles.degenerate_count, "degenerate"),
+            (triangles.nonfinite_count, "not finite"),
+        )
+        without = ", ".join(f"{count:,} {kind}" for count, kind in unused if count)
+        rows = [
+            ("triangles", f"{len(triangles):,}" + (f" ({without})" if without else "")),
+            ("structure", structure.name),
+            *(
+                (f"  {name}", f"{value}")
+                for name, value in structure.options.items()
+                if value is not None
+            ),
+            ("machine", self.machine),
+            *((f"  {name}", f"{value}") for name, value in self._machine_options.items()),
+            ("device", self.device),
+            ("build", f"{report.seconds:.3g} s"),
+            ("memory", in_bytes(report.byte_count)),
+            *((name, f"{value:,.6g}") for name, value in structure.quality().items()),
+        ]
+        return html_table("Tracer", rows)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.notebook import html_table
 from raystream.scene.animation import FPS, Animation, Timeline
 from raystream.scene.camera import Camera, unit_vector
 from raystream.scene.camera_track import CameraMotion
@@ -358,3 +359,20 @@ class Scene:
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""
         return f"Scene({name}{len(self.meshes)} meshes, {self.triangle_count:,} triangles)"
+
+    def _repr_html_(self) -> str:
+        """Show what is in the scene in a notebook."""
+        corners = [" ".join(f"{number:.6g}" for number in corner) for corner in self.bounds]
+        kinds = [type(light).__name__.removesuffix("Light").lower() for light in self.lights]
+        kinds += ["area"] * len(self.area_lights)
+        lights = [f"{kinds.count(kind):,} {kind}" for kind in dict.fromkeys(kinds)]
+        rows = [
+            ("triangles", f"{self.triangle_count:,}"),
+            ("vertices", f"{sum(len(mesh.vertices) for mesh in self.meshes):,}"),
+            ("meshes", f"{len(self.meshes):,}"),
+            ("materials", f"{len(self.materials):,}"),
+            ("lights", ", ".join(lights) or "none"),
+            ("low corner", corners[0]),
+            ("high corner", corners[1]),
+        ]
+        return html_table(f"Scene {self.name}".strip(), rows)
