@@ -1,3 +1,4 @@
+import io
 import sys
 
 import numpy as np
@@ -89,3 +90,13 @@ def test_srgb_by_its_definition():
 def test_notebooks_show_it(image):
     assert image._repr_png_().startswith(b"\x89PNG")
     assert repr(image) == "Image(7x5)"
+
+
+@pytest.mark.parametrize(("width", "shown"), [(2048, (2048, 5)), (2052, (1026, 3))])
+def test_notebooks_show_large_pictures_smaller(width, shown):
+    """Light is averaged, and not bytes."""
+    pixels = np.zeros((5, width, 3), np.float32)
+    pixels[:, ::2] = 1.0
+    with PillowImage.open(io.BytesIO(rs.Image(pixels)._repr_png_())) as picture:
+        assert picture.size == shown
+        assert set(np.asarray(picture).flat) == ({0, 255} if width == 2048 else {188})

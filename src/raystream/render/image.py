@@ -21,6 +21,9 @@ from raystream.render.tone import apply_tone, check_tone
 
 __all__ = ["IMAGE_SUFFIXES", "Image"]
 
+#: Width or height from which on a notebook shows a smaller picture: it keeps all that it shows.
+_MOST_SHOWN = 2048
+
 
 class Image:
     """A picture.
@@ -149,9 +152,10 @@ class Image:
         write_exr(target, self.pixels, self.layers)
 
     def _repr_png_(self) -> bytes:
-        """Show the picture in a notebook."""
+        """Show the picture in a notebook, smaller if it is larger than a screen."""
+        step = -(-max(self.size) // _MOST_SHOWN)
         buffer = io.BytesIO()
-        write_png(buffer, self.to_bytes())
+        write_png(buffer, (Image(_reduced(self.pixels, step)) if step > 1 else self).to_bytes())
         return buffer.getvalue()
 
     def __repr__(self) -> str:
@@ -163,6 +167,17 @@ IMAGE_SUFFIXES: dict[str, Callable[[Image, str, float, str], None]] = {
     ".png": Image._write_png,
     ".exr": Image._write_exr,
 }
+
+
+def _reduced(pixels: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """The means of squares of so many pixels; those at the right and at the bottom have fewer."""
+    for axis in (0, 1):
+        length = pixels.shape[axis]
+        begins = np.arange(0, length, step)
+        sums = np.add.reduceat(pixels, begins, axis)
+        counts = np.diff(begins, append=length).astype(np.float32)
+        pixels = np.divide(sums, counts.reshape(-1, *(1,) * (2 - axis)), dtype=np.float32)
+    return pixels
 
 
 def _check_exposure(exposure: float) -> None:
