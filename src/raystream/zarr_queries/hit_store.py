@@ -42,8 +42,8 @@ COLUMNS: dict[str, dict[str, Kind]] = {
 _SPLITS = "ray_splits"
 ROWS: dict[str, dict[str, Kind]] = {"multi_hit": {_SPLITS: Kind("int64", -1), **_HITS}}
 
-#: Rows of a chunk.
-CHUNK_ROWS = 2**20
+#: Rows of a chunk. What does not fill one is written after each block: few, so that this is cheap.
+CHUNK_ROWS = 2**18
 
 _KEY = "raystream"
 _FORMAT = "raystream hits"
