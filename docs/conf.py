@@ -22,9 +22,14 @@ version = __version__.rpartition(".")[0]
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.viewcode",
+    "myst_nb",
     "numpydoc",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "extra"]
+
+# Notebooks are shown as they were stored, and load nothing from other hosts.
+nb_execution_mode = "off"
+nb_ipywidgets_js: dict[str, dict[str, str]] = {}
 # `Tracer` on any page is a link to raystream.Tracer, and what has no entry is shown as code.
 default_role = "py:obj"
 rst_prolog = ".. py:currentmodule:: raystream\n"
