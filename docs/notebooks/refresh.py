@@ -14,6 +14,9 @@ from nbformat import NotebookNode
 
 FOLDER = Path(__file__).resolve().parent
 
+#: What is kept of what is said about a cell: whether it runs, and what its picture shows.
+KEPT = ("tags", "mystnb")
+
 #: Seconds that a cell may take; the first ones compile.
 CELL_SECONDS = 300
 
@@ -41,7 +44,7 @@ def cleaned(notebook: NotebookNode) -> NotebookNode:
     )
     for number, cell in enumerate(notebook.cells):
         cell.id = f"cell-{number}"
-        cell.metadata = NotebookNode({k: v for k, v in cell.metadata.items() if k == "tags"})
+        cell.metadata = NotebookNode({k: v for k, v in cell.metadata.items() if k in KEPT})
     return notebook
 
 

@@ -32,7 +32,9 @@ def test_stored_outputs(path):
     counts = []
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
-            assert set(cell["metadata"]) <= {"tags"}
+            assert set(cell["metadata"]) <= {"tags", "mystnb"}
+            if any("image/png" in one.get("data", ()) for one in cell["outputs"]):
+                assert cell["metadata"]["mystnb"]["image"]["alt"]
             kinds = [one["output_type"] for one in cell["outputs"]]
             assert "error" not in kinds
             assert not any(one.get("name") == "stderr" for one in cell["outputs"])
