@@ -54,7 +54,7 @@ def check(command: str) -> None:
 
 
 #: Commands of systems and tools, which are not checked.
-_OTHERS = {"apt", "source"}
+_OTHERS = {"apt", "cd", "export", "jupyter", "source", "ssh"}
 
 
 def _check_raystream(words: list[str]) -> None:
