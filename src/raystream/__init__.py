@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from raystream._version import __version__
 
 if TYPE_CHECKING:
-    from raystream import streams
+    from raystream import cluster, streams
     from raystream.core.errors import (
         FileFormatError,
         LoopLimitError,
@@ -52,7 +52,12 @@ if TYPE_CHECKING:
     from raystream.zarr_queries.query import QueryReport, query_zarr
 
 #: Modules as a whole; the first is callable, see there.
-_MODULES = {"render": "render", "streams": "streams", "textures": "scene.textures"}
+_MODULES = {
+    "cluster": "cluster",
+    "render": "render",
+    "streams": "streams",
+    "textures": "scene.textures",
+}
 
 # Names are imported when they are first used: `import raystream` costs neither numba nor
 # Pillow, and a command that only prints help stays quick.
@@ -137,6 +142,7 @@ __all__ = [
     "UpdateReport",
     "__version__",
     "attenuation",
+    "cluster",
     "heatmap",
     "lidar_returns",
     "load",

@@ -143,6 +143,11 @@ class Tracer(Queries):
         return self._counts
 
     @property
+    def machine_options(self) -> Mapping[str, Any]:
+        """The options that are the machine's, such as ``scheduler``, as they were given."""
+        return self._machine_options
+
+    @property
     def counters(self) -> RayCounters:
         """What the rays of the latest query met.
 
@@ -293,13 +298,55 @@ class Tracer(Queries):
         """
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
+        tracer = cls._unset(device, machine, counters, options)
+        structure = load_structure(path, None if scene is None else scene.triangles)
+        tracer._set(scene, structure)
+        return tracer
+
+    @classmethod
+    def of_structure(
+        cls,
+        structure: Structure,
+        scene: Scene | None = None,
+        device: str = "cpu",
+        *,
+        machine: str | None = None,
+        counters: bool = False,
+        **options: Any,
+    ) -> Tracer:
+        """Make a tracer of a structure that is built already.
+
+        Parameters
+        ----------
+        structure : Structure
+        scene : Scene, optional
+            The scene that its triangles are of, for materials, lights and camera.
+        device, machine, counters, **options
+            As for a new tracer; the options are the machine's.
+
+        Returns
+        -------
+        Tracer
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a name is unknown, or the machine has no such option.
+        """
+        tracer = cls._unset(device, machine, counters, options)
+        tracer._set(scene, structure)
+        return tracer
+
+    @classmethod
+    def _unset(
+        cls, device: str, machine: str | None, counters: bool, options: Mapping[str, Any]
+    ) -> Tracer:
+        """A tracer that waits for its structure; its options are all the machine's."""
         tracer = cls.__new__(cls)
         own = tracer._set_machine(device, machine, counters, options)
         for option in options:
             if option not in own:
                 raise TypeError(f"{tracer.machine}: has no option {option!r}")
-        structure = load_structure(path, None if scene is None else scene.triangles)
-        tracer._set(scene, structure)
         return tracer
 
     def __repr__(self) -> str:

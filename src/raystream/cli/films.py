@@ -14,6 +14,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.clusters import joined
 from raystream.cli.environment import use_environment
 from raystream.cli.keywords import blame_options, machine_figures
 from raystream.cli.layers import Kept
@@ -90,6 +91,9 @@ class FilmAsked:
     environment_rotation : float
     denoised : Kept or None
         Which layers remain of pictures that are to be smoothed.
+    cluster : str or None
+    threads : int or None
+        Of each worker that is started for it.
     """
 
     scene: str
@@ -110,6 +114,8 @@ class FilmAsked:
     environment: Path | None
     environment_rotation: float
     denoised: Kept | None
+    cluster: str | None = None
+    threads: int | None = None
 
 
 def is_film(output: Path, frames: str | None) -> bool:
@@ -332,11 +338,22 @@ def _render(
     files: _Files,
     bars: Bars,
 ) -> None:
-    from raystream.render.frames import render_frames
-
     if not missing:
         return
-    with bars.step(f"rendering {len(missing)} frames") as progress, blame_options(asked.chosen):
+    title = f"rendering {len(missing)} frames"
+    with (
+        joined(asked.cluster, asked.threads) as client,
+        bars.step(title) as progress,
+        blame_options(asked.chosen),
+    ):
+        if client is None:
+            from raystream.render.frames import render_frames
+        else:
+            from functools import partial
+
+            from raystream.cluster.films import render_frames as render_there
+
+            render_frames = partial(render_there, client=client)
         pictures = render_frames(
             scene,
             asked.mode,

@@ -11,6 +11,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.clusters import Cluster, Rendering, check_cluster, joined
 from raystream.cli.environment import Environment, Rotation, check_environment, use_environment
 from raystream.cli.films import (
     FilmAsked,
@@ -122,6 +123,7 @@ def render(
     device: options.Device = "cpu",
     adapter: options.Adapter = None,
     gpu: options.Gpu = None,
+    cluster: Cluster = None,
     threads: options.Threads = None,
     time: options.Time = 0.0,
     triangles: options.Triangles = None,
@@ -148,13 +150,13 @@ def render(
     check_environment(environment, environment_rotation)
     of_pictures = {
         **{"mode": mode, "exposure": exposure, "tone": tone, "environment": environment},
-        **{"layers": layers, "denoise": denoise or None},
+        **{"layers": layers, "denoise": denoise or None, "cluster": cluster},
         **asked.of_pictures(),
     }
     check_heatmap(heatmap, maximum, of_pictures, chosen)
     mode = mode or options.MODES[0]
+    check_cluster(cluster, threads)
     choose_threads(threads)
-    import raystream.render as renderers
     from raystream.render.arguments import MAX_PIXELS
     from raystream.render.heatmap import heatmap as draw_heatmap
 
@@ -185,6 +187,8 @@ def render(
             environment,
             environment_rotation or 0.0,
             wanted if denoise else None,
+            cluster,
+            threads,
         )
         render_film(film, json)
         return
@@ -195,8 +199,12 @@ def render(
     save = _saver(output, exposure or 1.0, tone or options.TONES[0])
     watch = Stopwatch()
     heat: Heatmap | None = None
-    with Bars() as bars, keeping_samples(checkpoint):
-        tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
+    with Bars() as bars, joined(cluster, threads) as client, keeping_samples(checkpoint):
+        render_with = Rendering(client, structure, device, chosen)
+        source = Source(scene, structure, device, time, triangles, chosen)
+        if render_with.builds_elsewhere:
+            source = Source(scene, None, "cpu", time, triangles)
+        tracer = open_tracer(source, bars, watch)
         if environment is not None:
             with watch.measure("environment"), bars.step("reading environment"):
                 use_environment(tracer.scene, environment, environment_rotation or 0.0)
@@ -213,7 +221,7 @@ def render(
                 paths = Paths(output, width * height, progress)
                 arguments |= {"checkpoint": checkpoint, "on_pass": save, "layers": wanted.rendered}
                 with refuse(OSError, where=str(checkpoint)):
-                    image = renderers.render(tracer, mode, progress=paths, **arguments)
+                    image = render_with(tracer, mode, progress=paths, **arguments)
             else:
                 heat = draw_heatmap(
                     tracer, heatmap, maximum=maximum, progress=progress, **arguments
@@ -241,7 +249,7 @@ def render(
                 "width": width,
                 "height": height,
                 "samples": arguments["samples"],
-                "structure": tracer.structure.name,
+                "structure": render_with.structure_of(tracer),
                 **machine_figures(chosen, device),
                 "triangles": triangle_count,
                 "rays": ray_count,

@@ -19,7 +19,7 @@ from raystream.scene.moving import have_same_faces
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["frame_seed", "render_frames"]
+__all__ = ["frame_seed", "render_frames", "split_options", "timeline_of"]
 
 #: Arguments of `render` that make no sense for many pictures.
 _OF_ONE_PICTURE = ("checkpoint", "on_pass")
@@ -103,8 +103,8 @@ def render_frames(
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
     width, height = check_size(size)
-    of_picture, of_tracer = _split(mode, options)
-    timeline = _timeline(scene, camera, fps)
+    of_picture, of_tracer = split_options(mode, options)
+    timeline = timeline_of(scene, camera, fps)
     numbers = timeline.chosen(frames)
     if camera is None and not scene.has_own_camera:
         camera = scene.camera_for(width / height)
@@ -133,7 +133,7 @@ def render_frames(
     return pictures()
 
 
-def _split(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def split_options(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Tell options of a picture from those of a tracer."""
     if mode not in RENDERERS:
         known = ", ".join(repr(known) for known in RENDERERS)
@@ -146,7 +146,7 @@ def _split(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[
     return of_picture, {name: value for name, value in options.items() if name not in own}
 
 
-def _timeline(scene: Scene, camera: Camera | CameraMotion | None, fps: float | None) -> Timeline:
+def timeline_of(scene: Scene, camera: Camera | CameraMotion | None, fps: float | None) -> Timeline:
     """The scene's frames; those of a camera that moves through a still scene."""
     if camera is None or isinstance(camera, Camera) or scene.animation is not None:
         return scene.timeline(fps)

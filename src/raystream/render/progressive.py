@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream._version import __version__
-from raystream.core.errors import FileFormatError
+from raystream.core.errors import FileFormatError, RaystreamError
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.render.accumulation import Accumulation
 from raystream.render.environment import image_light, texels_of
@@ -28,7 +28,20 @@ from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.seen import SeenSurfaces
 from raystream.scene.scene import Scene
 
-__all__ = ["Limits", "checkpoint_seconds", "render_samples", "trace_sample"]
+__all__ = [
+    "Limits",
+    "Sampled",
+    "TakeSample",
+    "checkpoint_seconds",
+    "render_samples",
+    "trace_sample",
+]
+
+#: A sample of every pixel: its light, and what it sees first; see `trace_sample`.
+Sampled = tuple[NDArray[np.float32], SeenSurfaces | None]
+
+#: Gives the sample of a number, of all rows: (number, progress).
+TakeSample = Callable[[int, Progress | None], Sampled]
 
 #: Pixels that go through the stages together: enough for streams of rays to be worth sorting,
 #: few enough for the threads to finish together. Memory is about 300 bytes for each.
@@ -78,6 +91,7 @@ def render_samples(
     checkpoint: str | PathLike[str] | None = None,
     on_pass: Callable[[Image], object] | None = None,
     progress: Progress | None = None,
+    take: TakeSample | None = None,
 ) -> Image:
     """Render a picture.
 
@@ -96,6 +110,10 @@ def render_samples(
         Called with (paths done, paths): first with those that the checkpoint has. Noise and
         time limits tell only on the way how many paths there will be; the last call has the
         number that there were. An exception that it raises ends the rendering.
+    take : callable, optional
+        Gives each sample when its turn comes, as `trace_sample` would, with the same bits: from
+        other machines, say. If it raises `RaystreamError`, the samples so far are kept as after
+        an interrupt.
 
     Returns
     -------
@@ -119,7 +137,7 @@ def render_samples(
         sums = Accumulation.load(checkpoint, name)
     first = sample = int(sums.counts.min())
     started = shown = time.monotonic()
-    if sample < limits.samples:  # compile on this thread, see `parallel_for`
+    if take is None and sample < limits.samples:  # compile on this thread, see `parallel_for`
         seen = SeenSurfaces.empty(setting.width) if setting.layers else None
         renderer.trace(setting, range(1), sample, seen)
     try:
@@ -141,10 +159,14 @@ def render_samples(
                         on_pass(sums.image())
                     shown = time.monotonic()
                 report = part_of(progress, sample * pixel_count, expected * pixel_count)
-                light, seen = trace_sample(renderer, setting, sample, report)
+                light, seen = (
+                    trace_sample(renderer, setting, sample, report)
+                    if take is None
+                    else take(sample, report)
+                )
                 adder.submit(_add, sums, setting.layers, light, seen).result()
                 sample += 1
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RaystreamError):
         if checkpoint is not None and sums.counts.any():
             sums.save(checkpoint, name)
         raise
@@ -214,7 +236,7 @@ def trace_sample(
     sample: int,
     progress: Progress | None = None,
     rows: range | None = None,
-) -> tuple[NDArray[np.float32], SeenSurfaces | None]:
+) -> Sampled:
     """Take one more sample of every pixel, or of every one of some rows, on all threads.
 
     Parameters

@@ -1,0 +1,141 @@
+"""Tracers in parcels: triangles in their local frame, the built structure, and the options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.cluster.errors import ClusterError
+from raystream.cluster.parcels import Parcel
+from raystream.cluster.scenes import pack_scene, unpack_scene
+from raystream.core.triangles import Triangles
+from raystream.scene.scene import Scene
+from raystream.structures import STRUCTURES
+from raystream.tracer import Tracer
+
+__all__ = ["pack_scene_for", "pack_tracer", "unpack_scene_from", "unpack_tracer"]
+
+
+def pack_tracer(
+    scene: Scene | Tracer,
+    structure: str,
+    device: str,
+    options: Mapping[str, Any],
+    *,
+    for_pictures: bool,
+) -> Parcel:
+    """Pack what workers need to trace a scene.
+
+    Parameters
+    ----------
+    scene : Scene or Tracer
+        A tracer's structure travels as it is built, with the options of its machine.
+    structure, device, options
+        Of the tracer, see `Tracer`. For the CPU the structure is built here, once. Other devices
+        build theirs where they are: on each worker.
+    for_pictures : bool
+        Whether materials, textures and lights go along.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `Tracer`.
+    """
+    built = scene if isinstance(scene, Tracer) else None
+    if built is not None and (structure != "bvh" or device != "cpu" or options):
+        raise ValueError("structure, device, options: the tracer given has its own")
+    if options.get("counters") or (built is not None and built.is_counting):
+        raise ValueError("counters: a tracer on a cluster does not count; trace a part without it")
+    if built is not None and built.device != "cpu":
+        raise ValueError(
+            f"scene: the tracer's device is {built.device!r}; give its scene, with the structure, "
+            "the device and the options: workers build it where they are"
+        )
+    if not isinstance(scene, Scene | Tracer):
+        raise TypeError(f"scene: expected a Scene or Tracer, got {type(scene).__name__}")
+    if built is None and device == "cpu":
+        built = Tracer(scene, structure, **options)  # type: ignore[arg-type]
+    triangles = scene.structure.triangles if isinstance(scene, Tracer) else scene.triangles
+    header: dict[str, Any] = {"device": device, "structure": structure, "options": dict(options)}
+    arrays = _pack_triangles(triangles)
+    if built is not None:
+        header |= {
+            "structure": built.structure.name,
+            "kernel": built.structure.options.get("kernel"),
+            "options": {"machine": built.machine, **built.machine_options},
+        }
+        arrays |= {f"structure {n}": a for n, a in built.structure.saved_arrays().items()}
+    header["is_built"] = built is not None
+    if for_pictures:
+        header["scene"], own = pack_scene(scene.scene if isinstance(scene, Tracer) else scene)
+        arrays |= own
+    return Parcel(header, arrays)
+
+
+def unpack_tracer(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Tracer:
+    """The tracer that `pack_tracer` packed.
+
+    Raises
+    ------
+    ClusterError
+        If an array is not what a structure can be made of.
+    RaystreamError
+        If the worker lacks the device.
+    """
+    try:
+        triangles = _unpack_triangles(arrays)
+    except KeyError as error:
+        raise ClusterError(f"a parcel lacks the array {error}") from None
+    scene: Scene | None
+    if "scene" in header:
+        bare = unpack_scene(header["scene"], arrays)
+        scene = bare.moved(bare.meshes, triangles)
+    else:
+        scene = None
+    if not header["is_built"]:
+        scene = scene or Scene.from_triangles(triangles)
+        return Tracer(scene, header["structure"], header["device"], **header["options"])
+    own = {
+        name.removeprefix("structure "): array
+        for name, array in arrays.items()
+        if name.startswith("structure ")
+    }
+    try:
+        structure = STRUCTURES[header["structure"]].from_arrays(triangles, own)
+    except ValueError as error:
+        raise ClusterError(f"a structure arrived damaged: {error}") from None
+    if header["kernel"] is not None:
+        structure.options = {**structure.options, "kernel": header["kernel"]}
+    return Tracer.of_structure(structure, scene, header["device"], **header["options"])
+
+
+def pack_scene_for(scene: Scene) -> Parcel:
+    """Pack a scene alone, for a tracer that workers have, and will move."""
+    header, arrays = pack_scene(scene)
+    return Parcel({"scene": header}, arrays)
+
+
+def unpack_scene_from(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Scene:
+    """The scene that `pack_scene_for` packed, or that of a tracer's parcel."""
+    return unpack_scene(header["scene"], arrays)
+
+
+def _pack_triangles(triangles: Triangles) -> dict[str, NDArray[Any]]:
+    return {
+        "triangles corners": triangles.corners,
+        "triangles mesh_splits": triangles.mesh_splits,
+        "triangles center": triangles.center,
+        "triangles scale": np.array([float(triangles.scale)]),
+    }
+
+
+def _unpack_triangles(arrays: Mapping[str, NDArray[Any]]) -> Triangles:
+    return Triangles.from_local(
+        arrays["triangles corners"],
+        arrays["triangles mesh_splits"],
+        arrays["triangles center"],
+        float(arrays["triangles scale"][0]),
+    )

@@ -1,0 +1,51 @@
+"""A cluster of two processes with a thread each, for all tests here."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+import raystream as rs
+
+
+@pytest.fixture(scope="session")
+def cluster() -> Iterator[Any]:
+    reason = 'needs Dask: pip install "raystream[cluster]"'
+    distributed = pytest.importorskip("distributed", reason=reason)
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        worker_dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
+    ) as cluster:
+        yield cluster
+
+
+@pytest.fixture(scope="session")
+def client(cluster) -> Iterator[Any]:
+    from distributed import Client
+
+    with Client(cluster) as client:
+        yield client
+
+
+@pytest.fixture(scope="session")
+def room() -> rs.Scene:
+    return rs.load("cornell")
+
+
+@pytest.fixture
+def pids(client) -> Callable[[], dict[str, int]]:
+    """The workers' processes, by address."""
+
+    def ask() -> dict[str, int]:
+        import os
+
+        return client.run(os.getpid)
+
+    return ask
