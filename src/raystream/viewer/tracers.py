@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 from raystream.render.accumulation import Accumulation
+from raystream.render.color import encode_srgb
 from raystream.render.picture import RENDERERS
 from raystream.render.sampled import Setting, make_setting
 from raystream.render.sampling.sampler import Sampler
@@ -26,8 +27,10 @@ __all__ = ["Prepared", "Tracers", "Waiter", "device_is_free", "device_lock"]
 _MOST_TRACERS = 8
 _MOST_BYTES = 2 << 30
 
-#: Width and height of the picture that is rendered to compile what is not yet.
+#: Width and height of the picture that is rendered to compile what is not yet. Of a BVH, rows of
+#: a large one: few rays, or rays far apart, would compile other kernels than frames take.
 _TRIAL = 16
+_LARGE, _ROWS = (1024, 768), range(383, 386)
 
 
 class Prepared(NamedTuple):
@@ -236,9 +239,13 @@ def _try(settings: Settings, setting: Setting) -> None:
         setting.tracer.first_hit(origins, directions)
         return
     chosen = replace(setting, options=settings.mode_options)
-    chosen = chosen.seen_by(setting.camera, (_TRIAL, _TRIAL))
-    light = RENDERERS[settings.mode].trace(chosen, range(_TRIAL), 0)
-    Accumulation(_TRIAL, _TRIAL).add_samples(0, light)
+    size, rows = (_TRIAL, _TRIAL), range(_TRIAL)
+    if setting.tracer.structure.name == "bvh":
+        size, rows = _LARGE, _ROWS
+    chosen = chosen.seen_by(setting.camera, size)
+    light = RENDERERS[settings.mode].trace(chosen, rows, 0)
+    Accumulation(size[0], len(rows)).add_samples(0, light)
+    encode_srgb(light)
 
 
 _LOCKS: dict[str, threading.Lock] = {"graphics": threading.Lock(), "cuda": threading.Lock()}
