@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 import threading
 import urllib.request
@@ -71,10 +72,40 @@ def test_several_at_once():
     second.close()
 
 
-def test_address_has_the_token_once_others_can_reach_it():
+@pytest.mark.parametrize("own", ["192.0.2.7", None])
+def test_address_has_the_token_once_others_can_reach_it(monkeypatch, own):
+    monkeypatch.setattr(serve, "own_address", lambda: own)
     with ViewServer(FakeStudio(), bind("0.0.0.0", 0)) as server:
         assert not server.is_loopback
-        assert server.url.startswith(f"http://{socket.gethostname().lower()}:{server.port}/?token=")
+        host, query = server.url.removeprefix("http://").split("/")
+        assert host == f"{own or socket.gethostname().lower()}:{server.port}"
+        assert query.startswith("?token=")
+        assert server._access.knows_host(host)
+        assert server.local_url == f"http://localhost:{server.port}/{query}"
+
+
+def test_own_address_is_one_or_none():
+    own = serve.own_address()
+    assert own is None or not ipaddress.ip_address(own).is_unspecified
+
+
+def test_without_a_network_there_is_no_own_address(monkeypatch):
+    def refuse(*arguments):
+        raise OSError(101, "Network is unreachable")
+
+    monkeypatch.setattr(serve.socket, "socket", lambda *kind: FakeSocket(refuse))
+    assert serve.own_address() is None
+
+
+class FakeSocket:
+    def __init__(self, connect):
+        self.connect = connect
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
 
 
 @pytest.mark.skipif(not socket.has_ipv6, reason="there is no IPv6 here")

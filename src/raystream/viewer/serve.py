@@ -154,10 +154,9 @@ class ViewServer:
     def url(self) -> str:
         """Where a browser finds the page, with the token if there is one."""
         address = ipaddress.ip_address(self.address)
-        host = f"[{address}]" if address.version == 6 else str(address)
         if address.is_unspecified:
-            host = socket.gethostname().lower()
-        return self._url(host)
+            return self._url(own_address() or socket.gethostname().lower())
+        return self._url(f"[{address}]" if address.version == 6 else str(address))
 
     @property
     def local_url(self) -> str:
@@ -227,6 +226,21 @@ class ViewServer:
         self._loop = asyncio.get_running_loop()
         self._started.set()
         await self._server.serve(sockets=[self._listener])
+
+
+def own_address() -> str | None:
+    """The address by which this machine is found in its network; None if there is none.
+
+    It is the one that a packet to somewhere else would have. None is sent: the destination is
+    an address for documentation, and UDP sends nothing before there is something to send.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        try:
+            asking.connect(("203.0.113.1", 9))
+            found = str(asking.getsockname()[0])
+        except OSError:  # no network
+            return None
+    return None if ipaddress.ip_address(found).is_unspecified else found
 
 
 def require_packages() -> None:
