@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -150,3 +151,12 @@ def count_files():
     """Open files of this process, where the system tells."""
     folder = Path("/proc/self/fd")
     return len(os.listdir(folder)) if folder.is_dir() else 0
+
+
+def view_threads():
+    """Threads of viewers; those that the library traces rays on stay with the process."""
+    return [
+        thread
+        for thread in threading.enumerate()
+        if thread.name.startswith("raystream") and "view" in thread.name
+    ]

@@ -6,7 +6,6 @@ import gc
 import re
 import subprocess
 import sys
-import threading
 import urllib.request
 
 import pytest
@@ -17,7 +16,7 @@ pytest.importorskip("websockets")
 import raystream as rs
 from conftest import child_environment
 from raystream.viewer.server import app
-from viewer_home import PAGE, wait_until
+from viewer_home import PAGE, view_threads, wait_until
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +39,6 @@ def answers(url):
 
 
 def test_view_shows_itself_in_a_frame(scene):
-    threads = threading.active_count()
     with rs.view(scene, height=300, mode="vis") as shown:
         html = shown._repr_html_()
         assert re.search(r'<iframe src="http://127\.0\.0\.1:\d+/"', html)
@@ -52,7 +50,7 @@ def test_view_shows_itself_in_a_frame(scene):
     assert "closed" in repr(shown)
     assert "<iframe" not in shown._repr_html_()
     shown.close()
-    wait_until(lambda: threading.active_count() <= threads)
+    wait_until(lambda: not view_threads())
 
 
 def test_several_are_open_at_once_and_stay_when_forgotten(scene):
@@ -71,7 +69,6 @@ def test_several_are_open_at_once_and_stay_when_forgotten(scene):
 
 
 def test_bad_arguments_are_refused_and_leave_nothing(scene):
-    threads = threading.active_count()
     with pytest.raises(ValueError, match="height: expected 100 to 4000 pixels, got 7"):
         rs.view(scene, height=7)
     with pytest.raises(ValueError, match="mode: "):
@@ -82,7 +79,7 @@ def test_bad_arguments_are_refused_and_leave_nothing(scene):
         rs.view(7)
     with pytest.raises(rs.FileFormatError, match="there is no such file"):
         rs.view("absent.obj")
-    wait_until(lambda: threading.active_count() <= threads)
+    wait_until(lambda: not view_threads())
 
 
 def test_it_ends_with_the_process():
