@@ -132,8 +132,10 @@ class Viewer:
 
     @staticmethod
     def _keep(content: str | bytes, into: list[dict[str, Any]]) -> None:
-        if isinstance(content, str):
-            into.append(json.loads(content))
+        if isinstance(content, bytes):
+            length = int.from_bytes(content[:4], "little")
+            content = content[4 : 4 + length].decode()
+        into.append(json.loads(content))
 
     def close(self) -> None:
         """End, and complain of all that went wrong meanwhile."""
@@ -172,8 +174,9 @@ class Viewer:
         """Wait for a whole picture of a camera at rest, and return it."""
 
         def is_done() -> bool:
-            shown = self.page.locator("#figures").text_content()
-            return ", done" in shown and not self.camera["moving"]
+            frame = self.last("frame")
+            drawn = self.page.locator("#stage").get_attribute("data-frame")
+            return frame["done"] and drawn == str(frame["number"]) and not self.camera["moving"]
 
         self.wait(is_done, "a picture that is done")
         return self.picture()
@@ -186,9 +189,21 @@ class Viewer:
         self.wait(lambda: self.picture() != before, "another picture")
 
     def choose(self, name: str, value: str) -> None:
-        """Choose a setting, and wait until it is in effect."""
+        """Choose a setting, and wait for a picture that shows it."""
+
+        def in_effect(message: dict[str, Any]) -> bool:
+            return message["type"] == "settings" and (message[name] or "") == value
+
+        def is_shown() -> bool:
+            new = self.messages[start:]
+            at = next((i for i, message in enumerate(new) if in_effect(message)), len(new))
+            return any(message["type"] == "frame" for message in new[at:])
+
+        if in_effect(self.last("settings")):
+            return
+        start = len(self.messages)
         self.page.select_option(f"select[name={name}]", value)
-        self.wait(lambda: (self.last("settings").get(name) or "") == value, f"{name} to be {value}")
+        self.wait(is_shown, f"{name} to be {value}")
         assert not self.last("settings").get("refused")
 
     def place(self, x: float, y: float) -> tuple[float, float]:

@@ -71,7 +71,7 @@ export class Settings {
     }
     for (const name of NUMBERS) {
       const field = this.field(name);
-      if (!this.typed.has(name)) field.value = settings[name] ?? "";
+      if (!this.typed.has(name)) field.value = settings[name] ?? this.chosen[name] ?? "";
     }
     const exposure = this.field("exposure");
     if (exposure !== document.activeElement) exposure.value = Math.log2(settings.exposure || 1);
