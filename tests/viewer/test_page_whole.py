@@ -86,9 +86,11 @@ def test_every_mode_with_every_structure(viewer):
         for mode in MODES:
             viewer.choose("mode", mode)
             pictures.setdefault(mode, set()).add(viewer.wait_for_rest())
-    # The same picture from every structure, and another one from each mode.
+    # The same picture from every structure, and another one from each mode; but nothing here
+    # mirrors, so that shadow and whitted agree.
     assert {mode: len(found) for mode, found in pictures.items()} == dict.fromkeys(MODES, 1)
-    assert len(set.union(*pictures.values())) == len(MODES)
+    assert pictures.pop("shadow") == pictures["whitted"]
+    assert len(set.union(*pictures.values())) == len(MODES) - 1
 
 
 def test_every_traversal_and_machine(viewer):

@@ -63,7 +63,7 @@ export class Figures {
     const rate = n => (n ? n.toFixed(1) : "–");
     const canvas = byId("picture");
     const rows = [
-      ["Frames per second", `${rate(this.serverRate)} · page ${rate(this.rate)}`, "The server's own timer, and frames that the page drew while moving"],
+      ["Frames per second", this.serverRate ? `${rate(this.serverRate)} · page ${rate(this.rate)}` : "–", "The server's own timer, and frames that the page drew while moving"],
       ["Render", milliseconds(header.render_ms)],
       ["Encode", milliseconds(header.encode_ms)],
       ["Rays", Number.isFinite(header.rays) ? many(header.rays) : "–"],
@@ -91,8 +91,8 @@ export class Figures {
     const some = (n, one, more) => `${count(n)} ${n === 1 ? one : more}`;
     const parts = [
       some(scene.triangles, "triangle", "triangles"), some(scene.meshes, "mesh", "meshes"),
-      some(scene.lights, "light", "lights"),
     ];
+    if (scene.lights) parts.push(some(scene.lights, "light", "lights"));
     byId("scene-size").textContent = parts.join(" · ");
     byId("scene-size").title =
       `${some(scene.vertices, "vertex", "vertices")}, ${some(scene.materials, "material", "materials")}`;

@@ -42,8 +42,11 @@ export class Settings {
     fillSelect(this.field("mode"), names(hello.modes));
     fillSelect(this.field("structure"), names(hello.structures, name => STRUCTURE_NAMES[name] || name));
     fillSelect(this.field("tone"), names(hello.tones, capital));
-    const maps = Object.entries(hello.heatmaps).map(([name, title]) => [name, capital(title)]);
+    const maps = Object.keys(hello.heatmaps).map(name => [name, capital(name)]);
     fillSelect(this.field("heatmap"), [[AUTOMATIC, "Off"], ...maps]);
+    for (const option of this.field("heatmap").options) {
+      option.title = hello.heatmaps[option.value] || "";
+    }
     fillSelect(this.field("device"), names(hello.devices, name => DEVICE_NAMES[name] || name));
     for (const {name, available, reason} of hello.devices) {
       const option = [...this.field("device").options].find(one => one.value === name);

@@ -48,7 +48,11 @@ export function axesOf(view) {
   };
 }
 
-export const eyeOf = view => add(view.target, scale(axesOf(view).back, view.distance));
+export function eyeOf(view) {
+  const eye = add(view.target, scale(axesOf(view).back, view.distance));
+  const nothing = 1e-12 * view.world.size; // what cosines of right angles leave
+  return eye.map(part => (Math.abs(part) < nothing ? 0 : part));
+}
 
 const widened = view => Math.max(1, FULL_ASPECT / view.aspect);
 const nominalSlope = view => Math.tan(view.fov * RADIANS / 2);
