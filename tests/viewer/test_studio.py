@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 import raystream as rs
 from raystream.core.errors import RaystreamError
-from raystream.viewer import Studio
+from raystream.viewer import Studio, asides
 from raystream.viewer import tracers as tracers_module
+from raystream.viewer.jobs import Job, Jobs
 from raystream.viewer.pictures import SampledPicture
 from viewer.pages import TIMEOUT, Page, decode
 
@@ -146,6 +147,25 @@ def test_a_screenshot_has_full_size_although_the_camera_moves(page: Page) -> Non
     page.take("screenshot", number=5)
     shot = page.frame(type="screenshot", number=5)
     assert (shot.header["camera"], shot.header["width"]) == (9, 32)
+
+
+def test_one_screenshot_is_made_at_a_time(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    page.frame(done=True)
+    page.take("pause", paused=True)
+    encode, go_on = asides.encode_png, threading.Event()
+
+    def wait_and_encode(*arguments: Any) -> bytes:
+        assert go_on.wait(TIMEOUT)
+        return encode(*arguments)
+
+    monkeypatch.setattr(asides, "encode_png", wait_and_encode)
+    page.take("screenshot", number=1)
+    page.take("screenshot", number=2)
+    assert "the one before" in page.message("error", about="screenshot")["message"]
+    go_on.set()
+    page.frame(type="screenshot", number=1)
+    page.take("screenshot", number=3)
+    page.frame(type="screenshot", number=3)
 
 
 def test_a_pixel_is_picked_through_the_camera_last_sent(page: Page) -> None:
@@ -295,6 +315,29 @@ def test_who_leaves_breaks_off_what_is_built_for_them(
     assert page.message("progress", done=0.5)["what"] == "building kdtree"
     page.visitor.leave()
     assert ended.wait(TIMEOUT)
+
+
+def test_jobs_that_wait_end_when_nobody_wants_them() -> None:
+    jobs, go_on, done = Jobs(), threading.Event(), []
+    running = [Job(lambda *_: None) for _ in range(4)]
+    for job in running:
+        jobs.start(job, lambda _: go_on.wait(TIMEOUT), done.append)
+    waiting = [Job(lambda *_: None) for _ in range(20)]
+    for job in waiting:
+        jobs.start(job, done.append, done.append)
+    for job in waiting:
+        job.break_off()
+    threads = [jobs._running.get(job) for job in waiting]
+    for thread in threads:
+        if thread is not None:
+            thread.join(TIMEOUT)
+    assert set(jobs._running) == set(running)
+    go_on.set()
+    jobs.close()
+    assert jobs._running == {}
+    assert done == []
+    jobs.start(Job(lambda *_: None), done.append, done.append)
+    assert jobs._running == {}
 
 
 def test_a_model_of_ones_own_and_the_way_home(page: Page, tmp_path: Path) -> None:

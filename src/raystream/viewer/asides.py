@@ -75,6 +75,7 @@ def send_screenshot(
     header: Message,
     jobs: Jobs,
     tell: Callable[[Message | Frame], object],
+    end: Callable[[], object],
 ) -> None:
     """Encode a picture as a PNG, and send it.
 
@@ -86,6 +87,8 @@ def send_screenshot(
     jobs : Jobs
     tell : callable
         Sends to the page.
+    end : callable
+        Called when it is sent, or cannot be.
     """
 
     def work(_: Job) -> None:
@@ -98,9 +101,11 @@ def send_screenshot(
             "width": pixels.shape[1],
             "height": pixels.shape[0],
         }
+        end()
         tell(Frame(header | made, content))
 
     def failed(reason: str) -> None:
+        end()
         tell({"type": "error", "message": reason, "about": "screenshot"})
 
     jobs.start(Job(lambda *_: None), work, failed)

@@ -15,7 +15,7 @@ __all__ = ["Job", "Jobs"]
 #: Jobs that run at the same time; others wait.
 _AT_ONCE = 4
 
-#: Seconds between two reports of progress.
+#: Seconds between two reports of progress, and until a job that waits notices that it need not.
 _REPORT_SECONDS = 0.1
 
 #: Called with what is done, and how much of it, from 0 to 1.
@@ -96,9 +96,13 @@ class Jobs:
 
         def run() -> None:
             try:
-                with self._places:
-                    if job.is_wanted:
-                        work(job)
+                while job.is_wanted:
+                    if self._places.acquire(timeout=_REPORT_SECONDS):
+                        try:
+                            work(job)
+                        finally:
+                            self._places.release()
+                        break
             except BrokenOffError:
                 pass
             except Exception as error:  # whatever it is, the studio goes on

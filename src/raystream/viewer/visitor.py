@@ -98,6 +98,7 @@ class Visitor:
         self._joined_at = time.monotonic()
         self._paused = self._has_left = False
         self._screenshot: int | None = None
+        self._is_filing = False
         self._failed: Wish | None = None
 
     def begin(self) -> None:
@@ -220,12 +221,18 @@ class Visitor:
         picture = self._view.whole(wish)
         if picture is None:
             return False
-        number, self._screenshot = self._screenshot, None
+        with self._lock:
+            number, self._screenshot = self._screenshot, None
+            self._is_filing = True
         header = self._view.header(picture, wish)
         header |= {"type": "screenshot", "number": number}
         draw = picture.draw_whole(wish.settings.look)
-        send_screenshot(draw, header, self._crew.asides, self.tell)
+        send_screenshot(draw, header, self._crew.asides, self.tell, self._end_filing)
         return True
+
+    def _end_filing(self) -> None:
+        with self._lock:
+            self._is_filing = False
 
     def _on_change(self, staged: Staged | None) -> None:
         with self._lock:
@@ -271,7 +278,7 @@ class Visitor:
     def _take_file(self, message: Message) -> None:
         number = read_whole(message, "number", 0, MAX_NUMBER)
         with self._lock:
-            if self._screenshot is not None:
+            if self._screenshot is not None or self._is_filing:
                 raise MessageError("screenshot: the one before is not ready yet")
             self._screenshot = number
 
