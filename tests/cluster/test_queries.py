@@ -69,13 +69,16 @@ def tracer(local, client):
         yield tracer
 
 
-FEW = ("bvh", "kdtree, restart")
-#: In CI, every way to trace on the CPU.
-WAYS = [pytest.param(n, marks=[pytest.mark.exhaustive] * (n not in FEW)) for n in TRACERS]
+#: Two here; in CI every way to trace on the CPU, with both.
+FEW = (("bvh", "random_soup"), ("kdtree, restart", "limits_at_the_hits_themselves"))
+WAYS = [
+    pytest.param(way, name, marks=[pytest.mark.exhaustive] * ((way, name) not in FEW))
+    for way in TRACERS
+    for name in ("random_soup", "limits_at_the_hits_themselves")
+]
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("name", ["random_soup", "limits_at_the_hits_themselves"])
+@pytest.mark.parametrize(("way", "name"), WAYS)
 def test_bits_are_those_of_one_process(client, way, name):
     scene, given = rays_of(name)
     options = TRACERS[way]
@@ -95,7 +98,12 @@ def test_bits_are_those_of_one_process(client, way, name):
 
 @pytest.mark.parametrize(
     ("shape", "chunks"),
-    [((20, 30), (7, 11)), ((2, 5, 60), (1, 5, 25)), ((600,), 600), ((1, 600), (1, 100))],
+    [
+        ((20, 30), (7, 11)),
+        pytest.param((2, 5, 60), (1, 5, 25), marks=pytest.mark.exhaustive),
+        pytest.param((600,), 600, marks=pytest.mark.exhaustive),
+        pytest.param((1, 600), (1, 100), marks=pytest.mark.exhaustive),
+    ],
 )
 def test_leading_shapes_and_order(tracer, local, rays, shape, chunks):
     origins, directions = (array.reshape(*shape, 3) for array in rays)
@@ -108,7 +116,15 @@ def test_leading_shapes_and_order(tracer, local, rays, shape, chunks):
     assert_same(many, local.multi_hit(origins, directions, t_max=900.0), ROWS)
 
 
-@pytest.mark.parametrize("kind", ["a vector", "a grid", "one ray", "numpy", "none", "no rays"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "a grid",
+        "none",
+        *(pytest.param(k, marks=pytest.mark.exhaustive) for k in ("a vector", "one ray", "numpy")),
+        pytest.param("no rays", marks=pytest.mark.exhaustive),
+    ],
+)
 def test_rays_broadcast_as_they_do_here(tracer, local, rays, kind):
     origins, directions = rays
     limit = np.float64(700.0)

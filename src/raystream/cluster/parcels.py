@@ -99,8 +99,8 @@ class Manifest:
             version = fields["version"], fields["raystream"]
             if version != (FORMAT_VERSION, __version__):
                 raise ClusterError(
-                    f"this worker has raystream {__version__}, and was sent work of "
-                    f"{version[1]!s:.20}: install the same version everywhere, or bits may differ"
+                    f"raystream {__version__} was sent work of raystream {version[1]!s:.20}: "
+                    "install the same version on all machines of a cluster, or bits may differ"
                 )
             places = {
                 str(name): ArrayPlace(str(digest), str(dtype), tuple(map(int, shape)))

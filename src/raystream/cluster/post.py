@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import weakref
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -37,7 +38,7 @@ class Post:
     """
 
     def __init__(self, client: Client) -> None:
-        self._client = client
+        self._of = weakref.ref(client)  # the client's end is this one's
         self._folder = SharedFolder()
         self._counts: dict[str, int] = {}
         try:
@@ -47,6 +48,13 @@ class Post:
                 "the cluster's scheduler cannot serve raystream: it needs the same packages as "
                 f"here, and to allow plugins ({type(error).__name__}: {error})"
             ) from error
+
+    @property
+    def _client(self) -> Client:
+        client = self._of()
+        if client is None:
+            raise ClusterError("the cluster's client is gone; make a new one")
+        return client
 
     @property
     def where(self) -> dict[str, str]:
