@@ -259,7 +259,7 @@ def trace_sample(
     """
     rows = range(setting.height) if rows is None else rows
     width, height = setting.width, len(rows)
-    rows_per_band = max(1, _band_size(renderer, setting) // width)
+    rows_per_band = max(1, _band_size(renderer, setting, height) // width)
     band_count = -(-height // rows_per_band)
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
     seen = SeenSurfaces.empty(width * height) if setting.layers else None
@@ -280,13 +280,13 @@ def trace_sample(
     return light, seen
 
 
-def _band_size(renderer: SampledRenderer, setting: Setting) -> int:
-    """Pixels that go through the stages together."""
+def _band_size(renderer: SampledRenderer, setting: Setting, rows: int) -> int:
+    """Pixels that go through the stages together, of so many rows."""
     bands = renderer.bands_of(setting)
     per_pixel = max(renderer.rays_per_pixel(setting), 1)
     if bands is not None:
         return bands.pixels_at_once // per_pixel
-    share = -(-setting.width * setting.height // (4 * thread_count()))
+    share = -(-setting.width * rows // (4 * thread_count()))
     return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
 
 

@@ -188,6 +188,7 @@ const ANSWERS = {
     figures.showScene(message);
     models.loaded(message);
   },
+  devices: message => settings.offerDevices(message.devices),
   structure: message => figures.showStructure(message),
   settings(message) {
     if (message.refused) {

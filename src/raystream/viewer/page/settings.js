@@ -47,16 +47,25 @@ export class Settings {
     for (const option of this.field("heatmap").options) {
       option.title = hello.heatmaps[option.value] || "";
     }
-    fillSelect(this.field("device"), names(hello.devices, name => DEVICE_NAMES[name] || name));
-    for (const {name, available, reason} of hello.devices) {
-      const option = [...this.field("device").options].find(one => one.value === name);
+    this.offerDevices(hello.devices);
+    this.field("samples").max = hello.limits.samples;
+  }
+
+  /** Which devices there are; whether they can be used is known a moment after the rest. */
+  offerDevices(devices) {
+    const field = this.field("device");
+    const {value} = field;
+    this.hello.devices = devices;
+    fillSelect(field, devices.map(({name}) => [name, DEVICE_NAMES[name] || name]));
+    for (const {name, available, reason} of devices) {
+      const option = [...field.options].find(one => one.value === name);
       option.disabled = available === false;
       option.title = reason || "";
       if (available === false) option.textContent += " (not here)";
     }
-    const reasons = hello.devices.filter(one => one.available === false && one.reason);
-    this.field("device").title = reasons.map(one => `${one.name}: ${one.reason}`).join("\n");
-    this.field("samples").max = hello.limits.samples;
+    const reasons = devices.filter(one => one.available === false && one.reason);
+    field.title = reasons.map(one => `${one.name}: ${one.reason}`).join("\n");
+    if (value) field.value = value;
   }
 
   /** What is in effect. */
