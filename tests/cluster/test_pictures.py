@@ -21,7 +21,12 @@ def assert_same_image(found: rs.Image, expected: rs.Image) -> None:
     assert found.figures == expected.figures
 
 
-@pytest.mark.parametrize("mode", list(rs.render.MODES))
+#: All in CI.
+FEW = ("raycast", "whitted", "path")
+MODES = [pytest.param(m, marks=[pytest.mark.exhaustive] * (m not in FEW)) for m in rs.render.MODES]
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_every_mode(client, room, mode):
     asked = {"mode": mode, "size": SIZE, "seed": 5}
     for more in ({}, {"samples": 3, "layers": "all"}):
@@ -138,7 +143,7 @@ def moving_room(room: rs.Scene) -> rs.Scene:
     return rs.Scene(room.meshes, **looks, animation=rs.Animation(at, (0, 2), fps=4))
 
 
-@pytest.mark.parametrize("structure", ["bvh", "kdtree"])
+@pytest.mark.parametrize("structure", ["bvh", pytest.param("kdtree", marks=pytest.mark.exhaustive)])
 def test_a_film_in_which_meshes_move(client, room, structure):
     scene = moving_room(room)
     asked = {"mode": "raycast", "size": SIZE, "samples": 2, "structure": structure, "seed": 4}

@@ -121,7 +121,9 @@ def test_leading_shapes_and_order(tracer, local, rays, shape, chunks):
     [
         "a grid",
         "none",
-        *(pytest.param(k, marks=pytest.mark.exhaustive) for k in ("a vector", "one ray", "numpy")),
+        pytest.param("a vector", marks=pytest.mark.exhaustive),
+        pytest.param("one ray", marks=pytest.mark.exhaustive),
+        pytest.param("numpy", marks=pytest.mark.exhaustive),
         pytest.param("no rays", marks=pytest.mark.exhaustive),
     ],
 )
