@@ -14,6 +14,7 @@ PAGE = (REPOSITORY / "docs" / "api.rst").read_text(encoding="utf-8")
 
 #: Modules whose names are for users, beside the package's own.
 MODULES = (
+    "cluster",
     "cuda.streams",
     "graphics",
     "lab.caches",
