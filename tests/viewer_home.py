@@ -7,7 +7,7 @@ import os
 import socket
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from websockets.sync.client import connect
@@ -155,8 +155,16 @@ def count_files():
 
 def view_threads():
     """Threads of viewers; those that the library traces rays on stay with the process."""
-    return [
+    return {
         thread
         for thread in threading.enumerate()
         if thread.name.startswith("raystream") and "view" in thread.name
-    ]
+    }
+
+
+@contextmanager
+def no_view_threads_left():
+    """Afterwards there are no more of them than before: other tests' servers may go on."""
+    before = view_threads()
+    yield
+    wait_until(lambda: view_threads() <= before)

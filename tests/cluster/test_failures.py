@@ -15,6 +15,8 @@ from conftest import assert_same_bits
 
 pytest.importorskip("distributed", reason='needs Dask: pip install "raystream[cluster]"')
 
+from raystream.cluster import clients
+from raystream.cluster import tasks as cluster_tasks
 from raystream.cluster.errors import ClusterError
 from raystream.cluster.tasks import OrderedTasks
 
@@ -97,7 +99,7 @@ def test_work_survives_more_kills_than_dask_allows(client, tmp_path):
 
 @pytest.mark.exhaustive
 def test_work_that_always_kills_is_given_up(client, tmp_path, monkeypatch):
-    monkeypatch.setattr("raystream.cluster.tasks.MOST_TRIES", 1)
+    monkeypatch.setattr(cluster_tasks, "MOST_TRIES", 1)
     for k in range(9):
         (tmp_path / str(k)).touch()
     tasks = OrderedTasks(client, die_while_there_is, [(str(tmp_path), 1)], 1, "die")
@@ -141,7 +143,7 @@ def threads_of_rays():
 def test_a_cluster_without_workers_says_so(room, monkeypatch):
     from distributed import Client, LocalCluster
 
-    monkeypatch.setattr("raystream.cluster.clients.PATIENCE", 0.2)
+    monkeypatch.setattr(clients, "PATIENCE", 0.2)
     local = "127.0.0.1:0"
     with (
         LocalCluster(n_workers=0, processes=False, dashboard_address=local) as few,
@@ -152,7 +154,7 @@ def test_a_cluster_without_workers_says_so(room, monkeypatch):
 
 
 def test_nobody_at_the_address(room, monkeypatch):
-    monkeypatch.setattr("raystream.cluster.clients.PATIENCE", 0.6)
+    monkeypatch.setattr(clients, "PATIENCE", 0.6)
     with pytest.raises(ClusterError, match="no Dask scheduler answers"):
         rs.cluster.render(room, size=(4, 3), client="tcp://127.0.0.1:1")
 

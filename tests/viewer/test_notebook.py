@@ -16,12 +16,14 @@ pytest.importorskip("websockets")
 import raystream as rs
 from conftest import child_environment
 from raystream.viewer.server import app
-from viewer_home import PAGE, view_threads, wait_until
+from viewer_home import PAGE, no_view_threads_left
 
 
 @pytest.fixture(autouse=True)
 def page(monkeypatch):
     monkeypatch.setattr(app, "read_page_files", lambda: PAGE)
+    with no_view_threads_left():
+        yield
 
 
 @pytest.fixture
@@ -50,7 +52,6 @@ def test_view_shows_itself_in_a_frame(scene):
     assert "closed" in repr(shown)
     assert "<iframe" not in shown._repr_html_()
     shown.close()
-    wait_until(lambda: not view_threads())
 
 
 def test_several_are_open_at_once_and_stay_when_forgotten(scene):
@@ -79,7 +80,6 @@ def test_bad_arguments_are_refused_and_leave_nothing(scene):
         rs.view(7)
     with pytest.raises(rs.FileFormatError, match="there is no such file"):
         rs.view("absent.obj")
-    wait_until(lambda: not view_threads())
 
 
 def test_it_ends_with_the_process():

@@ -10,14 +10,20 @@ import pytest
 import raystream as rs
 from raystream.viewer.serve import ViewServer, bind
 from raystream.viewer.studio import Studio
-from viewer_home import Guest, view_threads, wait_until
+from viewer_home import Guest, no_view_threads_left, wait_until
 
 ID = "0123456789abcdef"
 MODEL = b"mtllib red.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
 
 
 @pytest.fixture
-def guest(temporary):
+def no_threads_left():
+    with no_view_threads_left():
+        yield
+
+
+@pytest.fixture
+def guest(temporary, no_threads_left):
     """A page of a viewer of the Cornell box."""
     studio = Studio(rs.load("cornell"), "cornell", settings={"mode": "vis"})
     with ViewServer(studio, bind("127.0.0.1", 0)) as server:
@@ -26,7 +32,6 @@ def guest(temporary):
         guest.leave()
         wait_until(lambda: server.visit_count == 0)
         assert list(temporary.iterdir()) == []
-    wait_until(lambda: not view_threads())
 
 
 def read_until(client, kind):
