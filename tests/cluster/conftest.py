@@ -12,17 +12,23 @@ import raystream as rs
 
 
 @pytest.fixture(scope="session")
-def cluster() -> Iterator[Any]:
+def local_cluster() -> Callable[[], Any]:
+    """Makes clusters of two workers."""
     reason = 'needs Dask: pip install "raystream[cluster]"'
     distributed = pytest.importorskip("distributed", reason=reason)
-    with distributed.LocalCluster(
+    return lambda: distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=1,
         host="127.0.0.1",
         dashboard_address="127.0.0.1:0",
         worker_dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL,
-    ) as cluster:
+    )
+
+
+@pytest.fixture(scope="session")
+def cluster(local_cluster) -> Iterator[Any]:
+    with local_cluster() as cluster:
         yield cluster
 
 
@@ -37,15 +43,3 @@ def client(cluster) -> Iterator[Any]:
 @pytest.fixture(scope="session")
 def room() -> rs.Scene:
     return rs.load("cornell")
-
-
-@pytest.fixture
-def pids(client) -> Callable[[], dict[str, int]]:
-    """The workers' processes, by address."""
-
-    def ask() -> dict[str, int]:
-        import os
-
-        return client.run(os.getpid, on_error="ignore")
-
-    return ask
