@@ -81,7 +81,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("scene", nargs="?", default="bunny")
     parser.add_argument("--rays", type=int, default=20_000_000)
-    parser.add_argument("--chunk", type=int, default=1_000_000)
+    parser.add_argument("--chunk", type=int, default=500_000)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--mode", default="path")
     parser.add_argument("--size", default="1024x768")
