@@ -6,6 +6,7 @@ import json
 import math
 import os
 import zipfile
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def open_arrays(path: str) -> dict[str, Any]:
         raise FileFormatError(path, f"cannot be read as a Zarr store ({reason:.200})") from error
 
 
-class _Files:
+class _Files(ABC):
     """The files of a store: how long they are, before they are read."""
 
     def __init__(self, path: str) -> None:
@@ -84,14 +85,14 @@ class _Files:
     def has(self, name: str) -> bool:
         return self.size(name) is not None
 
-    def size(self, name: str) -> int | None:
-        raise NotImplementedError
+    @abstractmethod
+    def size(self, name: str) -> int | None: ...
 
-    def read(self, name: str) -> bytes:
-        raise NotImplementedError
+    @abstractmethod
+    def read(self, name: str) -> bytes: ...
 
-    def folders(self) -> list[str]:
-        raise NotImplementedError
+    @abstractmethod
+    def folders(self) -> list[str]: ...
 
     def check(self, name: str) -> None:
         size = self.size(name)
