@@ -1,0 +1,406 @@
+"""Seed faults into a copy of the sources, one by one: do the tests catch each of them?
+
+    python tests/seeded_faults/run.py                        all of faults.toml
+    python tests/seeded_faults/run.py "grid: DDA a cell off" one of them
+    python tests/seeded_faults/run.py --list                 their names
+
+The tests of the fault's room run first, then the rest of the everyday suite, until one fails. At
+the end every test that has caught a fault must pass without one. Prints a table; exits 1 if a
+fault was not caught.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import importlib.util
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tomllib
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+FAULTS = Path(__file__).with_name("faults.toml")
+SOURCES = "src/raystream"
+
+#: Seconds that pytest gets to end by itself after a failure: other tests may not come back.
+GRACE = 30.0
+
+#: Variable by which the processes of a run of pytest are known, wherever they went.
+_MARK = "RAYSTREAM_SEEDED_RUN"
+
+#: A failure as pytest-xdist prints it when it happens, and as it is in pytest's summary.
+_LIVE = re.compile(r"\[gw\d+\] \[ *\d+%\] (?:FAILED|ERROR) (?P<test>.+)")
+_SUMMARY = re.compile(r"(?:FAILED|ERROR) (?P<test>(?:tests|src)/.+?)(?: - .*)?")
+
+#: What the copy does not need; and the faults' own tests, which would notice every one.
+_LEFT_OUT = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "_build", "seeded_faults")
+
+CAUGHT, SURVIVED, TIMED_OUT = "caught", "NOT CAUGHT", "OUT OF TIME"
+NOT_RUN, BROKEN, FALSE_ALARM = "not run", "NO TESTS RAN", "FAILS WITHOUT"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An entry of faults.toml, which says what the fields mean."""
+
+    name: str
+    what: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    environment: Mapping[str, str] = field(default_factory=dict)
+    hangs: bool = False
+
+    @property
+    def path(self) -> str:
+        """The file, from the repository's root."""
+        return f"{SOURCES}/{self.file}"
+
+    @property
+    def room(self) -> str:
+        """The room that it is in: a package of raystream's, or a module of its own."""
+        return self.file.partition("/")[0].removesuffix(".py")
+
+    @property
+    def missing(self) -> list[str]:
+        """Modules that are needed and not installed."""
+        return [name for name in self.needs if importlib.util.find_spec(name) is None]
+
+    @property
+    def digest(self) -> str:
+        """Of all that decides its result, but for the sources around it."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+
+    def seeded(self, text: str) -> str:
+        """The file's text with the fault.
+
+        Raises
+        ------
+        ValueError
+            If the place is not there, or there several times.
+        """
+        count = text.count(self.old)
+        if count != 1:
+            raise ValueError(f"{self.name}: its text is {count} times in {self.path}, not once")
+        return text.replace(self.old, self.new)
+
+
+@dataclass
+class Result:
+    """What became of a fault: `by` is the test, or the reason."""
+
+    name: str
+    verdict: str
+    by: str
+    seconds: float
+    digest: str
+
+
+def read_faults(path: Path = FAULTS) -> list[Fault]:
+    """Read the faults, in the order of the file."""
+    entries = tomllib.loads(path.read_text(encoding="utf-8"))["faults"]
+    tuples = ("tests", "needs")
+    return [
+        Fault(**{key: tuple(value) if key in tuples else value for key, value in entry.items()})
+        for entry in entries
+    ]
+
+
+def copy_tree(root: Path, to: Path) -> None:
+    """Copy all that tests may look at."""
+    shutil.copytree(root, to, ignore=shutil.ignore_patterns(*_LEFT_OUT))
+
+
+class Runner:
+    """Runs tests in a copy of the tree.
+
+    Parameters
+    ----------
+    copy : Path
+    cache : Path
+        Folder of compiled kernels, which all runs share.
+    workers : int
+        Processes that test.
+    limit : float
+        Seconds for one run of pytest.
+    """
+
+    def __init__(self, copy: Path, cache: Path, workers: int, limit: float) -> None:
+        self.copy, self.limit = copy, limit
+        self._options = ["--maxfail=1", "--verbose", "--tb=short", f"--numprocesses={workers}"]
+        self._environment = {
+            **os.environ,
+            "PYTHONPATH": str(copy / "src"),
+            "RAYSTREAM_CACHE_DIR": str(cache),
+            # Two texts of one length, written within a second, would share a .pyc file.
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+
+    def check_import(self) -> None:
+        """Make sure that it is the copy that tests import."""
+        command = [sys.executable, "-c", "import raystream; print(raystream.__file__)"]
+        found = subprocess.run(
+            command,
+            cwd=self.copy,
+            env=self._environment,
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout.strip()
+        if not Path(found).resolve().is_relative_to(self.copy.resolve()):
+            raise SystemExit(f"tests would import {found}, and not the copy in {self.copy}")
+
+    @contextlib.contextmanager
+    def seeded(self, fault: Fault) -> Iterator[None]:
+        """The copy with a fault in it."""
+        path = self.copy / fault.path
+        text = path.read_text(encoding="utf-8")
+        path.write_text(fault.seeded(text), encoding="utf-8")
+        try:
+            yield
+        finally:
+            path.write_text(text, encoding="utf-8")
+
+    def run(self, arguments: Sequence[str], environment: Mapping[str, str]) -> str | None:
+        """Run pytest until a test fails.
+
+        Returns
+        -------
+        str or None
+            The test that failed first; None if all passed.
+
+        Raises
+        ------
+        TimeoutError
+            If none had failed when time was up.
+        RuntimeError
+            If pytest could not run.
+        """
+        shutil.rmtree(self.copy / ".hypothesis", ignore_errors=True)  # examples of other faults
+        mark = uuid.uuid4().hex
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", *self._options, *arguments],
+            cwd=self.copy,
+            env={**self._environment, **environment, _MARK: mark},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        watchdog = _Watchdog(process.pid, self.limit)
+        failed, lines = None, []
+        try:
+            assert process.stdout is not None
+            for line in process.stdout:
+                lines.append(line)
+                text = line.rstrip()
+                match = _LIVE.fullmatch(text) or _SUMMARY.fullmatch(text)
+                if match and failed is None:
+                    failed = match["test"]
+                    watchdog.restart(min(GRACE, self.limit))
+            code = process.wait()
+        finally:
+            watchdog.stop()
+            _end(process, mark)
+        if failed is None and watchdog.has_bitten:
+            raise TimeoutError
+        if failed is None and code:
+            raise RuntimeError(f"pytest ended with {code}: {' '.join(lines[-3:])[-300:]}")
+        return failed
+
+
+class _Watchdog:
+    """Ends a process group when its time is up."""
+
+    def __init__(self, group: int, seconds: float) -> None:
+        self._group = group
+        self.has_bitten = False
+        self._start(seconds)
+
+    def _start(self, seconds: float) -> None:
+        self._timer = threading.Timer(seconds, self._bite)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _bite(self) -> None:
+        self.has_bitten = True
+        _kill_group(self._group)
+
+    def restart(self, seconds: float) -> None:
+        self._timer.cancel()
+        self._start(seconds)
+
+    def stop(self) -> None:
+        self._timer.cancel()
+
+
+def _kill_group(group: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGKILL)
+
+
+def _end(process: subprocess.Popen[str], mark: str) -> None:
+    """Leave none of a run's processes behind, not those either that left its group."""
+    _kill_group(process.pid)
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+    variable = f"{_MARK}={mark}".encode()
+    for environment in Path("/proc").glob("[0-9]*/environ"):
+        with contextlib.suppress(OSError):
+            if variable in environment.read_bytes().split(b"\0"):
+                os.kill(int(environment.parent.name), signal.SIGKILL)
+
+
+def try_fault(fault: Fault, runner: Runner, room_only: bool) -> tuple[str, str]:
+    """Seed a fault and run tests: the verdict, and what it is by."""
+    if fault.missing:
+        return NOT_RUN, f"needs {', '.join(fault.missing)}"
+    others = [f"--deselect={test}" for test in fault.tests]
+    stages = [(list(fault.tests), fault.environment)]
+    if not room_only:
+        stages.append((others, {}))
+    with runner.seeded(fault):
+        for arguments, environment in stages:
+            try:
+                failed = runner.run(arguments, environment)
+            except RuntimeError as error:
+                return BROKEN, " ".join(str(error).split())
+            except TimeoutError:
+                # A slow machine is no proof.
+                verdict = CAUGHT if fault.hangs else TIMED_OUT
+                return verdict, f"no test ended the run within {runner.limit:.0f} s"
+            if failed is not None:
+                return CAUGHT, failed
+    return SURVIVED, "all tests pass"
+
+
+def check_catchers(faults: Sequence[Fault], results: list[Result], runner: Runner) -> None:
+    """Run the tests that have caught faults without any; those that fail prove nothing."""
+    environments = {fault.name: fault.environment for fault in faults}
+    groups: dict[tuple[tuple[str, str], ...], list[Result]] = {}
+    for result in results:
+        if result.verdict == CAUGHT and result.by.startswith(("tests/", "src/")):
+            key = tuple(sorted(environments[result.name].items()))
+            groups.setdefault(key, []).append(result)
+    for environment, caught in groups.items():
+        left = sorted({result.by for result in caught})
+        while left:
+            failed = runner.run(left, dict(environment))
+            if failed is None:
+                break
+            for result in caught:
+                if result.by == failed:
+                    result.verdict = FALSE_ALARM
+            left = [test for test in left if test != failed]
+
+
+def table_of(results: Sequence[Result]) -> str:
+    """Results as lines for people."""
+    width = max((len(result.name) for result in results), default=0)
+    lines = [f"{r.name:{width}}  {r.verdict:12} {r.seconds:6.0f} s  {r.by}" for r in results]
+    counts = {v: sum(r.verdict == v for r in results) for v in {r.verdict for r in results}}
+    total = ", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items()))
+    return "\n".join([*lines, f"{len(results)} faults: {total or 'none'}"])
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help="faults, or rooms; default: all")
+    parser.add_argument("--list", action="store_true", help="print the faults, and end")
+    parser.add_argument("--room-tests-only", action="store_true", help="not the rest of the suite")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="[default: 2]")
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=900.0,
+        metavar="SECONDS",
+        help="for one run of pytest, of which a fault has two [default: 900]",
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write results there, after each fault"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="leave out what FILE says was caught before"
+    )
+    return parser.parse_args(arguments)
+
+
+def chosen_faults(names: Sequence[str], faults: list[Fault]) -> list[Fault]:
+    """The faults of these names or rooms; all without any."""
+    for name in names:
+        if not any(name in (fault.name, fault.room) for fault in faults):
+            raise SystemExit(f"no fault and no room {name!r}; see --list")
+    return [f for f in faults if not names or f.name in names or f.room in names]
+
+
+def _earlier(asked: argparse.Namespace) -> dict[str, Result]:
+    if not asked.resume or asked.json is None or not asked.json.exists():
+        return {}
+    found = [Result(**entry) for entry in json.loads(asked.json.read_text(encoding="utf-8"))]
+    return {result.digest: result for result in found if result.verdict == CAUGHT}
+
+
+def _write(asked: argparse.Namespace, results: Sequence[Result]) -> None:
+    if asked.json is not None:
+        text = json.dumps([asdict(result) for result in results], indent=2)
+        asked.json.write_text(text + "\n", encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None, root: Path = ROOT, faults: Path = FAULTS) -> int:
+    """Run it; returns the exit status."""
+    asked = parse(arguments)
+    chosen = chosen_faults(asked.names, read_faults(faults))
+    if asked.list:
+        print("\n".join(f"{fault.name}: {fault.what}" for fault in chosen))
+        return 0
+    earlier, results = _earlier(asked), []
+    status = 0
+    with tempfile.TemporaryDirectory(prefix="raystream-faults-") as folder:
+        copy = Path(folder) / "tree"
+        copy_tree(root, copy)
+        cache = Path(os.environ.get("RAYSTREAM_CACHE_DIR") or Path(folder) / "cache")
+        runner = Runner(copy, cache.resolve(), asked.workers, asked.time_limit)
+        runner.check_import()
+        try:
+            for fault in chosen:
+                started = time.monotonic()
+                result = earlier.get(fault.digest)
+                if result is None:
+                    verdict, by = try_fault(fault, runner, asked.room_tests_only)
+                    spent = time.monotonic() - started
+                    result = Result(fault.name, verdict, by, round(spent, 1), fault.digest)
+                results.append(result)
+                print(table_of([result]).partition("\n")[0], flush=True)
+                _write(asked, results)
+            check_catchers(chosen, results, runner)
+            _write(asked, results)
+        except KeyboardInterrupt:
+            status = 130
+    print(f"\n{table_of(results)}", flush=True)
+    if status == 0 and any(result.verdict not in (CAUGHT, NOT_RUN) for result in results):
+        status = 1
+    return status
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    sys.exit(main())
