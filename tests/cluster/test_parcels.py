@@ -93,6 +93,12 @@ def test_a_parcel_is_named_by_its_content():
     assert len({name([1.0, 2.0]), *others}) == 5
 
 
+def test_an_array_is_named_by_its_numbers_its_shape_and_its_dtype():
+    zeros = [np.zeros(6), np.zeros((2, 3)), np.zeros((3, 2)), np.zeros(6, np.int64)]
+    assert len({parcels.digest_of(array) for array in zeros}) == 4
+    assert parcels.digest_of(np.zeros((3, 2))) == parcels.digest_of(np.zeros((2, 3)).T)
+
+
 @pytest.mark.parametrize(
     "change",
     [

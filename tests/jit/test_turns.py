@@ -52,6 +52,24 @@ def test_one_process_has_a_turn_at_a_time(holder, tmp_path, monkeypatch):
     assert ours.take("a")
 
 
+def test_turns_are_given_back_one_by_one(tmp_path):
+    ours = Turns(tmp_path)
+    assert ours.take("a")
+    assert ours.take("b")
+    ours.give("a")
+    code = """
+import sys
+from pathlib import Path
+from raystream.jit import turns
+turns.PATIENCE = 0.1
+theirs = turns.Turns(Path(sys.argv[1]))
+print(theirs.take("a"), theirs.take("b"))
+"""
+    command = [sys.executable, "-c", code, tmp_path]
+    printed = subprocess.check_output(command, text=True, env=child_environment())
+    assert printed == "True False\n"
+
+
 def test_the_turn_of_a_process_that_was_killed_is_over(holder, tmp_path):
     holder.kill()
     assert Turns(tmp_path).take("a")

@@ -33,12 +33,13 @@ def test_open_meshes():
     turned[7] = turned[7, ::-1]
     meshes = [
         rs.Mesh(vertices, faces[1:]),
+        rs.Mesh(vertices, faces[1:, ::-1]),  # its sum of volumes is negative, and says nothing
         rs.Mesh(vertices, turned),
         rs.Mesh(*grid_floor(3)),
         rs.Mesh(*soup(30)),
         rs.Mesh(vertices, np.zeros((0, 3), int)),
     ]
-    assert facts(*meshes) == [(False, False)] * 5
+    assert facts(*meshes) == [(False, False)] * 6
 
 
 def test_meshes_are_looked_at_one_by_one():

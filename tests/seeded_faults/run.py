@@ -15,6 +15,7 @@ import argparse
 import contextlib
 import hashlib
 import importlib.util
+import itertools
 import json
 import os
 import re
@@ -142,26 +143,20 @@ class Runner:
 
     def __init__(self, copy: Path, cache: Path, workers: int, limit: float) -> None:
         self.copy, self.limit = copy, limit
+        self._moments = itertools.count(10**9)
         self._options = ["--maxfail=1", "--verbose", "--tb=short", f"--numprocesses={workers}"]
         self._environment = {
             **os.environ,
             "PYTHONPATH": str(copy / "src"),
             "RAYSTREAM_CACHE_DIR": str(cache),
-            # Two texts of one length, written within a second, would share a .pyc file.
-            "PYTHONDONTWRITEBYTECODE": "1",
         }
 
     def check_import(self) -> None:
         """Make sure that it is the copy that tests import."""
         command = [sys.executable, "-c", "import raystream; print(raystream.__file__)"]
-        found = subprocess.run(
-            command,
-            cwd=self.copy,
-            env=self._environment,
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout.strip()
+        found = subprocess.check_output(
+            command, cwd=self.copy, env=self._environment, text=True
+        ).strip()
         if not Path(found).resolve().is_relative_to(self.copy.resolve()):
             raise SystemExit(f"tests would import {found}, and not the copy in {self.copy}")
 
@@ -170,11 +165,17 @@ class Runner:
         """The copy with a fault in it."""
         path = self.copy / fault.path
         text = path.read_text(encoding="utf-8")
-        path.write_text(fault.seeded(text), encoding="utf-8")
+        self._write(path, fault.seeded(text))
         try:
             yield
         finally:
-            path.write_text(text, encoding="utf-8")
+            self._write(path, text)
+
+    def _write(self, path: Path, text: str) -> None:
+        path.write_text(text, encoding="utf-8")
+        # Two texts of one length, written within a second, would share a .pyc file.
+        moment = next(self._moments)
+        os.utime(path, (moment, moment))
 
     def run(self, arguments: Sequence[str], environment: Mapping[str, str]) -> str | None:
         """Run pytest until a test fails.
