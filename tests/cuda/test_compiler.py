@@ -132,7 +132,7 @@ def test_nothing_is_fused():
 def test_code_is_kept_on_disk(tmp_path, monkeypatch):
     from raystream.jit.cuda import compiler, disk
 
-    monkeypatch.setattr(disk, "kernel_folder", lambda: str(tmp_path))
+    monkeypatch.setattr(disk, "kernel_folder", lambda: tmp_path)
     zero = np.uint64(0)
     one = RangeKernel(_multiply_and_add)
     first = one.compiled((zero, zero), (7, 5))

@@ -162,7 +162,7 @@ def test_functions_have_files_of_their_own(tmp_path, monkeypatch):
     """What a function does, and the numbers it takes from outside, decide which code is found."""
     from raystream.jit.cuda import disk
 
-    monkeypatch.setattr(disk, "kernel_folder", lambda: str(tmp_path))
+    monkeypatch.setattr(disk, "kernel_folder", lambda: tmp_path)
     texts = set()
     for limit in (1, 2, 1):
         texts.add(DeviceProgram(below(limit), "count").compiled(CAPABILITIES[0]).ptx)

@@ -2,6 +2,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,7 @@ def source(tmp_path):
     return tmp_path / "src"
 
 
-def test_kernels_are_compiled_once_and_again_after_any_edit(source, tmp_path):
+def test_kernels_are_compiled_once_and_again_after_an_edit(source, tmp_path):
     folder = tmp_path / "cache"
     assert run(source, folder) == ["2", "0", "1"]
     assert run(source, folder) == ["2", "1", "0"]
@@ -67,13 +68,13 @@ def test_kernels_are_compiled_once_and_again_after_any_edit(source, tmp_path):
     callee.write_text(CALLEE.replace("+ 1", "+ 100"))
     assert run(source, folder) == ["101", "0", "1"]
     callee.write_text(CALLEE)
-    assert run(source, folder) == ["2", "1", "0"]  # the older version's files are still there
+    assert run(source, folder) == ["2", "1", "0"]  # the older code is still there
 
 
 def test_damaged_files_are_compiled_over(source, tmp_path):
     folder = tmp_path / "cache"
     run(source, folder)
-    files = [*folder.rglob("*.nbi"), *folder.rglob("*.nbc")]
+    files = [*folder.rglob("*.nbc")]
     assert files
     for path in files:
         path.write_bytes(path.read_bytes()[:-20])
@@ -102,21 +103,29 @@ def test_two_processes_at_once_share_one_folder(source, tmp_path):
     assert not list(folder.rglob("*.tmp.*"))
 
 
-def test_data_files_are_named_by_what_they_hold():
-    """So that two processes cannot give different kernels the same file."""
-    files = cache_module._CacheFile("nowhere", "kernel-1.py311", "stamp")
-    names = {files._name_of((signature, "cpu", "name", ())) for signature in ("a", "b", "c")}
-    assert len(names) == 3
-    assert files._name_of(("a", "cpu", "name", ())) in names
+def test_old_files_and_the_least_recently_used_ones_go(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache_module, "SIZE_LIMIT", 1000)
+    now = time.time()
+    ages = {"new.nbc": 0, "used.ptx": 1, "older.nbc": 2, "oldest.nbc": 3, "unused.nbc": 100}
+    for name, days in ages.items():
+        (tmp_path / name).write_bytes(bytes(50 if name == "unused.nbc" else 400))
+        os.utime(tmp_path / name, (now - 86_400 * days,) * 2)
+    (tmp_path / "turns").touch()
+    (tmp_path / "0123456789abcdef").mkdir()  # an earlier layout: a folder for each state
+    (tmp_path / "0123456789abcdef" / "kernel.nbi").touch()
+    os.utime(tmp_path / "0123456789abcdef", (now - 86_400 * 100,) * 2)
+    os.utime(tmp_path / "turns", (now - 86_400 * 100,) * 2)
+    cache_module.evict(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new.nbc", "turns", "used.ptx"]
 
 
-def test_what_a_cached_kernel_may_close_over():
-    from raystream.structures.brute.traversal import traverse
-
-    assert cache_module._name_of_cell(traverse).endswith("brute.traversal.traverse")
-    assert cache_module._name_of_cell(3) == "3"
-    with pytest.raises(TypeError, match="cannot close over"):
-        cache_module._name_of_cell(object())
+def test_files_that_are_read_count_as_used(source, tmp_path):
+    folder = tmp_path / "cache"
+    run(source, folder)
+    (file,) = folder.rglob("*.nbc")
+    os.utime(file, (time.time() - 10 * 86_400,) * 2)
+    run(source, folder)
+    assert time.time() - file.stat().st_mtime < 3600
 
 
 def test_the_folder_follows_the_platform(monkeypatch, tmp_path):

@@ -1,13 +1,21 @@
 import enum
+import importlib
 import math
+import pkgutil
+from collections import namedtuple
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+import raystream
+from raystream.core import rays
 from raystream.jit import cpu
+from raystream.jit.cache import KernelCache
 from raystream.jit.cpu import device
-from raystream.jit.fingerprint import fingerprint
+from raystream.jit.fingerprint import fingerprint, type_name
 
 
 def define(text, name="f", **names):
@@ -96,3 +104,83 @@ def test_what_cannot_be_told_is_not_kept(value):
 
 def test_a_missing_name_is_not_kept():
     assert fingerprint(define(SCALE)) is None
+
+
+INNER = "def f(x):\n    def g(y):\n        '''{}.'''\n        return y\n    return g(x)"
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("def f(x):\n    '''One.'''\n    return x", "def f(x):\n    '''Two.'''\n    return x"),
+        ("def f(x):\n    return x", "def f(x):\n    # A comment.\n\n    return x"),
+        (INNER.format("One"), INNER.format("Two")),
+    ],
+)
+def test_docstrings_and_comments_do_not_count(one, other):
+    assert fingerprint(define(one)) == fingerprint(define(other)) is not None
+
+
+def test_a_string_that_is_returned_counts_also_where_it_is_the_docstring():
+    for text in ("def f():\n    '{0}'\n    return '{0}'", "def f():\n    return '{0}'"):
+        assert fingerprint(define(text.format("a"))) != fingerprint(define(text.format("b")))
+
+
+def pair(*numbers):
+    """Two functions that call each other."""
+    text = "def f(x):\n    return g(x - 1) if x > 0 else 0\ndef g(x):\n    return f(x - {}) + {}"
+    namespace = {"__name__": "users"}
+    exec(text.format(*numbers), namespace)
+    return namespace["f"], namespace["g"]
+
+
+def test_functions_that_call_each_other():
+    """Whichever of them is met first."""
+    first, second, third, other = pair(1, 2), pair(1, 2), pair(1, 2), pair(1, 3)
+    assert fingerprint(first[0]) == fingerprint(second[0])
+    assert fingerprint(first[1]) == fingerprint(second[1])
+    assert fingerprint(third[1]) == fingerprint(first[1])
+    assert fingerprint(third[0]) == fingerprint(first[0])
+    assert fingerprint(other[0]) != fingerprint(first[0])
+    assert fingerprint(other[1]) != fingerprint(first[1])
+
+
+def test_what_is_read_of_our_modules_counts(monkeypatch):
+    found = set()
+    for limit in (1, 2):
+        monkeypatch.setattr(rays, "LIMIT", limit, raising=False)
+        found.add(fingerprint(define("def f(x):\n    return x + rays.LIMIT", rays=rays)))
+    assert len(found) == 2
+    assert None not in found
+
+
+def test_types_of_named_tuples_have_their_fields():
+    """Two classes of one name, with the same types in another order: Numba names them alike."""
+    made = [namedtuple("Found", fields)(1, 2) for fields in (("t", "count"), ("count", "t"))]
+    for wrap in (lambda one: one, lambda one: (one, 1.0)):
+        types = [numba.typeof(wrap(one)) for one in made]
+        assert str(types[0]) == str(types[1])
+        assert type_name(types[0]) != type_name(types[1])
+
+
+def test_types_of_functions_say_what_these_do():
+    functions = [device(closure(value)) for value in (1, 2, 1, object())]
+    names = [type_name(numba.typeof(function)) for function in functions]
+    assert names[0] == names[2] != names[1]
+    assert names[3] is None
+
+
+def test_every_kernel_of_ours_has_a_fingerprint():
+    """Else it would be compiled in every process."""
+    rooms = ("kernels", "structures", "machines", "render", "physics", "programs", "jit", "lab")
+    kernels = set()
+    for found in pkgutil.walk_packages(raystream.__path__, "raystream."):
+        if found.name.split(".")[1] in rooms and not found.name.startswith("raystream.jit.cuda"):
+            values = vars(importlib.import_module(found.name)).values()
+            kernels |= {
+                value
+                for value in values
+                if isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache)
+            }
+    assert len(kernels) > 80
+    assert [kernel for kernel in kernels if fingerprint(kernel) is None] == []

@@ -133,7 +133,7 @@ def lab(
 
 
 def _source() -> str:
-    from raystream.jit.cache import source_hash
+    from raystream.lab.store import source_hash
 
     return source_hash()
 

@@ -1,171 +1,114 @@
 """The on-disk cache of compiled kernels.
 
-Numba's own cache watches only the file that defines a kernel: edit a function that the
-kernel calls, and the old code still runs. This cache lives in a folder named by a hash of
-every raystream source, so any change misses. The folder is in the user's cache folder (or
-``RAYSTREAM_CACHE_DIR``), never beside the sources. Of several processes that need a kernel
-which is not there yet, one compiles it and the others wait.
+Numba's own cache watches only the file that defines a kernel: edit a function that the kernel
+calls, and the old code still runs. Here a file is named by a hash of all that the code in it
+depends on: the kernel with everything that it calls or closes over (see `fingerprint`), the types
+of its arguments, versions and the processor. So an edit recompiles what depends on it and nothing
+else, nothing is ever stale, and versions of raystream share the folder. It is in the user's cache
+folder (or ``RAYSTREAM_CACHE_DIR``), never beside the sources. Of several processes that need a
+kernel which is not there yet, one compiles it and the others wait.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import pickle
 import shutil
 import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from numba.core.caching import (
-    CompileResultCacheImpl,
-    FunctionCache,
-    IndexDataCacheFile,
-    _CacheLocator,
-)
-from numba.core.dispatcher import Dispatcher
+from numba.core import config, sigutils
+from numba.core.caching import _Cache
+from numba.core.compiler import CompileResult
 
 from raystream.core.cache_folder import cache_folder
+from raystream.core.whole_file import replacing
+from raystream.jit.compile_time import collector_resting
+from raystream.jit.fingerprint import fingerprint, type_name
 from raystream.jit.turns import Turns
 
-__all__ = ["KernelCache", "cache_folder", "keep_on_disk", "kernel_folder", "source_hash"]
+__all__ = ["KernelCache", "cache_folder", "evict", "keep_on_disk", "kernel_folder", "mark_used"]
 
-#: Folders of this many source versions stay; the least recently used go.
-KEPT_VERSIONS = 4
+#: Bytes that the folder may grow to. All kernels that the tests compile take about 30 MB.
+SIZE_LIMIT = 500_000_000
 
+#: Seconds after which a file that was not used goes: 90 days.
+AGE_LIMIT = 90 * 86_400.0
 
-@cache
-def source_hash() -> str:
-    """Hash of every Python source of raystream, 16 hexadecimal digits."""
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        content = path.read_bytes()
-        digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode())
-        digest.update(content)
-    return digest.hexdigest()[:16]
+#: Seconds between two notes that a file is used: a day. Reading costs a write no more often.
+USE_INTERVAL = 86_400.0
 
 
-@cache
-def kernel_folder() -> str:
-    """Folder for this version's kernels; marks it as used and drops the oldest others."""
-    parent = cache_folder() / "kernels"
-    folder = parent / source_hash()
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        os.utime(folder)
-        versions = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime)
-        for old in versions[:-KEPT_VERSIONS]:
-            if time.time() - old.stat().st_mtime > 3600.0:  # nobody is starting with it now
-                shutil.rmtree(old, ignore_errors=True)
-    except OSError:
-        pass  # read-only or raced: numba finds out whether the folder can be used
-    return str(folder)
+def kernel_folder() -> Path:
+    """Folder of compiled kernels; it may be missing, or impossible to write."""
+    return cache_folder() / "kernels"
 
 
 @cache
-def _turns(folder: str) -> Turns:
-    return Turns(Path(folder))
+def _turns(folder: Path) -> Turns:
+    return Turns(folder)
 
 
-class _Locator(_CacheLocator):
-    """Where a kernel's files are, and what makes them stale."""
+class KernelCache(_Cache):
+    """The cache of one kernel, in the form that Numba's dispatchers ask.
 
-    def __init__(self, function: Callable[..., Any], source: str) -> None:
-        code = function.__code__
-        path = Path(source)
-        self._py_file = source  # numba names it in its warnings
-        self._disambiguator = f"{path.parent.name}.{path.stem}-{code.co_firstlineno}"
-
-    def get_cache_path(self) -> str:
-        return kernel_folder()
-
-    def get_source_stamp(self) -> str:
-        return source_hash()
-
-    def get_disambiguator(self) -> str:
-        return self._disambiguator
-
-    @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Locator:
-        return cls(py_func, py_file)
-
-
-class _CacheImpl(CompileResultCacheImpl):
-    _locator_classes: ClassVar = [_Locator]
-
-
-class _CacheFile(IndexDataCacheFile):
-    """Numba's index and data files, made safe for processes that write at the same time.
-
-    Numba numbers the data files: two processes that save different signatures at once give
-    them the same number, and one index then points to the other's code. Here a data file is
-    named by its key, so the worst that a race can do is to forget an entry.
+    Parameters
+    ----------
+    function : callable
+        The kernel in Python. If it uses something whose changes cannot be noticed, nothing is
+        kept.
     """
-
-    def save(self, key: Any, data: Any) -> None:
-        name = self._name_of(key)
-        self._save_data(name, data)
-        overloads = self._load_index()
-        overloads[key] = name
-        self._save_index(overloads)
-
-    def load(self, key: Any) -> Any:
-        try:
-            return super().load(key)
-        except Exception:  # a truncated or unreadable file is a miss, not an error
-            return None
-
-    def _load_index(self) -> dict[Any, str]:
-        try:
-            index: dict[Any, str] = super()._load_index()
-        except Exception:
-            index = {}
-        return index
-
-    def _name_of(self, key: Any) -> str:
-        digest = hashlib.sha256(repr(key).encode()).hexdigest()[:24]
-        return self._index_name.removesuffix(".nbi") + f".{digest}.nbc"
-
-
-class KernelCache(FunctionCache):
-    """Numba's function cache with the folder, the freshness rule and the files above.
-
-    Kernels made by a factory are cached too when all that they close over are numbers,
-    strings or raystream's own compiled functions: those are named in the key, and the
-    folder's hash stands for their code. (Numba would hash a pickle of the closure, which is
-    new in every process.)
-    """
-
-    _impl_class = _CacheImpl
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        self._cache_file = _CacheFile(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=self._impl.locator.get_source_stamp(),
-        )
-        self._turns_taken: dict[Any, str] = {}  # names of turns, by signature
+        self._function = function
+        self._is_enabled = True
+        self._waiting: dict[Any, Path] = {}  # files that it is this process's turn to write
+
+    @property
+    def cache_path(self) -> str:
+        """The folder."""
+        return str(kernel_folder())
+
+    def enable(self) -> None:
+        """Read and write files from now on."""
+        self._is_enabled = True
+
+    def disable(self) -> None:
+        """Neither read nor write files from now on."""
+        self._is_enabled = False
+
+    def flush(self) -> None:
+        """Do nothing: what is old goes by itself."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Read a compiled kernel; None leaves the caller, and no other process, to compile it."""
-        found = super().load_overload(sig, target_context)
-        if found is None and self._enabled:
-            key = self._index_key(sig, target_context.codegen())
-            name = self._cache_file._name_of(key)
-            if _turns(self._cache_path).take(name):
-                self._turns_taken[sig] = name
-                found = super().load_overload(sig, target_context)  # written in the meantime?
-                if found is not None:
-                    self.end_turn(sig)
+        target_context.refresh()
+        path = self._path(sig, target_context.codegen())
+        if path is None:
+            return None
+        found = _read(path, target_context)
+        if found is None and _turns(path.parent).take(path.name):
+            self._waiting[sig] = path
+            found = _read(path, target_context)  # written in the meantime?
+            if found is not None:
+                self.end_turn(sig)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write a compiled kernel, if there is a folder that can be written."""
         try:
-            super().save_overload(sig, data)
+            path = self._path(sig, data.codegen)
+            if path is None or data.lifted or data.library.has_dynamic_globals:
+                return  # the code contains addresses of this process
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with replacing(path) as file:
+                file.write_bytes(pickle.dumps(data._reduce(), protocol=pickle.HIGHEST_PROTOCOL))
+            _evict_once(path.parent)
         except OSError:
             self.disable()  # no folder to write to: compile in every process
         finally:
@@ -173,14 +116,76 @@ class KernelCache(FunctionCache):
 
     def end_turn(self, sig: Any) -> None:
         """Let other processes compile the kernel, if it was this one's turn."""
-        name = self._turns_taken.pop(sig, None)
-        if name is not None:
-            _turns(self._cache_path).give(name)
+        path = self._waiting.pop(sig, None)
+        if path is not None:
+            _turns(path.parent).give(path.name)
 
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        closure = self._py_func.__closure__ or ()
-        names = tuple(_name_of_cell(cell.cell_contents) for cell in closure)
-        return (str(sig), codegen.magic_tuple(), self._py_func.__qualname__, names)
+    def _path(self, sig: Any, codegen: Any) -> Path | None:
+        """The file of a signature; None if changes of the code could not be noticed."""
+        known = fingerprint(self._function) if self._is_enabled else None
+        types = [type_name(one) for one in sigutils.normalize_signature(sig)[0]]
+        if known is None or None in types:
+            return None
+        place = f"{self._function.__module__}.{self._function.__qualname__}"
+        options = (
+            config.OPT,
+            config.LOOP_VECTORIZE,
+            config.SLP_VECTORIZE,
+            config.DEBUGINFO_DEFAULT,
+        )
+        text = f"{place} {known} {types} {codegen.magic_tuple()} {options}"
+        digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
+        return kernel_folder() / f"{self._function.__name__}-{digest}.nbc"
+
+
+def _read(path: Path, target_context: Any) -> Any:
+    """The compiled kernel of a file; None if there is none, or it is damaged."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    try:
+        found = CompileResult._rebuild(target_context, *pickle.loads(content))
+    except Exception:  # a truncated or unreadable file is a miss, not an error
+        return None
+    mark_used(path)
+    return found
+
+
+def mark_used(path: Path) -> None:
+    """Note that a file of the folder was read, so that it stays."""
+    with contextlib.suppress(OSError):
+        if time.time() - path.stat().st_mtime > USE_INTERVAL:
+            os.utime(path)
+
+
+@cache
+def _evict_once(folder: Path) -> None:
+    evict(folder)
+
+
+def evict(folder: Path) -> None:
+    """Remove what was not used for long, and what was least recently used past a size.
+
+    Parameters
+    ----------
+    folder : Path
+        Of compiled kernels. Files that other processes remove at the same time are no error.
+    """
+    now, left = time.time(), SIZE_LIMIT
+    entries = []
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            entries.append((status.st_mtime, status.st_size, path))
+    for used, size, path in sorted(entries, reverse=True):
+        left -= size
+        if left >= 0 and now - used <= AGE_LIMIT:
+            continue
+        if path.is_dir():  # of a version that had a folder for each state of the sources
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.suffix in (".nbc", ".ptx"):
+            path.unlink(missing_ok=True)
 
 
 def keep_on_disk(dispatcher: Any) -> None:
@@ -190,21 +195,11 @@ def keep_on_disk(dispatcher: Any) -> None:
 
     def compile_in_turn(sig: Any) -> Any:
         try:
-            return compile_or_load(sig)
+            with collector_resting:
+                return compile_or_load(sig)
         except BaseException:  # Numba saves nothing, and does not tell the cache
             kernel_cache.end_turn(sig)
             raise
 
     dispatcher._cache = kernel_cache
     dispatcher.compile = compile_in_turn
-
-
-def _name_of_cell(value: object) -> str:
-    if isinstance(value, Dispatcher):
-        function = value.py_func
-        if function.__closure__:
-            raise TypeError(f"{function.__qualname__}: a closure cannot be part of a cache key")
-        return f"{function.__module__}.{function.__qualname__}"
-    if isinstance(value, bool | int | float | str):
-        return repr(value)
-    raise TypeError(f"a cached kernel cannot close over {type(value).__name__}")

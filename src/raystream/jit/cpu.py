@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 import numba
 
 from raystream.jit.cache import keep_on_disk
+from raystream.jit.compile_time import DeviceCompiler, KernelCompiler
 
-__all__ = ["FLAGS", "device", "device_call", "kernel"]
+__all__ = ["FLAGS", "compiled", "device", "device_call", "kernel"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -25,25 +26,34 @@ FLAGS: dict[str, Any] = {
 }
 
 # Only kernels are called from Python or C: what would call the others is not compiled.
-_UNCALLED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_DEVICE: dict[str, Any] = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": DeviceCompiler,
+}
 
 
-def kernel(function: Function) -> Function:
-    """Compile a function that Python calls, when it is first called, and cache it on disk.
+def compiled(function: Function) -> Function:
+    """Compile a function that Python calls, in this process only.
 
     It runs without the interpreter lock, so that threads run it in parallel.
     """
-    dispatcher = numba.njit(**FLAGS)(function)
+    return numba.njit(pipeline_class=KernelCompiler, **FLAGS)(function)
+
+
+def kernel(function: Function) -> Function:
+    """Compile a function as `compiled` does, when it is first called, and cache it on disk."""
+    dispatcher: Any = compiled(function)
     keep_on_disk(dispatcher)
     return dispatcher
 
 
 def device(function: Function) -> Function:
     """Compile a function that kernels call; it is inlined into each of them."""
-    return numba.njit(forceinline=True, **_UNCALLED, **FLAGS)(function)
+    return numba.njit(forceinline=True, **_DEVICE, **FLAGS)(function)
 
 
 def device_call(function: Function) -> Function:
     """Compile a function that kernels call without inlining it: for rare, long branches."""
     # Said, because a function that does not say takes the flag of the one that calls it.
-    return numba.njit(forceinline=False, **_UNCALLED, **FLAGS)(function)
+    return numba.njit(forceinline=False, **_DEVICE, **FLAGS)(function)

@@ -1,35 +1,64 @@
-"""A hash of all that a function's compiled code depends on, so that it can be kept on disk.
+"""Fingerprints of functions: a hash of everything that a function's compiled code depends on.
 
-The cache's folder stands for raystream's own sources. A function from elsewhere is known by its
-bytecode and by what its names stand for: numbers, arrays, other compiled functions and so on
-down. Where that cannot be told, nothing is kept.
+A function is known by its bytecode and by what its names stand for: constants, other functions,
+closures, the fields of named tuples, and so on down. Docstrings, comments and line numbers are
+no part of it. The code that runs at compile time (intrinsics, overloads, the types of vectors)
+cannot be followed name by name, so all of those files count for every function; see
+`generator_hash`.
 """
 
 from __future__ import annotations
 
+import ast
 import builtins
-import dis
 import enum
 import hashlib
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import cache
+from opcode import opmap
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
+import llvmlite
+import numba
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
-__all__ = ["fingerprint"]
+from raystream.core.cache_folder import cache_folder
+from raystream.core.whole_file import replacing
+
+__all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", "type_name"]
 
 _PACKAGE = Path(__file__).parents[1]
 
-#: Modules whose attributes are what their version says; raystream's are, too.
-_KNOWN_MODULES = ("numpy", "math", "cmath", "operator", "numba")
+#: Modules whose attributes follow from their versions.
+_KNOWN_MODULES = ("builtins", "cmath", "llvmlite", "math", "numba", "numpy", "operator")
 
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
+
+#: Files of the room `jit` that no compiled code depends on: they run before or after.
+_HOST_FILES = frozenset(
+    ["__init__.py", "cache.py", "fingerprint.py", "loops.py", "threads.py", "turns.py"]
+)
+
+_CUDA_ROOM = "raystream.jit.cuda."
+
+_HASH = re.compile("[0-9a-f]{32}")
+
+_LOAD_GLOBAL, _LOAD_CONST = opmap["LOAD_GLOBAL"], opmap["LOAD_CONST"]
+_EXTENDED_ARG = opmap["EXTENDED_ARG"]
+
+#: In `co_flags` since Python 3.13; before, a function's first constant is its docstring or None.
+_HAS_DOCSTRING = 0x4000000
+
+#: Also of a function: it has variables that live as long as a call.
+_IS_FUNCTION = 0x2
 
 
 class _UnknownError(Exception):
@@ -47,29 +76,121 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
     Returns
     -------
     str or None
-        32 hexadecimal digits; None if some of what it uses cannot be told, such as a class,
-        an instance, or a module other than NumPy, ``math`` and raystream's.
+        32 hexadecimal digits; None if it uses something whose changes cannot be noticed, such
+        as a class, an instance, or a module other than NumPy, ``math`` and raystream's.
+
+    Notes
+    -----
+    The names of raystream's own functions are looked up once in a process; Numba, too, treats
+    globals as constants.
     """
     try:
-        text = _Reader().describe(function)
-    except (_UnknownError, ValueError):  # ValueError: a variable from outside, not set yet
+        text = _READER.describe(function)
+    except (_UnknownError, ValueError):  # ValueError: a closure's variable is not set yet
         return None
-    text += f" python {sys.version_info[:2]} numpy {np.__version__}"
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
+    return _digest(f"{generator_hash()} {text}")
+
+
+def type_name(type_: Any) -> str | None:
+    """Name a Numba type with all that code for it depends on.
+
+    Numba's own names leave out the fields of named tuples, their modules, and what functions do.
+
+    Parameters
+    ----------
+    type_ : numba type
+        Of an argument.
+
+    Returns
+    -------
+    str or None
+        None if the type has something whose changes cannot be noticed.
+    """
+    try:
+        return _READER.describe_type(type_)
+    except (_UnknownError, ValueError):
+        return None
+
+
+@cache
+def generator_hash() -> str:
+    """Hash of what every compiled function depends on: versions, and code that makes code."""
+    versions = f"{sys.version_info[:2]} {numba.__version__} {llvmlite.__version__} {np.__version__}"
+    return _digest(f"{versions} {_folder_hash('jit')} {_folder_hash('jit/simd')}")
+
+
+@cache
+def cuda_generator_hash() -> str:
+    """The same of the code that makes code for CUDA alone."""
+    return _folder_hash("jit/cuda")
+
+
+def _folder_hash(folder: str) -> str:
+    """Hash of the code in a folder's files; parsing takes 100 ms, so the result is kept on disk."""
+    files = [f for f in sorted((_PACKAGE / folder).glob("*.py")) if f.name not in _HOST_FILES]
+    raw = hashlib.sha256(f"{sys.version_info[:2]} {len(files)}".encode())
+    for file in files:
+        raw.update(hashlib.sha256(file.read_bytes()).digest() + file.name.encode())
+    kept = cache_folder() / "sources" / f"{raw.hexdigest()[:32]}.txt"
+    try:
+        found = kept.read_text(encoding="ascii")
+        if _HASH.fullmatch(found):
+            return found
+    except (OSError, UnicodeDecodeError):
+        pass
+    found = _digest(" ".join(code_hash(file) for file in files))
+    try:
+        kept.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with replacing(kept) as path:
+            path.write_text(found, encoding="ascii")
+    except OSError:
+        pass  # a folder that cannot be written: the files are parsed in every process
+    return found
+
+
+def code_hash(file: Path) -> str:
+    """Hash a source file without its comments and docstrings.
+
+    Parameters
+    ----------
+    file : Path
+        Of Python code.
+    """
+    tree = ast.parse(file.read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and _has_docstring(node):
+            node.body[0] = ast.Pass()
+    return _digest(f"{file.name} {ast.dump(tree)}")
+
+
+def _has_docstring(node: ast.Module | ast.ClassDef | ast.FunctionDef) -> bool:
+    first = node.body[0] if node.body else None
+    return (
+        isinstance(first, ast.Expr)
+        and isinstance(first.value, ast.Constant)
+        and isinstance(first.value.value, str)
+    )
+
+
+#: Deeper than functions are read: there is no cycle of calls.
+_NO_CYCLE = sys.maxsize
 
 
 class _Reader:
-    """Describes values as text; a function that is met again is named by its number."""
+    """Describes values as text; of functions, by a hash of their description."""
 
     def __init__(self) -> None:
-        self._met: dict[int, int] = {}
+        self._hashes: dict[int, str] = {}
+        self._alive: list[FunctionType] = []  # so that no other object gets their id
+        self._open: dict[int, int] = {}  # functions being read, and how deep
+        self._cycle_start = _NO_CYCLE  # least depth of an open function that another one calls
 
     def describe(self, value: object) -> str:
         if isinstance(value, Dispatcher):
             options = self._mapping(value.targetoptions)
-            return f"compiled({options}, {self.describe(value.py_func)})"
+            return f"compiled({options}, {self._function(value.py_func)})"
         if isinstance(value, FunctionType):
-            return self._function(value)
+            return self._generator(value) if _makes_code(value) else self._function(value)
         if isinstance(value, type):
             return self._class(value)
         if isinstance(value, enum.Enum):
@@ -86,6 +207,25 @@ class _Reader:
             return f"array({value.dtype.descr}, {value.shape}, {digest})"
         return self._leaf(value)
 
+    def describe_type(self, type_: Any) -> str:
+        if isinstance(type_, types.Dispatcher):
+            return f"function {self.describe(type_.dispatcher)}"
+        if isinstance(type_, types.BaseNamedTuple):
+            members = [self.describe_type(member) for member in type_.types]
+            return f"{self._class(type_.instance_class)}({', '.join(members)})"
+        if isinstance(type_, types.NamedTupleClass):
+            return f"class {self._class(type_.instance_class)}"
+        if isinstance(type_, types.EnumMember):
+            return f"member of {self._class(type_.instance_class)} {type_.dtype}"
+        if isinstance(type_, types.BaseTuple):
+            return f"({', '.join(self.describe_type(member) for member in type_.types)},)"
+        if isinstance(type_, types.Optional):
+            return f"optional {self.describe_type(type_.type)}"
+        name = str(type_)
+        if " at 0x" in name:  # an object's address, which stands for nothing
+            raise _UnknownError
+        return name
+
     def _leaf(self, value: object) -> str:
         if isinstance(value, np.generic):
             return f"{value.dtype.descr} {value.tobytes().hex()}"
@@ -96,11 +236,11 @@ class _Reader:
         if isinstance(value, np.dtype):
             return f"dtype {value.descr} {value.itemsize}"
         if isinstance(value, types.Type):
-            return f"type {value}"
+            return f"type {self.describe_type(value)}"
+        if isinstance(value, ir.Type):
+            return f"LLVM's type {value}"
         if isinstance(value, ModuleType):
-            name = value.__name__
-            if name.partition(".")[0] in (*_KNOWN_MODULES, "raystream"):
-                return f"module {name} {getattr(value, '__version__', '')}"
+            return self._module(value)
         if isinstance(value, BuiltinFunctionType | np.ufunc):
             return f"built-in {getattr(value, '__module__', None)}.{value.__name__}"
         if isinstance(value, _Intrinsic):
@@ -108,63 +248,148 @@ class _Reader:
         raise _UnknownError
 
     def _class(self, value: type) -> str:
+        if _makes_code(value):
+            return self._generator(value)
+        name = f"{value.__module__}.{value.__qualname__}"
         fields = getattr(value, "_fields", None)
         if fields is not None and issubclass(value, tuple):
-            return f"named tuple {value.__name__}{fields}"
+            defaults = self._mapping(getattr(value, "_field_defaults", {}))
+            return f"named tuple {name}{fields} {defaults}"
         if issubclass(value, enum.Enum):
-            return f"enum {value.__name__} {self._mapping({m.name: m.value for m in value})}"
-        if value.__module__.partition(".")[0] in ("builtins", *_KNOWN_MODULES):
-            return f"class {value.__module__}.{value.__qualname__}"
+            return f"enum {name} {self._mapping({m.name: m.value for m in value})}"
+        if _root(value) in _KNOWN_MODULES:
+            return f"class {name}"
         raise _UnknownError
+
+    def _generator(self, value: Any) -> str:
+        """What runs at compile time: its name and closure, since all of its file counts."""
+        cells = [
+            self.describe(cell.cell_contents) for cell in getattr(value, "__closure__", None) or ()
+        ]
+        files = cuda_generator_hash() if value.__module__.startswith(_CUDA_ROOM) else ""
+        return f"generator {value.__module__}.{value.__qualname__} {cells} {files}"
 
     def _mapping(self, value: dict[str, Any]) -> str:
         return ", ".join(f"{key}={self.describe(part)}" for key, part in sorted(value.items()))
 
-    def _function(self, function: FunctionType) -> str:
-        if id(function) in self._met:
-            return f"function {self._met[id(function)]}"
-        self._met[id(function)] = len(self._met)
-        module = str(function.__module__)
-        cells = [self.describe(cell.cell_contents) for cell in function.__closure__ or ()]
-        defaults = [self.describe(value) for value in function.__defaults__ or ()]
-        if _is_own(function):
-            name = f"{module}.{function.__qualname__} {defaults}"
-        elif module.partition(".")[0] in _KNOWN_MODULES:
-            return f"function {module}.{function.__qualname__}"
-        else:
-            more = self._mapping(function.__kwdefaults__ or {})
-            used = {name: self._global(function, name) for name in _names(function.__code__)}
-            name = f"{self._code(function.__code__)} {defaults} {more} {sorted(used.items())}"
-        return f"function {name} {cells}"
-
-    def _code(self, code: CodeType) -> str:
-        constants = [self.describe(constant) for constant in code.co_consts]
-        names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
-        arguments = (code.co_argcount, code.co_kwonlyargcount, code.co_flags)
-        table = getattr(code, "co_exceptiontable", b"").hex()
-        return f"code {code.co_code.hex()} {table} {names} {arguments} {constants}"
-
-    def _global(self, function: FunctionType, name: str) -> str:
-        if name in function.__globals__:
-            return self.describe(function.__globals__[name])
-        if hasattr(builtins, name):
-            return "built-in"
+    def _module(self, module: ModuleType) -> str:
+        root = module.__name__.partition(".")[0]
+        if root in (*_KNOWN_MODULES, "raystream"):  # what is used of ours is read by `_globals`
+            return f"module {module.__name__} {getattr(module, '__version__', '')}"
         raise _UnknownError
 
+    def _function(self, function: FunctionType) -> str:
+        place = id(function)
+        if place in self._hashes:
+            return self._hashes[place]
+        if place in self._open:  # it calls itself, perhaps by way of others
+            levels = len(self._open) - self._open[place]
+            if levels > 1:
+                self._cycle_start = min(self._cycle_start, self._open[place])
+            return f"function {levels} levels up"
+        if _root(function) in _KNOWN_MODULES:
+            return f"function {function.__module__}.{function.__qualname__}"
+        depth = self._open[place] = len(self._open)
+        outer_start, self._cycle_start = self._cycle_start, _NO_CYCLE
+        try:
+            digest = _digest(self._text(function))
+            # The globals of users' functions may change; and in a cycle of calls the text
+            # depends on which function is met first.
+            if _root(function) == "raystream" and self._cycle_start == _NO_CYCLE:
+                self._hashes[place] = digest
+                self._alive.append(function)
+        finally:
+            del self._open[place]
+            inner_start = self._cycle_start if self._cycle_start < depth else _NO_CYCLE
+            self._cycle_start = min(outer_start, inner_start)
+        return digest
 
-def _names(code: CodeType) -> set[str]:
+    def _text(self, function: FunctionType) -> str:
+        cells = [self.describe(cell.cell_contents) for cell in function.__closure__ or ()]
+        defaults = [self.describe(value) for value in function.__defaults__ or ()]
+        more = self._mapping(function.__kwdefaults__ or {})
+        code = self._code(function.__code__)
+        return f"{code} {cells} {defaults} {more} {self._globals(function)}"
+
+    def _globals(self, function: FunctionType) -> list[str]:
+        used = []
+        for name in sorted(_global_names(function.__code__)):
+            if name not in function.__globals__:
+                if not hasattr(builtins, name):
+                    raise _UnknownError
+                used.append(f"{name} built-in")
+                continue
+            value = function.__globals__[name]
+            used.append(f"{name} {self.describe(value)}")
+            if isinstance(value, ModuleType) and _is_ours(value):
+                # Which of its attributes are read, the names alone do not tell: all that may be.
+                attributes = sorted(_all_names(function.__code__) & vars(value).keys())
+                used += [f"{name}.{a} {self.describe(vars(value)[a])}" for a in attributes]
+        return used
+
+    def _code(self, code: CodeType) -> str:
+        constants = [self.describe(constant) for constant in _constants(code)]
+        names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+        arguments = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount)
+        table, flags = code.co_exceptiontable.hex(), code.co_flags & ~_HAS_DOCSTRING
+        return f"code {code.co_code.hex()} {table} {names} {arguments} {flags} {constants}"
+
+
+#: One for all functions: each is read once in a process.
+_READER = _Reader()
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
+
+
+def _root(value: Any) -> str:
+    return str(value.__module__).partition(".")[0]
+
+
+def _makes_code(value: Any) -> bool:
+    """Whether a function or class runs at compile time, and its file is hashed as a whole."""
+    module = str(value.__module__)
+    file = module.rpartition(".")[2] + ".py"
+    return module.startswith("raystream.jit.") and file not in _HOST_FILES
+
+
+def _is_ours(module: ModuleType) -> bool:
+    return module.__name__.partition(".")[0] == "raystream"
+
+
+def _constants(code: CodeType) -> list[Any]:
+    """Constants of the code; in place of a docstring, None."""
+    constants = list(code.co_consts)
+    if constants and isinstance(constants[0], str) and code.co_flags & _IS_FUNCTION:
+        may_be_docstring = sys.version_info < (3, 13) or code.co_flags & _HAS_DOCSTRING
+        if may_be_docstring and 0 not in _operands(code, _LOAD_CONST):  # code may use it, too
+            constants[0] = None
+    return constants
+
+
+def _operands(code: CodeType, operation: int) -> Iterable[int]:
+    """Operands of all instructions of a kind; `dis` takes ten times as long."""
+    raw, extended = code.co_code, 0
+    for i in range(0, len(raw), 2):
+        if raw[i] == _EXTENDED_ARG:
+            extended = (extended | raw[i + 1]) << 8
+            continue
+        if raw[i] == operation:
+            yield raw[i + 1] | extended
+        extended = 0
+
+
+def _global_names(code: CodeType) -> set[str]:
     """Global names that the code, and code inside it, reads."""
-    names = {
-        step.argval
-        for step in dis.get_instructions(code)
-        if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")
-    }
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            names |= _names(constant)
-    return names
+    names = {code.co_names[operand >> 1] for operand in _operands(code, _LOAD_GLOBAL)}
+    return names.union(*map(_global_names, _inner(code)))
 
 
-def _is_own(function: FunctionType) -> bool:
-    """Whether the function is in one of raystream's files, all of which the folder stands for."""
-    return Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
+def _all_names(code: CodeType) -> set[str]:
+    """Names of globals and attributes in the code, and in code inside it."""
+    return set(code.co_names).union(*map(_all_names, _inner(code)))
+
+
+def _inner(code: CodeType) -> list[CodeType]:
+    return [constant for constant in code.co_consts if isinstance(constant, CodeType)]

@@ -10,7 +10,7 @@ from llvmlite import binding, ir
 from numba import types
 from numba.extending import intrinsic
 
-from raystream.jit.cpu import FLAGS
+from raystream.jit.cpu import compiled
 
 _ONE_BIT = ir.IntType(1)
 __all__ = ["Code", "Instruction", "assume", "compile_code", "read_functions"]
@@ -96,7 +96,7 @@ def compile_code(function: Callable[..., Any], arguments: Sequence[Any]) -> Code
     Code
         Nothing is read from the disk cache, which has no instructions.
     """
-    dispatcher = numba.njit(**FLAGS)(function)
+    dispatcher: Any = compiled(function)
     dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
     (signature,) = dispatcher.signatures
     name = dispatcher.overloads[signature].fndesc.llvm_func_name

@@ -11,8 +11,7 @@ from typing import Any
 import numba
 from numba.core.errors import NumbaError
 
-from raystream.jit.cache import keep_on_disk
-from raystream.jit.cpu import FLAGS, device
+from raystream.jit.cpu import device, kernel
 from raystream.jit.fingerprint import fingerprint
 
 __all__ = ["Loop", "as_device", "compile_loop", "fault"]
@@ -77,8 +76,7 @@ def compile_loop(
     function : callable
         The user's.
     names : mapping
-        What else the text uses. All of it must follow from the text and from raystream's
-        own source, since they alone decide whether code found on disk is up to date.
+        What else the text uses.
     module : str
         The module of raystream that wrote it.
 
@@ -111,10 +109,8 @@ def _new_loop(
     linecache.cache[file] = (len(text), None, text.splitlines(True), file)  # for error messages
     namespace = {"function": as_device(function), "__name__": module, **names}
     exec(compile(text, file, "exec"), namespace)
-    dispatcher = numba.njit(**FLAGS)(namespace[own])
-    if key is not None:
-        keep_on_disk(dispatcher)
-    return Loop(dispatcher, name, key is not None)
+    dispatcher = kernel(namespace[own])
+    return Loop(dispatcher, name, fingerprint(dispatcher) is not None)
 
 
 _MARKS = "«{}»"

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from numba.core.errors import NumbaError
 
-from raystream.jit.cpu import FLAGS
+from raystream.jit.cpu import FLAGS, compiled
 from raystream.jit.cuda.arguments import kind_of, type_of
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.exact import UnfitError, check_options
@@ -41,7 +40,7 @@ class CheckedKernel(RangeKernel):
 
     def __init__(self, function: Callable[..., Any], user: Callable[..., Any]) -> None:
         # What comes from the disk does not show whether it raises anything.
-        super().__init__(numba.njit(**FLAGS)(getattr(function, "py_func", function)))
+        super().__init__(compiled(getattr(function, "py_func", function)))
         self._user = user
         self._compiled: dict[Any, Compiled] = {}
         self._reasons: dict[Any, str | None] = {}

@@ -1,4 +1,4 @@
-"""PTX on disk: beside the CPU's kernels, in the folder of this version of the sources."""
+"""PTX on disk, beside the CPU's kernels."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.whole_file import replacing
-from raystream.jit.cache import kernel_folder
-from raystream.jit.fingerprint import fingerprint
+from raystream.jit.cache import kernel_folder, mark_used
+from raystream.jit.fingerprint import cuda_generator_hash, fingerprint, type_name
 
 __all__ = ["kept", "path_of"]
 
@@ -28,12 +28,12 @@ def path_of(
     version : str
         Of the compiler.
     """
-    known = fingerprint(function)
-    if known is None:
+    known, types = fingerprint(function), [type_name(one) for one in arguments]
+    if known is None or None in types:
         return None
-    text = f"{known} {[str(one) for one in arguments]} {capability} {version}"
-    digest = hashlib.sha256(text.encode()).hexdigest()[:32]
-    return Path(kernel_folder()) / f"{function.__name__}-{digest}.ptx"
+    text = f"{known} {cuda_generator_hash()} {types} {capability} {version}"
+    digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
+    return kernel_folder() / f"{function.__name__}-{digest}.ptx"
 
 
 def kept(path: Path | None, make: Callable[[], str]) -> str:
@@ -41,10 +41,13 @@ def kept(path: Path | None, make: Callable[[], str]) -> str:
     if path is None:
         return make()
     try:
-        return path.read_text(encoding="ascii")
+        text = path.read_text(encoding="ascii")
+        mark_used(path)
+        return text
     except (OSError, UnicodeDecodeError):
         text = make()
     try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         with replacing(path) as file:
             file.write_text(text, encoding="ascii")
     except OSError:

@@ -99,7 +99,6 @@ class _Copies:
             function.__name__,
             function.__defaults__,
         )
-        # Its name in full stands for what it calls, in the names of compiled code on disk.
         copy.__qualname__ = f"{function.__qualname__}_of_one_lane"
         copy.__module__ = function.__module__
         return numba.jit(**dispatcher.targetoptions)(copy)
