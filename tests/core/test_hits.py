@@ -59,6 +59,18 @@ def test_meshes_follow_from_triangles(two_meshes, hits):
     assert set(np.unique(hits.mesh_id)) == {-1, 0, 1}
 
 
+def test_the_first_and_the_last_triangle_of_each_mesh_are_its_own():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) + 2.0 * np.arange(6)[:, None, None]
+    meshes = [
+        rs.Mesh(corners[own].reshape(-1, 3), np.arange(3 * len(corners[own])).reshape(-1, 3))
+        for own in (slice(0, 1), slice(1, 1), slice(1, 4), slice(4, 6))
+    ]
+    hits = rs.Tracer(rs.Scene(meshes)).first_hit(corners[:, 0] + [0.25, 0.25, 1], [0, 0, -1])
+    assert hits.prim_id.tolist() == [0, 1, 2, 3, 4, 5]
+    assert hits.mesh_id.tolist() == [0, 2, 2, 2, 3, 3]
+    assert hits.mesh_prim_id.tolist() == [0, 0, 1, 2, 0, 1]
+
+
 def test_normals_of_tiny_triangles():
     scale = 1e-28
     scene = rs.Scene.from_arrays(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]) * scale, [[0, 1, 2]])
