@@ -129,7 +129,7 @@ def render(
     triangles: options.Triangles = None,
     json: options.Json = False,
 ) -> None:
-    """Render a picture of a scene; without SCENE, of robots in a city."""
+    """Render a picture of a scene. Without SCENE, of robots in a city."""
     width, height = options.parse_size(size)
     parts = {} if camera is None else options.parse_camera(camera)
     films = is_film(output, frames)
