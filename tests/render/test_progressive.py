@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.render import sample_file
 from raystream.render.accumulation import Accumulation
 
 PIXELS = 16 * 12
@@ -112,3 +113,16 @@ def test_bad_interval_is_refused(tracer, monkeypatch, seconds):
     monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", seconds)
     with pytest.raises(ValueError, match=r"^RAYSTREAM_CHECKPOINT_SECONDS: "):
         rs.render(tracer, **PICTURE)
+
+
+def test_scene_is_read_for_a_checkpoint_only(tracer, tmp_path, monkeypatch):
+    asked = []
+    identity = sample_file.identity
+    monkeypatch.setattr(
+        sample_file, "identity", lambda *picture: asked.append(picture) or identity(*picture)
+    )
+    rs.render(tracer, **PICTURE, samples=3)
+    assert len(asked) == 0
+    for runs in (1, 2):  # written, then read and written
+        rs.render(tracer, **PICTURE, samples=3, checkpoint=tmp_path / "a.npz")
+        assert len(asked) == runs
