@@ -20,6 +20,7 @@ from raystream.render.image import Image
 from raystream.render.sample_file import SampleFile
 from raystream.render.sampled import SampledRenderer, Setting
 from raystream.render.shading.seen import SeenSurfaces
+from raystream.structures.bvh.engine import SMALL_BATCH
 
 __all__ = [
     "Limits",
@@ -131,9 +132,8 @@ def render_samples(
     sums = Accumulation(setting.width, setting.height) if kept is None else kept
     first = sample = int(sums.counts.min())
     started = time.monotonic()
-    if take is None and sample < limits.samples:  # compile on this thread, see `parallel_for`
-        seen = SeenSurfaces.empty(setting.width) if setting.layers else None
-        renderer.trace(setting, range(1), sample, seen)
+    if take is None and sample < limits.samples:
+        _compile(renderer, setting, sample)
     shown = time.monotonic()
     try:
         # Ctrl-C comes to this thread only. On another one, whose end the block waits for, sums
@@ -168,6 +168,21 @@ def render_samples(
     if file is not None:
         file.finish(sums, time.monotonic() - shown >= interval)
     return sums.image({"samples": sample, "error": sums.error()})
+
+
+def _compile(renderer: SampledRenderer, setting: Setting, sample: int) -> None:
+    """Trace a few rows for nothing: what they call is compiled on this thread.
+
+    See `parallel_for` for the reason. In all but small pictures they are enough rows for a
+    large batch, as the picture's bands are: a small one may take another kernel, which would
+    be compiled for this call alone.
+    """
+    count = 1
+    if setting.width * setting.height > SMALL_BATCH:
+        count = SMALL_BATCH // setting.width + 1
+    rows = range(min(count, _rows_per_band(renderer, setting, setting.height)))
+    seen = SeenSurfaces.empty(len(rows) * setting.width) if setting.layers else None
+    renderer.trace(setting, rows, sample, seen)
 
 
 def checkpoint_seconds() -> float:
@@ -254,14 +269,13 @@ def trace_sample(
     """
     rows = range(setting.height) if rows is None else rows
     width, height = setting.width, len(rows)
-    rows_per_band = max(1, _band_size(renderer, setting, height) // width)
-    band_count = -(-height // rows_per_band)
+    band_count = -(-height // _rows_per_band(renderer, setting, height))
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
     seen = SeenSurfaces.empty(width * height) if setting.layers else None
 
     def trace(begin: int, end: int) -> None:
         for band in range(begin, end):
-            here = rows[band * rows_per_band : (band + 1) * rows_per_band]
+            here = rows[height * band // band_count : height * (band + 1) // band_count]
             first = (here.start - rows.start) * width
             last = first + len(here) * width
             part = None if seen is None else seen.part(first, last)
@@ -275,14 +289,16 @@ def trace_sample(
     return light, seen
 
 
-def _band_size(renderer: SampledRenderer, setting: Setting, rows: int) -> int:
-    """Pixels that go through the stages together, of so many rows."""
+def _rows_per_band(renderer: SampledRenderer, setting: Setting, rows: int) -> int:
+    """Most of so many rows that go through the stages together."""
     bands = renderer.bands_of(setting)
     per_pixel = max(renderer.rays_per_pixel(setting), 1)
     if bands is not None:
-        return bands.pixels_at_once // per_pixel
-    share = -(-setting.width * rows // (4 * thread_count()))
-    return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+        pixels = bands.pixels_at_once // per_pixel
+    else:
+        share = -(-setting.width * rows // (4 * thread_count()))
+        pixels = min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+    return max(1, pixels // setting.width)
 
 
 def _add(
