@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from extras import need
 from raystream.render import progressive, sample_file
 from raystream.render.accumulation import Accumulation
 from raystream.render.image import Image
@@ -24,7 +25,7 @@ KEPT = "out.exr.samples.npz"
 
 @pytest.fixture
 def exr():
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
 
 
 def break_off(number: int, environment: dict[str, str], folder: Path) -> tuple[int, str]:
