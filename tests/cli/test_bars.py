@@ -52,6 +52,13 @@ def test_long_work_shows_its_steps(to_terminal, monkeypatch):
     assert written.rindex("\x1b[2K") > written.rindex("tracing")  # the bar is wiped off
 
 
+def test_title_is_no_markup(to_terminal, monkeypatch):
+    terminal = to_terminal()
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    with bars.Bars() as shown, shown.step("0:100:5 [bold]"):
+        wait_for(terminal, "0:100:5 [bold]")
+
+
 def test_short_work_shows_nothing(to_terminal):
     terminal = to_terminal()
     with bars.Bars() as shown, shown.step("loading") as progress:

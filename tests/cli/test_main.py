@@ -11,9 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import typer
 
 import raystream
-from raystream.cli import options
+from raystream.cli import app, options
 from raystream.core.errors import FileFormatError, RaystreamWarning
 
 HEAVY = ("numba", "llvmlite", "trimesh", "PIL", "pooch", "OpenEXR")
@@ -63,6 +64,31 @@ def test_help_is_quick(start, command):
     imported = set(result.stderr.split())
     assert "raystream" in imported
     assert not imported & set(HEAVY)
+
+
+def test_help_of_render_shows_colons_and_numbers(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert "0:100, 0:100:5, 7, -1, or : for all." in " ".join(run("render", "--help").out.split())
+
+
+COMMANDS = typer.main.get_command(app)
+
+
+@pytest.mark.parametrize("name", [None, *COMMANDS.commands])
+def test_help_has_the_letters_that_were_written(run, name):
+    """No emoji in place of codes such as ``:100:``, and nothing lost that looks like markup."""
+    command = COMMANDS if name is None else COMMANDS.commands[name]
+    shown = run(*([] if name is None else [name]), "--help").out
+    written = [command.help, *(getattr(option, "help", None) for option in command.params)]
+    if name is None:
+        written = [*written, *COMMANDS.commands]
+    assert shown.isascii()
+    for text in filter(None, written):
+        assert "".join(text.split()) in "".join(shown.split())
+
+
+def test_summaries_of_commands_are_whole(run):
+    assert "..." not in run("--help").out.partition("Commands:")[2]
 
 
 @pytest.mark.parametrize(

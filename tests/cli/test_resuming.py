@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from extras import need
+from raystream.render import progressive, sample_file
+from raystream.render.accumulation import Accumulation
 from raystream.render.image import Image
 
 SAMPLES = 200
@@ -22,7 +25,7 @@ KEPT = "out.exr.samples.npz"
 
 @pytest.fixture
 def exr():
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
 
 
 def break_off(number: int, environment: dict[str, str], folder: Path) -> tuple[int, str]:
@@ -144,24 +147,80 @@ def test_folder_in_place_of_the_samples(run):
         assert run(*ASKED, *more).complaint.startswith("out.png.samples.npz: ")
 
 
-def test_picture_that_cannot_be_saved_keeps_its_samples(run, monkeypatch):
-    def fill_up(*_, **__):
-        raise OSError(28, "No space left on device")
+def test_quick_picture_leaves_the_disk_and_the_scene_alone(run, tmp_path, monkeypatch):
+    """Nothing is written but the picture, and the scene is not read to know it again."""
+
+    def forbidden(*_, **__):
+        pytest.fail("a checkpoint for a picture of less than ten seconds")
+
+    monkeypatch.setattr(Accumulation, "save", forbidden)
+    monkeypatch.setattr(sample_file, "identity", forbidden)
+    for more in ([], ["--resume"]):
+        assert run(*ASKED, *more).code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["out.png"]
+
+
+def test_checkpoints_come_once_they_are_due(run, monkeypatch):
+    written = []
+    save = Accumulation.save
+
+    def count(sums, *arguments):
+        written.append(int(sums.counts.min()))
+        save(sums, *arguments)
+
+    monkeypatch.setattr(Accumulation, "save", count)
+    monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
+    assert run(*ASKED).code == 0
+    assert written == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("taken", [1, 3])
+def test_early_interrupt_keeps_the_samples(run, tmp_path, monkeypatch, taken):
+    """Before the first checkpoint is due, it is written all the same."""
+    trace = progressive.trace_sample
+
+    def stop(renderer, setting, sample, *more):
+        if sample == taken:
+            raise KeyboardInterrupt
+        return trace(renderer, setting, sample, *more)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Image, "save", fill_up)
-        assert run(*ASKED).complaint == "out.png: No space left on device"
+        patch.setattr(progressive, "trace_sample", stop)
+        result = run(*ASKED)
+    assert result.code == 130
+    assert result.err.startswith("interrupted; out.png.samples.npz keeps the samples")
+    assert run(*ASKED, "--resume").err == f"out.png: goes on from {taken} samples\n"
+    assert run(*ASKED, "-o", "whole.png").code == 0
+    assert Path("out.png").read_bytes() == Path("whole.png").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.png", "whole.png"]
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (OSError(28, "No space left on device"), "raystream: out.png: No space left on device\n"),
+        (KeyboardInterrupt(), "interrupted; out.png.samples.npz keeps the samples: "),
+    ],
+    ids=["full disk", "Ctrl-C"],
+)
+def test_picture_that_is_not_saved_keeps_its_samples(run, monkeypatch, error, says):
+    def fail(*_, **__):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Image, "save", fail)
+        assert run(*ASKED).err.startswith(says)
     assert run(*ASKED, "--resume").err == "out.png: goes on from 5 samples\n"
-    assert Path("out.png").exists()
+    assert run(*ASKED, "-o", "whole.png").code == 0
+    assert Path("out.png").read_bytes() == Path("whole.png").read_bytes()
 
 
 def test_disk_without_room_for_samples_is_one_line(run, monkeypatch):
-    from raystream.render.accumulation import Accumulation
-
     def fill_up(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Accumulation, "save", fill_up)
+    monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
     assert run(*ASKED).complaint == "out.png.samples.npz: No space left on device"
 
 

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.jit.threads import set_thread_count
+from raystream.render import sample_file
 from raystream.render.accumulation import Accumulation
+from raystream.structures.bvh import engine
 
 PIXELS = 16 * 12
 PICTURE = {"mode": "path", "size": (16, 12)}
@@ -112,3 +115,45 @@ def test_bad_interval_is_refused(tracer, monkeypatch, seconds):
     monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", seconds)
     with pytest.raises(ValueError, match=r"^RAYSTREAM_CHECKPOINT_SECONDS: "):
         rs.render(tracer, **PICTURE)
+
+
+def test_scene_is_read_for_a_checkpoint_only(tracer, tmp_path, monkeypatch):
+    asked = []
+    identity = sample_file.identity
+    monkeypatch.setattr(
+        sample_file, "identity", lambda *picture: asked.append(picture) or identity(*picture)
+    )
+    rs.render(tracer, **PICTURE, samples=3)
+    assert len(asked) == 0
+    for runs in (1, 2):  # written, then read and written
+        rs.render(tracer, **PICTURE, samples=3, checkpoint=tmp_path / "a.npz")
+        assert len(asked) == runs
+
+
+@pytest.fixture
+def batches(monkeypatch):
+    """The rays that each call of the kernel for small batches gets."""
+    seen = []
+    trace = engine.trace_wavefront
+
+    def note(begin, end, *arguments):
+        seen.append(end - begin)
+        trace(begin, end, *arguments)
+
+    monkeypatch.setattr(engine, "trace_wavefront", note)
+    yield seen
+    set_thread_count(None)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 14])
+@pytest.mark.parametrize("size", [(1024, 65), (1024, 96), (1023, 48), (1025, 48), (512, 9)])
+def test_picture_of_large_batches_asks_for_no_kernel_for_small_ones(batches, size, threads):
+    """It would be compiled for one row of a thousand pixels, the first or the last of them."""
+    set_thread_count(threads)
+    rs.render(rs.Tracer(rs.load("spheres")), "vis", size)
+    assert batches == []
+
+
+def test_small_picture_asks_for_it(batches):
+    rs.render(rs.Tracer(rs.load("spheres")), "vis", (32, 24))
+    assert sum(batches) >= 32 * 24

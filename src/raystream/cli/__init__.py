@@ -41,7 +41,8 @@ UsageError: type[Exception] = typer.BadParameter.mro()[1]
 
 app = typer.Typer(
     help="Trace rays against triangles, and render pictures.",
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    rich_markup_mode=None,  # help is plain text: Rich reads ":100:" and "[more]" as its own codes
 )
 app.command()(render)
 app.command()(info)

@@ -109,7 +109,7 @@ def _make_progress() -> RichProgress:
 
     return Progress(
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),  # nor emoji codes
         BarColumn(),
         TaskProgressColumn(),
         TimeRemainingColumn(),

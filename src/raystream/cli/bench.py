@@ -107,7 +107,7 @@ def bench(
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Compare the speed with other ray tracers, on the same rays and in turns."""
+    """Compare the speed with other ray tracers. All trace the same rays, in turns."""
     chosen_sets = _names("--sets", sets, options.RAY_SETS)
     chosen_peers = [] if peers == "none" else _names("--peers", peers, options.PEERS)
     if output is not None:

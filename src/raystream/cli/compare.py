@@ -53,7 +53,7 @@ def compare(
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Compare a picture with another: errors of linear colours, and where they are."""
+    """Compare two pictures. Shows errors of linear colours, and where they are."""
     if output is not None:
         options.check_output(output, SUFFIXES, inputs=[str(image), str(reference)])
     elif maximum is not None:

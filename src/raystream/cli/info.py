@@ -48,7 +48,7 @@ def info(
     ] = False,
     json: options.Json = False,
 ) -> None:
-    """Show what is in a scene, and the time, memory and quality of its structure."""
+    """Show what is in a scene. Also the time, memory and quality of its structure."""
     if devices == (scene is not None):
         raise BadInputError("info: expected SCENE or --devices, one of them")
     chosen = tracer_options(

@@ -89,7 +89,7 @@ def lab(
     threads: options.Threads = None,
     json: options.Json = False,
 ) -> None:
-    """Re-run the experiments of four papers, and show ours beside theirs."""
+    """Re-run the experiments of four papers. Shows our results beside theirs."""
     from raystream.lab.experiments import choose
 
     with refuse(ValueError):

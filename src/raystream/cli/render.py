@@ -129,7 +129,7 @@ def render(
     triangles: options.Triangles = None,
     json: options.Json = False,
 ) -> None:
-    """Render a picture of a scene; without SCENE, of robots in a city."""
+    """Render a picture of a scene. Without SCENE, of robots in a city."""
     width, height = options.parse_size(size)
     parts = {} if camera is None else options.parse_camera(camera)
     films = is_film(output, frames)
@@ -199,7 +199,11 @@ def render(
     save = _saver(output, exposure or 1.0, tone or options.TONES[0])
     watch = Stopwatch()
     heat: Heatmap | None = None
-    with Bars() as bars, joined(cluster, threads) as client, keeping_samples(checkpoint):
+    with (
+        Bars() as bars,
+        joined(cluster, threads) as client,
+        keeping_samples(checkpoint) as kept_samples,
+    ):
         render_with = Rendering(client, structure, device, chosen)
         source = Source(scene, structure, device, time, triangles, chosen)
         if render_with.builds_elsewhere:
@@ -219,7 +223,8 @@ def render(
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if heatmap is None:
                 paths = Paths(output, width * height, progress)
-                arguments |= {"checkpoint": checkpoint, "on_pass": save, "layers": wanted.rendered}
+                arguments |= {"checkpoint": kept_samples, "on_pass": save}
+                arguments["layers"] = wanted.rendered
                 with refuse(OSError, where=str(checkpoint)):
                     image = render_with(tracer, mode, progress=paths, **arguments)
             else:

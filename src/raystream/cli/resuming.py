@@ -16,6 +16,7 @@ from raystream.core.errors import FileFormatError
 
 if TYPE_CHECKING:
     from raystream.render.image import Image
+    from raystream.render.sample_file import SampleFile
 
 __all__ = ["Paths", "Resume", "checkpoint_beside", "keeping_samples"]
 
@@ -51,13 +52,21 @@ def checkpoint_beside(output: Path, resume: bool) -> Path:
 
 
 @contextlib.contextmanager
-def keeping_samples(checkpoint: Path | None) -> Iterator[None]:
-    """Remove a file of samples when the block has come to its end, and say where it is if not.
+def keeping_samples(checkpoint: Path | None) -> Iterator[SampleFile | None]:
+    """Give the checkpoint of a picture; remove it at the block's end, or say where it is.
+
+    A picture that is complete, and saved, before its first checkpoint is due leaves the disk
+    alone. Where the block ends early, all samples are in the file.
 
     Parameters
     ----------
     checkpoint : Path or None
         None where nothing is kept.
+
+    Yields
+    ------
+    SampleFile or None
+        For `render`.
 
     Raises
     ------
@@ -67,10 +76,18 @@ def keeping_samples(checkpoint: Path | None) -> Iterator[None]:
         If it cannot be used, says what to do.
     """
     if checkpoint is None:
-        yield
+        yield None
         return
+    from raystream.render.sample_file import SampleFile
+
+    samples = SampleFile(checkpoint, at_end=False)
     try:
-        yield
+        try:
+            yield samples
+        except BaseException:
+            with contextlib.suppress(OSError):  # what ended the block says more
+                samples.save_held()
+            raise
     except KeyboardInterrupt:
         if not checkpoint.exists():
             raise

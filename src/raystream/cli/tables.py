@@ -43,7 +43,7 @@ def set_table(
         right = [index for index, cell in enumerate(rows[0]) if isinstance(cell, int)]
     table = Table(box=None, pad_edge=False, show_header=any(columns), padding=(0, 2, 0, 0))
     for index, title in enumerate(columns):
-        table.add_column(title, justify="right" if index in right else "left")
+        table.add_column(Text(title), justify="right" if index in right else "left")
     for row in rows:
         cells = (f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row)
         table.add_row(*(Text(_printable(cell)) for cell in cells))

@@ -103,7 +103,7 @@ def view(
     time: options.Time = 0.0,
     triangles: options.Triangles = None,
 ) -> None:
-    """Show a scene in the browser, to look around in it; without SCENE, robots in a city."""
+    """Look around in a scene, in the browser. Without SCENE, robots in a city."""
     parts = {} if camera is None else options.parse_camera(camera)
     chosen = tracer_options(
         option or [],

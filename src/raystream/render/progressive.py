@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream._version import __version__
-from raystream.core.errors import FileFormatError, RaystreamError
+from raystream.core.errors import RaystreamError
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.render.accumulation import Accumulation
-from raystream.render.environment import image_light, texels_of
 from raystream.render.image import Image
+from raystream.render.sample_file import SampleFile
 from raystream.render.sampled import SampledRenderer, Setting
-from raystream.render.sampling.sampler import Sampler
 from raystream.render.shading.seen import SeenSurfaces
-from raystream.scene.scene import Scene
+from raystream.structures.bvh.engine import SMALL_BATCH
 
 __all__ = [
     "Limits",
@@ -101,9 +95,9 @@ def render_samples(
     setting : Setting
     limits : Limits
     checkpoint : path, optional
-        A file, ending in ``.npz``, to which all samples go every 10 seconds, at the end, and
-        when the rendering is interrupted after the first of them. If it is there already, the
-        picture goes on from it: to the same bits as without a break.
+        A file, ending in ``.npz``, to which all samples go every 10 seconds, at the end (see
+        `SampleFile`), and when the rendering is interrupted after the first of them. If it is
+        there already, the picture goes on from it: to the same bits as without a break.
     on_pass : callable, optional
         Called with the picture so far, every 10 seconds, after whole samples.
     progress : callable, optional
@@ -131,15 +125,16 @@ def render_samples(
     """
     interval = checkpoint_seconds()
     pixel_count = setting.width * setting.height
-    name = "" if checkpoint is None else identity(renderer, setting)  # reads the whole scene
-    sums = Accumulation(setting.width, setting.height)
-    if checkpoint is not None and Path(checkpoint).exists():
-        sums = Accumulation.load(checkpoint, name)
+    file = None
+    if checkpoint is not None:
+        file = checkpoint if isinstance(checkpoint, SampleFile) else SampleFile(checkpoint)
+    kept = None if file is None else file.open(renderer, setting)
+    sums = Accumulation(setting.width, setting.height) if kept is None else kept
     first = sample = int(sums.counts.min())
-    started = shown = time.monotonic()
-    if take is None and sample < limits.samples:  # compile on this thread, see `parallel_for`
-        seen = SeenSurfaces.empty(setting.width) if setting.layers else None
-        renderer.trace(setting, range(1), sample, seen)
+    started = time.monotonic()
+    if take is None and sample < limits.samples:
+        _compile(renderer, setting, sample)
+    shown = time.monotonic()
     try:
         # Ctrl-C comes to this thread only. On another one, whose end the block waits for, sums
         # are not left with half of a sample.
@@ -153,8 +148,8 @@ def render_samples(
                 if sample >= expected:
                     break
                 if sample and now - shown >= interval:
-                    if checkpoint is not None:
-                        sums.save(checkpoint, name)
+                    if file is not None:
+                        file.save(sums)
                     if on_pass is not None:
                         on_pass(sums.image())
                     shown = time.monotonic()
@@ -167,12 +162,27 @@ def render_samples(
                 adder.submit(_add, sums, setting.layers, light, seen).result()
                 sample += 1
     except (KeyboardInterrupt, RaystreamError):
-        if checkpoint is not None and sums.counts.any():
-            sums.save(checkpoint, name)
+        if file is not None and sums.counts.any():
+            file.save(sums)
         raise
-    if checkpoint is not None:
-        sums.save(checkpoint, name)
+    if file is not None:
+        file.finish(sums, time.monotonic() - shown >= interval)
     return sums.image({"samples": sample, "error": sums.error()})
+
+
+def _compile(renderer: SampledRenderer, setting: Setting, sample: int) -> None:
+    """Trace a few rows for nothing: what they call is compiled on this thread.
+
+    See `parallel_for` for the reason. In all but small pictures they are enough rows for a
+    large batch, as the picture's bands are: a small one may take another kernel, which would
+    be compiled for this call alone.
+    """
+    count = 1
+    if setting.width * setting.height > SMALL_BATCH:
+        count = SMALL_BATCH // setting.width + 1
+    rows = range(min(count, _rows_per_band(renderer, setting, setting.height)))
+    seen = SeenSurfaces.empty(len(rows) * setting.width) if setting.layers else None
+    renderer.trace(setting, rows, sample, seen)
 
 
 def checkpoint_seconds() -> float:
@@ -259,14 +269,13 @@ def trace_sample(
     """
     rows = range(setting.height) if rows is None else rows
     width, height = setting.width, len(rows)
-    rows_per_band = max(1, _band_size(renderer, setting, height) // width)
-    band_count = -(-height // rows_per_band)
+    band_count = -(-height // _rows_per_band(renderer, setting, height))
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
     seen = SeenSurfaces.empty(width * height) if setting.layers else None
 
     def trace(begin: int, end: int) -> None:
         for band in range(begin, end):
-            here = rows[band * rows_per_band : (band + 1) * rows_per_band]
+            here = rows[height * band // band_count : height * (band + 1) // band_count]
             first = (here.start - rows.start) * width
             last = first + len(here) * width
             part = None if seen is None else seen.part(first, last)
@@ -280,14 +289,16 @@ def trace_sample(
     return light, seen
 
 
-def _band_size(renderer: SampledRenderer, setting: Setting, rows: int) -> int:
-    """Pixels that go through the stages together, of so many rows."""
+def _rows_per_band(renderer: SampledRenderer, setting: Setting, rows: int) -> int:
+    """Most of so many rows that go through the stages together."""
     bands = renderer.bands_of(setting)
     per_pixel = max(renderer.rays_per_pixel(setting), 1)
     if bands is not None:
-        return bands.pixels_at_once // per_pixel
-    share = -(-setting.width * rows // (4 * thread_count()))
-    return min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+        pixels = bands.pixels_at_once // per_pixel
+    else:
+        share = -(-setting.width * rows // (4 * thread_count()))
+        pixels = min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
+    return max(1, pixels // setting.width)
 
 
 def _add(
@@ -300,58 +311,3 @@ def _add(
     sums.add_samples(0, light)
     for name in layers:
         sums.set_layer(name, 0, getattr(seen, name))
-
-
-def identity(renderer: SampledRenderer, setting: Setting) -> str:
-    """All on which samples depend, as JSON: pictures that agree in it can be continued."""
-    sampler = setting.sampler
-    # One sample goes through the pixels' centres. Of samples that do not depend on how many
-    # there will be, a picture may have more later.
-    depends = sampler == Sampler.of("stratified", sampler.seed, sampler.sample_count)
-    counts = sampler.sample_count if depends else min(sampler.sample_count, 2)
-    return json.dumps(
-        {
-            "raystream": __version__,
-            "mode": renderer.name,
-            "options": {name: str(value) for name, value in setting.options.items()},
-            "size": [setting.width, setting.height],
-            "sampler": [sampler.kind, sampler.seed, counts],
-            "camera": str(asdict(setting.camera)),
-            "layers": list(setting.layers),
-            "scene": _digest(setting.tracer.scene),
-        },
-        sort_keys=True,
-    )
-
-
-def _digest(scene: Scene) -> str:
-    """What a picture shows of a scene, in short."""
-    digest = hashlib.sha256()
-
-    def add(value: Any) -> None:
-        if isinstance(value, np.ndarray):
-            digest.update(f"{value.dtype}{value.shape}".encode())
-            digest.update(np.ascontiguousarray(value).view(np.uint8).data)
-        else:
-            digest.update(repr(value).encode())
-
-    add(scene.triangles.corners)
-    add((scene.triangles.center.tolist(), float(scene.triangles.scale)))
-    for mesh in scene.meshes:
-        for array in (mesh.normals, mesh.texcoords, mesh.colors, mesh.material_ids):
-            add(array)
-    for material in scene.materials:
-        plain = {**vars(material), "textures": sorted(material.textures)}
-        add(plain)
-        for _, texture in sorted(material.textures.items()):
-            add(texture.wrap)
-            try:
-                add(texture.pixels())
-            except FileFormatError:  # left out of the picture, too
-                add(None)
-    add(scene.lights)
-    environment = image_light(scene.lights)
-    if environment is not None:
-        add(texels_of(environment))
-    add(scene.background)
-    return digest.hexdigest()
