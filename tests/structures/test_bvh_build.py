@@ -211,15 +211,16 @@ def test_statistics_count_what_a_ray_meets():
     assert 0.6 < many["lane fill"] <= 1.0
 
 
+@pytest.mark.parametrize("max_leaf_size", [4, 32])
 @pytest.mark.parametrize("quality", QUALITIES)
-def test_refitting_takes_over_new_positions(quality, rng):
+def test_refitting_takes_over_new_positions(quality, max_leaf_size, rng):
     triangles = triangles_of(*sticks(3000))
-    arrays = build_arrays(triangles, quality)
+    arrays = build_arrays(triangles, quality, max_leaf_size)
     moved = triangles.corners + rng.normal(size=(len(triangles), 1, 3)).astype(np.float32) * 0.1
     refit(arrays, moved)
     after = triangles_of(moved.reshape(-1, 3), np.arange(3 * len(moved)).reshape(-1, 3))
     assert_same_bits(after.corners, moved)
-    walk(arrays, after)  # boxes are around whole triangles now
+    walk(arrays, after, max_leaf_size)  # boxes are around whole triangles now
 
 
 def test_refitting_to_the_same_positions_changes_nothing():
