@@ -12,6 +12,7 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.clusters import Cluster, Rendering, check_cluster, joined
+from raystream.cli.compiling import compiling
 from raystream.cli.environment import Environment, Rotation, check_environment, use_environment
 from raystream.cli.films import (
     FilmAsked,
@@ -201,6 +202,7 @@ def render(
     heat: Heatmap | None = None
     with (
         Bars() as bars,
+        compiling(f"render-{mode}", structure, device),
         joined(cluster, threads) as client,
         keeping_samples(checkpoint) as kept_samples,
     ):
