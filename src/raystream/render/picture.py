@@ -74,7 +74,8 @@ def render(
         (``"whitted"``: 1/512); ``light_samples=False`` finds lights by chance only
         (``"path"``); ``clamp``, the most that light over two surfaces or more may add to a
         sample at once (``"path"`` and ``"kajiya"``: inf); ``rays``, from each point, and their
-        length ``distance`` (``"ao"``: 32, inf); ``opacity`` of a sheet, or ``absorption`` of
+        length ``distance`` (``"ao"``: 32, a tenth of the diagonal of the scene's box; inf for
+        no end); ``opacity`` of a sheet, or ``absorption`` of
         solids for each world length (``"xray"``: 0.2, None). Others are for the tracer.
     camera : Camera, optional
         The view; without it, the scene's, or one that frames it.
