@@ -23,7 +23,7 @@ def assert_same_image(found: rs.Image, expected: rs.Image) -> None:
     assert found.figures == expected.figures
 
 
-#: All in CI.
+#: All in .ci/nightly.
 FEW = ("raycast", "whitted", "path")
 MODES = [pytest.param(m, marks=[pytest.mark.exhaustive] * (m not in FEW)) for m in rs.render.MODES]
 
