@@ -1,6 +1,6 @@
 """Checks and measures raystream on a machine with an NVIDIA GPU, in one command of eight minutes.
 
-    pip install -e ".[test]" warp-lang
+    pip install -e ".[cuda,test]" warp-lang
     RAYSTREAM_SCENES=/path/to/models python benchmarks/cuda_check.py --json cuda_check.json
 
 Each step is a process of its own with a time limit, and one that fails, as a kernel that is stopped

@@ -8,6 +8,7 @@ get, before they are denoised. The other modes have little noise, and get an eig
 """
 
 import argparse
+import math
 import time
 from pathlib import Path
 
@@ -82,9 +83,10 @@ SCENES = {
     "helmet": helmet,
 }
 
-#: Options of modes in scenes: indoors rays of ambient occlusion end before walls, and caustics of
-#: small lights, dots for want of samples, are bounded.
+#: Options of modes in scenes: indoors rays of ambient occlusion end before walls, outdoors they do
+#: not end; and caustics of small lights, dots for want of samples, are bounded.
 OPTIONS = {
+    **{(name, "ao"): {"distance": math.inf} for name in ("cornell", "bunny", "helmet", "robots")},
     ("sponza", "ao"): {"distance": 3.0},
     ("kitchen", "ao"): {"distance": 1.0},
     ("kitchen", "kajiya"): {"clamp": 4.0},

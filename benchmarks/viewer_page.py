@@ -3,7 +3,7 @@
     python benchmarks/viewer_page.py bunny sponza robots:1000000 --rounds 5
 
 For each scene a `raystream view` process and a Chromium without a window (Playwright; both of
-`pip install raystream[test]`, Chromium of your system), whose picture has 1024 x 768 pixels:
+`pip install raystream[dev]`, Chromium of your system), whose picture has 1024 x 768 pixels:
 
 - how long the first picture takes from when the page's address is entered, after one that warmed
   the server up;

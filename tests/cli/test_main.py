@@ -259,6 +259,7 @@ def test_names_are_those_of_the_library():
     from raystream.machines.schedulers import SCHEDULERS
     from raystream.render import MODES
     from raystream.render.heatmap import HEATMAPS
+    from raystream.render.lighting import LIGHTS
     from raystream.render.tone import TONES
     from raystream.scene.procedural import BUILTIN
     from raystream.structures import STRUCTURES
@@ -266,6 +267,7 @@ def test_names_are_those_of_the_library():
 
     assert set(options.MODES) == set(MODES)
     assert tuple(HEATMAPS) == options.HEATMAPS
+    assert options.LIGHTS == LIGHTS
     assert tuple(TONES) == options.TONES
     assert tuple(BUILTIN) == options.SCENES
     assert set(options.STRUCTURES) == set(STRUCTURES)

@@ -154,7 +154,7 @@ def test_no_store_is_refused_in_one_line(run, tmp_path, rays):
 
 BLOCKS = 16
 
-#: Parts of the way at which the process is killed, one after the other. All are for CI.
+#: Parts of the way at which the process is killed, one after the other. All are for .ci/nightly.
 KILLS = [(0.4,), (0.0, 0.5), (0.2, 0.3, 0.8)]
 
 

@@ -23,7 +23,7 @@ def assert_same_image(found: rs.Image, expected: rs.Image) -> None:
     assert found.figures == expected.figures
 
 
-#: All in CI.
+#: All in .ci/nightly.
 FEW = ("raycast", "whitted", "path")
 MODES = [pytest.param(m, marks=[pytest.mark.exhaustive] * (m not in FEW)) for m in rs.render.MODES]
 
@@ -52,6 +52,19 @@ def test_options_of_modes_samplers_cameras_and_tracers(client, room):
     local = rs.Tracer(room, "kdtree", traversal="restart")
     found = rs.cluster.render(local, **asked, client=client)
     assert_same_image(found, rs.render(local, **asked))
+
+
+def test_workers_take_the_choice_of_lights(client):
+    corners = [[0, 0, 0], [9, 0, 0], [0, 9, 0], [1, 1, 1], [2, 1, 1], [1, 2, 1]]
+    mesh = rs.Mesh(corners, [[0, 1, 2], [3, 4, 5]], material_ids=[0, 1])
+    weak = rs.Scene([mesh], materials=[rs.Material(), rs.Material(emission=(0.01, 0.01, 0.01))])
+    means = []
+    for lights in ("auto", "file"):
+        asked = {"mode": "path", "size": SIZE, "lights": lights}
+        found = rs.cluster.render(weak, **asked, client=client)
+        assert_same_image(found, rs.render(weak, **asked))
+        means.append(found.pixels.mean())
+    assert means[0] > 0.5 > 0.01 > means[1]
 
 
 def test_a_noise_limit_ends_with_the_same_sample(client, room):

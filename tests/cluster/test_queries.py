@@ -73,7 +73,7 @@ def tracer(local, client):
         yield tracer
 
 
-#: Two here; in CI every way to trace on the CPU, with both.
+#: Two here; in .ci/nightly every way to trace on the CPU, with both.
 FEW = (("bvh", "random_soup"), ("kdtree, restart", "limits_at_the_hits_themselves"))
 WAYS = [
     pytest.param(way, name, marks=[pytest.mark.exhaustive] * ((way, name) not in FEW))

@@ -318,7 +318,7 @@ def test_progress_is_reported(device):
 # ---- Without a device.
 
 
-#: The longest, and those with shared memory and atomics; the others are for CI.
+#: The longest, and those with shared memory and atomics; the others are for .ci/nightly.
 _USUAL = (
     "climb",
     "fill_pairs",

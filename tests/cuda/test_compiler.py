@@ -49,7 +49,7 @@ WAYS = {
 }
 
 
-#: What is compiled in a usual run; CI compiles everything.
+#: What is compiled in a usual run; .ci/nightly compiles everything.
 USUAL = [("kdtree", "multi_hit"), ("bvh, compressed", "first_hit")]
 
 

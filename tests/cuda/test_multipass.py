@@ -214,7 +214,7 @@ def check(kernel, arguments):
     return compiled
 
 
-#: The rest is for CI: each takes as long as all kernels of the branching machine.
+#: The rest is for .ci/nightly: each takes as long as all kernels of the branching machine.
 _USUAL = [pytest.param(name, marks=[pytest.mark.exhaustive] * (name != "brute")) for name in STEPS]
 
 

@@ -236,7 +236,7 @@ def test_kernels_get_arguments_of_the_types_that_were_checked(tracers, both, ray
         assert kind_of(own) == kind_of(program.typical())
 
 
-#: The rest is for CI: their traversals take long to compile.
+#: The rest is for .ci/nightly: their traversals take long to compile.
 USUAL = ("brute", "bvh, high", "kdtree, stack")
 
 

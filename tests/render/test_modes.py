@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from meshes import cube
 from raystream.render import progressive
 from raystream.render.sampled import SampledRenderer
 from raystream.render.sampling.sampler import Sampler
@@ -47,7 +48,7 @@ def test_a_disc_hides_its_part_of_the_sky(height):
     scene = rs.Scene([square(50, 0.0), disc(1.0, height)])
     # From beside the disc, at the point below its middle.
     camera = rs.Camera(eye=(40.0, 0.0, height / 2), look_at=(0, 0, 0), up=(0, 0, 1), fov=1e-3)
-    seen = mean_of(scene, "ao", 32, camera=camera)
+    seen = mean_of(scene, "ao", 32, camera=camera, distance=np.inf)
     # sin(angle)**2 of the sky is hidden; 65,536 rays, a standard error below 0.002.
     np.testing.assert_allclose(seen, 1.0 - 1.0 / (1.0 + height**2), atol=0.01)
 
@@ -55,8 +56,35 @@ def test_a_disc_hides_its_part_of_the_sky(height):
 def test_a_distance_leaves_what_is_farther_out():
     scene = rs.Scene([square(50, 0.0), disc(20.0, 1.0)])
     camera = rs.Camera(eye=(40.0, 0.0, 0.5), look_at=(0, 0, 0), up=(0, 0, 1), fov=1e-3)
-    assert mean_of(scene, "ao", 1, camera=camera).max() < 0.05
+    assert mean_of(scene, "ao", 1, camera=camera, distance=np.inf).max() < 0.05
     assert mean_of(scene, "ao", 1, camera=camera, distance=0.99).min() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e4])
+@pytest.mark.parametrize("height", [4.0, 5.1])
+def test_rays_of_ao_reach_a_tenth_of_the_diagonal(height, scale):
+    """A floor of 30 x 40 below a ceiling: rays of length r reach it at cosines above h / r."""
+    plates = [
+        rs.Mesh(np.array([15, 20, 1]) * mesh.vertices * scale, mesh.faces)
+        for mesh in (square(1, 0.0), square(1, height))
+    ]
+    eye = np.array([12.0, 0.0, height / 2]) * scale
+    camera = rs.Camera(eye=eye, look_at=(0, 0, 0), up=(0, 0, 1), fov=1e-3)
+    reach = 0.1 * np.sqrt(30**2 + 40**2 + height**2)
+    hidden = max(0.0, 1.0 - (height / reach) ** 2)
+    seen = mean_of(rs.Scene(plates), "ao", 32, camera=camera)
+    np.testing.assert_allclose(seen, 1.0 - hidden, atol=0.01 if hidden else 0.0)
+
+
+def test_closed_rooms_are_not_black_in_ao():
+    vertices, faces = cube()
+    room = rs.Scene([rs.Mesh(vertices, faces[:, ::-1])])
+    camera = rs.Camera(eye=(0.6, 0.55, 0.4), look_at=(1, 0.9, 0.7), fov=90)
+    seen = rs.render(room, "ao", (8, 6), camera=camera)
+    assert seen.pixels.mean() > 0.7
+    same = rs.render(room, "ao", (8, 6), camera=camera, distance=0.1 * np.sqrt(3.0))
+    np.testing.assert_array_equal(seen.pixels, same.pixels)
+    assert not rs.render(room, "ao", (8, 6), camera=camera, distance=np.inf).pixels.any()
 
 
 def test_paths_that_miss_see_white_in_ao():

@@ -33,7 +33,7 @@ STORES = {
 }
 
 
-#: Every query on every store is for CI.
+#: Every query on every store is for .ci/nightly.
 QUICK = {
     ("first_hit", "parts of a chunk"),
     ("multi_hit", "blocks across chunks"),

@@ -81,7 +81,7 @@ def die_at(monkeypatch, number: int) -> list[int]:
     return writes
 
 
-#: Moments, in twentieths of the way; and beyond, each a write further. All of them are for CI.
+#: Moments, in twentieths of the way; and beyond, each a write further. All are for .ci/nightly.
 QUICK = {("first_hit", 9), ("multi_hit", 5), ("multi_hit", 13), ("multi_hit", 19)}
 MOMENTS = [
     pytest.param(*case, marks=[pytest.mark.exhaustive] * (case not in QUICK))

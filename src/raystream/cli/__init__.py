@@ -27,6 +27,7 @@ from raystream.cli.messages import (
 from raystream.cli.query import query
 from raystream.cli.render import render
 from raystream.cli.view import view
+from raystream.cli.warm import warm
 from raystream.core.errors import RaystreamError
 
 __all__ = ["app", "main"]
@@ -51,6 +52,7 @@ app.command()(compare)
 app.command()(bench)
 app.command()(lab)
 app.command()(view)
+app.command()(warm)
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""An environment map on the command line."""
+"""Light on the command line: environment maps, and whether weak lights get help."""
 
 from __future__ import annotations
 
@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from raystream.cli import options
-from raystream.cli.messages import BadInputError
+from raystream.cli.messages import BadInputError, write_note
 
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
 
-__all__ = ["Environment", "Rotation", "check_environment", "use_environment"]
+__all__ = [
+    "Environment",
+    "Lights",
+    "Rotation",
+    "check_environment",
+    "tell_added_light",
+    "use_environment",
+]
 
 #: The library's, for help; a test compares them.
 SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
@@ -35,6 +42,19 @@ Rotation = Annotated[
         show_default=False,
         callback=options.finite_if_given,
         help="With --environment: turns it counterclockwise, as seen from above.",
+    ),
+]
+
+
+Lights = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        show_default=False,
+        callback=options.one_of(options.LIGHTS),
+        autocompletion=options.complete(options.LIGHTS),
+        help="auto adds a light where the scene's own are too weak to see by: at the eye, or for "
+        "kajiya and path a white sky; file takes the scene's own alone. auto without it.",
     ),
 ]
 
@@ -76,3 +96,15 @@ def use_environment(scene: Scene, path: Path, rotation: float) -> None:
     if scene.animation is not None:
         posed = scene.animation.at
         scene.animation = replace(scene.animation, at=lambda time: light_up(posed(time)))
+
+
+def tell_added_light(scene: Scene, mode: str, lights: str) -> None:
+    """Say on stderr if a light is added to a scene's own; see `lighting.needs_light`."""
+    from raystream.render.lighting import added_light
+
+    added = added_light(scene, mode, lights)
+    if added:
+        write_note(
+            f"the scene's own lights are too weak to see by: added {added} (--lights file takes "
+            "the scene's own alone)"
+        )

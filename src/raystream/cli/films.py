@@ -15,7 +15,7 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.clusters import joined
-from raystream.cli.environment import use_environment
+from raystream.cli.environment import tell_added_light, use_environment
 from raystream.cli.keywords import blame_options, machine_figures
 from raystream.cli.layers import Kept
 from raystream.cli.messages import (
@@ -238,6 +238,7 @@ def render_film(asked: FilmAsked, json: bool) -> None:
     with Bars() as bars:
         with watch.measure("load"), bars.step("loading"):
             scene, camera, timeline = _opened(asked)
+        tell_added_light(scene, asked.mode, asked.arguments["lights"])
         try:
             numbers = timeline.chosen(wanted)
         except ValueError as error:  # its name is that of the option

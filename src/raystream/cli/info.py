@@ -9,6 +9,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.compiling import compiling
 from raystream.cli.devices import show_devices
 from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, write_json, write_line
@@ -67,7 +68,7 @@ def info(
     from raystream.cli.describe import describe
 
     watch = Stopwatch()
-    with Bars() as bars:
+    with Bars() as bars, compiling("build", structure, device):
         tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         figures = describe(scene, tracer, watch)
     if json:

@@ -21,6 +21,7 @@ from raystream.cli.messages import BadInputError
 __all__ = [
     "DEVICES",
     "HEATMAPS",
+    "LIGHTS",
     "MACHINES",
     "MODES",
     "PAPERS",
@@ -64,6 +65,7 @@ MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 SAMPLERS = ("sobol", "stratified", "random")
 TONES = ("linear", "reinhard", "aces")
 HEATMAPS = ("cells", "tests", "steps")
+LIGHTS = ("auto", "file")
 STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")
 TRAVERSALS = ("stack", "restart", "backtrack", "short-stack")
 MACHINES = ("branching", "multipass", "compute")

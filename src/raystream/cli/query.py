@@ -10,6 +10,7 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
+from raystream.cli.compiling import compiling
 from raystream.cli.keywords import machine_figures, tracer_options
 from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
@@ -140,7 +141,7 @@ def query(
     )
     choose_threads(threads)
     watch = Stopwatch()
-    with Bars() as bars:
+    with Bars() as bars, compiling(f"query-{question.kind}", structure, device):
         given = {} if in_store else _read_rays(rays)
         source = Source(scene, structure, device, time, triangles, tracing)
         tracer = open_tracer(source, bars, watch)

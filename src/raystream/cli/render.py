@@ -12,7 +12,15 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.clusters import Cluster, Rendering, check_cluster, joined
-from raystream.cli.environment import Environment, Rotation, check_environment, use_environment
+from raystream.cli.compiling import compiling
+from raystream.cli.environment import (
+    Environment,
+    Lights,
+    Rotation,
+    check_environment,
+    tell_added_light,
+    use_environment,
+)
 from raystream.cli.films import (
     FilmAsked,
     Fps,
@@ -113,6 +121,7 @@ def render(
     ] = None,
     environment: Environment = None,
     environment_rotation: Rotation = None,
+    lights: Lights = None,
     layers: Layers = None,
     denoise: Denoise = False,
     structure: options.Structure = None,
@@ -150,7 +159,7 @@ def render(
     check_environment(environment, environment_rotation)
     of_pictures = {
         **{"mode": mode, "exposure": exposure, "tone": tone, "environment": environment},
-        **{"layers": layers, "denoise": denoise or None, "cluster": cluster},
+        **{"lights": lights, "layers": layers, "denoise": denoise or None, "cluster": cluster},
         **asked.of_pictures(),
     }
     check_heatmap(heatmap, maximum, of_pictures, chosen)
@@ -165,6 +174,7 @@ def render(
     arguments: dict[str, Any] = {"samples": samples or 1, "seed": seed}
     if heatmap is None:
         arguments = mode_arguments(mode, asked, chosen)
+        arguments["lights"] = lights or options.LIGHTS[0]
     if films:
         arguments["layers"] = wanted.rendered
         refuse_beside_frames({"heatmap": heatmap, "maximum": maximum, "time": time})
@@ -201,6 +211,7 @@ def render(
     heat: Heatmap | None = None
     with (
         Bars() as bars,
+        compiling(f"render-{mode}", structure, device),
         joined(cluster, threads) as client,
         keeping_samples(checkpoint) as kept_samples,
     ):
@@ -222,6 +233,7 @@ def render(
         unit = "paths" if heatmap is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if heatmap is None:
+                tell_added_light(tracer.scene, mode, arguments["lights"])
                 paths = Paths(output, width * height, progress)
                 arguments |= {"checkpoint": kept_samples, "on_pass": save}
                 arguments["layers"] = wanted.rendered

@@ -67,7 +67,8 @@ MaxBounces = Annotated[
         metavar="N",
         show_default=False,
         help="Modes whitted, kajiya and path: surfaces that may scatter light on its way; 8, 3 "
-        "and 8 without it. Other options of a mode go by --option.",
+        "and 8 without it. Other options of a mode go by --option, such as distance=2 of ao, the "
+        "length of its rays: a tenth of the scene's diagonal without it, inf for no end.",
     ),
 ]
 Noise = Annotated[

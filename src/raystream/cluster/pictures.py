@@ -16,6 +16,7 @@ from raystream.jit.threads import Progress
 from raystream.render.arguments import check_camera, check_samples, check_size
 from raystream.render.image import Image
 from raystream.render.layers import choose_layers
+from raystream.render.lighting import check_lights
 from raystream.render.picture import RENDERERS
 from raystream.render.progressive import Limits, render_samples
 from raystream.render.sampled import make_setting
@@ -40,6 +41,7 @@ def render(
     *,
     client: Client | str | None = None,
     camera: Camera | None = None,
+    lights: str = "auto",
     seed: int = 0,
     noise: float | None = None,
     time_limit: float | None = None,
@@ -63,7 +65,7 @@ def render(
         A tracer of the CPU saves building the structure again.
     client : distributed.Client or str, optional
         See `raystream.cluster.Tracer`. What an address starts here ends with the picture.
-    mode, size, samples, structure, device, camera, seed, sampler, layers, **options
+    mode, size, samples, structure, device, camera, lights, seed, sampler, layers, **options
         See `raystream.render`.
     noise, time_limit : float, optional
         As `raystream.render`: a noise limit ends with the same sample. Of samples that are under
@@ -104,6 +106,7 @@ def render(
     width, height = check_size(size)
     limits = Limits(check_samples(samples), noise, time_limit)
     check_camera(camera)
+    check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
     own = {name: options.pop(name, usual) for name, usual in renderer.options.items()}
@@ -112,9 +115,9 @@ def render(
     parcel = pack_tracer(scene, structure, device, options, for_pictures=True)
     here = scene if isinstance(scene, Tracer) else Tracer(scene, "brute")  # nothing traces here
     view = camera or here.scene.camera_for(width / height)
-    setting = make_setting(here, view, (width, height), numbers, chosen, wanted)
+    setting = make_setting(here, view, (width, height), numbers, chosen, wanted, lights)
     drawn = sampler, seed, limits.samples
-    picture = picture_text(mode, (width, height), view, drawn, own, wanted)
+    picture = picture_text(mode, (width, height), view, drawn, own, wanted, lights)
     with opened(client) as found:
         post = post_of(found)
         digest = post.send(parcel)

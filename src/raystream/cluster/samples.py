@@ -54,12 +54,13 @@ def picture_text(
     sampler: tuple[str, int, int],
     options: Mapping[str, Any],
     layers: Sequence[str],
+    lights: str,
 ) -> str:
     """All that a picture depends on beside its scene, as JSON.
 
     Parameters
     ----------
-    mode, size, camera, options, layers
+    mode, size, camera, options, layers, lights
         See `raystream.render`.
     sampler : (str, int, int)
         Its name, the seed, and how many samples.
@@ -72,6 +73,7 @@ def picture_text(
             "sampler": sampler,
             "options": dict(options),
             "layers": list(layers),
+            "lights": lights,
         },
         sort_keys=True,
         default=float,
@@ -117,6 +119,7 @@ def _setting(digest: str, picture: str) -> Setting:
             Sampler.of(*asked["sampler"]),
             renderer.check(asked["options"]),
             asked["layers"],
+            asked["lights"],
         )
 
 

@@ -21,6 +21,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 from numba.core import config, sigutils
 from numba.core.caching import _Cache
@@ -31,8 +32,17 @@ from raystream.core.whole_file import replacing
 from raystream.jit.compile_time import collector_resting
 from raystream.jit.fingerprint import fingerprint, type_name
 from raystream.jit.turns import Turns
+from raystream.jit.watching import WATCHERS
 
-__all__ = ["KernelCache", "cache_folder", "evict", "keep_on_disk", "kernel_folder", "mark_used"]
+__all__ = [
+    "KERNELS",
+    "KernelCache",
+    "cache_folder",
+    "evict",
+    "keep_on_disk",
+    "kernel_folder",
+    "mark_used",
+]
 
 #: Bytes that the folder may grow to. All kernels that the tests compile take about 30 MB.
 SIZE_LIMIT = 500_000_000
@@ -42,6 +52,10 @@ AGE_LIMIT = 90 * 86_400.0
 
 #: Seconds between two notes that a file is used: a day. Reading costs a write no more often.
 USE_INTERVAL = 86_400.0
+
+
+#: Kernels by name: module, name in the module, and what a function that makes kernels was given.
+KERNELS: WeakValueDictionary[str, Any] = WeakValueDictionary()
 
 
 def kernel_folder() -> Path:
@@ -67,6 +81,8 @@ class KernelCache(_Cache):
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self._is_enabled = True
+        self.name = name_of(function)
+        self._begun: dict[Any, float] = {}  # when compiling began
         self._waiting: dict[Any, Path] = {}  # files that it is this process's turn to write
 
     @property
@@ -92,12 +108,27 @@ class KernelCache(_Cache):
         if path is None:
             return None
         found = _read(path, target_context)
-        if found is None and _turns(path.parent).take(path.name):
-            self._waiting[sig] = path
-            found = _read(path, target_context)  # written in the meantime?
+        if found is None:
+            self._begin(sig)
+            if _turns(path.parent).take(path.name):
+                self._waiting[sig] = path
+                found = _read(path, target_context)  # written in the meantime?
             if found is not None:
                 self.end_turn(sig)
         return found
+
+    def is_on_disk(self, sig: Any, target_context: Any) -> bool:
+        """Whether there is a file for a signature."""
+        path = self._path(sig, target_context.codegen())
+        return path is not None and path.exists()
+
+    def is_free(self, sig: Any, target_context: Any) -> bool:
+        """Whether a signature is not on disk, and no other process is compiling it."""
+        path = self._path(sig, target_context.codegen())
+        if path is None or path.exists() or not _turns(path.parent).take(path.name, patience=0.0):
+            return False
+        _turns(path.parent).give(path.name)
+        return True
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write a compiled kernel, if there is a folder that can be written."""
@@ -114,8 +145,17 @@ class KernelCache(_Cache):
         finally:
             self.end_turn(sig)
 
+    def _begin(self, sig: Any) -> None:
+        self._begun[sig] = time.perf_counter()
+        for watcher in WATCHERS:
+            watcher.begin(self.name)
+
     def end_turn(self, sig: Any) -> None:
         """Let other processes compile the kernel, if it was this one's turn."""
+        begun = self._begun.pop(sig, None)
+        if begun is not None:
+            for watcher in WATCHERS:
+                watcher.end(self.name, time.perf_counter() - begun)
         path = self._waiting.pop(sig, None)
         if path is not None:
             _turns(path.parent).give(path.name)
@@ -136,6 +176,17 @@ class KernelCache(_Cache):
         text = f"{place} {known} {types} {codegen.magic_tuple()} {options}"
         digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
         return kernel_folder() / f"{self._function.__name__}-{digest}.nbc"
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """A kernel's name in `KERNELS`; a kernel made by a function names what that was given."""
+    given = [cell.cell_contents for cell in function.__closure__ or ()]
+    parts = [
+        f"{one.__module__}.{one.__qualname__}" if hasattr(one, "__qualname__") else repr(one)
+        for one in (getattr(value, "py_func", value) for value in given)
+    ]
+    name = f"{function.__module__}:{function.__qualname__}"
+    return f"{name}[{', '.join(parts)}]" if parts else name
 
 
 def _read(path: Path, target_context: Any) -> Any:
@@ -201,5 +252,6 @@ def keep_on_disk(dispatcher: Any) -> None:
             kernel_cache.end_turn(sig)
             raise
 
+    KERNELS[kernel_cache.name] = dispatcher
     dispatcher._cache = kernel_cache
     dispatcher.compile = compile_in_turn

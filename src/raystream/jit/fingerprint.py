@@ -44,7 +44,8 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 #: Files of the room `jit` that no compiled code depends on: they run before or after.
 _HOST_FILES = frozenset(
-    ["__init__.py", "cache.py", "fingerprint.py", "loops.py", "threads.py", "turns.py"]
+    ["__init__.py", "cache.py", "fingerprint.py", "loops.py", "signatures.py", "threads.py"]
+    + ["turns.py", "warm.py", "watching.py"]
 )
 
 _CUDA_ROOM = "raystream.jit.cuda."

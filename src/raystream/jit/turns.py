@@ -44,19 +44,25 @@ class Turns:
         # One descriptor until the end: to close any of them would end all turns (POSIX).
         self._file: int | None = None
 
-    def take(self, name: str) -> bool:
+    def take(self, name: str, patience: float = PATIENCE) -> bool:
         """Wait until no other process has the turn of this name, and take it.
+
+        Parameters
+        ----------
+        name : str
+        patience : float, optional
+            Seconds to wait.
 
         Returns
         -------
         bool
-            Whether it was taken; False if it cannot be or was waited for `PATIENCE` seconds.
+            Whether it was taken; False if it cannot be or was waited for that long.
         """
         try:
             if self._file is None:
                 self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
                 self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
-            end = time.monotonic() + PATIENCE
+            end = time.monotonic() + patience
             while not _lock(self._file, _place(name)):
                 if time.monotonic() >= end:
                     return False

@@ -12,6 +12,7 @@ from raystream.render.arguments import check_camera, check_samples, check_size, 
 from raystream.render.image import Image
 from raystream.render.kajiya import KAJIYA
 from raystream.render.layers import choose_layers
+from raystream.render.lighting import check_lights
 from raystream.render.path import PATH
 from raystream.render.progressive import Limits, render_samples
 from raystream.render.raycast import RAYCAST
@@ -44,6 +45,7 @@ def render(
     device: str = "cpu",
     *,
     camera: Camera | None = None,
+    lights: str = "auto",
     seed: int = 0,
     noise: float | None = None,
     time_limit: float | None = None,
@@ -74,10 +76,16 @@ def render(
         (``"whitted"``: 1/512); ``light_samples=False`` finds lights by chance only
         (``"path"``); ``clamp``, the most that light over two surfaces or more may add to a
         sample at once (``"path"`` and ``"kajiya"``: inf); ``rays``, from each point, and their
-        length ``distance`` (``"ao"``: 32, inf); ``opacity`` of a sheet, or ``absorption`` of
+        length ``distance`` (``"ao"``: 32, a tenth of the diagonal of the scene's box; inf for
+        no end); ``opacity`` of a sheet, or ``absorption`` of
         solids for each world length (``"xray"``: 0.2, None). Others are for the tracer.
     camera : Camera, optional
         The view; without it, the scene's, or one that frames it.
+    lights : {"auto", "file"}
+        ``"auto"`` adds a light where the scene has none, or only such as are too weak to see
+        by: a white sky (``"path"``, ``"kajiya"``), or a light at the eye (``"raycast"``,
+        ``"shadow"``, ``"whitted"``); see `lighting.needs_light` for the measure. ``"file"``
+        takes the scene's own lights alone.
     seed : int
         For the samples: the same seed gives the same picture, on any number of threads.
     noise, time_limit : float, optional
@@ -128,6 +136,7 @@ def render(
     width, height = check_size(size)
     samples = check_samples(samples)
     check_camera(camera)
+    check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
     limits = Limits(samples, noise, time_limit)
@@ -136,7 +145,7 @@ def render(
     numbers = Sampler.of(sampler, seed, samples)
     tracer = make_tracer(scene, structure, device, options)
     view = camera or tracer.scene.camera_for(width / height)
-    setting = make_setting(tracer, view, (width, height), numbers, chosen, wanted)
+    setting = make_setting(tracer, view, (width, height), numbers, chosen, wanted, lights)
     return render_samples(
         renderer, setting, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
     )

@@ -102,6 +102,7 @@ def identity(renderer: SampledRenderer, setting: Setting) -> str:
             "sampler": [sampler.kind, sampler.seed, counts],
             "camera": str(asdict(setting.camera)),
             "layers": list(setting.layers),
+            "lights": setting.chosen_lights,
             "scene": _digest(setting.tracer.scene),
         },
         sort_keys=True,

@@ -71,6 +71,8 @@ class Setting:
         What lies at the tables' addresses.
     layers : sequence of str
         Those of `LAYERS` that are asked for.
+    chosen_lights : {"auto", "file"}
+        See `lighting.needs_light`.
     bands : DeviceBands, optional
         What takes samples where the tracer's rays are, if that is not the host.
     """
@@ -87,6 +89,7 @@ class Setting:
     options: Mapping[str, Any]
     kept: tuple[object, object, object]
     layers: Sequence[str] = ()
+    chosen_lights: str = "auto"
     bands: DeviceBands | None = None
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
@@ -99,7 +102,8 @@ class Setting:
         What of it does not depend on them is shared, which makes this much quicker than
         `make_setting`: for a picture that follows a camera.
         """
-        classic, kept_classic = classic_lights_of(self.tracer.scene, camera)
+        scene, chosen = self.tracer.scene, self.chosen_lights
+        classic, kept_classic = classic_lights_of(scene, camera, chosen)
         width, height = size or (self.width, self.height)
         made = replace(
             self,
@@ -119,15 +123,27 @@ def make_setting(
     sampler: Sampler,
     options: Mapping[str, Any],
     layers: Sequence[str] = (),
+    chosen_lights: str = "auto",
 ) -> Setting:
     """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
     tables, kept_tables = tables_of(tracer.scene)
-    lights, kept_lights = lights_of(tracer.scene)
-    classic, kept_classic = classic_lights_of(tracer.scene, camera)
+    lights, kept_lights = lights_of(tracer.scene, chosen_lights)
+    classic, kept_classic = classic_lights_of(tracer.scene, camera, chosen_lights)
     kept = kept_tables, kept_lights, kept_classic
     opacity = Opacity.of(tracer.scene, sampler.seed)
     made = Setting(
-        tracer, camera, *size, tables, lights, classic, sampler, opacity, options, kept, layers
+        tracer,
+        camera,
+        *size,
+        tables,
+        lights,
+        classic,
+        sampler,
+        opacity,
+        options,
+        kept,
+        layers,
+        chosen_lights,
     )
     return replace(made, bands=tracer.bands_on_device(made))
 

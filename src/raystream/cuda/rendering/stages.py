@@ -17,7 +17,7 @@ from raystream.cuda.rendering.band import DeviceBand, DeviceStream
 from raystream.cuda.rendering.kernels import ADD, ASK_LIGHTS, FOLLOW, LIGHT, LOOK_AROUND, VIEW
 from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
-from raystream.render.ao import ask_around, sampler_of
+from raystream.render.ao import ask_around, distance_of, sampler_of
 from raystream.render.path import meet_surfaces
 from raystream.render.raycast import shade_by_lights
 from raystream.render.sampled import PathStage, find_surfaces, reach_lights
@@ -118,7 +118,7 @@ def _ask_around(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
         plain(sampler_of(setting)),
         band.sample,
         np.int64(each),
-        float(setting.options["distance"]),
+        distance_of(setting),
         band.first_pixel,
         band.radiance,
         asked.addresses,

@@ -11,9 +11,10 @@ from raystream.lab.asked import AskedTracer
 from raystream.lab.frames import Size, affordable, frame_seconds, picture, setting_of
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
-from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, diagonal, prepared, scenes
+from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
+from raystream.render.ao import REACH
 from raystream.render.sampled import Setting
 from raystream.scene.scene import Scene
 
@@ -38,8 +39,6 @@ _SLOW = "grid"
 
 _PICTURE_SIZE = (320, 240)
 
-#: Rays of ``ao`` end after this share of the scene's diagonal, or rooms would be black.
-AO_REACH = 0.1
 
 #: Of a scene and mode, by structure.
 _Frames = dict[str, dict[str, Any]]
@@ -54,8 +53,7 @@ class _Contenders:
 
     def seconds(self, structure: str, mode: str, size: Size) -> float:
         """Draw a frame."""
-        tracer, options = self.tracers[structure], mode_options(mode, self.scene)
-        return frame_seconds(self.setting, tracer, mode, size, **options)
+        return frame_seconds(self.setting, self.tracers[structure], mode, size)
 
     @cached_property
     def scene(self) -> Scene:
@@ -69,11 +67,6 @@ class _Contenders:
     @cached_property
     def setting(self) -> Setting:
         return setting_of(self.tracers[REFERENCE], frame_size(self._lab))
-
-
-def mode_options(mode: str, scene: Scene) -> dict[str, float]:
-    """What is set for a mode in a scene; else its usual options hold."""
-    return {"distance": AO_REACH * diagonal(scene)} if mode == "ao" else {}
 
 
 def frame_size(lab: Laboratory) -> Size:
@@ -93,10 +86,7 @@ def modes(lab: Laboratory) -> Result:
             found[mode][view.name] = _measured(lab, contenders, view.name, mode)
             title = f"{view.name}: {mode}, one sample a pixel"
             name = f"rayforce {view.name} {mode}"
-            options = mode_options(mode, view.scene)
-            result.pictures.append(
-                picture(lab, name, title, contenders.scene, mode, _PICTURE_SIZE, **options)
-            )
+            result.pictures.append(picture(lab, name, title, contenders.scene, mode, _PICTURE_SIZE))
     size = frame_size(lab)
     result.tables = [_table(mode, frames, size) for mode, frames in found.items()]
     result.plots = [_plot(found, size)]
@@ -224,7 +214,7 @@ def _notes(found: dict[str, dict[str, _Frames]], size: Size) -> Iterator[str]:
         "of; so no column is called published. The scenes here are rooms seen from inside, with "
         "different sizes of details, or small built-in ones instead. Where a scene has no light, "
         "one is added near the eye; surfaces that are not opaque are made so. Rays of ao are "
-        f"{AO_REACH:g} of the scene's diagonal long; the poster does not say how long."
+        f"{REACH:g} of the scene's diagonal long; the poster does not say how long."
     )
     ratios = [
         frame["small_pixel"] / _pixel_seconds(frame)

@@ -17,7 +17,7 @@ from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["REFERENCE", "SCENES", "STAND_INS", "STRUCTURES", "diagonal", "prepared", "scenes"]
+__all__ = ["REFERENCE", "SCENES", "STAND_INS", "STRUCTURES", "prepared", "scenes"]
 
 #: Which scenes the poster measured is lost with its figure. These are rooms seen from inside,
 #: as usual in papers of its time: offices, a church, a kitchen with details of many sizes.
@@ -38,12 +38,6 @@ _LIGHT_SHIFT = 0.25
 
 #: Its intensity, for a distance of 1.
 _BRIGHTNESS = 4.0
-
-
-def diagonal(scene: Scene) -> float:
-    """Of a scene's box."""
-    low, high = scene.bounds
-    return float(np.linalg.norm(high - low))
 
 
 def prepared(scene: Scene) -> Scene:

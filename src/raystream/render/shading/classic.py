@@ -61,22 +61,26 @@ class ClassicLights(NamedTuple):
     sky: Sky
 
 
-def classic_lights_of(scene: Scene, camera: Camera) -> tuple[ClassicLights, object]:
+def classic_lights_of(
+    scene: Scene, camera: Camera, chosen: str = "auto"
+) -> tuple[ClassicLights, object]:
     """The lights of a scene, and what must be kept; see `lighting.classic_lights`."""
-    table, ambient = light_rows(scene, camera)
+    table, ambient = light_rows(scene, camera, chosen)
     sky, kept_sky = background_of(scene)
     lights = ClassicLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
     return lights, (table, kept_sky)
 
 
-def light_rows(scene: Scene, camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def light_rows(
+    scene: Scene, camera: Camera, chosen: str = "auto"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rows of `ClassicLights`, shape (L, 12), and the ambient radiance, shape (3,)."""
     frame = scene.triangles
     scale = float(frame.scale)
     patches = area_patches(scene)
     ambient = np.zeros(3)
     rows: list[list[float]] = []
-    for light in classic_lights(scene, camera, patches):
+    for light in classic_lights(scene, camera, patches, chosen):
         row = [0.0] * _COLUMNS
         if isinstance(light, EnvironmentLight):
             ambient += light.radiance

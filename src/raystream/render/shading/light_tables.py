@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from raystream.render.attributes import check_rows, material_ids_of
 from raystream.render.color import LUMINANCE
 from raystream.render.environment import image_light
+from raystream.render.lighting import needs_light
 from raystream.render.shading.shares import running_sums
 from raystream.render.shading.sky import Sky, sky_of
 from raystream.render.shading.textures import place_of
@@ -72,8 +73,14 @@ class LightTables(NamedTuple):
     is_dark: bool
 
 
-def lights_of(scene: Scene) -> tuple[LightTables, object]:
-    """The lights of a scene, and what must be kept; one without any gets a white sky.
+def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
+    """The lights of a scene, and what must be kept; one that needs light gets a white sky.
+
+    Parameters
+    ----------
+    scene : Scene
+    chosen : {"auto", "file"}
+        See `lighting.needs_light`.
 
     Raises
     ------
@@ -87,8 +94,8 @@ def lights_of(scene: Scene) -> tuple[LightTables, object]:
     prims = np.unique(prims).astype(np.int32)  # intersect1d would sort the scene's, too
     prims = prims[np.isin(prims, scene.triangles.prim_ids)]
     check_rows(len(prims), 17, "triangles that emit light")
-    if not (scene.lights or len(prims) or color.any()):
-        color = np.ones(3)
+    if needs_light(scene, chosen, background=scene.background):
+        color = color + 1.0
     sky, sky_luminance, kept_sky = sky_of(color, image_light(scene.lights))
     patches, powers, density = _area_patches(scene, prims)
 

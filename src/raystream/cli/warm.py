@@ -1,0 +1,59 @@
+"""``raystream warm``: compile kernels before they are needed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.bars import Bars
+from raystream.cli.messages import BadInputError, write_json, write_line
+from raystream.cli.opening import Stopwatch, choose_threads
+from raystream.core.cache_folder import cache_folder
+
+TASKS = ("render", "query", "build", "all")
+
+
+def warm(
+    task: Annotated[
+        str,
+        typer.Argument(
+            metavar="TASK",
+            help="render, query, build or all: which commands' kernels.",
+            autocompletion=options.complete(TASKS),
+            show_default=True,
+        ),
+    ] = "all",
+    threads: options.Threads = None,
+    json: options.Json = False,
+) -> None:
+    """Compile kernels before they are needed. Uses all cores; --threads limits the processes.
+
+    Compiled kernels are kept in the cache folder (RAYSTREAM_CACHE_DIR, or the user's), so that
+    the first picture or query begins at once. Only the default structure's are listed; others
+    are compiled when they are first used.
+    """
+    if task not in TASKS:
+        raise BadInputError(f"TASK: expected one of {', '.join(TASKS)}; got {task!r}")
+    choose_threads(threads)
+    from raystream.jit import warm as kernels
+    from raystream.jit.threads import thread_count
+
+    watch = Stopwatch()
+    entries = kernels.entries_of(task)
+    with Bars() as bars, bars.step("compiling kernels") as progress, watch.measure("compile"):
+
+        def show(share: float) -> None:
+            if progress is not None:
+                progress(round(100 * share), 100)
+
+        count = kernels.warm(entries, task, thread_count(), show)
+    if json:
+        figures = {"task": task, "kernels": len(entries), "compiled": count}
+        write_json({**figures, "seconds": watch.rounded(), "folder": str(cache_folder())})
+    else:
+        write_line(
+            f"{len(entries)} kernels, {count} of them compiled now; "
+            f"kept in {cache_folder()}; {watch.text()}"
+        )

@@ -1,0 +1,203 @@
+"""Compiling kernels before they are needed, in several processes.
+
+``kernels.json`` lists what the commands compile: kernels, the types of their arguments, and the
+seconds that each took. Threads gain nothing (Numba and LLVM have one lock each), so processes
+share a list: each takes what no other has taken, by the locks of the cache (see `turns`).
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from raystream.jit.cache import KERNELS
+from raystream.jit.signatures import decode_type
+
+__all__ = [
+    "FILE",
+    "TASKS",
+    "Entry",
+    "compile_kernels",
+    "entries_of",
+    "missing",
+    "start_helpers",
+    "stop_helpers",
+    "warm",
+]
+
+#: What can be compiled at once.
+TASKS = ("render", "query", "build", "all")
+
+FILE = Path(__file__).with_name("kernels.json")
+
+#: Seconds between two looks at what other processes have done.
+_PAUSE = 0.1
+
+#: Rooms whose modules make kernels of functions that they get.
+_MAKERS = ("brute", "bvh", "grid", "graph", "kdtree")
+
+
+class Entry(NamedTuple):
+    """A kernel to be compiled.
+
+    Attributes
+    ----------
+    kernel : str
+        As in `jit.cache.KERNELS`.
+    types : list
+        Of its arguments, see `signatures`.
+    tasks : list of str
+        Who needs it, in the order in which a command does.
+    seconds : float
+        That it took to compile, on some machine.
+    """
+
+    kernel: str
+    types: list[Any]
+    tasks: list[str]
+    seconds: float
+
+
+def entries_of(task: str, file: Path = FILE) -> list[Entry]:
+    """Kernels that a task needs, in the order in which it does.
+
+    Parameters
+    ----------
+    task : str
+        One of `TASKS`, or a part of one: ``"render-ao"``, ``"query-first"``.
+    file : Path, optional
+        Another list.
+    """
+    entries = [Entry(**row) for row in json.loads(file.read_text(encoding="utf-8"))]
+    return [
+        entry
+        for entry in entries
+        if task == "all" or any(one == task or one.startswith(f"{task}-") for one in entry.tasks)
+    ]
+
+
+def compile_kernels(entries: Sequence[Entry], *, takes_all: bool = False) -> int:
+    """Compile kernels that are not on disk yet.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+        An entry that fits no kernel is left out.
+    takes_all : bool
+        Whether to wait for those that another process is compiling; else they are left to it.
+
+    Returns
+    -------
+    int
+        How many this process compiled.
+    """
+    count = 0
+    for entry in entries:
+        ready = _prepare(entry)
+        if ready is None:
+            continue
+        dispatcher, signature = ready
+        if takes_all or dispatcher._cache.is_free(signature, dispatcher.targetctx):
+            before = sum(dispatcher.stats.cache_misses.values())
+            dispatcher.compile(signature)
+            count += sum(dispatcher.stats.cache_misses.values()) - before
+    return count
+
+
+def missing(entries: Sequence[Entry]) -> list[Entry]:
+    """Those whose kernel is not on disk."""
+    left = []
+    for entry in entries:
+        ready = _prepare(entry)
+        if ready is not None:
+            dispatcher, signature = ready
+            if not dispatcher._cache.is_on_disk(signature, dispatcher.targetctx):
+                left.append(entry)
+    return left
+
+
+def warm(
+    entries: Sequence[Entry], task: str, process_count: int, progress: Callable[[float], None]
+) -> int:
+    """Compile kernels in several processes, longest first, and wait for them.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+    task : str
+        That has all of them.
+    process_count : int
+        With this one.
+    progress : callable
+        Called with the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    int
+        How many were not on disk.
+    """
+    left = missing(entries)
+    total, count = sum(entry.seconds for entry in left), len(left)
+    helpers = start_helpers(task, min(process_count, count), longest_first=True)
+    try:
+        while left and any(helper.poll() is None for helper in helpers):
+            progress(1.0 - sum(entry.seconds for entry in left) / total)
+            time.sleep(_PAUSE)
+            left = missing(left)
+    finally:
+        stop_helpers(helpers)
+    compile_kernels(left, takes_all=True)  # a helper that died left it
+    progress(1.0)
+    return count
+
+
+def start_helpers(task: str, count: int, *, longest_first: bool) -> list[Any]:
+    """Start processes that compile a task's kernels, from the end of the list or longest first."""
+    order = "longest" if longest_first else "reversed"
+    command = [sys.executable, "-m", __name__, task, order]
+    quiet = subprocess.DEVNULL
+    return [
+        subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet) for _ in range(count)
+    ]
+
+
+def stop_helpers(helpers: Sequence[Any]) -> None:
+    """End processes; what they were compiling is lost, what they have compiled is not."""
+    for helper in helpers:
+        helper.terminate()
+    for helper in helpers:
+        helper.wait()
+
+
+def _prepare(entry: Entry) -> tuple[Any, Any] | None:
+    """The kernel of an entry and its signature; None if there is none of this name."""
+    try:
+        importlib.import_module(entry.kernel.partition(":")[0])
+        if "[" in entry.kernel:
+            for name in _MAKERS:
+                importlib.import_module(f"raystream.structures.{name}")
+        dispatcher = KERNELS.get(entry.kernel)
+        if dispatcher is None:
+            return None
+        return dispatcher, tuple(decode_type(code) for code in entry.types)
+    except (ImportError, ValueError):
+        return None
+
+
+def _main(task: str, order: str) -> None:
+    entries = entries_of(task)
+    if order == "longest":
+        entries.sort(key=lambda entry: -entry.seconds)
+    else:
+        entries.reverse()
+    compile_kernels(entries)
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

@@ -1,0 +1,95 @@
+"""``raystream render --lights``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import raystream as rs
+
+SIZE = ("--size", "16x12")
+
+WEAK = """\
+mtllib weak.mtl
+v 0 0 0
+v 40 0 0
+v 0 40 0
+v 1 1 1
+v 2 1 1
+v 1 2 1
+usemtl wall
+f 1 2 3
+usemtl lamp
+f 4 5 6
+"""
+MATERIALS = "newmtl wall\nKd 0.8 0.1 0.1\nnewmtl lamp\nKe 0.02 0.02 0.02\n"
+NOTE = (
+    "the scene's own lights are too weak to see by: added {} (--lights file takes the scene's "
+    "own alone)\n"
+)
+
+
+@pytest.fixture
+def weak(tmp_path):
+    """A model with a lamp that is too weak, in the folder that commands run in."""
+    (tmp_path / "weak.obj").write_text(WEAK)
+    (tmp_path / "weak.mtl").write_text(MATERIALS)
+    return "weak.obj"
+
+
+def pixels():
+    with Image.open("out.png") as image:
+        return np.asarray(image)
+
+
+@pytest.mark.parametrize(
+    ("mode", "added"), [("raycast", "a light at the eye"), ("path", "a white sky")]
+)
+def test_a_note_says_what_is_added_to_weak_lights(run, weak, mode, added):
+    result = run("render", weak, *SIZE, "--mode", mode)
+    assert (result.code, result.err) == (0, NOTE.format(added))
+    assert pixels().max() > 100
+    np.testing.assert_array_equal(pixels(), rs.render(rs.load(weak), mode, (16, 12)).to_bytes())
+
+
+def test_the_files_own_lights_are_taken_if_asked(run, weak):
+    result = run("render", weak, *SIZE, "--lights", "file")
+    assert (result.code, result.err) == (0, "")
+    own = rs.render(rs.load(weak), size=(16, 12), lights="file")
+    np.testing.assert_array_equal(pixels(), own.to_bytes())
+    assert pixels().max() < 50
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("weak.obj", "--mode", "vis"), ("weak.obj", "--heatmap", "tests"), ("cornell",)],
+)
+def test_nothing_is_said_where_nothing_is_added(run, weak, arguments):
+    result = run("render", *arguments, *SIZE)
+    assert (result.code, result.err) == (0, "")
+
+
+def test_films_say_it_once(run, tmp_path):
+    (tmp_path / "a.aff").write_text(
+        "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40\nl 0 3 5 0.0005 0.0005 0.0005\n"
+        "a 0 2 10\nx a { p 3 0 0 0 1 0 0 0 1 0 }\nk a { transl 2 0 -1 0 0 0 0 0 2 1 0 0 0 0 0 }\n"
+    )
+    film = ("render", "a.aff", "-o", "f%d.png", "--frames", "0:3", *SIZE)
+    assert run(*film).err == NOTE.format("a light at the eye")
+    with Image.open("f2.png") as image:
+        assert np.asarray(image).max() > 100
+    assert run(*film, "--lights", "file").err == ""
+    with Image.open("f2.png") as image:
+        assert np.asarray(image).max() < 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--lights", "all"], "'--lights': expected auto or file, got 'all'"),
+        (["--lights", "file", "--heatmap", "steps"], "--lights: not with --heatmap"),
+    ],
+)
+def test_refusals(run, arguments, reason):
+    assert reason in run("render", "cornell", *SIZE, *arguments).err

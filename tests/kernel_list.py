@@ -1,0 +1,132 @@
+"""What `raystream warm` compiles: recorded from commands that run, each in a process of its own.
+
+    python tests/kernel_list.py            # renews src/raystream/jit/kernels.json
+    python tests/kernel_list.py render-ao  # prints what one task asks for, as JSON
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
+QUERIES = ("first", "any", "multi", "count")
+TASKS = (*(f"render-{mode}" for mode in MODES), *(f"query-{kind}" for kind in QUERIES), "build")
+
+#: Width and height of a picture: rows are longer than the smallest batch for packets.
+SIZE = "1100x40"
+
+
+def render(mode: str) -> None:
+    from raystream.cli import main
+
+    for name, more in (("a.png", ()), ("b.png", ("--samples", "2"))):
+        with contextlib.suppress(SystemExit):
+            main(["render", "robots", "-o", name, "--mode", mode, "--size", SIZE, *more])
+
+
+def query(kind: str) -> None:
+    import numpy as np
+
+    import raystream as rs
+
+    tracer = rs.Tracer(rs.load("spheres"))
+    rng = np.random.default_rng(0)
+    ask = getattr(tracer, {"any": "any_hit", "count": "count_hits"}.get(kind, f"{kind}_hit"))
+    origins, directions = tracer.scene.camera.rays(300, 200)
+    ask(origins[0, 0], directions[0, 0])
+    for dtype in (np.float32, np.float64):
+        rays = np.array([origins, directions], dtype)
+        ask(*rays)
+        ask(*rays.reshape(2, -1, 3))
+        ask(*rng.permutation(rays.reshape(2, -1, 3), axis=1))
+
+
+def build() -> None:
+    import raystream as rs
+
+    scene = rs.load("spheres")
+    for quality in ("fast", "balanced", "high"):
+        with contextlib.suppress(ValueError):
+            rs.Tracer(scene, quality=quality)
+    tracer = rs.Tracer(scene)
+    tracer.update(scene.triangles.vertices * 2.0)
+
+
+def record(task: str) -> list[dict[str, Any]]:
+    """Run a task here, and note each kernel that it asks the cache for."""
+    from raystream.jit import signatures
+    from raystream.jit.cache import KernelCache
+
+    rows: list[dict[str, Any]] = []
+    load, save = KernelCache.load_overload, KernelCache.save_overload
+    begun: dict[Any, float] = {}
+
+    def note(self: Any, sig: Any, context: Any) -> Any:
+        types = [signatures.encode_type(one) for one in sig]
+        rows.append({"kernel": self.name, "types": types, "seconds": 0.0})
+        begun[self, sig] = time.thread_time()
+        return load(self, sig, context)
+
+    def note_end(self: Any, sig: Any, data: Any) -> None:
+        row = next(r for r in reversed(rows) if r["kernel"] == self.name)
+        row["seconds"] = round(time.thread_time() - begun[self, sig], 2)
+        save(self, sig, data)
+
+    KernelCache.load_overload, KernelCache.save_overload = note, note_end  # type: ignore[method-assign]
+    kind, _, name = task.partition("-")
+    {"render": render, "query": query}[kind](name) if name else build()
+    return rows
+
+
+def run(task: str, folder: Path | None = None) -> list[dict[str, Any]]:
+    """What `record` gives, in a process of its own; with an empty cache if a folder is given."""
+    environment = dict(os.environ)
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    if folder is not None:
+        # One thread, so that no helper compiles what is to be timed here.
+        environment |= {"RAYSTREAM_CACHE_DIR": str(folder), "RAYSTREAM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as place:
+        command = [sys.executable, str(Path(__file__).resolve()), task]
+        done = subprocess.run(
+            command, cwd=place, env=environment, capture_output=True, text=True, check=False
+        )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def renew() -> None:
+    from raystream.jit.warm import FILE
+
+    found: dict[str, dict[str, Any]] = {}
+    folder = tempfile.TemporaryDirectory()
+    for task in TASKS:
+        rows = run(task, Path(folder.name))
+        print(f"{task}: {len(rows)} kernels, {sum(r['seconds'] for r in rows):.1f} s")
+        for row in rows:
+            if None in row["types"]:
+                print("  cannot be listed:", row["kernel"])
+                continue
+            known = found.setdefault(json.dumps([row["kernel"], row["types"]]), row | {"tasks": []})
+            known["tasks"].append(task)
+            known["seconds"] = max(known["seconds"], row["seconds"])
+    lines = [
+        json.dumps({k: row[k] for k in ("kernel", "types", "tasks", "seconds")})
+        for row in found.values()
+    ]
+    folder.cleanup()
+    FILE.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        print(json.dumps(record(sys.argv[1])))
+    else:
+        renew()
