@@ -148,7 +148,9 @@ def test_a_test_that_fails_anyway_catches_nothing(project, capsys, monkeypatch):
     path.write_text(path.read_text() + "\ndef test_never():\n    assert False\n")
     names = ["by none"]
     assert run.main([*names, "--workers=1"], project, project / "faults.toml") == 1
-    assert run.FALSE_ALARM in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "fails without any fault: tests/core/test_sums.py::test_never\n" in printed
+    assert SURVIVED in printed.splitlines()[-2]
 
 
 @pytest.mark.exhaustive
