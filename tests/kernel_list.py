@@ -1,7 +1,7 @@
 """What `raystream warm` compiles: recorded from commands that run, each in a process of its own.
 
-    python tests/kernel_list.py            # renews src/raystream/jit/kernels.json
-    python tests/kernel_list.py render-ao  # prints what one task asks for, as JSON
+python tests/kernel_list.py            # renews src/raystream/jit/kernels.json
+python tests/kernel_list.py render-ao  # prints what one task asks for, as JSON
 """
 
 from __future__ import annotations
@@ -22,6 +22,11 @@ TASKS = (*(f"render-{mode}" for mode in MODES), *(f"query-{kind}" for kind in QU
 
 #: Width and height of a picture: rows are longer than the smallest batch for packets.
 SIZE = "1100x40"
+
+
+def write(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
 
 
 def render(mode: str) -> None:
@@ -50,6 +55,8 @@ def query(kind: str) -> None:
 
 
 def build() -> None:
+    import numpy as np
+
     import raystream as rs
 
     scene = rs.load("spheres")
@@ -57,7 +64,7 @@ def build() -> None:
         with contextlib.suppress(ValueError):
             rs.Tracer(scene, quality=quality)
     tracer = rs.Tracer(scene)
-    tracer.update(scene.triangles.vertices * 2.0)
+    tracer.update(np.concatenate([mesh.vertices for mesh in scene.meshes]) * 2.0)
 
 
 def record(task: str) -> list[dict[str, Any]]:
@@ -109,10 +116,10 @@ def renew() -> None:
     folder = tempfile.TemporaryDirectory()
     for task in TASKS:
         rows = run(task, Path(folder.name))
-        print(f"{task}: {len(rows)} kernels, {sum(r['seconds'] for r in rows):.1f} s")
+        write(f"{task}: {len(rows)} kernels, {sum(r['seconds'] for r in rows):.1f} s")
         for row in rows:
             if None in row["types"]:
-                print("  cannot be listed:", row["kernel"])
+                write(f"  cannot be listed: {row['kernel']}")
                 continue
             known = found.setdefault(json.dumps([row["kernel"], row["types"]]), row | {"tasks": []})
             known["tasks"].append(task)
@@ -127,6 +134,6 @@ def renew() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:]:
-        print(json.dumps(record(sys.argv[1])))
+        write(json.dumps(record(sys.argv[1])))
     else:
         renew()

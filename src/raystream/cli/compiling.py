@@ -55,7 +55,7 @@ class _FirstUse:
         self._seconds = 0.0
         self._has_told = False
 
-    def begin(self, kernel: str) -> None:
+    def begin(self, kernel: str) -> None:  # noqa: ARG002 - a watcher's
         with self._lock:
             if self._has_begun:
                 return
@@ -67,7 +67,7 @@ class _FirstUse:
                 with contextlib.suppress(OSError):  # no more processes: this one does it alone
                     self._helpers = start_helpers(self._task, count, longest_first=False)
 
-    def end(self, kernel: str, seconds: float) -> None:
+    def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a watcher's
         with self._lock:
             self._seconds += seconds
             is_time = self._seconds > DELAY and not self._has_told
