@@ -18,7 +18,7 @@ from typing import Any
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 QUERIES = ("first", "any", "multi", "count")
-TASKS = (*(f"render-{mode}" for mode in MODES), *(f"query-{kind}" for kind in QUERIES), "build")
+TASKS = ("build", *(f"render-{mode}" for mode in MODES), *(f"query-{kind}" for kind in QUERIES))
 
 #: Width and height of a picture: rows are longer than the smallest batch for packets.
 SIZE = "1100x40"
@@ -55,8 +55,6 @@ def query(kind: str) -> None:
 
 
 def build() -> None:
-    import numpy as np
-
     import raystream as rs
 
     scene = rs.load("spheres")
@@ -64,7 +62,7 @@ def build() -> None:
         with contextlib.suppress(ValueError):
             rs.Tracer(scene, quality=quality)
     tracer = rs.Tracer(scene)
-    tracer.update(np.concatenate([mesh.vertices for mesh in scene.meshes]) * 2.0)
+    tracer.update([mesh.vertices * 2.0 for mesh in scene.meshes])
 
 
 def record(task: str) -> list[dict[str, Any]]:
