@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
 from functools import cache
 from pathlib import Path
@@ -12,6 +13,19 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from docstrings import Docstrings
+from extras import Skipped, need
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let tests be interrupted, and note which skip for want of a package."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell began this in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    path = os.environ.get("RAYSTREAM_TEST_SKIPPED")
+    if path and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Skipped(Path(path)))
+    config.pluginmanager.register(Docstrings())
+
 
 MULTIPASS = {"machine": "multipass"}
 
@@ -304,6 +318,7 @@ def reason_against_graphics() -> str:
 
 def skip_without_adapter() -> None:
     """Skip the test that asks, with the reason, where wgpu or an adapter is missing."""
+    need("wgpu")
     if reason := reason_against_graphics():
         pytest.skip(reason)
 
@@ -324,6 +339,7 @@ def reason_against_cuda() -> str:
 
 def skip_without_cuda() -> None:
     """Skip the test that asks, with the reason, where numba-cuda or a GPU is missing."""
+    need("numba_cuda")
     if reason := reason_against_cuda():
         pytest.skip(reason)
 

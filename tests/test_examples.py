@@ -9,8 +9,16 @@ from pathlib import Path
 import pytest
 
 from conftest import child_environment
+from extras import need
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+#: What examples do more of where these packages are.
+PACKAGES = {
+    "cluster": ("dask", "distributed"),
+    "lidar_scan": ("matplotlib",),
+    "xray_attenuation": ("matplotlib",),
+}
 
 
 @pytest.mark.parametrize("example", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
@@ -31,3 +39,4 @@ def test_example(example, tmp_path):
     for word in run.stdout.replace(":", " ").replace(",", " ").split():
         if word.endswith((".png", ".npy", ".npz")):
             assert (tmp_path / word).stat().st_size > 0
+    need(*PACKAGES.get(example.stem, ()))

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from conftest import child_environment, reason_against_cuda
+from extras import need
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 if not FOLDER.is_dir():
@@ -87,6 +88,7 @@ def test_the_assembler_is_asked(tmp_path):
 
 
 def test_a_machine_without_a_gpu():
+    need("numba_cuda")
     if not reason_against_cuda():
         pytest.skip("there is a GPU")
     done = subprocess.run(
@@ -158,7 +160,7 @@ class Event(float):
 
 
 def test_launches_are_timed(monkeypatch):
-    pytest.importorskip("numba_cuda")
+    need("numba_cuda")
     from raystream.cuda import parts
     from raystream.jit.cuda import Gpu
 

@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("distributed", reason='needs Dask: pip install "raystream[cluster]"')
+from extras import need
+
+need("distributed")
 
 SIZE = ("--size", "24x18")
 

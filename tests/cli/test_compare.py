@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from extras import need
 from raystream.render.compare import compare, draw_difference
 
 
@@ -55,7 +56,7 @@ def test_difference_is_drawn(run, pictures):
 
 
 def test_layers_of_an_exr_do_no_harm(run, pictures):
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
     rs.Image(pictures[0].pixels, {"depth": np.zeros((6, 80))}).save("a.exr")
     assert run("compare", "a.exr", "a.png", "--json").figures["rmse"] == 0.0
 
@@ -81,7 +82,7 @@ def test_bad_input_is_refused_in_one_line(run, pictures, tmp_path, arguments, na
 
 def test_damaged_exr_is_one_line_whatever_openexr_prints(environment, tmp_path):
     """In a process of its own: the library in C prints past Python."""
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
     path = tmp_path / "cut.exr"
     rs.Image(np.random.default_rng(1).random((64, 64, 3))).save(path)
     path.write_bytes(path.read_bytes()[:9000])

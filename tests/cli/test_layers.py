@@ -7,6 +7,7 @@ import pytest
 from PIL import Image as Picture
 
 import raystream as rs
+from extras import need
 from raystream.cli.layers import GUIDES, NAMES
 from raystream.render.denoise import denoise
 from raystream.render.image import Image
@@ -22,7 +23,7 @@ def library(**options) -> Image:
 
 @pytest.fixture
 def exr():
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 import raystream as rs
+from extras import need
 from raystream.cli.render import DEFAULT_SCENE
 
 FIGURES = {
@@ -122,9 +123,11 @@ def test_tone_curve_is_the_librarys(run):
 
 
 def test_exr_keeps_linear_colours(run):
-    openexr = pytest.importorskip("OpenEXR")
+    need("OpenEXR")
+    import OpenEXR
+
     assert run("render", "cornell", "-o", "a.exr", "--size", "16x12").code == 0
-    with openexr.File("a.exr") as file:
+    with OpenEXR.File("a.exr") as file:
         found = file.channels()["RGB"].pixels
     expected = rs.render(rs.load("cornell"), size=(16, 12)).pixels
     np.testing.assert_array_equal(found, expected)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from extras import need
 from raystream.render.image import Image
 
 SAMPLES = 200
@@ -22,7 +23,7 @@ KEPT = "out.exr.samples.npz"
 
 @pytest.fixture
 def exr():
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
 
 
 def break_off(number: int, environment: dict[str, str], folder: Path) -> tuple[int, str]:

@@ -13,10 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from extras import need
+
+need("zarr")
+
+import zarr
+
 import raystream as rs
 from ray_stores import assert_tracers, content_of, cornell_rays, read_store, write_store
-
-zarr = pytest.importorskip("zarr")
 
 ASKED = ("query", "cornell", "rays.zarr", "-o", "hits.zarr")
 RECORD = Path("hits.zarr.progress.json")

@@ -9,13 +9,15 @@ from typing import Any
 import pytest
 
 import raystream as rs
+from extras import need
 
 
 @pytest.fixture(scope="session")
 def local_cluster() -> Callable[[], Any]:
     """Makes clusters of two workers."""
-    reason = 'needs Dask: pip install "raystream[cluster]"'
-    distributed = pytest.importorskip("distributed", reason=reason)
+    need("distributed")
+    import distributed
+
     return lambda: distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=1,

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from extras import need
+
+need("distributed")
+
 import raystream as rs
 from conftest import assert_same_bits
-
-pytest.importorskip("distributed", reason='needs Dask: pip install "raystream[cluster]"')
-
 from raystream.cluster import depot, folder, parcels, post, scenes
 from raystream.cluster.errors import ClusterError
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("distributed")
+
 import raystream as rs
 from conftest import assert_same_bits
-
-pytest.importorskip("distributed", reason='needs Dask: pip install "raystream[cluster]"')
 
 SIZE = (32, 24)
 

@@ -7,11 +7,15 @@ import math
 import numpy as np
 import pytest
 
+from extras import need
+
+need("dask", "distributed")
+
+import dask.array as da
+
 import raystream as rs
 from cases import CASES
 from conftest import TRACERS, assert_same_bits
-
-da = pytest.importorskip("dask.array", reason='needs Dask: pip install "raystream[cluster]"')
 
 HITS = ("t", "u", "v", "prim_id", "status", "mesh_id", "mesh_prim_id", "positions", "normals")
 ROWS = (*HITS, "ray_splits", "counts")

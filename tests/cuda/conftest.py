@@ -1,21 +1,43 @@
-"""A device to test with: a GPU or Numba's simulator; where neither is, tests skip."""
+"""A device to test with: a GPU or Numba's simulator; where neither is, tests skip.
+
+What needs numba-cuda is imported by fixtures: without it, each module of tests says so and skips.
+"""
 
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from conftest import skip_without_cuda
-from raystream.jit.cuda import Gpu, RangeKernel, is_simulated, open_gpu
 from raystream.jit.loops import compile_loop
+
+if TYPE_CHECKING:
+    from raystream.jit.cuda import Gpu
+
+_HERE = Path(__file__).parent
+
+#: Fixtures of tests that touch a device; all others compile, emulate, or fake one.
+DEVICES = {"gpu", "device"}
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that Numba's simulator can run."""
+    for item in items:
+        if not DEVICES.isdisjoint(getattr(item, "fixturenames", ())) and _HERE in item.path.parents:
+            item.add_marker(pytest.mark.cuda_device)
 
 
 @pytest.fixture
 def gpu() -> Gpu:
     """The device that tracers use."""
     skip_without_cuda()
+    from raystream.jit.cuda import open_gpu
+
     return open_gpu()
 
 
@@ -54,6 +76,8 @@ def _sort(_gpu, keys, values, _bits):
 @pytest.fixture
 def simple_sort(monkeypatch):
     """NumPy's sort and sum, where the device is simulated."""
+    from raystream.jit.cuda import is_simulated
+
     if is_simulated():
         from raystream.cuda.builders import lists, records
         from raystream.cuda.builders.graph import sectors
@@ -69,6 +93,8 @@ def simple_sort(monkeypatch):
 def device(simple_sort, monkeypatch):
     """The device; a simulated one runs loops."""
     skip_without_cuda()
+    from raystream.jit.cuda import RangeKernel, is_simulated, open_gpu
+
     if is_simulated():
         monkeypatch.setattr(RangeKernel, "launch", _launch)
     return open_gpu()

@@ -7,6 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from cases import CASES
 from conftest import CUDA_TRACERS, GPU_TRACERS

@@ -10,6 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from conftest import assert_same_bits
 from raystream.cuda import tables

@@ -10,6 +10,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from cases import CASES
 from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated
@@ -360,7 +364,6 @@ _KERNELS = (
     ],
 )
 def test_every_kernel_compiles(name):
-    pytest.importorskip("numba_cuda")
     from raystream.cuda.builders.catalogue import block_catalogue, build_catalogue
 
     ranges, blocks = build_catalogue(), block_catalogue()

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from cases import CASES
 from meshes import soup

@@ -11,18 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from cases import CASES, Case
 from meshes import soup
 from raystream.core.rays import RayBatch
-from raystream.kernels.collect import HitAddresses, HitArrays
-from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.structures import build_structure
-from strategies import meshes, scenes_and_rays
-from test_agreement import case_of, expected_of
-
-pytest.importorskip("numba_cuda")
-
 from raystream.cuda.bvh import binary
 from raystream.cuda.bvh.binary import unfold
 from raystream.cuda.bvh.compressed import LEAF_SIZE, compress
@@ -31,6 +27,11 @@ from raystream.cuda.bvh.pairs import depth_of
 from raystream.cuda.bvh.slots import assign_slots
 from raystream.cuda.structures import kernels_of
 from raystream.cuda.threads import SeenTables
+from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.structures import build_structure
+from strategies import meshes, scenes_and_rays
+from test_agreement import case_of, expected_of
 
 NOWHERE = np.uint64(0)
 

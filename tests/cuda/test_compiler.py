@@ -7,13 +7,16 @@ import re
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated
 from raystream.jit.cuda.arguments import flat
 from raystream.jit.simd import load, store
 
-pytest.importorskip("numba_cuda")
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 

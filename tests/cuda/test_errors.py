@@ -7,13 +7,14 @@ import sys
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from conftest import reason_against_cuda
 from fake_driver import Driver, install
 from raystream.core.errors import RaystreamError
-
-pytest.importorskip("numba_cuda")
-
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import (
     Compiled,

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from raystream.jit.cuda import CudaError, Gpu, gpu_count
 from test_agreement import case_of

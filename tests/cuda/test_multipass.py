@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("numba_cuda")
+from extras import need
+
+need("numba_cuda")
 
 import raystream as rs
 from conftest import CUDA_TRACERS, assert_same_bits

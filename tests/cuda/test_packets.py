@@ -10,24 +10,25 @@ import numba
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
-from raystream.jit.cpu import FLAGS, device
-from raystream.jit.simd import load, store
-from raystream.jit.votes import ballot, together
-from test_agreement import case_of
-
-pytest.importorskip("numba_cuda")
-
 from raystream.core.rays import RayBatch
 from raystream.cuda import threads
 from raystream.cuda.bvh import packet_traversal
 from raystream.cuda.bvh.binary import STACK_BYTES
 from raystream.cuda.bvh.kernels import lay_out
 from raystream.cuda.structures import kernels_of
+from raystream.jit.cpu import FLAGS, device
+from raystream.jit.simd import load, store
+from raystream.jit.votes import ballot, together
 from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.tally import new_tallies
 from raystream.structures import build_structure
+from test_agreement import case_of
 
 #: Threads of the emulated warp.
 LANES = 6

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import load, store
-
-pytest.importorskip("numba_cuda")
-
 from raystream.jit.cuda import CAPABILITIES, PersistentKernel, is_simulated
+from raystream.jit.simd import load, store
 
 
 @kernel

@@ -7,6 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from extras import need
+
+need("numba_cuda")
+
 from conftest import skip_without_cuda
 from raystream.jit.cuda import is_simulated, open_gpu
 from raystream.jit.cuda.radix import sort_pairs

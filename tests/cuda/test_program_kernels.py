@@ -9,12 +9,15 @@ import numba
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from raystream.jit.cuda import CAPABILITIES, is_simulated
 from raystream.jit.cuda.arguments import flat
 from raystream.streams import device
 
-pytest.importorskip("numba_cuda")
 if is_simulated():
     pytest.skip("the simulator has no compiler", allow_module_level=True)
 

@@ -7,6 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from conftest import CUDA_TRACERS, assert_same_bits
 from programs.layers import layers_rays, layers_scene

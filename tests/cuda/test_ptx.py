@@ -10,6 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import fake_driver
 import raystream as rs
 from cases import CASES

@@ -7,6 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from conftest import assert_same_bits
 from raystream.cli import main

@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import cube, icosphere

@@ -8,6 +8,10 @@ import sys
 import numpy as np
 import pytest
 
+from extras import need
+
+need("numba_cuda")
+
 from bench.test_scripts import script
 from raystream.cuda import ray_order
 from raystream.jit.cuda import is_simulated

@@ -8,7 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("numba_cuda")
+from extras import need
+
+need("numba_cuda")
 
 from raystream.core.errors import LoopLimitError
 from raystream.cuda.streams import StreamMemory

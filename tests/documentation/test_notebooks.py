@@ -9,6 +9,7 @@ import json
 import pytest
 
 from documentation.commands import REPOSITORY
+from extras import need
 
 FOLDER = REPOSITORY / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -46,7 +47,7 @@ def test_stored_outputs(path):
 @pytest.mark.documentation
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=IDS)
 def test_notebook_runs(path, tmp_path, monkeypatch):
-    pytest.importorskip("nbclient", reason="pip install raystream[docs]")
+    need("nbclient")
     monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel draws into the notebook
     specification = importlib.util.spec_from_file_location("refresh", FOLDER / "refresh.py")
     refresh = importlib.util.module_from_spec(specification)

@@ -15,6 +15,8 @@ from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import form_of
 from raystream.graphics.pace import Pace
 
+pytestmark = pytest.mark.usefixtures("opened")
+
 #: Two in the way of rays along z, and one aside.
 LAYERS = [
     [0, 0, 1],

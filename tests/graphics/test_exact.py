@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from raystream.graphics.buffers import Buffer
-from raystream.graphics.pipelines import bind_group, compute_pipeline
+from raystream.graphics.pipelines import Program, bind, compute_pipeline
 from raystream.graphics.source import shader_source
 
 _FRAME = """
@@ -29,13 +29,17 @@ fn trace(@builtin(global_invocation_id) id: vec3u) {
 """
 
 
+_LAYOUT = ("gather", "gather", "scatter")
+
+
 @pytest.fixture
 def evaluate(opened):
     """Values of an expression of exact.wgsl for rows (x.x, x.y, x.z, x.w)."""
 
     def values(expression: str, rows: np.ndarray) -> np.ndarray:
         source = shader_source("exact.wgsl") + _FRAME.replace("EXPRESSION", expression)
-        pipeline = compute_pipeline(opened, source, expression, {})
+        program = Program(source, "trace", [_LAYOUT])
+        pipeline = compute_pipeline(opened, expression, program)
         arrays = np.zeros(16, np.uint32), rows.astype(np.float32), np.zeros((len(rows), 2), "f4")
         buffers = []
         for array in arrays:
@@ -47,7 +51,7 @@ def evaluate(opened):
         run = encoder.begin_compute_pass()
         run.set_pipeline(pipeline)
         bindings = [buffer.binding for buffer in buffers]
-        run.set_bind_group(0, bind_group(opened, pipeline, 0, bindings))
+        run.set_bind_group(0, bind(opened, _LAYOUT, bindings, is_compute=True))
         run.dispatch_workgroups(-(-len(rows) // 64))
         run.end()
         opened.device.queue.submit([encoder.finish()])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 from html.parser import HTMLParser
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from extras import need
 from raystream.lab import About, Claim, Experiment, Outcome, Picture, Plot, Result, Series, Table
 from raystream.lab.report import as_html, as_markdown, write_report
 
@@ -111,8 +111,7 @@ def test_report_is_written_with_plots(
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     table = content["experiments"]["purcell-what"]["tables"][0]
     assert table["rows"] == [{"what": EVIL, "number": 1.5}, {"what": "none", "number": None}]
-    if importlib.util.find_spec("matplotlib") is None:
-        pytest.skip("plots need matplotlib")
+    need("matplotlib")
     for name in ("p-1", "p-2", "p-3"):
         with Image.open(folder / "plots" / f"{name}.png") as image:
             assert image.width > 300

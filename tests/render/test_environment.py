@@ -9,6 +9,7 @@ import pytest
 
 import raystream as rs
 from chi_square import assert_follows
+from extras import need
 from meshes import icosphere
 from raystream.jit.cpu import kernel
 from raystream.render.environment import axes_of, mean_radiance, row_heights, texels_of
@@ -324,7 +325,7 @@ def test_files_are_maps(tmp_path):
 
 
 def test_exr_files_are_maps(tmp_path):
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
     rs.Image(sunny_map()).save(tmp_path / "sky.exr")
     light = rs.EnvironmentLight(image=tmp_path / "sky.exr")
     np.testing.assert_array_equal(texels_of(light), sunny_map())

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image as PillowImage
 
 import raystream as rs
+from extras import need
 from raystream.core.errors import FileFormatError
 from raystream.render.color import decode_srgb
 from raystream.render.layers import channels_of, layers_of
@@ -82,7 +83,10 @@ def test_channels_of_others_are_kept_apart():
 
 @pytest.fixture
 def openexr():
-    return pytest.importorskip("OpenEXR", reason="needs raystream[exr]")
+    need("OpenEXR")
+    import OpenEXR
+
+    return OpenEXR
 
 
 def test_exr_comes_back_bit_for_bit(layered, tmp_path, openexr):
@@ -153,7 +157,7 @@ def test_picture_that_memory_cannot_hold_is_refused(layered, tmp_path, monkeypat
     layered.save(tmp_path / "x.png")
     with pytest.raises(MemoryError, match=r"x\.png.* 7x5"):
         rs.Image.load(tmp_path / "x.png")
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
     layered.save(tmp_path / "x.exr")
     with pytest.raises(MemoryError, match=r"x\.exr.* 7x5"):
         rs.Image.load(tmp_path / "x.exr")
@@ -163,7 +167,7 @@ def test_picture_that_memory_cannot_hold_is_refused(layered, tmp_path, monkeypat
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
 def test_file_that_is_cut_off_is_refused(layered, tmp_path, suffix, cut):
     if suffix == ".exr":
-        pytest.importorskip("OpenEXR")
+        need("OpenEXR")
     path = tmp_path / f"x{suffix}"
     layered.save(path)
     path.write_bytes(path.read_bytes()[:cut])
@@ -174,7 +178,7 @@ def test_file_that_is_cut_off_is_refused(layered, tmp_path, suffix, cut):
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
 def test_missing_file_and_folder_are_refused(tmp_path, suffix):
     if suffix == ".exr":
-        pytest.importorskip("OpenEXR")
+        need("OpenEXR")
     with pytest.raises(FileFormatError, match="no such file"):
         rs.Image.load(tmp_path / f"x{suffix}")
     (tmp_path / f"y{suffix}").mkdir()

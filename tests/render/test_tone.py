@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from extras import need
 from raystream.render.tone import TONES, apply_tone
 
 
@@ -67,7 +68,7 @@ def test_file_is_toned_if_it_is_for_screens(tmp_path):
     image.save(tmp_path / "x.png", tone="aces")
     shown = rs.Image.load(tmp_path / "x.png")
     np.testing.assert_array_equal(shown.to_bytes(), image.to_bytes(tone="aces"))
-    pytest.importorskip("OpenEXR")
+    need("OpenEXR")
     image.save(tmp_path / "x.exr", tone="aces")
     assert (rs.Image.load(tmp_path / "x.exr").pixels == 3.0).all()
 

@@ -18,6 +18,7 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 
 from conftest import child_environment
+from extras import need
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
@@ -36,7 +37,9 @@ PHONE = {
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     """A browser; tests that need one skip without it."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    need("playwright")
+    from playwright import sync_api
+
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)
     if program is None:
         pytest.skip(f"needs a browser: one of {', '.join(PROGRAMS)}")
@@ -51,7 +54,7 @@ def chromium() -> Iterator[Any]:
 @contextmanager
 def serving(scene: str, *options: str) -> Iterator[str]:
     """The address of a viewer of a scene, in a process of its own."""
-    pytest.importorskip("uvicorn", reason="needs raystream[view]")
+    need("starlette", "uvicorn", "websockets")
     command = [sys.executable, "-m", "raystream", "view", scene, "--port", "0", "--no-open"]
     process = subprocess.Popen(
         [*command, *options],

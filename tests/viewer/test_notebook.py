@@ -10,8 +10,9 @@ import urllib.request
 
 import pytest
 
-pytest.importorskip("uvicorn")
-pytest.importorskip("websockets")
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
 
 import raystream as rs
 from conftest import child_environment

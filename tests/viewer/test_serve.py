@@ -9,8 +9,9 @@ import urllib.request
 
 import pytest
 
-pytest.importorskip("uvicorn")
-pytest.importorskip("websockets")
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
 
 from fake_studio import FakeStudio
 from raystream.core.errors import RaystreamError

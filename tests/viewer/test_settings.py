@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 import raystream as rs
+from extras import need
 from raystream.machines.devices import device_of
 from raystream.render.picture import RENDERERS
 from raystream.structures import STRUCTURES as ALL_STRUCTURES
@@ -25,7 +26,7 @@ def test_the_names_are_those_of_the_library():
 
 @pytest.mark.parametrize(("device", "package"), [("graphics", "wgpu"), ("cuda", "numba_cuda")])
 def test_so_are_the_machines_of_other_devices(device, package):
-    pytest.importorskip(package)
+    need(package)
     assert MACHINES[device] == device_of(device).machines.names
 
 

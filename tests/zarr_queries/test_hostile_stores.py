@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from extras import need
+
+need("zarr")
+
+import zarr
+
 import raystream as rs
 from ray_stores import cornell_rays, write_store
 from raystream.zarr_queries import ray_store
 from raystream.zarr_queries.ray_store import RayStore
-
-zarr = pytest.importorskip("zarr")
 
 ZEROS = np.zeros((4, 3))
 

@@ -7,6 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
+from extras import need
+
+need("zarr")
+
 import raystream as rs
 from ray_stores import (
     OPTIONS,
@@ -16,9 +20,6 @@ from ray_stores import (
     write_store,
 )
 from raystream.zarr_queries import asking
-
-pytest.importorskip("zarr")
-
 
 #: Leading shape, chunk, Zarr's format, and rays of a block.
 STORES = {

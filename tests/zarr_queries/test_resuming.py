@@ -9,12 +9,16 @@ import shutil
 import numpy as np
 import pytest
 
+from extras import need
+
+need("zarr")
+
+import zarr
+
 import raystream as rs
 from ray_stores import OPTIONS, assert_tracers, content_of, cornell_rays, read_store, write_store
 from raystream.zarr_queries import StoreWritingError, progress_beside
 from raystream.zarr_queries.durable import locked
-
-zarr = pytest.importorskip("zarr")
 
 SHAPE, CHUNK, BLOCK = (20, 25), (4, 25), 100
 ROWS = 130

@@ -1,4 +1,7 @@
-"""Servers for tests, and a search for what they leave behind."""
+"""Servers for tests, and a search for what they leave behind.
+
+What needs [view] is imported by fixtures: without it, each module of tests says so and skips.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,13 @@ import threading
 
 import pytest
 
-pytest.importorskip("uvicorn")
-pytest.importorskip("websockets")
-
-from raystream.viewer.server import app
-from viewer_home import PAGE, Home, count_files, wait_until
-
 
 @pytest.fixture(scope="session")
 def temporary(tmp_path_factory):
     """Where temporary folders go."""
+    from raystream.viewer.server import app
+    from viewer_home import PAGE
+
     folder = tmp_path_factory.mktemp("temporary")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tempfile, "tempdir", str(folder))
@@ -27,6 +27,8 @@ def temporary(tmp_path_factory):
 @pytest.fixture(scope="session")
 def shared_home(temporary):
     """One server for the tests that leave it as it was."""
+    from viewer_home import Home
+
     home = Home()
     yield home
     home.close()
@@ -35,6 +37,8 @@ def shared_home(temporary):
 @pytest.fixture
 def no_leaks(temporary):
     """Afterwards there are no more threads, files and folders than before."""
+    from viewer_home import count_files, wait_until
+
     threads, files = threading.active_count(), count_files()
     yield
     assert list(temporary.iterdir()) == []
@@ -45,6 +49,8 @@ def no_leaks(temporary):
 @pytest.fixture
 def make_home(no_leaks):
     """Make servers for one test."""
+    from viewer_home import Home
+
     homes = []
 
     def make(*arguments, **options):

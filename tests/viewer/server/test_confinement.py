@@ -6,6 +6,10 @@ import json
 
 import pytest
 
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
+
 import raystream as rs
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.viewer.server.upload_folder import RefusedError, TooLargeError, UploadFolder

@@ -6,6 +6,10 @@ import logging
 
 import pytest
 
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
+
 from raystream.core.errors import RaystreamError
 from raystream.viewer.server.access import Access, make_token
 

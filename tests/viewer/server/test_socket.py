@@ -13,6 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
+
 from websockets.exceptions import ConnectionClosed
 
 from raystream.viewer.messages import Frame

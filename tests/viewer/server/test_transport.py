@@ -7,6 +7,10 @@ import time
 
 import pytest
 
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
+
 from raystream.viewer.server import transport
 from viewer_home import PAGE, read_answer, wait_until
 

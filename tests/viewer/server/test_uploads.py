@@ -13,6 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
+
 from raystream.viewer.server import upload_folder, uploads
 from raystream.viewer.server.names import is_upload_id, safe_name
 from viewer_home import LIMIT, read_answer, wait_until

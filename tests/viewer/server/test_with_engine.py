@@ -7,6 +7,10 @@ import struct
 
 import pytest
 
+from extras import need
+
+need("starlette", "uvicorn", "websockets")
+
 import raystream as rs
 from raystream.viewer.serve import ViewServer, bind
 from raystream.viewer.studio import Studio

@@ -1,0 +1,280 @@
+"""``.ci/nightly``: which parts run, in which order, and what is noted of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPT = ROOT / ".ci" / "nightly"
+if not SCRIPT.is_file():
+    pytest.skip("CI is not in an installed package", allow_module_level=True)
+
+
+def load():
+    loader = SourceFileLoader("nightly", str(SCRIPT))
+    specification = importlib.util.spec_from_loader("nightly", loader)
+    module = importlib.util.module_from_spec(specification)
+    sys.modules["nightly"] = module  # dataclasses look there
+    sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
+    try:
+        loader.exec_module(module)
+    finally:
+        sys.dont_write_bytecode = kept
+    return module
+
+
+nightly = load()
+Outcome, Part = nightly.Outcome, nightly.Part
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """A folder that git does not know, with a room and its tests."""
+    for name in ("src/room/a.py", "src/room/b.py", "tests/room/test_a.py"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(name)
+    return tmp_path
+
+
+ROOM = Part("room", ["src/room"], ["tests/room", "-k", "not slow"])
+
+
+# ---- What has changed.
+
+
+def test_hashes_are_of_sources_tests_and_names(tree):
+    seen = [nightly.digest(tree, ROOM)]
+    (tree / "src/room/a.py").write_text("changed")
+    seen.append(nightly.digest(tree, ROOM))
+    (tree / "tests/room/test_a.py").write_text("changed")
+    seen.append(nightly.digest(tree, ROOM))
+    (tree / "src/room/b.py").rename(tree / "src/room/c.py")
+    seen.append(nightly.digest(tree, ROOM))
+    (tree / "src/room/deep").mkdir()
+    (tree / "src/room/deep/d.py").write_text("new")
+    seen.append(nightly.digest(tree, ROOM))
+    seen.append(nightly.digest(tree, Part("room", ["src/room"], ["tests/room"])))
+    assert len(set(seen)) == len(seen)
+
+
+def test_hashes_are_not_of_other_folders_and_compiled_files(tree):
+    before = nightly.digest(tree, ROOM)
+    (tree / "src/room/__pycache__").mkdir()
+    (tree / "src/room/__pycache__/a.pyc").write_text("compiled")
+    (tree / "src/other.py").write_text("other")
+    assert nightly.digest(tree, ROOM) == before
+
+
+def test_a_copy_without_git_has_the_same_hash(tree):
+    without = nightly.digest(tree, ROOM)
+    (tree / ".gitignore").write_text("*.out\n")
+    for command in (["init", "--quiet"], ["add", "src/room/a.py"]):
+        subprocess.run(["git", *command], cwd=tree, check=True)
+    (tree / "src/room/ignored.out").write_text("built")
+    assert nightly.digest(tree, ROOM) == without
+
+
+def test_paths_that_are_not_there_are_named(tree):
+    with pytest.raises(SystemExit, match="'room': src/romo: no such files"):
+        nightly.digest(tree, Part("room", ["src/romo"]))
+
+
+# ---- Which parts run.
+
+
+def test_the_quickest_part_is_first_and_unknown_ones_last():
+    parts = [Part(name, []) for name in ("unknown", "slow", "quick", "new")]
+    record = {"slow": {"seconds": 300}, "quick": {"seconds": 2}}
+    order = [part.name for part in nightly.in_order(parts, record)]
+    assert order == ["quick", "slow", "unknown", "new"]
+
+
+def test_none_begins_after_the_time_is_up():
+    parts = [Part(str(minutes), []) for minutes in (5, 14, 30, 1)]
+    now = [0.0]
+
+    def run(part):
+        now[0] += 60.0 * int(part.name)
+        return Outcome(nightly.PASSED, 1.0)
+
+    ran = nightly.run_parts(parts, run, 20.0, lambda: now[0])
+    assert list(ran) == ["5", "14", "30"]  # the third begins in time
+
+
+@pytest.fixture
+def fake(monkeypatch, tmp_path):
+    """Parts that end as they are told to; a record in a folder of its own."""
+    parts = dict.fromkeys(("a", "b", "c"), nightly.PASSED)
+    ran = []
+
+    def run_part(part):
+        ran.append(part.name)
+        return Outcome(parts.get(part.name, nightly.PASSED), 7.4)
+
+    monkeypatch.setattr(nightly, "RECORD", tmp_path / "nightly.json")
+    monkeypatch.setattr(nightly, "load_record", lambda: json.loads(record()))
+    monkeypatch.setattr(nightly, "load_parts", lambda: [Part(name, ["src"]) for name in parts])
+    monkeypatch.setattr(nightly, "digest", lambda root, part: f"hash of {part.name}")
+    monkeypatch.setattr(nightly, "run_part", run_part)
+
+    def record():
+        path = tmp_path / "nightly.json"
+        return path.read_text() if path.exists() else "{}"
+
+    return parts, ran, lambda: json.loads(record())
+
+
+def test_only_green_parts_are_noted(fake, capsys):
+    parts, ran, record = fake
+    parts["b"], parts["c"] = nightly.FAILED, nightly.NOTHING
+    assert nightly.main(["--without-faults"]) == 1
+    assert ran == ["a", "b", "c"]
+    assert list(record()) == ["a"]
+    assert (record()["a"]["hash"], record()["a"]["seconds"]) == ("hash of a", 7)
+    assert re.search(r"^b +FAILED", capsys.readouterr().out, re.MULTILINE)
+    parts["b"] = nightly.PASSED
+    assert nightly.main(["b"]) == 0
+    assert ran[3:] == ["b"]
+    assert list(record()) == ["a", "b"]
+
+
+def test_a_part_that_breaks_keeps_its_last_green_hash(fake, monkeypatch):
+    parts, _, record = fake
+    assert nightly.main(["--without-faults"]) == 0
+    before = record()
+    monkeypatch.setattr(nightly, "digest", lambda root, part: "another hash")
+    parts["a"] = nightly.FAILED
+    assert nightly.main(["a"]) == 1
+    assert record() == before
+
+
+def test_ci_runs_what_has_changed_and_notes_nothing(fake, monkeypatch, capsys):
+    _, ran, record = fake
+    nightly.main(["a", "b"])
+    before = record()
+    ran.clear()
+    monkeypatch.setattr(
+        nightly, "digest", lambda _, part: f"hash of {part.name}" + "!" * (part.name == "b")
+    )
+    assert nightly.main(["--changed", "--minutes", "20"]) == 0
+    assert ran == ["b", "c"]
+    assert record() == before
+    assert re.search(r"^a +unchanged$", capsys.readouterr().out, re.MULTILINE)
+    assert nightly.main(["--changed", "--record"]) == 0
+    assert sorted(record()) == ["a", "b", "c"]
+    ran.clear()
+    assert nightly.main(["--changed"]) == 0
+    assert ran == []
+
+
+def test_parts_without_time_are_listed_and_no_failure(fake, capsys):
+    _, ran, _ = fake
+    assert nightly.main(["--changed", "--minutes", "0"]) == 0
+    assert ran == []
+    assert "not run, for want of time: a, b, c" in capsys.readouterr().out
+
+
+def test_seeded_faults_are_last_and_never_in_ci(fake, monkeypatch, tmp_path):
+    _, ran, record = fake
+    monkeypatch.setattr(nightly, "FAULTS", tmp_path / "run.py")
+    (tmp_path / "run.py").touch()
+    for arguments in (["--changed"], ["--without-faults"], ["a"]):
+        nightly.main(arguments)
+    assert "seeded faults" not in ran
+    nightly.main([])
+    assert ran[-1] == "seeded faults"
+    assert "seeded faults" not in record()
+
+
+def test_unknown_parts_are_refused(fake, capsys):
+    with pytest.raises(SystemExit):
+        nightly.main(["d"])
+    assert "no part 'd'; there are 'a', 'b', 'c'" in capsys.readouterr().err
+
+
+# ---- How they end.
+
+
+@pytest.mark.parametrize(
+    ("code", "tests", "skipped", "expected"),
+    [
+        (0, 5, 2, ("passed", "3 tests, 2 skipped")),
+        (1, 5, 0, ("FAILED", "5 tests")),
+        (0, 4, 4, ("nothing ran", "0 tests, 4 skipped")),
+        (5, 0, 0, ("passed", "0 tests")),
+    ],
+)
+def test_a_part_is_judged_by_its_report(tmp_path, code, tests, skipped, expected):
+    report = tmp_path / "report.xml"
+    report.write_text(f'<testsuites><testsuite tests="{tests}" skipped="{skipped}"/></testsuites>')
+    assert nightly.judge(code, report) == expected
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at Linux's list of processes")
+def test_an_interrupt_leaves_no_processes(tmp_path):
+    """Not even those that a part's processes started, and that take no notice."""
+    child = "import signal, time; signal.signal(2, 1); signal.signal(15, 1); time.sleep(60)"
+    parent = (
+        "import subprocess, sys, time; from pathlib import Path; "
+        f"child = subprocess.Popen([sys.executable, '-c', {child!r}]); "
+        f"Path({str(tmp_path / 'id')!r}).write_text(f'{{child.pid}}\\n'); time.sleep(60)"
+    )
+    code = (
+        f"import runpy, signal, sys; n = runpy.run_path({str(SCRIPT)!r}); "
+        "signal.signal(15, n['_interrupt']); "
+        f"n['run_whole']([sys.executable, '-c', {parent!r}], {{}})"
+    )
+    script = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 60.0
+    while not (tmp_path / "id").exists() or not (tmp_path / "id").read_text().endswith("\n"):
+        assert time.monotonic() < end
+        assert script.poll() is None, script.stderr.read()
+        time.sleep(0.02)
+    script.send_signal(signal.SIGTERM)
+    assert "KeyboardInterrupt" in script.communicate(timeout=60)[1]
+    number = int((tmp_path / "id").read_text())
+    while is_running(number):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def is_running(number):
+    """Whether there is a process of this number that has not ended."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+# ---- The parts that there are.
+
+
+def test_every_exhaustive_test_is_in_a_part():
+    """By the text: a module that marks tests, or takes fixtures whose cases are marked."""
+    paths = [ROOT / one for part in nightly.load_parts() for one in part.tests]
+    files = [file for file in (ROOT / "tests").rglob("test_*.py") if file != Path(__file__)]
+    marked = [
+        file for file in files if re.search(r"exhaustive|make_tracer", file.read_text("utf-8"))
+    ]
+    assert len(marked) > 20
+    assert [file for file in marked if not {file, *file.parents} & {*paths}] == []
+
+
+def test_parts_have_names_and_files():
+    parts = nightly.load_parts()
+    assert len({part.name for part in parts}) == len(parts)
+    for part in parts:
+        assert nightly.covered_files(ROOT, part)
+        assert bool(part.tests) != bool(part.command), part.name
+    assert set(nightly.load_record()) <= {part.name for part in parts}
