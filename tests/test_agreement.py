@@ -14,7 +14,7 @@ import pytest
 
 import raystream as rs
 from cases import CASES, Case
-from conftest import GRAPHICS_TRACERS, TRACERS, assert_same_bits
+from conftest import CODE_PATHS, GRAPHICS_TRACERS, TRACERS, assert_same_bits, is_usual
 from oracles import check_counts, check_first, judge
 from tolerance import Tolerance, assert_close
 
@@ -102,7 +102,7 @@ def assert_same_answers(tracer: rs.Tracer, oracle: rs.Tracer, rays) -> None:
     assert_expected_of(tracer, rays, answers_of(oracle, rays))
 
 
-#: Cases that graphics devices are always asked: compute shaders, and the fragment programs that
+#: Cases that graphics devices are asked in a usual run: compute shaders, and the fragment programs that
 #: take many passes. Those of all others are for CI: ``-m exhaustive``.
 COMPUTE_CASES = ("exact_edges_on_a_lattice", "limits_at_the_hits_themselves")
 FRAGMENT_CASES = ("exact_edges_on_a_lattice",)
@@ -110,10 +110,16 @@ FRAGMENT_TRACERS = ("grid, multipass, graphics", "kdtree, backtrack, multipass, 
 
 
 def is_exhaustive(tracer: str, name: str) -> bool:
-    """Whether a case on a tracer is left out of a usual run."""
-    options = GRAPHICS_TRACERS.get(tracer)
-    if options is None:
-        return False
+    """Whether a case on a tracer is left out of a usual run.
+
+    Each case has about half of the code paths and a quarter of all other tracers on the CPU, each
+    tracer as many of the cases; those of `ALL_OPTIONS` have every code path.
+    """
+    if tracer in TRACERS:
+        if tracer in CODE_PATHS and name in ALL_OPTIONS:
+            return False
+        return not is_usual(tracer, list(CASES).index(name), 2 if tracer in CODE_PATHS else 4)
+    options = GRAPHICS_TRACERS[tracer]
     if tracer == "kdtree, short stack, graphics":  # one of four traversals
         return True
     if "machine" in options:
