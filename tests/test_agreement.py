@@ -102,7 +102,7 @@ def assert_same_answers(tracer: rs.Tracer, oracle: rs.Tracer, rays) -> None:
     assert_expected_of(tracer, rays, answers_of(oracle, rays))
 
 
-#: Cases that graphics devices are asked in a usual run: compute shaders, and the fragment programs that
+#: Cases that graphics devices are always asked: compute shaders, and the fragment programs that
 #: take many passes. Those of all others are for CI: ``-m exhaustive``.
 COMPUTE_CASES = ("exact_edges_on_a_lattice", "limits_at_the_hits_themselves")
 FRAGMENT_CASES = ("exact_edges_on_a_lattice",)

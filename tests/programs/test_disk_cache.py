@@ -38,7 +38,8 @@ print(record["depth"], first.prim_id, compiled)
 
 
 def run(folder):
-    return run_fresh(folder / "script.py", [SOURCE], {"RAYSTREAM_CACHE_DIR": str(folder / "cache")})
+    variables = {"RAYSTREAM_CACHE_DIR": str(folder / "cache")}
+    return run_fresh(folder / "script.py", [SOURCE], variables)
 
 
 def take_kernels(folder):

@@ -42,7 +42,8 @@ print(kernel._loop().is_kept)
 
 
 def run(folder):
-    return run_fresh(folder / "program.py", [SOURCE], {"RAYSTREAM_CACHE_DIR": str(folder / "cache")})
+    variables = {"RAYSTREAM_CACHE_DIR": str(folder / "cache")}
+    return run_fresh(folder / "program.py", [SOURCE], variables)
 
 
 def test_what_a_kernel_uses_decides_whether_its_code_is_up_to_date(tmp_path):

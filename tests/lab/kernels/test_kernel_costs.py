@@ -78,7 +78,13 @@ NEEDED = {
 }
 
 
-@pytest.mark.parametrize(("name", "structure", "kernel"), NEEDED)
+@pytest.mark.parametrize(
+    ("name", "structure", "kernel"),
+    [
+        pytest.param(*one, marks=[pytest.mark.exhaustive] * (one[0] == "grid"))  # seconds
+        for one in NEEDED
+    ],
+)
 def test_fetch_only_versions_fetch_the_same(name, structure, kernel):
     steps = steps_of(make(name)[0])
     number = number_of(steps, kernel)
