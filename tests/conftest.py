@@ -146,7 +146,8 @@ TRACERS = {
 
 #: Those of them that run different code: a traversal, a kernel or a machine that no other of these
 #: has. What the rest run is the same on another tree, or in other passes. A usual run asks these
-#: in every test of tracers, and the rest with some cases in turn: see `is_usual`. CI asks all.
+#: in every test of tracers, and the rest with some cases in turn: see `is_usual`. CI asks all. A
+#: new line above that has code of its own gets one here, too.
 CODE_PATHS = (
     "brute",
     "bvh",

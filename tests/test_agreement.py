@@ -16,6 +16,7 @@ import raystream as rs
 from cases import CASES, Case
 from conftest import CODE_PATHS, GRAPHICS_TRACERS, TRACERS, assert_same_bits, is_usual
 from oracles import check_counts, check_first, judge
+from raystream.structures import STRUCTURES
 from tolerance import Tolerance, assert_close
 
 Answers = dict[str, np.ndarray]
@@ -112,13 +113,10 @@ FRAGMENT_TRACERS = ("grid, multipass, graphics", "kdtree, backtrack, multipass, 
 def is_exhaustive(tracer: str, name: str) -> bool:
     """Whether a case on a tracer is left out of a usual run.
 
-    Each case has about half of the code paths and a quarter of all other tracers on the CPU, each
-    tracer as many of the cases; those of `ALL_OPTIONS` have every code path.
+    On the CPU the code paths have each case, and all others a quarter of them in turn.
     """
     if tracer in TRACERS:
-        if tracer in CODE_PATHS and name in ALL_OPTIONS:
-            return False
-        return not is_usual(tracer, list(CASES).index(name), 2 if tracer in CODE_PATHS else 4)
+        return tracer not in CODE_PATHS and not is_usual(tracer, list(CASES).index(name), 4)
     options = GRAPHICS_TRACERS[tracer]
     if tracer == "kdtree, short stack, graphics":  # one of four traversals
         return True
@@ -149,6 +147,13 @@ def test_structures_equal_brute_force(make_tracer_anywhere, name):
     tracer = make_tracer_anywhere(case.scene)
     is_brief = takes_long(tracer) and name not in ALL_OPTIONS
     assert_expected_of(tracer, rays_of(case), expected_of(name), is_brief=is_brief)
+
+
+def test_a_usual_run_has_each_structure_with_each_case_and_each_tracer_with_some():
+    assert {TRACERS[one]["structure"] for one in CODE_PATHS} == {*STRUCTURES}
+    for tracer in TRACERS:
+        count = sum(not is_exhaustive(tracer, name) for name in CASES)
+        assert count == len(CASES) if tracer in CODE_PATHS else count >= 5
 
 
 def test_brute_force_agrees_with_float64(case):
