@@ -144,6 +144,44 @@ TRACERS = {
 }
 
 
+#: Those of them that run different code: a traversal, a kernel or a machine that no other of these
+#: has. What the rest run is the same on another tree, or in other passes. A usual run asks these
+#: in every test of tracers, and the rest with some cases in turn: see `is_usual`. CI asks all. A
+#: new line above that has code of its own gets one here, too.
+CODE_PATHS = (
+    "brute",
+    "bvh",
+    "bvh, wavefront",
+    "bvh, packets",
+    "bvh, streams",
+    "bvh, single rays",
+    "bvh, high",  # lists triangles twice
+    "grid",
+    "grid, two levels",
+    "kdtree, stack",
+    "kdtree, restart",
+    "kdtree, backtrack",
+    "kdtree, short stack",
+    "graph",
+    "bvh, high, multipass",
+    "kdtree, backtrack, multipass",
+)
+
+
+def is_usual(tracer: str, number: int, every: int) -> bool:
+    """Whether it is a tracer's turn in the case of this number: one case in so many.
+
+    Any so many tracers one after the other in the table have each case between them.
+    """
+    return (list(TRACERS).index(tracer) + number) % every == 0
+
+
+#: For a test of one case: tracers by their names, of which CI takes those that run no other code.
+EVERY_TRACER = [
+    pytest.param(name, marks=[pytest.mark.exhaustive] * (name not in CODE_PATHS))
+    for name in TRACERS
+]
+
 #: The same on graphics devices, where t, u and v are compared with a tolerance.
 GRAPHICS_TRACERS = {
     "brute, graphics": {"structure": "brute", **GRAPHICS},
@@ -281,7 +319,7 @@ GPU_TRACERS = {
 }
 
 
-@pytest.fixture(params=TRACERS)
+@pytest.fixture(params=EVERY_TRACER)
 def make_tracer(request):
     """Make a tracer for a scene on the CPU, once for each structure and machine."""
     return lambda scene: rs.Tracer(scene, **TRACERS[request.param])
@@ -294,7 +332,7 @@ _USUAL = [
 ]
 
 
-@pytest.fixture(params=[*TRACERS, *_USUAL])
+@pytest.fixture(params=[*EVERY_TRACER, *_USUAL])
 def make_tracer_anywhere(request):
     """Make a tracer for a scene, once for each structure, machine and device."""
     if request.param in GRAPHICS_TRACERS:

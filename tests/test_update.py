@@ -52,11 +52,12 @@ def deformed(vertices, rng):
 
 @pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
 @pytest.mark.parametrize("max_cost_growth", [0.0, 1.5, np.inf])
-def test_a_hundred_deformations(quality, max_cost_growth, rng):
+@pytest.mark.parametrize("count", [12, pytest.param(100, marks=pytest.mark.exhaustive)])
+def test_many_deformations(quality, max_cost_growth, count, rng):
     vertices, faces = dented_sphere(1)
     tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), quality=quality)
     seen = set()
-    for _ in range(100):
+    for _ in range(count):
         moved = deformed(vertices, rng)
         report = tracer.update(moved, max_cost_growth=max_cost_growth)
         seen.add(report.rebuilt)
