@@ -6,8 +6,10 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -176,11 +178,30 @@ def is_usual(tracer: str, number: int, every: int) -> bool:
     return (list(TRACERS).index(tracer) + number) % every == 0
 
 
-#: For a test of one case: tracers by their names, of which CI takes those that run no other code.
-EVERY_TRACER = [
-    pytest.param(name, marks=[pytest.mark.exhaustive] * (name not in CODE_PATHS))
-    for name in TRACERS
+def _tree_of(tracer: str) -> dict[str, object]:
+    """The options that say what is built, and not how it is traced."""
+    how = ("kernel", "machine", "scheduler", "traversal_steps", "intersections", "compaction")
+    return {key: value for key, value in TRACERS[tracer].items() if key not in how}
+
+
+#: One for each tree that they build.
+TREES = [
+    name
+    for i, name in enumerate(TRACERS)
+    if _tree_of(name) not in [_tree_of(one) for one in list(TRACERS)[:i]]
 ]
+
+
+def every_tracer_but_usually(names: Collection[str]) -> list[Any]:
+    """Tracers by their names, as parameters of a test: a usual run has these alone."""
+    return [
+        pytest.param(name, marks=[pytest.mark.exhaustive] * (name not in names)) for name in TRACERS
+    ]
+
+
+#: For a test of one case; and for one of what is built, moved or saved.
+EVERY_TRACER = every_tracer_but_usually(CODE_PATHS)
+EVERY_TREE = every_tracer_but_usually({*CODE_PATHS, *TREES})
 
 #: The same on graphics devices, where t, u and v are compared with a tolerance.
 GRAPHICS_TRACERS = {
@@ -326,13 +347,13 @@ def make_tracer(request):
 
 
 #: The fragment programs' are for CI, where a test does not say otherwise: they take many passes.
-_USUAL = [
+EVERY_GRAPHICS_TRACER = [
     pytest.param(name, marks=[pytest.mark.exhaustive] * ("machine" in options))
     for name, options in GRAPHICS_TRACERS.items()
 ]
 
 
-@pytest.fixture(params=[*EVERY_TRACER, *_USUAL])
+@pytest.fixture(params=[*EVERY_TRACER, *EVERY_GRAPHICS_TRACER])
 def make_tracer_anywhere(request):
     """Make a tracer for a scene, once for each structure, machine and device."""
     if request.param in GRAPHICS_TRACERS:

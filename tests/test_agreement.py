@@ -14,7 +14,15 @@ import pytest
 
 import raystream as rs
 from cases import CASES, Case
-from conftest import CODE_PATHS, GRAPHICS_TRACERS, TRACERS, assert_same_bits, is_usual
+from conftest import (
+    CODE_PATHS,
+    EVERY_GRAPHICS_TRACER,
+    EVERY_TREE,
+    GRAPHICS_TRACERS,
+    TRACERS,
+    assert_same_bits,
+    is_usual,
+)
 from oracles import check_counts, check_first, judge
 from raystream.structures import STRUCTURES
 from tolerance import Tolerance, assert_close
@@ -194,6 +202,9 @@ def test_queries_agree_with_each_other(case):
     np.testing.assert_array_equal(three.prim_id, many.prim_id[within])
 
 
+@pytest.mark.parametrize(
+    "make_tracer_anywhere", [*EVERY_TREE, *EVERY_GRAPHICS_TRACER], indirect=True
+)
 def test_no_triangles_at_all(make_tracer_anywhere):
     empty = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
     only_degenerate = rs.Scene.from_arrays(np.zeros((3, 3)), [[0, 1, 2]])

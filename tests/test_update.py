@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from conftest import assert_same_bits
+from conftest import EVERY_GRAPHICS_TRACER, EVERY_TREE, assert_same_bits
 from meshes import dented_sphere, soup
 from raystream.core.triangles import Triangles
 from test_agreement import assert_same_answers
@@ -67,6 +67,9 @@ def test_many_deformations(quality, max_cost_growth, count, rng):
     assert seen == {0.0: {True}, 1.5: {False, True}, np.inf: {False}}[max_cost_growth]
 
 
+@pytest.mark.parametrize(
+    "make_tracer_anywhere", [*EVERY_TREE, *EVERY_GRAPHICS_TRACER], indirect=True
+)
 def test_every_structure_can_be_updated(make_tracer_anywhere, rng):
     vertices, faces = soup(120, 4)
     tracer = make_tracer_anywhere(rs.Scene.from_arrays(vertices, faces))
