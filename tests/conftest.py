@@ -6,8 +6,10 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -143,6 +145,63 @@ TRACERS = {
     },
 }
 
+
+#: Those of them that run different code: a traversal, a kernel or a machine that no other of these
+#: has. What the rest run is the same on another tree, or in other passes. A usual run asks these
+#: in every test of tracers, and the rest with some cases in turn: see `is_usual`. CI asks all. A
+#: new line above that has code of its own gets one here, too.
+CODE_PATHS = (
+    "brute",
+    "bvh",
+    "bvh, wavefront",
+    "bvh, packets",
+    "bvh, streams",
+    "bvh, single rays",
+    "bvh, high",  # lists triangles twice
+    "grid",
+    "grid, two levels",
+    "kdtree, stack",
+    "kdtree, restart",
+    "kdtree, backtrack",
+    "kdtree, short stack",
+    "graph",
+    "bvh, high, multipass",
+    "kdtree, backtrack, multipass",
+)
+
+
+def is_usual(tracer: str, number: int, every: int) -> bool:
+    """Whether it is a tracer's turn in the case of this number: one case in so many.
+
+    Any so many tracers one after the other in the table have each case between them.
+    """
+    return (list(TRACERS).index(tracer) + number) % every == 0
+
+
+def _tree_of(tracer: str) -> dict[str, object]:
+    """The options that say what is built, and not how it is traced."""
+    how = ("kernel", "machine", "scheduler", "traversal_steps", "intersections", "compaction")
+    return {key: value for key, value in TRACERS[tracer].items() if key not in how}
+
+
+#: One for each tree that they build.
+TREES = [
+    name
+    for i, name in enumerate(TRACERS)
+    if _tree_of(name) not in [_tree_of(one) for one in list(TRACERS)[:i]]
+]
+
+
+def every_tracer_but_usually(names: Collection[str]) -> list[Any]:
+    """Tracers by their names, as parameters of a test: a usual run has these alone."""
+    return [
+        pytest.param(name, marks=[pytest.mark.exhaustive] * (name not in names)) for name in TRACERS
+    ]
+
+
+#: For a test of one case; and for one of what is built, moved or saved.
+EVERY_TRACER = every_tracer_but_usually(CODE_PATHS)
+EVERY_TREE = every_tracer_but_usually({*CODE_PATHS, *TREES})
 
 #: The same on graphics devices, where t, u and v are compared with a tolerance.
 GRAPHICS_TRACERS = {
@@ -281,20 +340,20 @@ GPU_TRACERS = {
 }
 
 
-@pytest.fixture(params=TRACERS)
+@pytest.fixture(params=EVERY_TRACER)
 def make_tracer(request):
     """Make a tracer for a scene on the CPU, once for each structure and machine."""
     return lambda scene: rs.Tracer(scene, **TRACERS[request.param])
 
 
 #: The fragment programs' are for CI, where a test does not say otherwise: they take many passes.
-_USUAL = [
+EVERY_GRAPHICS_TRACER = [
     pytest.param(name, marks=[pytest.mark.exhaustive] * ("machine" in options))
     for name, options in GRAPHICS_TRACERS.items()
 ]
 
 
-@pytest.fixture(params=[*TRACERS, *_USUAL])
+@pytest.fixture(params=[*EVERY_TRACER, *EVERY_GRAPHICS_TRACER])
 def make_tracer_anywhere(request):
     """Make a tracer for a scene, once for each structure, machine and device."""
     if request.param in GRAPHICS_TRACERS:

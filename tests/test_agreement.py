@@ -14,8 +14,17 @@ import pytest
 
 import raystream as rs
 from cases import CASES, Case
-from conftest import GRAPHICS_TRACERS, TRACERS, assert_same_bits
+from conftest import (
+    CODE_PATHS,
+    EVERY_GRAPHICS_TRACER,
+    EVERY_TREE,
+    GRAPHICS_TRACERS,
+    TRACERS,
+    assert_same_bits,
+    is_usual,
+)
 from oracles import check_counts, check_first, judge
+from raystream.structures import STRUCTURES
 from tolerance import Tolerance, assert_close
 
 Answers = dict[str, np.ndarray]
@@ -110,10 +119,13 @@ FRAGMENT_TRACERS = ("grid, multipass, graphics", "kdtree, backtrack, multipass, 
 
 
 def is_exhaustive(tracer: str, name: str) -> bool:
-    """Whether a case on a tracer is left out of a usual run."""
-    options = GRAPHICS_TRACERS.get(tracer)
-    if options is None:
-        return False
+    """Whether a case on a tracer is left out of a usual run.
+
+    On the CPU the code paths have each case, and all others a quarter of them in turn.
+    """
+    if tracer in TRACERS:
+        return tracer not in CODE_PATHS and not is_usual(tracer, list(CASES).index(name), 4)
+    options = GRAPHICS_TRACERS[tracer]
     if tracer == "kdtree, short stack, graphics":  # one of four traversals
         return True
     if "machine" in options:
@@ -143,6 +155,13 @@ def test_structures_equal_brute_force(make_tracer_anywhere, name):
     tracer = make_tracer_anywhere(case.scene)
     is_brief = takes_long(tracer) and name not in ALL_OPTIONS
     assert_expected_of(tracer, rays_of(case), expected_of(name), is_brief=is_brief)
+
+
+def test_a_usual_run_has_each_structure_with_each_case_and_each_tracer_with_some():
+    assert {TRACERS[one]["structure"] for one in CODE_PATHS} == {*STRUCTURES}
+    for tracer in TRACERS:
+        count = sum(not is_exhaustive(tracer, name) for name in CASES)
+        assert count == len(CASES) if tracer in CODE_PATHS else count >= 5
 
 
 def test_brute_force_agrees_with_float64(case):
@@ -183,6 +202,9 @@ def test_queries_agree_with_each_other(case):
     np.testing.assert_array_equal(three.prim_id, many.prim_id[within])
 
 
+@pytest.mark.parametrize(
+    "make_tracer_anywhere", [*EVERY_TREE, *EVERY_GRAPHICS_TRACER], indirect=True
+)
 def test_no_triangles_at_all(make_tracer_anywhere):
     empty = rs.Scene.from_arrays(np.zeros((0, 3)), np.zeros((0, 3), int))
     only_degenerate = rs.Scene.from_arrays(np.zeros((3, 3)), [[0, 1, 2]])

@@ -9,10 +9,33 @@ import pytest
 
 import raystream as rs
 from batches import BATCHES
-from conftest import assert_same_bits
+from conftest import TRACERS, assert_same_bits, is_usual
 from meshes import soup
 from raystream.structures.bvh import sorted_batch
 from test_agreement import Answers, answers_of, assert_expected
+
+#: Tracers that read rays differently: one by one, by eights, as packets, as streams, in passes.
+READERS = (
+    "brute",
+    "bvh",
+    "bvh, wavefront",
+    "bvh, packets",
+    "bvh, streams",
+    "bvh, single rays",
+    "bvh, multipass",
+)
+
+#: All batches on all tracers, of which CI takes those that read rays as others do, but for some.
+PAIRS = [
+    pytest.param(
+        name,
+        tracer,
+        marks=[pytest.mark.exhaustive] * (tracer not in READERS and not is_usual(tracer, i, 8)),
+        id=f"{name}-{tracer}",
+    )
+    for i, name in enumerate(BATCHES)
+    for tracer in TRACERS
+]
 
 KERNELS = ("auto", "wavefront", "packet", "stream", "single")
 
@@ -24,7 +47,7 @@ def expected_of(name: str) -> Answers:
     return answers_of(rs.Tracer(rs.Scene.from_arrays(vertices, faces), "brute"), rays)
 
 
-@pytest.mark.parametrize("name", BATCHES)
+@pytest.mark.parametrize(("name", "make_tracer"), PAIRS, indirect=["make_tracer"])
 def test_awkward_batches(make_tracer, name, rng):
     vertices, faces, rays = BATCHES[name](rng)
     tracer = make_tracer(rs.Scene.from_arrays(vertices, faces))

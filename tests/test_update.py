@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from conftest import assert_same_bits
+from conftest import EVERY_GRAPHICS_TRACER, EVERY_TREE, assert_same_bits
 from meshes import dented_sphere, soup
 from raystream.core.triangles import Triangles
 from test_agreement import assert_same_answers
@@ -52,11 +52,12 @@ def deformed(vertices, rng):
 
 @pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
 @pytest.mark.parametrize("max_cost_growth", [0.0, 1.5, np.inf])
-def test_a_hundred_deformations(quality, max_cost_growth, rng):
+@pytest.mark.parametrize("count", [12, pytest.param(100, marks=pytest.mark.exhaustive)])
+def test_many_deformations(quality, max_cost_growth, count, rng):
     vertices, faces = dented_sphere(1)
     tracer = rs.Tracer(rs.Scene.from_arrays(vertices, faces), quality=quality)
     seen = set()
-    for _ in range(100):
+    for _ in range(count):
         moved = deformed(vertices, rng)
         report = tracer.update(moved, max_cost_growth=max_cost_growth)
         seen.add(report.rebuilt)
@@ -66,6 +67,9 @@ def test_a_hundred_deformations(quality, max_cost_growth, rng):
     assert seen == {0.0: {True}, 1.5: {False, True}, np.inf: {False}}[max_cost_growth]
 
 
+@pytest.mark.parametrize(
+    "make_tracer_anywhere", [*EVERY_TREE, *EVERY_GRAPHICS_TRACER], indirect=True
+)
 def test_every_structure_can_be_updated(make_tracer_anywhere, rng):
     vertices, faces = soup(120, 4)
     tracer = make_tracer_anywhere(rs.Scene.from_arrays(vertices, faces))

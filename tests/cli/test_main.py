@@ -306,17 +306,15 @@ def test_first_name_is_the_librarys_default(name, known):
         ("raystream query cornell rays.npz --crossings s", {"surfaces"}, {"triangles"}),
     ],
 )
-def test_completion(start, words, offered, kept_back):
-    variables = {
-        "_RAYSTREAM_COMPLETE": "complete_bash",
-        "COMP_WORDS": words,
-        "COMP_CWORD": str(words.count(" ")),
-    }
-    result = start(variables=variables)
-    completions = set(result.stdout.split())
+def test_completion(run, monkeypatch, words, offered, kept_back):
+    monkeypatch.setenv("_RAYSTREAM_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
+    result = run()
+    completions = set(result.out.split())
     assert offered <= completions
     assert not kept_back & completions
-    assert result.stderr == ""
+    assert result.err == ""
 
 
 def test_completion_of_a_file_is_left_to_the_shell(tmp_path):

@@ -98,7 +98,19 @@ STEPPED = {
 }
 
 
-@pytest.mark.parametrize("name", STEPPED)
+#: What the simulator is given in a usual run: each of WAYS once. Others take it up to a minute.
+FEW_STEPPED = ("bvh", "bvh, high", "grid", "grid, two levels")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=[pytest.mark.exhaustive] * (is_simulated() and name not in FEW_STEPPED)
+        )
+        for name in STEPPED
+    ],
+)
 def test_passes_are_those_of_the_cpu(gpu, name):
     scene, rays = scene_and_rays("closed_mesh")
     way = WAYS[list(STEPPED).index(name) % len(WAYS)]

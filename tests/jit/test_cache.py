@@ -1,6 +1,5 @@
 import os
 import shutil
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import raystream
+from forks import Fork
 from raystream.jit import cache as cache_module
 
 PACKAGE = Path(raystream.__file__).parent
@@ -37,27 +37,24 @@ print(sum(ask.stats.cache_hits.values()), sum(ask.stats.cache_misses.values()))
 """
 
 
-def run(source: Path, folder: Path, **changes) -> list[str]:
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(source),
-        "RAYSTREAM_CACHE_DIR": str(folder),
-        **changes,
-    }
-    command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.split()
+def begin(source: Path, folder: Path) -> Fork:
+    return Fork(source.parent / "program.py", [source], {"RAYSTREAM_CACHE_DIR": str(folder)})
 
 
-@pytest.fixture
-def source(tmp_path):
-    """A copy of the package, to be edited."""
-    package = tmp_path / "src" / "raystream"
+def run(source: Path, folder: Path) -> list[str]:
+    return begin(source, folder).words()
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """A copy of the package, to be edited; who edits it mends it."""
+    folder = tmp_path_factory.mktemp("copy")
+    package = folder / "src" / "raystream"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "kernels" / "callee.py").write_text(CALLEE)
     (package / "kernels" / "caller.py").write_text(CALLER)
-    return tmp_path / "src"
+    (folder / "program.py").write_text(PROGRAM)
+    return folder / "src"
 
 
 def test_kernels_are_compiled_once_and_again_after_an_edit(source, tmp_path):
@@ -90,15 +87,9 @@ def test_a_folder_that_cannot_be_written_is_no_error(source, tmp_path):
 
 def test_two_processes_at_once_share_one_folder(source, tmp_path):
     folder = tmp_path / "cache"
-    environment = {**os.environ, "PYTHONPATH": str(source), "RAYSTREAM_CACHE_DIR": str(folder)}
-    command = [sys.executable, "-c", PROGRAM]
-    both = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-        for _ in range(2)
-    ]
-    answers = [process.communicate(timeout=300)[0].split() for process in both]
+    both = [begin(source, folder) for _ in range(2)]
+    answers = [process.words() for process in both]
     assert sorted(answers) == [["2", "0", "1"], ["2", "1", "0"]]  # one waited for the other
-    assert all(process.returncode == 0 for process in both)
     assert run(source, folder) == ["2", "1", "0"]
     assert not list(folder.rglob("*.tmp.*"))
 

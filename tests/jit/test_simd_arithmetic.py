@@ -10,16 +10,10 @@ import numba
 import numpy as np
 import pytest
 
+from jit.vector_types import DTYPES, FLOAT_TYPES, INTEGER_TYPES
 from raystream.jit import simd
 from raystream.jit.cpu import device
 from raystream.jit.simd import address, select
-from raystream.jit.simd.types import VECTORS
-
-DTYPES = {"f32": np.float32, "f64": np.float64, "i32": np.int32, "i64": np.int64}
-VECTOR_TYPES = [vector for (kind, n), vector in VECTORS.items() if kind in DTYPES and n > 2]
-FLOAT_TYPES = [vector for vector in VECTOR_TYPES if vector.is_float]
-INTEGER_TYPES = [vector for vector in VECTOR_TYPES if not vector.is_float]
-
 
 # ---- Operations side by side, in a kernel and in NumPy.
 

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import pytest
 
+from jit.vector_types import DTYPES, VECTOR_TYPES
 from raystream.jit import simd
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import (
@@ -24,10 +25,6 @@ from raystream.jit.simd import (
     store_records,
     store_triples,
 )
-from raystream.jit.simd.types import VECTORS
-
-DTYPES = {"f32": np.float32, "f64": np.float64, "i32": np.int32, "i64": np.int64}
-VECTOR_TYPES = [vector for (kind, n), vector in VECTORS.items() if kind in DTYPES and n > 2]
 
 
 @device

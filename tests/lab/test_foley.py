@@ -33,6 +33,8 @@ from raystream.lab.views import View
 from raystream.machines import Multipass
 from raystream.scene.camera import Camera
 
+pytestmark = pytest.mark.usefixtures("few_objects")
+
 SIDE = 32
 
 

@@ -1,9 +1,11 @@
 """Loops around users' functions are kept on disk, and compiled anew when anything changes."""
 
-import subprocess
-import sys
+from pathlib import Path
 
-from conftest import child_environment
+import raystream
+from forks import run_fresh
+
+SOURCE = Path(raystream.__file__).parents[1]
 
 HELPER = """
 from raystream.streams import device
@@ -40,17 +42,8 @@ print(kernel._loop().is_kept)
 
 
 def run(folder):
-    done = subprocess.run(
-        [sys.executable, "program.py"],
-        cwd=folder,
-        env=child_environment(RAYSTREAM_CACHE_DIR=str(folder / "cache")),
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.split()
+    variables = {"RAYSTREAM_CACHE_DIR": str(folder / "cache")}
+    return run_fresh(folder / "program.py", [SOURCE], variables)
 
 
 def test_what_a_kernel_uses_decides_whether_its_code_is_up_to_date(tmp_path):

@@ -141,9 +141,17 @@ def test_large_scenes_are_split_by_all_threads():
     assert (held == 1).all()
 
 
-@pytest.mark.parametrize("quality", QUALITIES)
-@pytest.mark.parametrize("copies", [50, 5000, 150_000])
-def test_equal_triangles_are_halved_by_count(quality, copies):
+@pytest.mark.parametrize(
+    ("copies", "quality"),
+    [
+        # Seconds, in which as many triangles are cut.
+        pytest.param(copies, quality, marks=[pytest.mark.exhaustive] * is_long)
+        for copies in (50, 5000, 150_000)
+        for quality in QUALITIES
+        for is_long in [copies == 150_000 and quality == "high"]
+    ],
+)
+def test_equal_triangles_are_halved_by_count(copies, quality):
     vertices, faces = soup(1)
     triangles = triangles_of(vertices, np.repeat(faces, copies, axis=0))
     arrays = build_arrays(triangles, quality)

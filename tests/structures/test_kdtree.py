@@ -140,7 +140,15 @@ def rays_on_planes(structure, rng, count=400):
     return origins.astype(np.float32), (directions * scale).astype(np.float32)
 
 
-@pytest.mark.parametrize("mesh", [soup(300), grid_floor(8), dented_sphere(3)])
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        soup(300),
+        grid_floor(8),
+        dented_sphere(2),
+        pytest.param(dented_sphere(3), marks=pytest.mark.exhaustive),
+    ],
+)
 def test_all_traversals_see_the_same_leaves(mesh, rng):
     """Foley 2005, section 4.1; and how often they go down."""
     rays = rays_on_planes(build(*mesh).structure, rng)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from conftest import assert_same_bits
+from conftest import EVERY_TREE, assert_same_bits
 from meshes import dented_sphere, soup
 from raystream.core.npz import read_npz, write_npz
 
@@ -23,6 +23,7 @@ def rays(scene, rng):
     return origins, rng.normal(size=(2000, 3))
 
 
+@pytest.mark.parametrize("make_tracer", EVERY_TREE, indirect=True)
 def test_a_loaded_tracer_answers_alike(make_tracer, scene, rays, tmp_path):
     tracer = make_tracer(scene)
     tracer.save(tmp_path / "x.npz")
@@ -39,11 +40,13 @@ def test_a_loaded_tracer_answers_alike(make_tracer, scene, rays, tmp_path):
     assert rs.Tracer.load(tmp_path / "x.npz", scene).scene is scene
 
 
+@pytest.mark.parametrize("make_tracer", EVERY_TREE, indirect=True)
 def test_an_empty_scene(make_tracer, tmp_path):
     make_tracer(rs.Scene()).save(tmp_path / "x.npz")
     assert not rs.Tracer.load(tmp_path / "x.npz").any_hit([0, 0, 0], [1, 0, 0])
 
 
+@pytest.mark.parametrize("make_tracer", EVERY_TREE, indirect=True)
 def test_another_scene_is_refused(make_tracer, scene, tmp_path):
     make_tracer(scene).save(tmp_path / "x.npz")
     with pytest.raises(rs.FileFormatError, match="other triangles"):

@@ -25,8 +25,8 @@ MOST_HELPERS = 3
 def compiling(task: str, structure: str | None, device: str) -> Iterator[None]:
     """While the block runs, say what is compiled if that takes more than a second.
 
-    The first kernel that is missing starts processes that compile the rest of the task's kernels,
-    from the end of the list, while this one works from its beginning.
+    When the first kernel is missing, all that the task is going to need are compiled, on as many
+    cores as there are threads.
 
     Parameters
     ----------
@@ -57,26 +57,16 @@ class _FirstUse:
 
     def begin(self, kernel: str) -> None:
         with self._lock:
-            if self._has_begun:
-                return
-            self._has_begun = True
-            count = min(thread_count() - 1, MOST_HELPERS)
-            if self._task is not None and count > 0:
-                from raystream.jit.warm import start_helpers
+            is_first, self._has_begun = not self._has_begun, True
+        if is_first and self._task is not None:
+            self._compile_all(self._task, kernel)
 
-                with contextlib.suppress(OSError):  # no more processes: this one does it alone
-                    self._helpers = start_helpers(self._task, count, longest_first=False)
-
-    def end(self, kernel: str, seconds: float) -> None:
+    def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a watcher's
         with self._lock:
             self._seconds += seconds
-            is_time = self._seconds > DELAY and not self._has_told
-            self._has_told = self._has_told or is_time
+            is_time = self._seconds > DELAY
         if is_time:
-            write_note(
-                "compiling kernels on their first use, which takes some seconds; "
-                f"they are kept in {cache_folder()}"
-            )
+            self._tell("kernels")
 
     def stop(self) -> None:
         """End the helpers: the command needs nothing more."""
@@ -84,3 +74,21 @@ class _FirstUse:
             from raystream.jit.warm import stop_helpers
 
             stop_helpers(self._helpers)
+
+    def _compile_all(self, task: str, kernel: str) -> None:
+        """Compile a task's kernels but one, which the caller is going to compile."""
+        from raystream.jit import warm
+
+        left = warm.missing(warm.entries_of(task))
+        if sum(entry.seconds for entry in left) > DELAY:
+            self._tell(f"{len(left)} kernels")
+        count = min(thread_count() - 1, MOST_HELPERS, len(left) - 1)
+        with contextlib.suppress(OSError):  # no more processes: this one does it alone
+            self._helpers = warm.start_helpers(task, count)
+        warm.compile_kernels([entry for entry in left if entry.kernel != kernel])
+
+    def _tell(self, what: str) -> None:
+        with self._lock:
+            is_news, self._has_told = not self._has_told, True
+        if is_news:
+            write_note(f"compiling {what} on their first use; kept in {cache_folder()}")

@@ -37,7 +37,7 @@ TASKS = ("render", "query", "build", "all")
 FILE = Path(__file__).with_name("kernels.json")
 
 #: Seconds between two looks at what other processes have done.
-_PAUSE = 0.1
+_PAUSE = 0.25
 
 #: Rooms whose modules make kernels of functions that they get.
 _MAKERS = ("brute", "bvh", "grid", "graph", "kdtree")
@@ -53,7 +53,7 @@ class Entry(NamedTuple):
     types : list
         Of its arguments, see `signatures`.
     tasks : list of str
-        Who needs it, in the order in which a command does.
+        Commands that need it.
     seconds : float
         That it took to compile, on some machine.
     """
@@ -65,7 +65,7 @@ class Entry(NamedTuple):
 
 
 def entries_of(task: str, file: Path = FILE) -> list[Entry]:
-    """Kernels that a task needs, in the order in which it does.
+    """Kernels that a task needs, those that take longest first.
 
     Parameters
     ----------
@@ -75,11 +75,12 @@ def entries_of(task: str, file: Path = FILE) -> list[Entry]:
         Another list.
     """
     entries = [Entry(**row) for row in json.loads(file.read_text(encoding="utf-8"))]
-    return [
+    found = [
         entry
         for entry in entries
         if task == "all" or any(one == task or one.startswith(f"{task}-") for one in entry.tasks)
     ]
+    return sorted(found, key=lambda entry: -entry.seconds)
 
 
 def compile_kernels(entries: Sequence[Entry], *, takes_all: bool = False) -> int:
@@ -144,7 +145,7 @@ def warm(
     """
     left = missing(entries)
     total, count = sum(entry.seconds for entry in left), len(left)
-    helpers = start_helpers(task, min(process_count, count), longest_first=True)
+    helpers = start_helpers(task, min(process_count, count))
     try:
         while left and any(helper.poll() is None for helper in helpers):
             progress(1.0 - sum(entry.seconds for entry in left) / total)
@@ -157,10 +158,9 @@ def warm(
     return count
 
 
-def start_helpers(task: str, count: int, *, longest_first: bool) -> list[Any]:
-    """Start processes that compile a task's kernels, from the end of the list or longest first."""
-    order = "longest" if longest_first else "reversed"
-    command = [sys.executable, "-m", __name__, task, order]
+def start_helpers(task: str, count: int) -> list[Any]:
+    """Start processes that compile a task's kernels, as far as no other process does."""
+    command = [sys.executable, "-m", __name__, task]
     quiet = subprocess.DEVNULL
     return [
         subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet) for _ in range(count)
@@ -190,14 +190,5 @@ def _prepare(entry: Entry) -> tuple[Any, Any] | None:
         return None
 
 
-def _main(task: str, order: str) -> None:
-    entries = entries_of(task)
-    if order == "longest":
-        entries.sort(key=lambda entry: -entry.seconds)
-    else:
-        entries.reverse()
-    compile_kernels(entries)
-
-
 if __name__ == "__main__":
-    _main(*sys.argv[1:])
+    compile_kernels(entries_of(sys.argv[1]))

@@ -25,7 +25,8 @@ from raystream.machines.steps import steps_of
 from raystream.streams import Counters
 
 #: Each compiles its kernels anew: code that is looked at is not kept on disk.
-NAMES = ["grid", "kdtree, Foley's", "graph"]
+#: That of the graph takes them as long as all of the others.
+NAMES = ["grid", "kdtree, Foley's", pytest.param("graph", marks=pytest.mark.exhaustive)]
 BACKTRACK = "kdtree, Foley's"
 
 
@@ -77,7 +78,13 @@ NEEDED = {
 }
 
 
-@pytest.mark.parametrize(("name", "structure", "kernel"), NEEDED)
+@pytest.mark.parametrize(
+    ("name", "structure", "kernel"),
+    [
+        pytest.param(*one, marks=[pytest.mark.exhaustive] * (one[0] == "grid"))  # seconds
+        for one in NEEDED
+    ],
+)
 def test_fetch_only_versions_fetch_the_same(name, structure, kernel):
     steps = steps_of(make(name)[0])
     number = number_of(steps, kernel)

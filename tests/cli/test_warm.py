@@ -1,0 +1,81 @@
+"""Compiling before the first use, and what the first use says."""
+
+import pytest
+
+from raystream.cli import compiling
+from raystream.jit import warm
+from raystream.jit.watching import WATCHERS
+
+
+def test_tasks_are_those_of_the_list():
+    from raystream.cli.warm import TASKS
+
+    assert TASKS == warm.TASKS
+
+
+def test_figures(run, monkeypatch):
+    asked = []
+
+    def record(entries, task, process_count, progress):
+        asked.append((task, process_count, len(entries)))
+        progress(0.5)
+        return 3
+
+    monkeypatch.setattr(warm, "warm", record)
+    count = len(warm.entries_of("query"))
+    figures = run("warm", "query", "--threads", "2", "--json").figures
+    assert asked == [("query", 2, count)]
+    assert (figures["task"], figures["kernels"], figures["compiled"]) == ("query", count, 3)
+    assert f"{count} kernels, 3 of them compiled now" in run("warm", "query").out
+
+
+def test_other_tasks_are_refused(run):
+    assert run("warm", "everything").complaint.startswith("TASK: expected one of render, query")
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Helpers and kernels that a first use would start and compile."""
+    found = []
+    monkeypatch.setattr(compiling, "thread_count", lambda: 3)
+    monkeypatch.setattr(warm, "missing", lambda entries: list(entries))
+    monkeypatch.setattr(
+        warm, "start_helpers", lambda task, count: found.append((task, count)) or []
+    )
+    monkeypatch.setattr(warm, "compile_kernels", lambda entries: found.append(len(entries)))
+    return found
+
+
+def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
+    first = warm.entries_of("render-ao")[0].kernel
+    with compiling.compiling("render-ao", None, "cpu"):
+        (watcher,) = WATCHERS
+        watcher.begin(first)
+        watcher.begin("another")
+        watcher.end(first, 5.0)
+    count = len(warm.entries_of("render-ao"))
+    assert started == [("render-ao", 2), count - 1]
+    shown = capsys.readouterr().err
+    assert shown.count("\n") == 1
+    assert shown.startswith(f"compiling {count} kernels on their first use; kept in ")
+    assert WATCHERS == []
+
+
+@pytest.mark.parametrize(("structure", "device"), [("grid", "cpu"), (None, "cuda")])
+def test_other_structures_say_it_when_a_second_has_passed(structure, device, started, capsys):
+    with compiling.compiling("query-first", structure, device):
+        (watcher,) = WATCHERS
+        watcher.begin("one")
+        watcher.end("one", 0.9)
+        assert capsys.readouterr().err == ""
+        watcher.end("two", 0.2)
+        watcher.end("three", 9.0)
+    assert capsys.readouterr().err.count("compiling kernels on their first use") == 1
+    assert started == []
+
+
+def test_nothing_is_said_where_nothing_is_compiled(started, capsys):
+    with compiling.compiling("query-first", "bvh", "cpu"):
+        pass
+    assert capsys.readouterr().err == ""
+    assert started == []
