@@ -3,12 +3,14 @@ import shutil
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import raystream
 from forks import Fork
 from raystream.jit import cache as cache_module
+from raystream.jit.cpu import kernel
 
 PACKAGE = Path(raystream.__file__).parent
 
@@ -108,6 +110,26 @@ def test_old_files_and_the_least_recently_used_ones_go(tmp_path, monkeypatch):
     os.utime(tmp_path / "turns", (now - 86_400 * 100,) * 2)
     cache_module.evict(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new.nbc", "turns", "used.ptx"]
+
+
+@kernel
+def twice(x):
+    return x + x
+
+
+def test_code_for_another_processor_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setenv("RAYSTREAM_CACHE_DIR", str(tmp_path))
+    assert twice(2) == 4
+    (signature,) = twice.signatures
+
+    def is_there(machine):
+        codegen = SimpleNamespace(magic_tuple=lambda: machine)
+        return twice._cache.is_on_disk(signature, SimpleNamespace(codegen=lambda: codegen))
+
+    own = twice.targetctx.codegen().magic_tuple()  # platform, processor, what it can do
+    assert is_there(own)
+    for place in range(len(own)):
+        assert not is_there((*own[:place], "another", *own[place + 1 :]))
 
 
 def test_files_that_are_read_count_as_used(source, tmp_path):
