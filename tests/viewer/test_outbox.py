@@ -45,7 +45,10 @@ def outbox(sent, encoder):
 
 
 def shot(name):
-    return Shot(lambda: (np.zeros((2, 2, 3), np.float32), Look(1.0, "linear", None)), {"name": name, "moving": True})
+    return Shot(
+        lambda: (np.zeros((2, 2, 3), np.float32), Look(1.0, "linear", None)),
+        {"name": name, "moving": True},
+    )
 
 
 def names(sent):

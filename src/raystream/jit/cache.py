@@ -50,6 +50,9 @@ SIZE_LIMIT = 500_000_000
 #: Seconds after which a file that was not used goes: 90 days.
 AGE_LIMIT = 90 * 86_400.0
 
+#: Kernels, PTX, and hashes of what runs at compile time (see `fingerprint`).
+_SUFFIXES = (".nbc", ".ptx", ".txt")
+
 #: Seconds between two notes that a file is used: a day. Reading costs a write no more often.
 USE_INTERVAL = 86_400.0
 
@@ -235,8 +238,9 @@ def evict(folder: Path) -> None:
             continue
         if path.is_dir():  # of a version that had a folder for each state of the sources
             shutil.rmtree(path, ignore_errors=True)
-        elif path.suffix in (".nbc", ".ptx"):
-            path.unlink(missing_ok=True)
+        elif path.suffix in _SUFFIXES:
+            with contextlib.suppress(OSError):  # removed, or being read (Windows)
+                path.unlink()
 
 
 def keep_on_disk(dispatcher: Any) -> None:

@@ -132,7 +132,7 @@ def _folder_hash(folder: str) -> str:
     raw = hashlib.sha256(f"{sys.version_info[:2]} {len(files)}".encode())
     for file in files:
         raw.update(hashlib.sha256(file.read_bytes()).digest() + file.name.encode())
-    kept = cache_folder() / "sources" / f"{raw.hexdigest()[:32]}.txt"
+    kept = cache_folder() / "kernels" / f"sources-{raw.hexdigest()[:32]}.txt"
     try:
         found = kept.read_text(encoding="ascii")
         if _HASH.fullmatch(found):
