@@ -44,14 +44,14 @@ class Turns:
         # One descriptor until the end: to close any of them would end all turns (POSIX).
         self._file: int | None = None
 
-    def take(self, name: str, patience: float = PATIENCE) -> bool:
+    def take(self, name: str, patience: float | None = None) -> bool:
         """Wait until no other process has the turn of this name, and take it.
 
         Parameters
         ----------
         name : str
         patience : float, optional
-            Seconds to wait.
+            Seconds to wait; else `PATIENCE`.
 
         Returns
         -------
@@ -62,7 +62,7 @@ class Turns:
             if self._file is None:
                 self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
                 self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
-            end = time.monotonic() + patience
+            end = time.monotonic() + (PATIENCE if patience is None else patience)
             while not _lock(self._file, _place(name)):
                 if time.monotonic() >= end:
                     return False
