@@ -1,8 +1,11 @@
 """Compiling before the first use, and what the first use says."""
 
+import time
+
 import pytest
 
 from raystream.cli import compiling
+from raystream.cli.opening import Stopwatch
 from raystream.jit import warm
 from raystream.jit.watching import WATCHERS
 
@@ -48,7 +51,7 @@ def started(monkeypatch):
 
 def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     first = warm.entries_of("render-ao")[0].kernel
-    with compiling.compiling("render-ao", None, "cpu"):
+    with compiling.compiling("render-ao", None, "cpu", Stopwatch()):
         (watcher,) = WATCHERS
         watcher.begin(first)
         watcher.begin("another")
@@ -63,7 +66,7 @@ def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
 
 @pytest.mark.parametrize(("structure", "device"), [("grid", "cpu"), (None, "cuda")])
 def test_other_structures_say_it_when_a_second_has_passed(structure, device, started, capsys):
-    with compiling.compiling("query-first", structure, device):
+    with compiling.compiling("query-first", structure, device, Stopwatch()):
         (watcher,) = WATCHERS
         watcher.begin("one")
         watcher.end("one", 0.9)
@@ -75,7 +78,16 @@ def test_other_structures_say_it_when_a_second_has_passed(structure, device, sta
 
 
 def test_nothing_is_said_where_nothing_is_compiled(started, capsys):
-    with compiling.compiling("query-first", "bvh", "cpu"):
+    with compiling.compiling("query-first", "bvh", "cpu", Stopwatch()):
         pass
     assert capsys.readouterr().err == ""
     assert started == []
+
+
+def test_seconds_of_compiling_are_a_step_of_their_own(started, monkeypatch):
+    monkeypatch.setattr(warm, "compile_kernels", lambda entries: time.sleep(0.2))
+    stopwatch = Stopwatch()
+    with compiling.compiling("render-ao", None, "cpu", stopwatch), stopwatch.measure("build"):
+        WATCHERS[0].begin("one")
+    assert list(stopwatch.seconds) == ["compile", "build"]
+    assert stopwatch.seconds["compile"] >= 0.2 > stopwatch.seconds["build"] > 0.0

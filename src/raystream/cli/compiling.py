@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from raystream.cli.messages import write_note
+from raystream.cli.opening import Stopwatch
 from raystream.core.cache_folder import cache_folder
 from raystream.jit.threads import thread_count
 from raystream.jit.watching import watch
@@ -22,7 +23,9 @@ MOST_HELPERS = 3
 
 
 @contextlib.contextmanager
-def compiling(task: str, structure: str | None, device: str) -> Iterator[None]:
+def compiling(
+    task: str, structure: str | None, device: str, stopwatch: Stopwatch
+) -> Iterator[None]:
     """While the block runs, say what is compiled if that takes more than a second.
 
     When the first kernel is missing, all that the task is going to need are compiled, on as many
@@ -34,9 +37,11 @@ def compiling(task: str, structure: str | None, device: str) -> Iterator[None]:
         Of `jit.warm.TASKS`, or a part of one.
     structure, device : str or None
         Other ones than the default have other kernels, which are compiled here as they are needed.
+    stopwatch : Stopwatch
+        Gets a step "compile", if there is one.
     """
     is_listed = structure in (None, "bvh") and device == "cpu"
-    first_use = _FirstUse(task if is_listed else None)
+    first_use = _FirstUse(task if is_listed else None, stopwatch)
     try:
         with watch(first_use):
             yield
@@ -47,8 +52,9 @@ def compiling(task: str, structure: str | None, device: str) -> Iterator[None]:
 class _FirstUse:
     """Watches what is compiled; see `jit.watching.Watcher`."""
 
-    def __init__(self, task: str | None) -> None:
+    def __init__(self, task: str | None, stopwatch: Stopwatch) -> None:
         self._task = task
+        self._stopwatch = stopwatch
         self._helpers: list[Any] = []
         self._lock = threading.Lock()
         self._has_begun = False
@@ -59,7 +65,8 @@ class _FirstUse:
         with self._lock:
             is_first, self._has_begun = not self._has_begun, True
         if is_first and self._task is not None:
-            self._compile_all(self._task, kernel)
+            with self._stopwatch.measure("compile"):
+                self._compile_all(self._task, kernel)
 
     def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a watcher's
         with self._lock:

@@ -68,7 +68,7 @@ def info(
     from raystream.cli.describe import describe
 
     watch = Stopwatch()
-    with Bars() as bars, compiling("build-balanced", structure, device):
+    with Bars() as bars, compiling("build-balanced", structure, device, watch):
         tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
         figures = describe(scene, tracer, watch)
     if json:

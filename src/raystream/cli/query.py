@@ -141,7 +141,7 @@ def query(
     )
     choose_threads(threads)
     watch = Stopwatch()
-    with Bars() as bars, compiling(f"query-{question.kind}", structure, device):
+    with Bars() as bars, compiling(f"query-{question.kind}", structure, device, watch):
         given = {} if in_store else _read_rays(rays)
         source = Source(scene, structure, device, time, triangles, tracing)
         tracer = open_tracer(source, bars, watch)

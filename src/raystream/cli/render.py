@@ -211,7 +211,7 @@ def render(
     heat: Heatmap | None = None
     with (
         Bars() as bars,
-        compiling(f"render-{mode}", structure, device),
+        compiling(f"render-{mode}", structure, device, watch),
         joined(cluster, threads) as client,
         keeping_samples(checkpoint) as kept_samples,
     ):
