@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import signal
 import sys
@@ -424,6 +425,14 @@ def few_objects():
     gc.freeze()
     yield
     gc.unfreeze()
+
+
+def leave_out_first_use(monkeypatch) -> None:
+    """Let commands compile what they need and no more, and not say so: as after the first use."""
+    from raystream.cli import compiling
+
+    monkeypatch.setattr(compiling._FirstUse, "_compile_all", lambda *_: None)
+    monkeypatch.setattr(compiling, "DELAY", math.inf)
 
 
 def child_environment(**changes: str) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +13,8 @@ import numpy as np
 import pytest
 
 import raystream
-from raystream.cli import compiling, main
+from conftest import leave_out_first_use
+from raystream.cli import main
 from raystream.jit.threads import set_thread_count
 
 SQUARE = """\
@@ -59,9 +59,7 @@ def run(capsys, tmp_path, monkeypatch) -> Callable[..., Run]:
     """Run the command line in this process, in a folder of its own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("RAYSTREAM_DEBUG", raising=False)
-    # Tests compile what they need, and see what a machine shows that has done so.
-    monkeypatch.setattr(compiling._FirstUse, "_compile_all", lambda *_: None)
-    monkeypatch.setattr(compiling, "DELAY", math.inf)
+    leave_out_first_use(monkeypatch)
 
     def call(*arguments: object) -> Run:
         capsys.readouterr()

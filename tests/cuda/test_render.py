@@ -12,7 +12,7 @@ from extras import need
 need("numba_cuda")
 
 import raystream as rs
-from conftest import assert_same_bits
+from conftest import assert_same_bits, leave_out_first_use
 from raystream.cli import main
 
 #: First hits; any hits between surfaces and lights; all hits; and both of many bounces.
@@ -38,6 +38,7 @@ def test_pictures_are_the_processor_s(gpu, scene, mode):
 def run(capsys, tmp_path, monkeypatch):
     """Run the command line in this process; returns what it printed as JSON."""
     monkeypatch.chdir(tmp_path)
+    leave_out_first_use(monkeypatch)
 
     def call(*arguments):
         capsys.readouterr()

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
+from llvmlite.binding import get_host_cpu_features
+from numba.core import config
 
 from raystream.jit.cache import keep_on_disk
 from raystream.jit.compile_time import DeviceCompiler, KernelCompiler
@@ -24,6 +26,16 @@ FLAGS: dict[str, Any] = {
     "fastmath": False,
     "boundscheck": False,
 }
+
+if config.ENABLE_CUDASIM and config.CPU_FEATURES is None:
+    # In CUDA's simulator, functions of one lane run on the CPU. With AVX-512, LLVM 22 aborts the
+    # process where one of them is called with a mask of one lane ("Cannot emit physreg copy
+    # instruction"); the simulator does without.
+    _features = get_host_cpu_features()
+    for _name in _features:
+        if _name.startswith(("avx512", "avx10")):
+            _features[_name] = False
+    config.CPU_FEATURES = _features.flatten()
 
 # Only kernels are called from Python or C: what would call the others is not compiled.
 _DEVICE: dict[str, Any] = {
