@@ -68,6 +68,9 @@ def _run(
     assert "raystream" not in sys.modules
     os.environ.clear()
     os.environ.update(environment)
+    # Bytecode on disk is known by the second and the size of its source: a file that a test edits
+    # twice in a second would run as it was before.
+    sys.dont_write_bytecode = True
     os.chdir(program.parent)
     sys.path[:0] = paths
     out, error = io.StringIO(), ""

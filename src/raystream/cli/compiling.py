@@ -65,8 +65,7 @@ class _FirstUse:
         with self._lock:
             is_first, self._has_begun = not self._has_begun, True
         if is_first and self._task is not None:
-            with self._stopwatch.measure("compile"):
-                self._compile_all(self._task, kernel)
+            self._compile_all(self._task, kernel)
 
     def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a watcher's
         with self._lock:
@@ -92,7 +91,8 @@ class _FirstUse:
         count = min(thread_count() - 1, MOST_HELPERS, len(left) - 1)
         with contextlib.suppress(OSError):  # no more processes: this one does it alone
             self._helpers = warm.start_helpers(task, count)
-        warm.compile_kernels([entry for entry in left if entry.kernel != kernel])
+        with self._stopwatch.measure("compile"):
+            warm.compile_kernels([entry for entry in left if entry.kernel != kernel])
 
     def _tell(self, what: str) -> None:
         with self._lock:
