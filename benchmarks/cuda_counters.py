@@ -139,7 +139,7 @@ def trace(name, size, ways):
         tracer = rs.Tracer(scene, "bvh", "cuda", **options)
         rays = shuffled if is_shuffled else given
         tracer.first_hit(*rays)  # it is compiled
-        with tracer._machine.gpu.current(), cuda.profiling():
+        with tracer._backend.gpu.current(), cuda.profiling():
             tracer.first_hit(*rays)
     return 0
 

@@ -33,7 +33,6 @@ from raystream.bench.contenders.own import Raystream
 from raystream.bench.ray_sets import AO_REACH
 from raystream.bench.runner import geometry_of
 from raystream.cli.keywords import parse_keywords
-from raystream.core.rays import RayBatch
 from raystream.jit.threads import thread_count
 
 #: Rays that are traced together.
@@ -237,8 +236,8 @@ def ray_sets(scene, tracer, size, per_hit, part):
 
 def same_bits(ours, structure, rays):
     """Rays whose first hit has other bits than the CPU finds with the same structure."""
-    batch = RayBatch(rays.origins, rays.directions, 0.0, rays.t_max)
-    theirs = structure.first_hit_batch(batch, np.zeros(len(rays), np.uint8))
+    tracer = rs.Tracer.of_structure(structure)
+    theirs = tracer.first_hit(rays.origins, rays.directions, t_max=rays.t_max)
     is_other = ours.prim_id.ravel() != theirs.prim_id
     return int((is_other | (ours.t.ravel().view("i4") != theirs.t.view("i4"))).sum())
 

@@ -268,7 +268,7 @@ def test_the_size_of_blocks_and_the_number_of_threads_change_nothing(
     is_brief = takes_long(tracer)
     small = 200 if is_brief else 7
     for block, threads in ((1 << 20, 1), (small, 2), (399, 3)):
-        monkeypatch.setattr("raystream.structures.ray_block.RAYS_PER_BLOCK", block)
+        monkeypatch.setattr("raystream.machines.ray_block.RAYS_PER_BLOCK", block)
         try:
             rs.set_thread_count(threads)
             assert_expected_of(tracer, rays, expected, is_brief=is_brief)
@@ -292,13 +292,13 @@ def test_more_hits_than_memory_are_refused(monkeypatch):
     """Nothing is cut off silently, and the system need not kill the process."""
     tracer = rs.Tracer(CASES["one_triangle"](np.random.default_rng(0)).scene)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
-    monkeypatch.setattr("raystream.structures.found.CHECKED_HITS", 1)
+    monkeypatch.setattr("raystream.kernels.hit_batch.CHECKED_HITS", 1)
     refused = r"multi_hit: [\d,]+ hits would take .* give max_hits"
     rays = np.full((10, 3), [0.2, 0.2, 1.0]), [0, 0, -1]
     with pytest.raises(MemoryError, match=refused):
         tracer.multi_hit(*rays)
     # Room for a buffer of four hits, but not for all ten.
-    monkeypatch.setattr("raystream.structures.base.FIRST_CAPACITY", 4)
+    monkeypatch.setattr("raystream.machines.branching.FIRST_CAPACITY", 4)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 4 * 16)
     assert len(tracer.multi_hit(rays[0][:3], rays[1]).t) == 3
     with pytest.raises(MemoryError, match=refused):

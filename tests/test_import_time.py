@@ -51,5 +51,5 @@ def test_branching_brings_in_no_other_machine() -> None:
     tracer = f"import raystream as rs; tracer = rs.Tracer(rs.Scene.from_arrays({triangle}))"
     modules = modules_after(f"{tracer}; tracer.first_hit([0, 0, 1], [0, 0, -1])")
     assert "raystream.machines.queries" in modules
-    late = ("raystream.streams", "raystream.machines.multipass", "raystream.machines.counting")
+    late = ("raystream.streams", "raystream.machines.multipass", "raystream.machines.counters")
     assert not modules & set(late)

@@ -6,12 +6,13 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
+from raystream.core.query import Crossings
 from raystream.jit.threads import Progress
 from raystream.kernels.moving import move_triangles
 from raystream.machines.devices import device_of
-from raystream.machines.queries import Crossings, Queries
+from raystream.machines.queries import Queries
 from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
@@ -21,7 +22,7 @@ from raystream.structures.base import UpdateReport
 from raystream.structures.storage import load_structure, save_structure
 
 if TYPE_CHECKING:
-    from raystream.machines import Counting, RayCounters
+    from raystream.machines import RayCounters
 
 __all__ = ["Crossings", "Tracer"]
 
@@ -133,8 +134,9 @@ class Tracer(Queries):
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
         self.structure = structure
-        self._machine = device_of(self.device).machines.make(
-            self.machine, structure, self._counts, self._machine_options
+        self._latest = None
+        self._backend = device_of(self.device).machines.make(
+            self.machine, structure, self._machine_options
         )
 
     @property
@@ -158,10 +160,9 @@ class Tracer(Queries):
         """
         if not self._counts:
             raise ValueError("counters: this tracer does not count; make it with counters=True")
-        latest = cast("Counting", self._machine).latest
-        if latest is None:
+        if self._latest is None:
             raise ValueError("counters: there are none before the first query")
-        return latest
+        return self._latest
 
     @property
     def scene(self) -> Scene:

@@ -67,7 +67,7 @@ def test_parts_whose_tables_are_too_small_are_traced_again(gpu, case, oracle, ra
 
 def test_an_interrupt_leaves_nothing_behind(gpu, case, oracle, rays):
     tracer = rs.Tracer(case.scene, "brute", "cuda", rays_at_once=6)
-    lanes = tracer._machine._lanes
+    lanes = tracer._backend._lanes
 
     def interrupt(done, count):
         assert not lanes._free  # they are in use

@@ -145,8 +145,7 @@ def travels(monkeypatch):
 
 def test_nothing_but_counts_and_light_travels(gpu, travels, monkeypatch):
     tracer = rs.Tracer(room(), "brute", "cuda")
-    for query in ("first_hit_batch", "any_hit_batch"):
-        monkeypatch.setattr(tracer._machine, query, None)  # of rays on the host
+    monkeypatch.setattr(tracer._backend, "run", None)  # of rays on the host
     width, height, bounces = 5, 4, 3
     rs.render(tracer, "path", (width, height), 1, max_bounces=bounces)
     assert travels["upload"] == []

@@ -38,7 +38,7 @@ MODULES = (
 
 #: Names of those modules that the package's own rooms share.
 FOR_ROOMS = {
-    "machines": {"Counting", "Observer", "make_machine", "own_options"},
+    "machines": {"Branching", "Observer", "make_machine", "own_options"},
     "render.frames": {"split_options", "timeline_of"},
 }
 

@@ -90,7 +90,7 @@ def test_what_wgpu_would_print_is_an_error(opened, caplog):
 
 def test_what_wgpu_raises_is_an_error_of_the_query(fresh, scene, rays):
     tracer = rs.Tracer(scene, "brute", "graphics")
-    tracer._machine._dispatches._arrays[0].handle.destroy()
+    tracer._backend._dispatches._arrays[0].handle.destroy()
     with pytest.raises(GraphicsError, match=r"(?s)device 'graphics': .*destroyed"):
         tracer.any_hit(**rays)
     assert not fresh.is_lost
@@ -138,7 +138,7 @@ def test_more_rays_than_a_buffer_holds_are_refused(opened, scene, rays):
     structure = rs.Tracer(scene, "brute").structure
     machine = Compute(structure, smaller(opened, max_buffer_size=4000))
     tracer = rs.Tracer(scene, "brute", "graphics")
-    tracer._machine = machine
+    tracer._backend = machine
     with pytest.raises(GraphicsError, match=r"rays would take 6,400 bytes"):
         tracer.first_hit(**rays)
 

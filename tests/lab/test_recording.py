@@ -163,7 +163,7 @@ def test_progress_goes_through_both_searches():
 
 def test_rays_are_recorded_in_blocks_and_on_all_threads(monkeypatch):
     _, rays = scene_and_rays()
-    monkeypatch.setattr("raystream.structures.ray_block.RAYS_PER_BLOCK", 150)
+    monkeypatch.setattr("raystream.machines.ray_block.RAYS_PER_BLOCK", 150)
     monkeypatch.setattr("raystream.lab.walks.recording._CHUNK", 37)
     in_blocks = record(tracer_of("grid"), **rays, visits=True)
     for name in ("run_splits", "run_kernels", "run_lengths", "runs", "prim_ids", "visits"):

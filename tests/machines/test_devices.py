@@ -20,16 +20,16 @@ class _Machines:
     names = ("eager", "patient")
 
     def __init__(self) -> None:
-        self.made: list[tuple[str, str, bool, dict]] = []
+        self.made: list[tuple[str, str, dict]] = []
 
     def own_options(self, machine, options):
         if machine not in self.names:
             raise ValueError(f"machine: expected one of {self.names}, got {machine!r}")
         return {name: value for name, value in options.items() if name == "patience"}
 
-    def make(self, machine, structure, counters, options):
-        self.made.append((machine, structure.name, counters, dict(options)))
-        return make_machine("branching", structure, counters, {})
+    def make(self, machine, structure, options):
+        self.made.append((machine, structure.name, dict(options)))
+        return make_machine("branching", structure, {})
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def machines(monkeypatch):
 
 def test_device_makes_the_machine_with_its_options(machines):
     tracer = rs.Tracer(SCENE, "grid", "slow", machine="patient", patience=3, resolution=2)
-    assert machines.made == [("patient", "grid", False, {"patience": 3})]
+    assert machines.made == [("patient", "grid", {"patience": 3})]
     assert tracer.first_hit(*RAY).t == 1.0
     assert repr(tracer) == "Tracer(1 triangles, structure='grid', device='slow', machine='patient')"
 

@@ -7,6 +7,7 @@ import pytest
 
 import raystream as rs
 from cases import CASES
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.machines import Multipass, Passes
 from raystream.machines.records import RayState
@@ -30,9 +31,8 @@ def test_an_observer_sees_every_pass_and_changes_nothing(compaction):
     machine = Multipass(structure, scheduler="most-work", compaction=compaction)
     answers = []
     for one in (machine.recording(plain), machine.recording(watched).shown_to(observe)):
-        tallies = np.zeros((len(batch), 8), np.uint32)
-        status = np.zeros(len(batch), np.uint8)
-        answers.append((one.first_hit_batch(batch, status, None, tallies), tallies))
+        sink = one.answer(Query(Kind.FIRST_HIT, counters=True), batch)
+        answers.append((sink.hits, sink.tallies))
     (hits, tallies), (again, counted) = answers
     assert hits.t.tobytes() == again.t.tobytes()
     assert np.array_equal(tallies, counted)
@@ -56,8 +56,8 @@ def test_a_machine_that_nobody_watches_shows_nothing():
     seen = []
     watched = machine.shown_to(lambda now: seen.append(RayState(int(now.streams["state"][0]))))
     batch = RayBatch(case.origins[:1], case.directions[:1], 0.0, np.inf)
-    machine.first_hit_batch(batch, np.zeros(1, np.uint8))
+    machine.answer(Query(Kind.FIRST_HIT), batch)
     assert not seen
-    watched.first_hit_batch(batch, np.zeros(1, np.uint8))
+    watched.answer(Query(Kind.FIRST_HIT), batch)
     assert seen[0] is RayState.STARTING
     assert seen[-1] is RayState.DONE

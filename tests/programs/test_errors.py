@@ -5,6 +5,7 @@ import pytest
 
 import raystream as rs
 from meshes import cube
+from raystream.machines.backend import Capabilities
 from raystream.programs.program import Program
 
 RAY = ([0.3, 0.4, -2.0], [0.0, 0.0, 1.0])
@@ -156,7 +157,7 @@ def test_tracers_that_cannot():
     with pytest.raises(ValueError, match=r"^on_hit, skip_prim_ids: a tracer with counters"):
         counting.first_hit(*RAY, skip_prim_ids=-1)
     elsewhere = rs.Tracer(scene)
-    elsewhere.structure.runs_programs = False  # as one of a device that registers itself may
+    elsewhere._backend.capabilities = Capabilities(programs=False)  # as another device's may be
     with pytest.raises(ValueError, match="programs do not run on this tracer's device"):
         elsewhere.count_hits(*RAY, on_hit=one_argument)
 

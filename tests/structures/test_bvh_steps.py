@@ -8,13 +8,16 @@ import pytest
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, lattice_soup, soup, sticks
+from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
-from raystream.kernels.queries import AGAIN, UNLIMITED, LocalRays
+from raystream.kernels.queries import AGAIN, LocalRays
 from raystream.kernels.ray import set_up
 from raystream.kernels.seen import clear_seen
+from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
+from raystream.machines import Branching
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH
 from raystream.structures.bvh.statistics import statistics
@@ -297,6 +300,14 @@ def slots_for(ray_count, capacity):
     return Slots(np.arange(ray_count, dtype=np.uint64) * np.uint64(capacity), each)
 
 
+def answered(structure, kind, rays, surfaces=False):
+    """What the branching machine finds for local rays."""
+    query = Query(kind, surfaces)
+    sink = Sink.of(query, len(rays.t_max))
+    Branching(structure).run_local(query, rays, sink)
+    return sink
+
+
 def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rng):
     structure, brute = pair
     rays = local_rays(structure.triangles, 300, rng)
@@ -304,18 +315,17 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
     one, unlimited = slots_for(count, 1), Slots(*np.zeros((2, count), np.uint64))
     unlimited.capacity[:] = UNLIMITED
 
-    expected = HitArrays.empty(count)
-    brute.first_hit(rays, expected)
+    expected = answered(brute, Kind.FIRST_HIT, rays).hits
     _, first, _ = both(structure, rays, False, True, one, 0)
     for column, wanted in zip(first, expected, strict=True):
         assert_same_bits(column, wanted)
     seen, _, _ = both(structure, rays, False, False, one, 0)
-    assert_same_bits(seen != 0, brute.any_hit(rays))
+    assert_same_bits(seen != 0, answered(brute, Kind.ANY_HIT, rays).seen)
 
     assert structure.lists_twice == (structure.options["quality"] == "high")
     room = 4096 if structure.lists_twice else 0
     for surfaces in (False, True):
-        wanted = brute.count_hits(rays, surfaces)
+        wanted = answered(brute, Kind.COUNT_HITS, rays, surfaces).counts
         counts, _, tallies = both(structure, rays, surfaces, False, unlimited, room)
         assert_same_bits(counts.astype(np.int64), wanted)
         assert (tallies[:, COLUMNS.index("tests")] >= counts).all()
@@ -324,10 +334,11 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
             np.cumsum(np.minimum(wanted, most), out=splits[1:])
             rows = Slots(splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64))
             some = Slots(rows.first, np.maximum(rows.capacity, 1))  # a miss keeps none
-            expected = new_hits(some, True)
-            brute.multi_hit(rays, surfaces, splits, expected)
+            filled = Sink(np.zeros(count, np.uint8))
+            filled.splits, filled.hits = splits, new_hits(some, True)
+            Branching(brute).run_local(Query(Kind.MULTI_HIT, surfaces), rays, filled)
             _, many, _ = both(structure, rays, surfaces, True, some, room)
-            for column, right in zip(many, expected, strict=True):
+            for column, right in zip(many, filled.hits, strict=True):
                 assert_same_bits(column, right)
 
 
@@ -337,7 +348,8 @@ def test_a_full_set_of_triangles_seen_is_told(keep, rng):
     structure = rs.Tracer(scene, quality="high").structure
     rays = local_rays(structure.triangles, 200, rng)
     count = len(rays.t_max)
-    wanted = rs.Tracer(scene, "brute").structure.count_hits(rays, False)
+    brute = rs.Tracer(scene, "brute").structure
+    wanted = answered(brute, Kind.COUNT_HITS, rays).counts
     slots = slots_for(count, 400)
     if not keep:
         counts, _, _ = both(structure, rays, False, keep, slots, 0)

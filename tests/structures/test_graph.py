@@ -13,6 +13,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.kernels.queries import LocalRays
 from raystream.kernels.ray import set_up
+from raystream.machines.ray_block import blocks
 from raystream.structures.graph.graphlog import load_graph
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.start import MAX_WALK
@@ -24,7 +25,6 @@ from raystream.structures.graph.steps import (
     walk_to,
     way_out,
 )
-from raystream.structures.ray_block import blocks
 
 NOWHERE = np.int64(-1)
 ROW_BYTES = np.uint64(16)

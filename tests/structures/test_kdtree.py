@@ -8,11 +8,13 @@ from cases import CASES
 from conftest import assert_same_bits
 from meshes import dented_sphere, grid_floor, soup
 from raystream.core.npz import read_npz, write_npz
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import scratch
 from raystream.kernels.queries import LocalRays
 from raystream.kernels.ray import set_up
+from raystream.machines import Branching
 from raystream.structures.kdtree.state import STACK_BYTES, split_ray
 from raystream.structures.kdtree.steps import down, initialize, is_at_leaf, leaf, leave, up
 from raystream.structures.kdtree.structure import LAYOUTS, TRAVERSALS, KdTree
@@ -319,7 +321,7 @@ def test_one_tree_is_searched_in_three_ways(layout, rng):
         assert other.options == expected.structure.options
         assert other.tree is built.tree
         hits = [
-            one.first_hit_batch(RayBatch(*rays, 0.0, np.inf), np.zeros(len(rays[0]), np.uint8))
+            Branching(one).answer(Query(Kind.FIRST_HIT), RayBatch(*rays, 0.0, np.inf)).hits
             for one in (other, expected.structure)
         ]
         assert all(np.array_equal(a, b) for a, b in zip(*hits, strict=True))

@@ -9,19 +9,21 @@ import raystream as rs
 from cases import CASES
 from conftest import assert_same_bits
 from meshes import soup
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.kernels.queries import UNLIMITED
-from raystream.kernels.tally import COLUMNS, new_tallies
+from raystream.kernels.sink import Sink
+from raystream.kernels.tally import COLUMNS
+from raystream.machines import Branching
 
 #: The queries for batches, and what they take besides.
 QUERIES = {
-    "first_hit": ("first_hit_batch", ()),
-    "any_hit": ("any_hit_batch", ()),
-    "count_hits": ("count_hits_batch", (False, UNLIMITED)),
-    "count_hits, at most 2": ("count_hits_batch", (False, 2)),
-    "multi_hit": ("multi_hit_batch", (False, UNLIMITED)),
-    "multi_hit, surfaces": ("multi_hit_batch", (True, UNLIMITED)),
-    "multi_hit, at most 2": ("multi_hit_batch", (False, 2)),
+    "first_hit": Query(Kind.FIRST_HIT),
+    "any_hit": Query(Kind.ANY_HIT),
+    "count_hits": Query(Kind.COUNT_HITS),
+    "count_hits, at most 2": Query(Kind.COUNT_HITS, limit=2),
+    "multi_hit": Query(Kind.MULTI_HIT),
+    "multi_hit, surfaces": Query(Kind.MULTI_HIT, surfaces=True),
+    "multi_hit, at most 2": Query(Kind.MULTI_HIT, limit=2),
 }
 
 COUNTS = ("steps", "leaves", "tests")
@@ -31,21 +33,17 @@ def build(vertices, faces, name, **options):
     return rs.Tracer(rs.Scene.from_arrays(vertices, faces), name, **options).structure
 
 
-def ask(structure, query, batch, tallies=None):
-    """All arrays of an answer, and the status of each ray."""
-    method, arguments = QUERIES[query]
-    status = np.zeros(len(batch), np.uint8)
-    answer = getattr(structure, method)(batch, *arguments, status, tallies=tallies)
-    if method == "multi_hit_batch":
-        splits, hits = answer
-        return [splits, *hits, status]
-    return [*answer, status] if method == "first_hit_batch" else [answer, status]
+def ask(structure, query, batch, counters=False):
+    """All arrays of an answer, the status of each ray; and the tallies."""
+    sink = Branching(structure).answer(QUERIES[query]._replace(counters=counters), batch)
+    names = ("splits", "seen", "counts", "status")
+    arrays = [getattr(sink, name) for name in names if hasattr(sink, name)]
+    return [*arrays, *getattr(sink, "hits", ())], sink.tallies
 
 
 def tallied(structure, query, batch):
     """The tallies of a query, by column."""
-    tallies = new_tallies(len(batch))
-    ask(structure, query, batch, tallies)
+    _, tallies = ask(structure, query, batch, counters=True)
     assert not tallies[:, len(COLUMNS) :].any()
     return dict(zip(COLUMNS, tallies.T, strict=False))
 
@@ -86,8 +84,8 @@ def test_answers_are_the_same(make_tracer, name, rng):
     case = CASES[name](rng)
     structure, batch = make_tracer(case.scene).structure, batch_of(case)
     for query in QUERIES:
-        tallies = new_tallies(len(batch))
-        found, expected = ask(structure, query, batch, tallies), ask(structure, query, batch)
+        found, tallies = ask(structure, query, batch, counters=True)
+        expected, _ = ask(structure, query, batch)
         for ours, theirs in zip(found, expected, strict=True):
             assert_same_bits(ours, theirs)
         assert tallies[:, COLUMNS.index("tests")].any()
@@ -96,16 +94,13 @@ def test_answers_are_the_same(make_tracer, name, rng):
 def test_blocks_and_threads_change_no_tally(make_tracer, rng, monkeypatch):
     case = CASES["random_soup"](rng)
     structure, batch = make_tracer(case.scene).structure, batch_of(case)
-    expected = {query: new_tallies(len(batch)) for query in QUERIES}
-    for query, tallies in expected.items():
-        ask(structure, query, batch, tallies)
+    expected = {query: ask(structure, query, batch, counters=True)[1] for query in QUERIES}
     for block, threads in ((399, 3), (150, 1)):
-        monkeypatch.setattr("raystream.structures.ray_block.RAYS_PER_BLOCK", block)
+        monkeypatch.setattr("raystream.machines.ray_block.RAYS_PER_BLOCK", block)
         try:
             rs.set_thread_count(threads)
             for query, tallies in expected.items():
-                again = new_tallies(len(batch))
-                ask(structure, query, batch, again)
+                _, again = ask(structure, query, batch, counters=True)
                 np.testing.assert_array_equal(again, tallies)
         finally:
             rs.set_thread_count(None)
@@ -142,11 +137,12 @@ def test_multi_hit_meets_things_twice(make_tracer, rng):
 def test_tallies_add_up(make_tracer, rng):
     case = CASES["random_soup"](rng)
     structure, batch = make_tracer(case.scene).structure, batch_of(case)
-    tallies = new_tallies(len(batch))
-    ask(structure, "first_hit", batch, tallies)
-    once = tallies.copy()
-    ask(structure, "first_hit", batch, tallies)
-    np.testing.assert_array_equal(tallies, 2 * once)
+    query = QUERIES["first_hit"]._replace(counters=True)
+    backend, sink = Branching(structure), Sink.of(query, len(batch))
+    backend.run(query, batch, sink)
+    once = sink.tallies.copy()
+    backend.run(query, batch, sink)
+    np.testing.assert_array_equal(sink.tallies, 2 * once)
 
 
 def test_rays_that_cannot_hit_meet_nothing(make_tracer):
@@ -155,8 +151,7 @@ def test_rays_that_cannot_hit_meet_nothing(make_tracer):
     directions[0], directions[1, 1] = 0.0, np.nan
     batch = rays(origins, directions, [0.0, 0.0, 2.0], [1.0, 1.0, 1.0])
     for query in QUERIES:
-        tallies = new_tallies(len(batch))
-        ask(structure, query, batch, tallies)
+        _, tallies = ask(structure, query, batch, counters=True)
         assert not tallies.any()
 
 

@@ -17,9 +17,7 @@ from raystream.cluster.hits import LazyHits, LazyMultiHits
 from raystream.cluster.post import post_of
 from raystream.cluster.rays import LazyRays
 from raystream.cluster.tracers import pack_tracer
-from raystream.kernels.queries import UNLIMITED
-from raystream.machines.programs import is_surfaces
-from raystream.machines.queries import Crossings
+from raystream.core.query import UNLIMITED, Crossings, counts_surfaces
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer as LocalTracer
 
@@ -154,7 +152,7 @@ class Tracer:
         -------
         dask.array.Array of shape S, int64
         """
-        is_surfaces(crossings)
+        counts_surfaces(crossings)
         rays = LazyRays.of(origins, directions, t_min, t_max)
         return self._asked("count_hits", rays, {"crossings": crossings})
 
@@ -182,7 +180,7 @@ class Tracer:
         -------
         LazyMultiHits
         """
-        is_surfaces(crossings)
+        counts_surfaces(crossings)
         limit = None if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit is not None and limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")

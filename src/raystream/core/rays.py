@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.arrays import as_real_array
+from raystream.core.arrays import as_real_array, is_on_gpu
 
-__all__ = ["USUAL_LIMITS", "RayBatch", "RayStatus"]
+__all__ = ["USUAL_LIMITS", "RayArrays", "RayBatch", "RayStatus"]
 
 
 class RayStatus(enum.IntEnum):
@@ -28,6 +28,19 @@ class RayStatus(enum.IntEnum):
 
     VALID = 0
     INVALID = 1
+
+
+class RayArrays(NamedTuple):
+    """Rays as the caller gave them, of which at least one array is on a GPU; nothing is checked."""
+
+    origins: Any
+    directions: Any
+    t_min: Any
+    t_max: Any
+
+    def is_on_gpu(self) -> bool:
+        """Whether at least one of the arrays says that it is in a GPU's memory."""
+        return any(map(is_on_gpu, self))
 
 
 class RayBatch:

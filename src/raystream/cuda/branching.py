@@ -7,26 +7,24 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from raystream.core.rays import RayBatch
+from raystream.core.query import Kind, Query
+from raystream.core.rays import RayArrays, RayBatch
 from raystream.cuda.device_queries import DeviceScene
 from raystream.cuda.device_rays import usual_limits
 from raystream.cuda.lanes import Lanes
-from raystream.cuda.parts import Answer, Asked, Part, trace_parts
+from raystream.cuda.parts import Answer, HostQuery, Part, trace_parts
 from raystream.cuda.programs import HostRays, ProgramQueries
 from raystream.cuda.structures import kernel_for, kernels_of, place
 from raystream.cuda.threads import RETRY, SeenTables
 from raystream.cuda.triangles import TrianglesThere
 from raystream.jit.cuda import CudaError, Gpu
-from raystream.jit.threads import Progress, part_of
+from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses, HitArrays
-from raystream.kernels.local_ray import SceneFrame
-from raystream.kernels.queries import UNLIMITED, LocalRays
 from raystream.kernels.ray_source import ResultAddresses
+from raystream.kernels.sink import Sink
+from raystream.machines.backend import Backend, Capabilities
 from raystream.structures import Structure
-from raystream.structures.batches import BatchQueries
-from raystream.structures.found import allocate_hits
 
 if TYPE_CHECKING:
     from raystream.cuda.rendering import CudaBands
@@ -40,7 +38,7 @@ RAYS_AT_ONCE = 1 << 20
 _NOWHERE = np.uint64(0)
 
 
-class Branching(BatchQueries):
+class Branching(Backend):
     """Traces rays on a GPU, one a thread, with the CPU's traversals.
 
     Parameters
@@ -71,6 +69,8 @@ class Branching(BatchQueries):
         If `kernel` is given for a structure that is no BVH.
     """
 
+    capabilities = Capabilities(device_arrays=True, shading=True)
+
     def __init__(
         self,
         structure: Structure,
@@ -90,26 +90,46 @@ class Branching(BatchQueries):
         self._kernels = kernels_of(structure.name, kernel, launch, order)
         self._is_sorted = order == "sorted"
         self._resident = place(structure, gpu, kernel)
-        self._identity = SceneFrame.identity(structure.triangles)
         self._in_order = TrianglesThere(gpu, structure.triangles)
         self._lanes = Lanes(gpu)
         usual_limits(gpu)  # now, for no query should wait for them
 
-    @property
-    def frame(self) -> SceneFrame:
-        """The frame of the structure's triangles."""
-        return self.structure.frame
+    def run(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> None:
+        """Answer a query of rays in the host's memory; see `Backend.run`."""
+        frame = self.structure.frame
+        if query.kind is Kind.MULTI_HIT:
+            filled, half = self.room_for_hits(query, rays, sink, progress)
+            if query.limit == 0:  # any hit tells which rays are invalid
+                seen = Query(Kind.ANY_HIT)
+                self.run(seen, rays, Sink.of(seen, len(rays), status=sink.status))
+            self._multi_hit(HostQuery(query, rays, frame, filled, half))
+            sink.put(filled.splits, filled.hits)
+            return
+        job = HostQuery(query, rays, frame, sink, progress)
+        if query.kind is Kind.FIRST_HIT:
+            self._first_hit(job)
+        elif query.kind is Kind.ANY_HIT:
+            self._any_hit(job)
+        else:
+            self._count_hits(job)
 
-    def on_device(
-        self, on_hit: Any, skip_prim_ids: Any, origins: Any, directions: Any, t_min: Any, t_max: Any
-    ) -> ProgramQueries:
-        """Answer for rays that are in the device's memory; see `ProgramQueries`."""
-        return ProgramQueries(self._scene, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
+    def run_program(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> bool:
+        """Answer a query with its filter or program on the device, if it can run there."""
+        return HostRays(self._scene, self.rays_at_once).run(query, rays, sink, progress)
 
-    @property
-    def programs_there(self) -> HostRays | None:
-        """What runs programs for rays of the host's."""
-        return HostRays(self._scene, self.rays_at_once)
+    def answer_on_device(
+        self,
+        query: Query,
+        rays: RayArrays,
+        progress: Progress | None = None,
+        payload: Any = None,
+    ) -> Any:
+        """Answer a query of rays that are in the device's memory; see `ProgramQueries`."""
+        return ProgramQueries(self._scene, query, rays).answer(progress, payload)
 
     @property
     def _scene(self) -> DeviceScene:
@@ -118,7 +138,7 @@ class Branching(BatchQueries):
             self.gpu,
             self._kernels,
             self._resident,
-            self.frame,
+            structure.frame,
             structure.triangles,
             structure.lists_twice,
             self._is_sorted,
@@ -129,122 +149,12 @@ class Branching(BatchQueries):
         """What takes samples of a picture on the device; see `Queries.bands_on_device`."""
         from raystream.cuda.rendering import CudaBands
 
-        own = self.gpu, self._kernels, self._resident, self.frame, self._lanes
+        own = self.gpu, self._kernels, self._resident, self.structure.frame, self._lanes
         return CudaBands(setting, *own, self.rays_at_once, is_sorted=self._is_sorted)
 
-    # ---- Whole batches, in world space.
+    def _first_hit(self, job: HostQuery) -> None:
+        out = job.sink.hits
 
-    def first_hit_batch(
-        self,
-        batch: RayBatch,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> HitArrays:
-        """Find the nearest hit of each ray; see `BatchQueries.first_hit_batch`."""
-        out = HitArrays.empty(len(batch))
-        self._first_hit(Asked(batch, self.frame, status, progress, tallies), out)
-        return out
-
-    def any_hit_batch(
-        self,
-        batch: RayBatch,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way; see `BatchQueries.any_hit_batch`."""
-        return self._any_hit(Asked(batch, self.frame, status, progress, tallies))
-
-    def count_hits_batch(
-        self,
-        batch: RayBatch,
-        surfaces: bool,
-        limit: int,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.int64]:
-        """Count the hits of each ray; see `BatchQueries.count_hits_batch`."""
-        asked = Asked(batch, self.frame, status, progress, tallies)
-        return self._count_hits(asked, surfaces, limit)
-
-    def multi_hit_batch(
-        self,
-        batch: RayBatch,
-        surfaces: bool,
-        limit: int,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> tuple[NDArray[np.int64], HitArrays]:
-        """Find the nearest hits of each ray; see `BatchQueries.multi_hit_batch`."""
-        splits = np.zeros(len(batch) + 1, np.int64)
-        if limit:
-            first_half = part_of(progress, 0, 2 * len(batch))
-            counts = self.count_hits_batch(batch, surfaces, limit, status, first_half, tallies)
-            np.cumsum(counts, out=splits[1:])
-        else:
-            self.any_hit_batch(batch, status)  # it tells which rays are invalid
-        hits = allocate_hits(int(splits[-1]))
-        second_half = part_of(progress, len(batch), 2 * len(batch))
-        asked = Asked(batch, self.frame, status, second_half, tallies)
-        self._multi_hit(asked, surfaces, splits, hits)
-        return splits, hits
-
-    # ---- Local rays: those of the identity's frame.
-
-    def first_hit(
-        self,
-        rays: LocalRays,
-        out: HitArrays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> None:
-        """Find the nearest hit of each ray; see `BatchQueries.first_hit`."""
-        self._first_hit(self._local(rays, progress, tallies), out)
-
-    def any_hit(
-        self,
-        rays: LocalRays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way; see `BatchQueries.any_hit`."""
-        return self._any_hit(self._local(rays, progress, tallies))
-
-    def count_hits(
-        self,
-        rays: LocalRays,
-        surfaces: bool,
-        limit: int = UNLIMITED,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.int64]:
-        """Count the hits of each ray; see `BatchQueries.count_hits`."""
-        return self._count_hits(self._local(rays, progress, tallies), surfaces, limit)
-
-    def multi_hit(
-        self,
-        rays: LocalRays,
-        surfaces: bool,
-        splits: NDArray[np.int64],
-        out: HitArrays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> None:
-        """Write the nearest hits of each ray; see `BatchQueries.multi_hit`."""
-        self._multi_hit(self._local(rays, progress, tallies), surfaces, splits, out)
-
-    def _local(
-        self, rays: LocalRays, progress: Progress | None, tallies: NDArray[np.uint32] | None
-    ) -> Asked:
-        batch = RayBatch(rays.origins, rays.directions, rays.t_min, rays.t_max)
-        return Asked(batch, self._identity, np.zeros(len(batch), np.uint8), progress, tallies)
-
-    # ---- What both come to.
-
-    def _first_hit(self, asked: Asked, out: HitArrays) -> None:
         def answer(part: Part, _tables: SeenTables) -> Callable[[], bool]:
             hits = part.empty("hits", (4, part.count), np.float32)
             t, u, v, prim_id = _rows(hits.address, part.count)
@@ -258,10 +168,10 @@ class Branching(BatchQueries):
 
             return take
 
-        self._trace(asked, answer)
+        self._trace(job, answer)
 
-    def _any_hit(self, asked: Asked) -> NDArray[np.bool_]:
-        seen = np.empty(len(asked.batch), np.bool_)
+    def _any_hit(self, job: HostQuery) -> None:
+        seen = job.sink.seen
 
         def answer(part: Part, _tables: SeenTables) -> Callable[[], bool]:
             found = part.empty("answers", part.count, np.bool_)
@@ -276,15 +186,14 @@ class Branching(BatchQueries):
 
             return take
 
-        self._trace(asked, answer)
-        return seen
+        self._trace(job, answer)
 
-    def _count_hits(self, asked: Asked, surfaces: bool, limit: int) -> NDArray[np.int64]:
-        counts = np.empty(len(asked.batch), np.int64)
+    def _count_hits(self, job: HostQuery) -> None:
+        counts, query = job.sink.counts, job.query
 
         def answer(part: Part, tables: SeenTables) -> Callable[[], bool]:
             found = part.empty("counts", part.count, np.int64)
-            wanted = bool(surfaces), np.uint64(limit)
+            wanted = bool(query.surfaces), np.uint64(query.limit)
             part.run(self._kernels.count_hits, tables, *wanted, part.status, found.address)
             own = part.lane.download(found)
 
@@ -294,12 +203,11 @@ class Branching(BatchQueries):
 
             return take
 
-        self._trace(asked, answer, lists_twice=self.structure.lists_twice)
-        return counts
+        self._trace(job, answer, lists_twice=self.structure.lists_twice)
 
-    def _multi_hit(
-        self, asked: Asked, surfaces: bool, splits: NDArray[np.int64], out: HitArrays
-    ) -> None:
+    def _multi_hit(self, job: HostQuery) -> None:
+        splits, out, surfaces = job.sink.splits, job.sink.hits, bool(job.query.surfaces)
+
         def answer(part: Part, tables: SeenTables) -> Callable[[], bool]:
             wanted = splits[part.rows.start : part.rows.stop + 1]
             rows = slice(int(wanted[0]), int(wanted[-1]))
@@ -308,8 +216,7 @@ class Branching(BatchQueries):
             found = part.empty("counts", part.count, np.int64)
             t, u, v, prim_id = _rows(hits.address, rows.stop - rows.start)
             to = HitAddresses(t, u, v, prim_id)
-            more = bool(surfaces), own.address, to, found.address
-            part.run(self._kernels.multi_hit, tables, *more)
+            part.run(self._kernels.multi_hit, tables, surfaces, own.address, to, found.address)
             counts, columns = part.lane.download(found), part.lane.download(hits)
 
             def take() -> bool:
@@ -325,11 +232,11 @@ class Branching(BatchQueries):
             return take
 
         lists_twice = self.structure.lists_twice
-        self._trace(asked, answer, lists_twice=lists_twice, splits=splits)
+        self._trace(job, answer, lists_twice=lists_twice, splits=splits)
 
-    def _trace(self, asked: Asked, answer: Answer, **options: Any) -> None:
+    def _trace(self, job: HostQuery, answer: Answer, **options: Any) -> None:
         shared = self.gpu, self._resident, self._lanes, self.rays_at_once
-        trace_parts(asked, *shared, answer, is_sorted=self._is_sorted, **options)
+        trace_parts(job, *shared, answer, is_sorted=self._is_sorted, **options)
 
 
 def _rows(address: np.uint64, count: int) -> list[np.uint64]:
@@ -337,6 +244,6 @@ def _rows(address: np.uint64, count: int) -> list[np.uint64]:
     return [address + np.uint64(4 * count * k) for k in range(4)]
 
 
-def _copy(rows: NDArray[np.float32], out: HitArrays) -> None:
+def _copy(rows: Any, out: HitArrays) -> None:
     for column, row in zip(out, HitArrays.rows_of(rows), strict=True):
         column[:] = row

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.core.query import UNLIMITED, Kind, Query
+from raystream.core.rays import RayArrays
 from raystream.core.triangles import Triangles
 from raystream.cuda.asking import Asking
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
@@ -19,7 +21,6 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, Work, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.local_ray import SceneFrame
-from raystream.kernels.queries import UNLIMITED
 from raystream.kernels.ray_source import ResultAddresses
 
 __all__ = ["DeviceQueries", "DeviceScene", "report"]
@@ -61,7 +62,8 @@ class DeviceQueries:
     Parameters
     ----------
     scene : DeviceScene
-    origins, directions, t_min, t_max
+    query : Query
+    rays : RayArrays
         See `place_device_rays`.
 
     Notes
@@ -71,16 +73,27 @@ class DeviceQueries:
     tables were large enough. `multi_hit` reads the total of the counts.
     """
 
-    def __init__(
-        self, scene: DeviceScene, origins: Any, directions: Any, t_min: Any, t_max: Any
-    ) -> None:
+    def __init__(self, scene: DeviceScene, query: Query, rays: RayArrays) -> None:
         self._scene = scene
-        self._given = {
-            "origins": origins,
-            "directions": directions,
-            "t_min": t_min,
-            "t_max": t_max,
-        }
+        self._query = query
+        self._given = rays._asdict()
+
+    def answer(self, progress: Progress | None = None, payload: Any = None) -> Any:
+        """Answer the query; `payload` is that of `trace`."""
+        kind = self._query.kind
+        if kind is Kind.FIRST_HIT:
+            return self.first_hit(progress)
+        if kind is Kind.ANY_HIT:
+            return self.any_hit(progress)
+        if kind is Kind.COUNT_HITS:
+            return self.count_hits(progress)
+        if kind is Kind.MULTI_HIT:
+            return self.multi_hit(progress)
+        return self.trace(payload, progress)
+
+    def trace(self, payload: Any, progress: Progress | None = None) -> Any:
+        """Run a program at the hits of each ray."""
+        raise NotImplementedError
 
     def first_hit(self, progress: Progress | None = None) -> DeviceHits:
         """Find the nearest triangle along each ray.
@@ -113,19 +126,17 @@ class DeviceQueries:
         report(progress, len(rays), 1)
         return seen
 
-    def count_hits(self, surfaces: bool, progress: Progress | None = None) -> DeviceArray:
+    def count_hits(self, progress: Progress | None = None) -> DeviceArray:
         """Count what lies along each ray; of the rays' shape, int64."""
         with self._work() as work:
             rays = self._rays(work)
             status = work.cleared("status", rays.shape, np.uint8)
             asking = Asking(work, self._scene, rays)
-            counts = self._count(work, asking, surfaces, UNLIMITED, status)
+            counts = self._count(work, asking, UNLIMITED, status)
         report(progress, len(rays), 1)
         return counts.shaped(rays.shape)
 
-    def multi_hit(
-        self, surfaces: bool, limit: int, progress: Progress | None = None
-    ) -> DeviceMultiHits:
+    def multi_hit(self, progress: Progress | None = None) -> DeviceMultiHits:
         """Find the nearest `limit` hits of each ray, by t, then prim_id.
 
         Raises
@@ -133,13 +144,14 @@ class DeviceQueries:
         ValueError, TypeError, CudaError
             See `place_device_rays`; or if there is no memory for the hits.
         """
+        limit = self._query.limit
         with self._work() as work:
             rays = self._rays(work)
             count = len(rays)
             status = work.cleared("status", rays.shape, np.uint8)
             # Hits that nobody wants are looked for, too: it tells which rays are invalid.
             asking = Asking(work, self._scene, rays)
-            counts = self._count(work, asking, surfaces, max(limit, 1), status)
+            counts = self._count(work, asking, max(limit, 1), status)
             if limit == 0:
                 work.gpu.clear(counts, work.stream)
             splits = work.empty("splits", count + 1, np.int64)
@@ -150,7 +162,7 @@ class DeviceQueries:
             prim_id = work.empty("hits", row_count, np.int32)
             to = HitAddresses(t.address, u.address, v.address, prim_id.address)
             if row_count:
-                self._fill(work, asking, surfaces, splits, to)
+                self._fill(work, asking, splits, to)
         if progress:
             progress(2 * count, 2 * count)
         hits = t, u, v, prim_id
@@ -167,13 +179,11 @@ class DeviceQueries:
         asking = Asking(work, self._scene, rays)
         work.launch(kernel, len(asking), (*asking.shared(0, len(asking)), to))
 
-    def _count(
-        self, work: Work, asking: Asking, surfaces: bool, limit: int, status: DeviceArray
-    ) -> DeviceArray:
+    def _count(self, work: Work, asking: Asking, limit: int, status: DeviceArray) -> DeviceArray:
         counts = work.empty("counts", len(asking), np.int64)
 
         def run(tables: SeenTables, first: int, count: int) -> None:
-            wanted = bool(surfaces), np.uint64(limit)
+            wanted = bool(self._query.surfaces), np.uint64(limit)
             places = _moved(status, first), _moved(counts, first)
             arguments = (*asking.shared(first, count), tables, *wanted, *places)
             work.launch(self._scene.kernels.count_hits, count, arguments)
@@ -181,13 +191,11 @@ class DeviceQueries:
         with_tables(work, self._scene.lists_twice, counts, run)
         return counts
 
-    def _fill(
-        self, work: Work, asking: Asking, surfaces: bool, splits: DeviceArray, to: HitAddresses
-    ) -> None:
+    def _fill(self, work: Work, asking: Asking, splits: DeviceArray, to: HitAddresses) -> None:
         found = work.empty("counts", len(asking), np.int64)
 
         def run(tables: SeenTables, first: int, count: int) -> None:
-            more = bool(surfaces), _moved(splits, first), to, _moved(found, first)
+            more = bool(self._query.surfaces), _moved(splits, first), to, _moved(found, first)
             arguments = (*asking.shared(first, count), tables, *more)
             work.launch(self._scene.kernels.multi_hit, count, arguments)
 

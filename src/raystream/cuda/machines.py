@@ -11,10 +11,9 @@ from raystream.core.errors import RaystreamError
 from raystream.cuda.bvh.kernels import kernel_of
 from raystream.cuda.options import check_names
 from raystream.machines import MULTIPASS_OPTIONS
-from raystream.machines.counting import Counting
+from raystream.machines.backend import Backend
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
-from raystream.structures.batches import BatchQueries
 
 if TYPE_CHECKING:
     from raystream.jit.cuda import Gpu, GpuFacts
@@ -94,22 +93,17 @@ class _CudaMachines:
         open_device(own.get("gpu", 0))
         return own
 
-    def make(
-        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
-    ) -> BatchQueries | Counting:
+    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
         """Make a machine for a structure that was built on the CPU."""
         rest = dict(options)
         gpu = open_device(rest.pop("gpu", 0))
-        made: BatchQueries
         if machine == "multipass":
             from raystream.cuda.multipass import Multipass
 
-            made = Multipass(structure, gpu, **rest)
-        else:
-            from raystream.cuda.branching import Branching
+            return Multipass(structure, gpu, **rest)
+        from raystream.cuda.branching import Branching
 
-            made = Branching(structure, gpu, **rest)
-        return Counting(made) if counters else made
+        return Branching(structure, gpu, **rest)
 
 
 CUDA_MACHINES: Machines = _CudaMachines()

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.cuda.lanes import Lane, Lanes
 from raystream.cuda.ray_order import sort_rays
@@ -20,13 +21,14 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.threads import Progress
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.seen import LEAST_ROOM
+from raystream.kernels.sink import Sink
 
 __all__ = [
     "GROWTH",
     "NO_TABLES",
     "TABLE_BYTES",
     "Answer",
-    "Asked",
+    "HostQuery",
     "Part",
     "parts_of",
     "trace_parts",
@@ -44,26 +46,24 @@ GROWTH = 8
 NO_TABLES = SeenTables(np.uint64(0), np.uint64(0))
 
 
-class Asked(NamedTuple):
-    """Rays of a query.
+class HostQuery(NamedTuple):
+    """A query of rays in the host's memory.
 
     Attributes
     ----------
+    query : Query
     batch : RayBatch
     frame : SceneFrame
-        Of the rays: the scene's, or the identity's for local ones.
-    status : ndarray of shape (N,), uint8
-        Is written.
+    sink : Sink
+        Its status and tallies are written part by part.
     progress : callable or None
-    tallies : ndarray of shape (N, 8), uint32, or None
-        What rays meet is added.
     """
 
+    query: Query
     batch: RayBatch
     frame: SceneFrame
-    status: NDArray[np.uint8]
+    sink: Sink
     progress: Progress | None
-    tallies: NDArray[np.uint32] | None
 
 
 class Part:
@@ -71,7 +71,7 @@ class Part:
 
     Parameters
     ----------
-    asked : Asked
+    job : HostQuery
     rows : slice
         Which.
     gpu : Gpu
@@ -98,7 +98,7 @@ class Part:
 
     def __init__(
         self,
-        asked: Asked,
+        job: HostQuery,
         rows: slice,
         gpu: Gpu,
         resident: Resident,
@@ -108,20 +108,20 @@ class Part:
         self.rows = rows
         self.count = rows.stop - rows.start
         self.lane = lane
-        self._asked, self._gpu, self._resident = asked, gpu, resident
+        self._job, self._gpu, self._resident = job, gpu, resident
         lane.begin()
-        self._rays = place_rays(asked.batch, rows, lane.upload)
-        self._status = lane.upload("status", asked.status[rows])
+        self._rays = place_rays(job.batch, rows, lane.upload)
+        self._status = lane.upload("status", job.sink.status[rows])
         self.status = self._status.address
         self._tallies = None
-        if asked.tallies is not None:
-            shape = self.count, asked.tallies.shape[1]
+        if job.sink.tallies is not None:
+            shape = self.count, job.sink.tallies.shape[1]
             self._tallies = lane.cleared("tallies", shape, np.uint32)
         self._kept: list[DeviceArray] = []
         self._returned: list[NDArray[Any]] = []
         self._order: tuple[DeviceArray, ...] = ()
         if is_sorted:
-            rays = self._rays.source, self.count, asked.frame
+            rays = self._rays.source, self.count, job.frame
             self._order = (sort_rays(gpu, *rays, lane.empty, lane.stream),)
 
     def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
@@ -140,7 +140,7 @@ class Part:
         """Run a kernel of `threads.ThreadQueries` for each ray; does not wait."""
         tallies = None if self._tallies is None else self._tallies.address
         order = (one.address for one in self._order)
-        shared = *order, self._rays.source, self._asked.frame, self._resident.tree, tallies
+        shared = *order, self._rays.source, self._job.frame, self._resident.tree, tallies
         stream = self.lane.stream.native
         kernel.launch(self._gpu, self.count, (*shared, *arguments), stream)
 
@@ -162,10 +162,10 @@ class Part:
         if not take():
             return False
         status, *tallies = self._returned
-        self._asked.status[self.rows] = status
+        self._job.sink.status[self.rows] = status
         for own in tallies:
-            assert self._asked.tallies is not None
-            self._asked.tallies[self.rows] += own
+            assert self._job.sink.tallies is not None
+            self._job.sink.tallies[self.rows] += own
         return True
 
 
@@ -192,7 +192,7 @@ Answer = Callable[[Part, SeenTables], Callable[[], bool]]
 
 
 def trace_parts(
-    asked: Asked,
+    job: HostQuery,
     gpu: Gpu,
     resident: Resident,
     lanes: Lanes,
@@ -207,7 +207,7 @@ def trace_parts(
 
     Parameters
     ----------
-    asked : Asked
+    job : HostQuery
     gpu : Gpu
     resident : Resident
     lanes : Lanes
@@ -236,7 +236,7 @@ def trace_parts(
         return parts_of(rows, most, splits)
 
     def begin(rows: slice, room: int, lane: Lane) -> tuple[Part, int, Callable[[], bool]]:
-        part = Part(asked, rows, gpu, resident, lane, is_sorted)
+        part = Part(job, rows, gpu, resident, lane, is_sorted)
         tables = NO_TABLES
         if room:
             memory = part.empty("tables of triangles seen", (part.count, room + 1), np.int32)
@@ -249,14 +249,14 @@ def trace_parts(
         if not part.finish(take):
             for rows in parts(part.rows, GROWTH * room):
                 finish(*begin(rows, GROWTH * room, part.lane))
-        elif asked.progress:
-            asked.progress(part.rows.stop, len(asked.batch))
+        elif job.progress:
+            job.progress(part.rows.stop, len(job.batch))
 
     with lanes.taken() as turns:
         begun: deque[tuple[Part, int, Callable[[], bool]]] = deque()
         room = int(LEAST_ROOM) if lists_twice else 0
         for rows, lane in zip(
-            parts(slice(0, len(asked.batch)), room), itertools.cycle(turns), strict=False
+            parts(slice(0, len(job.batch)), room), itertools.cycle(turns), strict=False
         ):
             if len(begun) == len(turns):
                 finish(*begun.popleft())

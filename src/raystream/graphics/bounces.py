@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.buffers import Buffer, uniform, upload, whole
 from raystream.graphics.errors import GraphicsError
@@ -19,7 +20,6 @@ from raystream.graphics.forms import form_of
 from raystream.graphics.fragments import FragmentProgram
 from raystream.graphics.guarding import guarded
 from raystream.graphics.pipelines import Program
-from raystream.graphics.records import Query
 from raystream.graphics.source import shader_source
 from raystream.graphics.surfaces import SurfaceArrays, check_surfaces
 from raystream.graphics.textures import FLOATS, WORDS, Texture, sampled
@@ -142,17 +142,17 @@ class _Pipeline:
             layouts = [("uniform", *map(sampled, reads)), ("gather",) * count]
             return FragmentProgram(opened, name, Program(source, name, layouts), writes)
 
-        def search(query: Query) -> Any:
+        def search(kind: Kind) -> Any:
             source = form.source("screen.wgsl", "bounces/trace.wgsl")
             rays = sampled(FLOATS), sampled(FLOATS)
             layouts = [("uniform", *rays, "scatter"), ("gather",) * len(form.arrays)]
-            constants = {"QUERY": float(query), **form.constants}
+            constants = {"QUERY": float(kind), **form.constants}
             program = Program(source, "trace", layouts, constants)
             return FragmentProgram(opened, "trace", program, [WORDS])
 
         hit = [FLOATS, WORDS]
         self._eye = program("eye", [], [FLOATS, FLOATS], 0)
-        self._first_hit, self._any_hit = search(Query.FIRST_HIT), search(Query.ANY_HIT)
+        self._first_hit, self._any_hit = search(Kind.FIRST_HIT), search(Kind.ANY_HIT)
         self._glow = program("glow", hit, [FLOATS], seen)
         self._aim = program("aim", hit, [FLOATS, FLOATS], lit)
         self._add = program("add", [*hit, WORDS, FLOATS], [FLOATS], lit)

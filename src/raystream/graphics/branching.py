@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.endings import hit_counts
 from raystream.graphics.fragments import FragmentProgram
 from raystream.graphics.pipelines import Program
-from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
+from raystream.graphics.queries import RAYS_AT_ONCE, Chunk, GraphicsQueries
 from raystream.graphics.ray_textures import FRAME, RayTextures
-from raystream.graphics.records import Query
-from raystream.kernels.queries import LocalRays
 from raystream.structures import Structure
 
 __all__ = ["Branching"]
@@ -49,50 +48,42 @@ class Branching(GraphicsQueries):
     ) -> None:
         super().__init__(structure, opened, rays_at_once)
         self._textures = RayTextures(opened, self._form)
-        self._latest = Query.FIRST_HIT
-        self._program(Query.FIRST_HIT, False, False)  # whatever is wrong is said now
+        self._latest = Kind.FIRST_HIT
+        self._program(Kind.FIRST_HIT, False, False)  # whatever is wrong is said now
 
-    def _run(
-        self,
-        query: Query,
-        surfaces: bool,
-        rays: LocalRays,
-        chunk: slice,
-        wanted: NDArray[np.uint32],
-        row_count: int,
-        tallies: NDArray[np.uint32] | None,
-    ) -> NDArray[np.uint32]:
-        self._latest = query
+    def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
+        kind, tallies = chunk.kind, chunk.tallies
+        self._latest = kind
         textures, device = self._textures, self.opened.device
-        rows = row_count if query == Query.MULTI_HIT else 0
-        textures.load(rays, chunk, wanted, rows, tallies is not None)
+        rows = chunk.row_count if kind == Kind.MULTI_HIT else 0
+        textures.load(chunk.rays, chunk.rows, chunk.wanted, rows, tallies is not None)
         textures.write_params(self.structure.triangles.extreme)
         encoder = device.create_command_encoder()
         frame = [textures.params, *(one.view for one in textures.inputs)]
-        groups = [frame, *textures.resources(query, tallies is not None)]
-        program = self._program(query, surfaces, tallies is not None)
+        groups = [frame, *textures.resources(kind, tallies is not None)]
+        program = self._program(kind, chunk.surfaces, tallies is not None)
         program.draw(encoder, groups, [textures.state, textures.found])
         device.queue.submit([encoder.finish()])
-        endings = textures.state.read_records(len(wanted))[:, 1]
+        endings = textures.state.read_records(len(chunk.wanted))[:, 1]
         counts = hit_counts(endings, self._form, self.opened)
         if tallies is not None:
-            tallies[chunk] += textures.read_tallies()
+            tallies[chunk.rows] += textures.read_tallies()
         return counts
 
     def _rows(self, count: int) -> NDArray[Any]:
         return self._textures.read_rows(self._latest, count)
 
-    def _program(self, query: Query, surfaces: bool, counts: bool) -> FragmentProgram:
-        instead = self._textures.instead(query, counts)
+    def _program(self, kind: Kind, surfaces: bool, counts: bool) -> FragmentProgram:
+        instead = self._textures.instead(kind, counts)
         instead["fragment/texels.wgsl"] = "fragment/texels_found.wgsl"
         source = self._form.source("fragment/branching.wgsl", instead=instead)
         constants = {
-            "QUERY": float(query),
+            "QUERY": float(kind),
             "SURFACES": float(surfaces),
             **self._form.constants,
         }
-        layouts = [FRAME, *self._textures.layouts(query, counts)]
+        layouts = [FRAME, *self._textures.layouts(kind, counts)]
         program = Program(source, "trace", layouts, constants)
         formats = [one.format for one in (self._textures.state, self._textures.found)]
-        name = f"{self._form.name}, {query.name}"
+        name = f"{self._form.name}, {kind.name}"
         return FragmentProgram(self.opened, name, program, formats)

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.dispatches import Dispatches, Task
-from raystream.graphics.queries import RAYS_AT_ONCE, GraphicsQueries
-from raystream.graphics.records import ROW, Query, packed_rays
-from raystream.kernels.queries import LocalRays
+from raystream.graphics.queries import RAYS_AT_ONCE, Chunk, GraphicsQueries
+from raystream.graphics.records import ROW, packed_rays
 from raystream.structures import Structure
 
 __all__ = ["Compute"]
@@ -43,27 +43,18 @@ class Compute(GraphicsQueries):
         super().__init__(structure, opened, rays_at_once)
         self._dispatches = Dispatches(self._form, opened, structure.triangles.extreme)
         self._found: NDArray[Any] = np.empty(0, ROW)
-        self._dispatches.pipeline(Task(Query.FIRST_HIT))  # whatever is wrong is said now
+        self._dispatches.pipeline(Task(Kind.FIRST_HIT))  # whatever is wrong is said now
 
-    def _run(
-        self,
-        query: Query,
-        surfaces: bool,
-        rays: LocalRays,
-        chunk: slice,
-        wanted: NDArray[np.uint32],
-        row_count: int,  # noqa: ARG002 - as the others have it
-        tallies: NDArray[np.uint32] | None,
-    ) -> NDArray[np.uint32]:
-        task = Task(query, surfaces, tallies is not None)
-        is_multi = query == Query.MULTI_HIT
+    def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
+        wanted, tallies = chunk.wanted, chunk.tallies
+        task = Task(chunk.kind, chunk.surfaces, tallies is not None)
+        is_multi = chunk.kind == Kind.MULTI_HIT
         capacity = 0 if is_multi else int(wanted[0, 1])
-        found = self._dispatches.run(
-            task, packed_rays(rays, chunk), capacity, wanted if is_multi else None
-        )
+        rays = packed_rays(chunk.rays, chunk.rows)
+        found = self._dispatches.run(task, rays, capacity, wanted if is_multi else None)
         self._found = found.rows
         if tallies is not None:
-            tallies[chunk] += found.tallies
+            tallies[chunk.rows] += found.tallies
         return found.counts
 
     def _rows(self, count: int) -> NDArray[Any]:

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, ReadBack, uniform, upload, whole
 from raystream.graphics.endings import hit_counts
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms.base import Form
 from raystream.graphics.pipelines import Program, bind, compute_pipeline
-from raystream.graphics.records import RAY_BYTES, ROW, Query
+from raystream.graphics.records import RAY_BYTES, ROW
 
 __all__ = ["Dispatches", "Found", "Task"]
 
@@ -35,14 +36,14 @@ class Task(NamedTuple):
 
     Attributes
     ----------
-    query : Query
+    kind : Kind
     surfaces : bool
         What a ray through an edge meets.
     tallies : bool
         Whether tallies are wanted.
     """
 
-    query: Query
+    kind: Kind
     surfaces: bool = False
     tallies: bool = False
 
@@ -102,12 +103,12 @@ class Dispatches:
             If it does not compile.
         """
         constants = {
-            "QUERY": float(task.query),
+            "QUERY": float(task.kind),
             "SURFACES": float(task.surfaces),
             "COUNTS": float(task.tallies),
             **self._form.constants,
         }
-        name = f"{self._form.name}, {task.query.name}"
+        name = f"{self._form.name}, {task.kind.name}"
         program = Program(self._source, "trace", self._layouts, constants)
         return compute_pipeline(self._opened, name, program)
 
@@ -138,7 +139,7 @@ class Dispatches:
         count = len(rays)
         pipeline = self.pipeline(task)
         row_count = 0
-        if task.query == Query.FIRST_HIT:
+        if task.kind == Kind.FIRST_HIT:
             row_count = count
         elif wanted is not None:
             row_count = int(wanted[:, 1].sum(dtype=np.int64))

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
-from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+from collections.abc import Iterator
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
-from raystream.structures.batches import BatchQueries
 
-__all__ = ["guard_queries", "guarded"]
-
-QueriesType = TypeVar("QueriesType", bound=type[BatchQueries])
-
-_QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
+__all__ = ["guarded"]
 
 #: Functions of wgpu that log what no call can raise: errors between calls, and a loss.
 _REPORTERS = ("log_error", "device_lost_callback")
@@ -44,22 +37,6 @@ def guarded(opened: OpenDevice) -> Iterator[None]:
             lost = opened.is_lost
             what = f"device 'graphics': {opened.adapter}: {reports[0]}"
             raise GraphicsError(_loss_of(opened) if lost else what)
-
-
-def guard_queries(machine: QueriesType) -> QueriesType:
-    """Guard all queries of a machine, a class with the attribute ``opened``."""
-    for name in _QUERIES:
-        setattr(machine, name, _guarded_query(getattr(machine, name)))
-    return machine
-
-
-def _guarded_query(query: Callable[..., Any]) -> Callable[..., Any]:
-    @functools.wraps(query)
-    def ask(self: Any, *arguments: Any, **options: Any) -> Any:
-        with guarded(self.opened):
-            return query(self, *arguments, **options)
-
-    return ask
 
 
 @contextlib.contextmanager

@@ -8,10 +8,9 @@ from typing import Any
 
 from raystream.graphics.adapters import open_device
 from raystream.graphics.guarding import guarded
-from raystream.machines.counting import Counting
+from raystream.machines.backend import Backend
 from raystream.machines.devices import Machines
 from raystream.structures import Structure
-from raystream.structures.batches import BatchQueries
 
 __all__ = ["GRAPHICS_MACHINES", "OPTIONS"]
 
@@ -34,25 +33,25 @@ OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 
 
-def _compute(structure: Structure, adapter: str | None, **options: Any) -> BatchQueries:
+def _compute(structure: Structure, adapter: str | None, **options: Any) -> Backend:
     from raystream.graphics.compute import Compute
 
     return Compute(structure, open_device(adapter), **options)
 
 
-def _branching(structure: Structure, adapter: str | None, **options: Any) -> BatchQueries:
+def _branching(structure: Structure, adapter: str | None, **options: Any) -> Backend:
     from raystream.graphics.branching import Branching
 
     return Branching(structure, open_device(adapter), **options)
 
 
-def _multipass(structure: Structure, adapter: str | None, **options: Any) -> BatchQueries:
+def _multipass(structure: Structure, adapter: str | None, **options: Any) -> Backend:
     from raystream.graphics.multipass import Multipass
 
     return Multipass(structure, open_device(adapter), **options)
 
 
-_MAKERS: Mapping[str, Callable[..., BatchQueries]] = MappingProxyType(
+_MAKERS: Mapping[str, Callable[..., Backend]] = MappingProxyType(
     {"compute": _compute, "branching": _branching, "multipass": _multipass}
 )
 
@@ -80,15 +79,12 @@ class _GraphicsMachines:
         open_device(own.get("adapter"))
         return own
 
-    def make(
-        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
-    ) -> BatchQueries | Counting:
+    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
         """Make a machine for a structure that was built on the CPU."""
         rest = dict(options)
         adapter = rest.pop("adapter", None)
         with guarded(open_device(adapter)):
-            made = _MAKERS[machine](structure, adapter, **rest)
-        return Counting(made) if counters else made
+            return _MAKERS[machine](structure, adapter, **rest)
 
 
 GRAPHICS_MACHINES: Machines = _GraphicsMachines()

@@ -1,4 +1,4 @@
-"""The four queries of the graphics device's machines, around one that traces some rays."""
+"""GraphicsQueries: the queries of the graphics device's machines, some rays at a time."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import operator
 import time
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind, Query
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.forms import Form, form_of
-from raystream.graphics.guarding import guard_queries
+from raystream.graphics.guarding import guarded
 from raystream.graphics.pace import Pace
-from raystream.graphics.records import MOST_HITS, Query, unpack_rows, without_repeats
+from raystream.graphics.records import MOST_HITS, unpack_rows, without_repeats
 from raystream.jit.threads import Progress
-from raystream.kernels.collect import HitArrays
-from raystream.kernels.local_ray import SceneFrame
-from raystream.kernels.queries import UNLIMITED, LocalRays
+from raystream.kernels.queries import LocalRays
+from raystream.kernels.sink import Sink
+from raystream.machines.local import LocalBackend
 from raystream.structures import Structure
-from raystream.structures.batches import BatchQueries
 
-__all__ = ["RAYS_AT_ONCE", "GraphicsQueries"]
+__all__ = ["RAYS_AT_ONCE", "Chunk", "GraphicsQueries"]
 
 #: Most rays that a dispatch or a draw gets; see `pace` for how many it should get.
 RAYS_AT_ONCE = 1 << 18
@@ -32,9 +32,36 @@ RAYS_AT_ONCE = 1 << 18
 _ROWS_AT_ONCE = 1 << 22
 
 
-@guard_queries
-class GraphicsQueries(BatchQueries):
-    """The four queries, for a machine that traces some rays at a time.
+class Chunk(NamedTuple):
+    """Rays that are traced together, and what is wanted of them.
+
+    Attributes
+    ----------
+    kind : Kind
+    surfaces : bool
+    rays : LocalRays
+        All rays of the query.
+    rows : slice
+        Which of them.
+    wanted : ndarray of shape (n, 2), uint32
+        Of each of these the first of its rows, and how many hits are wanted.
+    row_count : int
+        Rows of all of them, which `_rows` gives afterwards.
+    tallies : ndarray of shape (N, 8), uint32, or None
+        What each of all rays meets is added to its row.
+    """
+
+    kind: Kind
+    surfaces: bool
+    rays: LocalRays
+    rows: slice
+    wanted: NDArray[np.uint32]
+    row_count: int
+    tallies: NDArray[np.uint32] | None
+
+
+class GraphicsQueries(LocalBackend):
+    """Queries of local rays, for a machine that traces some rays at a time.
 
     Parameters
     ----------
@@ -64,189 +91,138 @@ class GraphicsQueries(BatchQueries):
         if self.rays_at_once < 1:
             raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
         self._form: Form = form_of(structure)
-        self._paces: dict[Query, Pace] = {}
+        self._paces: dict[Kind, Pace] = {}
 
     @abstractmethod
-    def _run(
-        self,
-        query: Query,
-        surfaces: bool,
-        rays: LocalRays,
-        chunk: slice,
-        wanted: NDArray[np.uint32],
-        row_count: int,
-        tallies: NDArray[np.uint32] | None,
-    ) -> NDArray[np.uint32]:
-        """Trace some rays; returns how many hits each has.
-
-        Parameters
-        ----------
-        query : Query
-        surfaces : bool
-        rays : LocalRays
-        chunk : slice
-            Which of them.
-        wanted : ndarray of shape (N, 2), uint32
-            Of each of these the first of its rows, and how many hits are wanted.
-        row_count : int
-            Rows of all of them, which `_rows` gives afterwards.
-        tallies : ndarray of shape (M, 8), uint32, or None
-            What each of all rays meets is added to its row.
-        """
+    def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
+        """Trace some rays; returns how many hits each has."""
 
     @abstractmethod
     def _rows(self, count: int) -> NDArray[Any]:
         """What the latest `_run` has found: `records.ROW` of each row."""
 
-    def _asked(
-        self,
-        query: Query,
-        surfaces: bool,
-        rays: LocalRays,
-        chunk: slice,
-        wanted: NDArray[np.uint32],
-        row_count: int,
-        tallies: NDArray[np.uint32] | None,
-    ) -> NDArray[np.uint32]:
-        """As `_run`, noting how long it takes."""
-        began = time.perf_counter()
-        counts = self._run(query, surfaces, rays, chunk, wanted, row_count, tallies)
-        self._pace(query).took(len(wanted), time.perf_counter() - began)
-        return counts
-
-    def _pace(self, query: Query) -> Pace:
-        return self._paces.setdefault(query, Pace(self.rays_at_once))
-
-    def _chunks(
-        self, query: Query, count: int, splits: NDArray[np.int64] | None = None
-    ) -> Iterator[slice]:
-        """Rays that are traced together; or one ray that alone has too many rows."""
-        begin = 0
-        while begin < count:
-            size = self._pace(query).size if self.is_paced else self.rays_at_once
-            end = min(begin + size, count)
-            if splits is not None:
-                fits = int(np.searchsorted(splits, splits[begin] + _ROWS_AT_ONCE, "right")) - 1
-                end = min(end, max(fits, begin + 1))
-            yield slice(begin, end)
-            begin = end
-
-    @property
-    def frame(self) -> SceneFrame:
-        """The frame of the structure's triangles."""
-        return self.structure.frame
-
-    def first_hit(
-        self,
-        rays: LocalRays,
-        out: HitArrays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
+    def run_local(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Find the nearest hit of each ray; see `BatchQueries.first_hit`."""
-        count = len(rays.t_min)
-        for chunk in self._chunks(Query.FIRST_HIT, count):
-            wanted = np.ones((chunk.stop - chunk.start, 2), np.uint32)
+        """Answer a query of local rays; see `LocalBackend.run_local`."""
+        with guarded(self.opened):
+            if query.kind is Kind.FIRST_HIT:
+                self._first_hit(rays, sink, progress)
+            elif query.kind is Kind.ANY_HIT:
+                seen = self._count(query._replace(limit=1), rays, sink.tallies, progress)
+                np.not_equal(seen, 0, out=sink.seen)
+            elif query.kind is Kind.COUNT_HITS:
+                self._count_hits(query, rays, sink, progress)
+            else:
+                self._multi_hit(query, rays, sink, progress)
+
+    def _first_hit(self, rays: LocalRays, sink: Sink, progress: Progress | None) -> None:
+        count, kind, hits = len(rays.t_min), Kind.FIRST_HIT, sink.hits
+        for rows in self._chunks(kind, count):
+            wanted = np.ones((rows.stop - rows.start, 2), np.uint32)
             wanted[:, 0] = np.arange(len(wanted))
-            self._asked(Query.FIRST_HIT, False, rays, chunk, wanted, len(wanted), tallies)
-            unpack_rows(self._rows(len(wanted)), out.part(chunk))
+            self._timed(Chunk(kind, False, rays, rows, wanted, len(wanted), sink.tallies))
+            unpack_rows(self._rows(len(wanted)), hits.part(rows))
             if progress:
-                progress(chunk.stop, count)
+                progress(rows.stop, count)
 
-    def any_hit(
-        self,
-        rays: LocalRays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way."""
-        return self._count(Query.ANY_HIT, rays, False, 1, progress, tallies) != 0
-
-    def count_hits(
-        self,
-        rays: LocalRays,
-        surfaces: bool,
-        limit: int = UNLIMITED,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.int64]:
-        """Count the hits of each ray, up to `limit`."""
-        if not self._form.lists_twice or limit <= 1:
-            return self._count(Query.COUNT_HITS, rays, surfaces, limit, progress, tallies)
-        counts = np.empty(len(rays.t_min), np.int64)
-        for chunk, splits, _ in self._distinct(rays, surfaces, tallies):
-            counts[chunk] = np.minimum(np.diff(splits), limit)
-            if progress:
-                progress(chunk.stop, len(counts))
-        return counts
-
-    def multi_hit(
-        self,
-        rays: LocalRays,
-        surfaces: bool,
-        splits: NDArray[np.int64],
-        out: HitArrays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
+    def _count_hits(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
     ) -> None:
-        """Write the nearest hits of each ray; see `BatchQueries.multi_hit`."""
-        count = len(rays.t_min)
-        if self._form.lists_twice:
-            for chunk, own, rows in self._distinct(rays, surfaces, tallies):
-                wanted = splits[chunk.start : chunk.stop + 1]
-                unpack_rows(_nearest(rows, own, wanted), out.part(slice(wanted[0], wanted[-1])))
-                if progress:
-                    progress(chunk.stop, count)
+        counts, limit = sink.counts, query.limit
+        if not self._form.lists_twice or limit <= 1:
+            counts[:] = self._count(query, rays, sink.tallies, progress)
             return
-        for chunk in self._chunks(Query.MULTI_HIT, len(splits) - 1, splits):
-            own = splits[chunk.start : chunk.stop + 1]
-            rows = self._keep(rays, chunk, surfaces, own - own[0], tallies)
-            unpack_rows(rows, out.part(slice(own[0], own[-1])))
+        for rows, splits, _ in self._distinct(rays, query.surfaces, sink.tallies):
+            counts[rows] = np.minimum(np.diff(splits), limit)
             if progress:
-                progress(chunk.stop, count)
+                progress(rows.stop, len(counts))
+
+    def _multi_hit(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
+    ) -> None:
+        count, splits, hits = len(rays.t_min), sink.splits, sink.hits
+        if self._form.lists_twice:
+            for rows, own, found in self._distinct(rays, query.surfaces, sink.tallies):
+                wanted = splits[rows.start : rows.stop + 1]
+                part = hits.part(slice(wanted[0], wanted[-1]))
+                unpack_rows(_nearest(found, own, wanted), part)
+                if progress:
+                    progress(rows.stop, count)
+            return
+        for rows in self._chunks(Kind.MULTI_HIT, len(splits) - 1, splits):
+            own = splits[rows.start : rows.stop + 1]
+            found = self._keep(rays, rows, query.surfaces, own - own[0], sink.tallies)
+            unpack_rows(found, hits.part(slice(own[0], own[-1])))
+            if progress:
+                progress(rows.stop, count)
 
     def _count(
         self,
         query: Query,
         rays: LocalRays,
-        surfaces: bool,
-        limit: int,
-        progress: Progress | None,
         tallies: NDArray[np.uint32] | None,
+        progress: Progress | None,
     ) -> NDArray[np.int64]:
         count = len(rays.t_min)
         counts = np.empty(count, np.int64)
-        for chunk in self._chunks(query, count):
-            wanted = np.zeros((chunk.stop - chunk.start, 2), np.uint32)
-            wanted[:, 1] = min(limit, MOST_HITS)
-            counts[chunk] = self._asked(query, surfaces, rays, chunk, wanted, 0, tallies)
+        for rows in self._chunks(query.kind, count):
+            wanted = np.zeros((rows.stop - rows.start, 2), np.uint32)
+            wanted[:, 1] = min(query.limit, MOST_HITS)
+            chunk = Chunk(query.kind, query.surfaces, rays, rows, wanted, 0, tallies)
+            counts[rows] = self._timed(chunk)
             if progress:
-                progress(chunk.stop, count)
+                progress(rows.stop, count)
         return counts
 
     def _distinct(
         self, rays: LocalRays, surfaces: bool, tallies: NDArray[np.uint32] | None
     ) -> Iterator[tuple[slice, NDArray[np.int64], NDArray[Any]]]:
         """All hits where a search may meet a triangle twice: rays, their splits, and rows."""
-        counts = self._count(Query.COUNT_HITS, rays, surfaces, UNLIMITED, None, tallies)
+        counts = self._count(Query(Kind.COUNT_HITS, surfaces), rays, tallies, None)
         splits = np.concatenate([[0], np.cumsum(counts)])
-        for chunk in self._chunks(Query.MULTI_HIT, len(splits) - 1, splits):
-            own = splits[chunk.start : chunk.stop + 1] - splits[chunk.start]
-            rows = self._keep(rays, chunk, surfaces, own, None)
-            yield (chunk, *without_repeats(rows, own))
+        for rows in self._chunks(Kind.MULTI_HIT, len(splits) - 1, splits):
+            own = splits[rows.start : rows.stop + 1] - splits[rows.start]
+            found = self._keep(rays, rows, surfaces, own, None)
+            yield (rows, *without_repeats(found, own))
 
     def _keep(
         self,
         rays: LocalRays,
-        chunk: slice,
+        rows: slice,
         surfaces: bool,
         splits: NDArray[np.int64],
         tallies: NDArray[np.uint32] | None,
     ) -> NDArray[Any]:
         """Rows of the nearest hits of some rays, of which ray i wants splits[i] to splits[i+1]."""
         wanted = np.column_stack([splits[:-1], np.diff(splits)]).astype(np.uint32)
-        self._asked(Query.MULTI_HIT, surfaces, rays, chunk, wanted, int(splits[-1]), tallies)
-        return self._rows(int(splits[-1]))
+        row_count = int(splits[-1])
+        self._timed(Chunk(Kind.MULTI_HIT, surfaces, rays, rows, wanted, row_count, tallies))
+        return self._rows(row_count)
+
+    def _timed(self, chunk: Chunk) -> NDArray[np.uint32]:
+        """As `_run`, noting how long it takes."""
+        began = time.perf_counter()
+        counts = self._run(chunk)
+        self._pace(chunk.kind).took(len(chunk.wanted), time.perf_counter() - began)
+        return counts
+
+    def _pace(self, kind: Kind) -> Pace:
+        return self._paces.setdefault(kind, Pace(self.rays_at_once))
+
+    def _chunks(
+        self, kind: Kind, count: int, splits: NDArray[np.int64] | None = None
+    ) -> Iterator[slice]:
+        """Rays that are traced together; or one ray that alone has too many rows."""
+        begin = 0
+        while begin < count:
+            size = self._pace(kind).size if self.is_paced else self.rays_at_once
+            end = min(begin + size, count)
+            if splits is not None:
+                fits = int(np.searchsorted(splits, splits[begin] + _ROWS_AT_ONCE, "right")) - 1
+                end = min(end, max(fits, begin + 1))
+            yield slice(begin, end)
+            begin = end
 
 
 def _nearest(

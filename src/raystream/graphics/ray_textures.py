@@ -1,4 +1,4 @@
-"""The rays of a query as textures, and what fragment programs are bound to besides."""
+"""The rays of a kind as textures, and what fragment programs are bound to besides."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, uniform, upload, whole
 from raystream.graphics.forms import Form
 from raystream.graphics.forms.base import TREE_AT
 from raystream.graphics.pipelines import Layout, bind
-from raystream.graphics.records import ROW, Query, packed_rays
+from raystream.graphics.records import ROW, packed_rays
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
 from raystream.kernels.queries import LocalRays
 
@@ -102,38 +103,38 @@ class RayTextures:
         self._opened.device.queue.write_buffer(self._uniform, TREE_AT, tree)
 
     @staticmethod
-    def instead(query: Query, counts: bool) -> dict[str, str]:
+    def instead(kind: Kind, counts: bool) -> dict[str, str]:
         """Files that take the place of others: programs write no buffer that nobody wants."""
         files = {}
-        if query != Query.MULTI_HIT:
+        if kind != Kind.MULTI_HIT:
             files["fragment/rows.wgsl"] = "no_rows.wgsl"
         if not counts:
             files["fragment/counting.wgsl"] = "fragment/not_counting.wgsl"
         return files
 
-    def layouts(self, query: Query, counts: bool) -> list[Layout]:
+    def layouts(self, kind: Kind, counts: bool) -> list[Layout]:
         """Of the groups after the first one."""
         gathers = ("gather",) * len(self._arrays)
-        return [gathers, _BUFFERS] if query == Query.MULTI_HIT or counts else [gathers]
+        return [gathers, _BUFFERS] if kind == Kind.MULTI_HIT or counts else [gathers]
 
-    def resources(self, query: Query, counts: bool) -> list[list[Any]]:
+    def resources(self, kind: Kind, counts: bool) -> list[list[Any]]:
         """What these groups are bound to, as it is loaded."""
         own = [buffer.binding for buffer in self._arrays]
         written = [buffer.binding for buffer in self._buffers.values()]
-        return [own, written][: len(self.layouts(query, counts))]
+        return [own, written][: len(self.layouts(kind, counts))]
 
-    def groups(self, query: Query, counts: bool) -> list[Any]:
+    def groups(self, kind: Kind, counts: bool) -> list[Any]:
         """These groups, bound."""
         return [
             bind(self._opened, layout, resources)
             for layout, resources in zip(
-                self.layouts(query, counts), self.resources(query, counts), strict=True
+                self.layouts(kind, counts), self.resources(kind, counts), strict=True
             )
         ]
 
-    def read_rows(self, query: Query, count: int) -> NDArray[Any]:
+    def read_rows(self, kind: Kind, count: int) -> NDArray[Any]:
         """Hits that were found: for each ray, or all that were kept."""
-        if query == Query.MULTI_HIT:
+        if kind == Kind.MULTI_HIT:
             return self._buffers["rows"].read(ROW, (count,))
         rows = np.empty(count, ROW)
         hits = self.found.read_records(count)

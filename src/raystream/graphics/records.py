@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ __all__ = [
     "NOT_RUN",
     "RAY_BYTES",
     "ROW",
-    "Query",
     "packed_rays",
     "unpack_rows",
     "without_repeats",
@@ -44,15 +42,6 @@ RAY_BYTES = 32
 
 #: A hit.
 ROW = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4")])
-
-
-class Query(IntEnum):
-    """What is asked; see found.wgsl."""
-
-    FIRST_HIT = 0
-    ANY_HIT = 1
-    COUNT_HITS = 2
-    MULTI_HIT = 3
 
 
 def packed_rays(rays: LocalRays, rows: slice) -> NDArray[np.float32]:

@@ -16,15 +16,12 @@ from raystream.kernels.ray import set_up
 from raystream.kernels.seen import LEAST_ROOM, clear_seen
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
-__all__ = ["AGAIN", "UNLIMITED", "LocalRays", "RayQueries", "ray_queries"]
+__all__ = ["AGAIN", "LocalRays", "RayQueries", "ray_queries"]
 
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
 _MISS = np.int32(-1)
 _ONE = np.uint64(1)
-
-#: A limit for `count_hits` that no scene reaches.
-UNLIMITED = 2**62
 
 
 class LocalRays(NamedTuple):

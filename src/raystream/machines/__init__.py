@@ -6,12 +6,12 @@ import importlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from raystream.machines.branching import Branching
 from raystream.structures import Structure
-from raystream.structures.batches import BatchQueries
 
 if TYPE_CHECKING:
+    from raystream.machines.backend import Backend
     from raystream.machines.counters import RayCounters
-    from raystream.machines.counting import Counting
     from raystream.machines.multipass import Multipass
     from raystream.machines.observing import Observer, Shown
     from raystream.machines.passes import Passes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "MACHINES",
     "MULTIPASS_OPTIONS",
-    "Counting",
+    "Branching",
     "Multipass",
     "Observer",
     "Passes",
@@ -40,7 +40,6 @@ MULTIPASS_OPTIONS = ("scheduler", "threshold", "traversal_steps", "intersections
 
 # Imported when they are first used: branching costs neither the streams nor their kernels.
 _HOMES = {
-    "Counting": "counting",
     "Multipass": "multipass",
     "Observer": "observing",
     "Passes": "passes",
@@ -79,28 +78,18 @@ def own_options(machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
     return own
 
 
-def make_machine(
-    machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
-) -> BatchQueries | Counting:
-    """Make a machine for a structure.
+def make_machine(machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
+    """Make a machine of the CPU for a structure.
 
     Parameters
     ----------
     machine : {"branching", "multipass"}
     structure : Structure
-        Branching is what a structure does by itself.
-    counters : bool
-        Whether it counts what rays meet.
     options : mapping
         Of the machine; see `own_options`.
     """
-    made: Structure | Multipass = structure
     if machine == "multipass":
         from raystream.machines.multipass import Multipass
 
-        made = Multipass(structure, **options)
-    if not counters:
-        return made
-    from raystream.machines.counting import Counting
-
-    return Counting(made)
+        return Multipass(structure, **options)
+    return Branching(structure)

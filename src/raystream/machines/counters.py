@@ -8,10 +8,15 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Query
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress
+from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS
+from raystream.machines.backend import Backend
 from raystream.machines.passes import Passes
 
-__all__ = ["RayCounters"]
+__all__ = ["RayCounters", "answer_counting"]
 
 
 @dataclass(frozen=True)
@@ -93,3 +98,27 @@ class RayCounters:
             most = int(getattr(self, name).max(initial=0))
             lines.append(f"{name:16} {total:14,} {total / count:10.2f} {most:10,}")
         return "\n".join([*lines, *([str(self.passes)] if self.passes else [])])
+
+
+def answer_counting(
+    backend: Backend, query: Query, rays: RayBatch, progress: Progress | None = None
+) -> tuple[Sink, RayCounters]:
+    """Answer a query, and count what its rays meet.
+
+    Parameters
+    ----------
+    backend : Backend
+        One that runs passes adds a record of them.
+    query : Query
+        Without a filter.
+    rays : RayBatch
+    progress : callable, optional
+        Called with (steps done, steps).
+    """
+    passes = None
+    if backend.capabilities.passes:
+        passes = Passes()
+        backend = backend.recording(passes)
+    sink = backend.answer(query._replace(counters=True), rays, progress)
+    assert sink.tallies is not None
+    return sink, RayCounters.of(sink.tallies, rays.shape, backend.structure.name, passes)

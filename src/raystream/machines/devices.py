@@ -10,8 +10,7 @@ from raystream.machines import MACHINES, make_machine, own_options
 from raystream.structures import Structure, build_structure
 
 if TYPE_CHECKING:
-    from raystream.machines.counting import Counting
-    from raystream.structures.batches import BatchQueries
+    from raystream.machines.backend import Backend
 
 __all__ = [
     "CPU_MACHINES",
@@ -42,9 +41,7 @@ class Machines(Protocol):
         """Those of a tracer's options that are a machine's; see `machines.own_options`."""
         ...
 
-    def make(
-        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
-    ) -> BatchQueries | Counting:
+    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
         """Make a machine for a structure; see `machines.make_machine`."""
         ...
 
@@ -55,10 +52,8 @@ class _CpuMachines:
     def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
         return own_options(machine, options)
 
-    def make(
-        self, machine: str, structure: Structure, counters: bool, options: Mapping[str, Any]
-    ) -> BatchQueries | Counting:
-        return make_machine(machine, structure, counters, options)
+    def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
+        return make_machine(machine, structure, options)
 
 
 #: Those that run on the CPU, around any structure's queries.
@@ -103,9 +98,9 @@ def register_device(
         What ``Tracer(device=...)`` takes.
     build : callable, optional
         ``build(structure_name, triangles, progress=None, **options)`` returns a `Structure`;
-        without it, structures are built on the CPU.
+        [default: on the CPU].
     machines : Machines, optional
-        How the device traverses structures; without it, by the structures' own queries.
+        How the device traverses structures [default: as the CPU does].
     shared_options : tuple of str, optional
         Options of machines that `build` is given, too.
     """

@@ -10,21 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind, Query
 from raystream.jit.threads import Progress, part_of
 from raystream.kernels.collect import HitAddresses, HitArrays
-from raystream.kernels.local_ray import SceneFrame
-from raystream.kernels.queries import UNLIMITED, LocalRays
+from raystream.kernels.queries import LocalRays
+from raystream.kernels.sink import Sink
 from raystream.kernels.tally import new_tallies
+from raystream.machines.backend import Capabilities
+from raystream.machines.local import LocalBackend
 from raystream.machines.observing import Observer, Shown
 from raystream.machines.passes import Passes
+from raystream.machines.ray_job import HitGoal, RayJob
 from raystream.machines.ray_streams import RayStreams
-from raystream.machines.records import Query
+from raystream.machines.records import Query as PassQuery
 from raystream.machines.schedulers import USUAL_THRESHOLD, Scheduler, make_scheduler
 from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
-from raystream.machines.task import Task, Wish
 from raystream.structures import Structure
-from raystream.structures.batches import BatchQueries
 
 __all__ = ["Multipass"]
 
@@ -35,7 +37,7 @@ MAX_BYTES = 1 << 29
 _RAY_BYTES = 160
 
 
-class Multipass(BatchQueries):
+class Multipass(LocalBackend):
     """Runs each step of a traversal as a kernel over all rays that wait for it.
 
     As on hardware without branching (Purcell 2002, section 2.2; Foley 2005, section 3.4): what
@@ -62,6 +64,8 @@ class Multipass(BatchQueries):
     ValueError, TypeError
         If an option is out of range, or the structure has no kernels.
     """
+
+    capabilities = Capabilities(passes=True)
 
     def __init__(
         self,
@@ -101,106 +105,71 @@ class Multipass(BatchQueries):
         machine.observer = observer
         return machine
 
-    @property
-    def frame(self) -> SceneFrame:
-        """The frame of the structure's triangles."""
-        return self.structure.frame
-
-    def first_hit(
-        self,
-        rays: LocalRays,
-        out: HitArrays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
+    def run_local(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Find the nearest hit of each ray; see `Structure.first_hit`."""
-        out.t.fill(np.inf)
-        out.u.fill(0.0)
-        out.v.fill(0.0)
-        out.prim_id.fill(-1)
-        count = len(rays.t_min)
-        rows = np.arange(count, dtype=np.uint64)
-        task = Task(rays, rows, np.ones(count, np.uint64), tallies)
-        wish = Wish(surfaces=False, out=out, hands_over=True)
-        self._trace(steps_of(self.structure), task, wish, progress)
-
-    def any_hit(
-        self,
-        rays: LocalRays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way."""
-        one = np.ones(len(rays.t_min), np.uint64)
-        task = Task(rays, one, one, tallies)
-        wish = Wish(surfaces=False, out=None, hands_over=True)
-        return self._trace(steps_of(self.structure), task, wish, progress) != 0
-
-    def count_hits(
-        self,
-        rays: LocalRays,
-        surfaces: bool,
-        limit: int = UNLIMITED,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.int64]:
-        """Count the hits of each ray, up to `limit`."""
-        limits = np.full(len(rays.t_min), limit, np.uint64)
-        task = Task(rays, limits, limits, tallies)
-        wish = Wish(surfaces, out=None, hands_over=False)
-        return self._trace(steps_of(self.structure), task, wish, progress).astype(np.int64)
-
-    def multi_hit(
-        self,
-        rays: LocalRays,
-        surfaces: bool,
-        splits: NDArray[np.int64],
-        out: HitArrays,
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> None:
-        """Write the nearest hits of each ray; see `Structure.multi_hit`."""
-        first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
-        wants_some = np.flatnonzero(capacity)
-        task = Task(rays, first, capacity, tallies).part(wants_some)
-        wish = Wish(surfaces, out, hands_over=True)
-        self._trace(steps_of(self.structure), task, wish, progress)
-        if tallies is not None and task.tallies is not None:
-            tallies[wants_some] = task.tallies
+        """Answer a query of local rays; see `LocalBackend.run_local`."""
+        steps, tallies, count = steps_of(self.structure), sink.tallies, len(rays.t_min)
+        if query.kind is Kind.FIRST_HIT:
+            hits = sink.hits
+            for column, miss in zip(hits, (np.inf, 0.0, 0.0, -1), strict=True):
+                column.fill(miss)
+            rows = np.arange(count, dtype=np.uint64)
+            job = RayJob(rays, rows, np.ones(count, np.uint64), tallies)
+            self._trace(steps, job, HitGoal(False, hits, hands_over=True), progress)
+        elif query.kind is Kind.ANY_HIT:
+            one = np.ones(count, np.uint64)
+            job = RayJob(rays, one, one, tallies)
+            goal = HitGoal(surfaces=False, out=None, hands_over=True)
+            sink.seen[:] = self._trace(steps, job, goal, progress) != 0
+        elif query.kind is Kind.COUNT_HITS:
+            limits = np.full(count, query.limit, np.uint64)
+            job = RayJob(rays, limits, limits, tallies)
+            goal = HitGoal(query.surfaces, out=None, hands_over=False)
+            sink.counts[:] = self._trace(steps, job, goal, progress)
+        else:
+            splits = sink.splits
+            first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
+            wants_some = np.flatnonzero(capacity)
+            job = RayJob(rays, first, capacity, tallies).part(wants_some)
+            goal = HitGoal(query.surfaces, sink.hits, hands_over=True)
+            self._trace(steps, job, goal, progress)
+            if tallies is not None and job.tallies is not None:
+                tallies[wants_some] = job.tallies
 
     def _trace(
-        self, steps: Steps, task: Task, wish: Wish, progress: Progress | None
+        self, steps: Steps, job: RayJob, goal: HitGoal, progress: Progress | None
     ) -> NDArray[np.uint32]:
         """Trace rays, in parts if they are many; returns how many hits each has."""
-        counts = np.zeros(len(task), np.uint32)
-        for rows in _parts(len(task), steps):
-            report = part_of(progress, rows.start, len(task))
-            counts[rows] = self._trace_part(steps, task.part(rows), wish, report)
+        counts = np.zeros(len(job), np.uint32)
+        for rows in _parts(len(job), steps):
+            report = part_of(progress, rows.start, len(job))
+            counts[rows] = self._trace_part(steps, job.part(rows), goal, report)
         return counts
 
     def _trace_part(
-        self, steps: Steps, task: Task, wish: Wish, progress: Progress | None
+        self, steps: Steps, job: RayJob, goal: HitGoal, progress: Progress | None
     ) -> NDArray[np.uint32]:
         """Trace rays for which there is memory."""
-        before = task.tallies if steps.grow is None else copy.copy(task.tallies)
-        runs = None if task.tallies is None else new_tallies(len(task))
-        stacks = np.empty((len(task), steps.stack_bytes), np.uint8)
-        query = Query(
+        before = job.tallies if steps.grow is None else copy.copy(job.tallies)
+        runs = None if job.tallies is None else new_tallies(len(job))
+        stacks = np.empty((len(job), steps.stack_bytes), np.uint8)
+        arguments = PassQuery(
             np.float32(self.structure.triangles.extreme),
-            wish.surfaces,
-            wish.out is not None,
-            wish.hands_over,
-            _hit_addresses(wish.out),
-            _address(task.tallies),
+            goal.surfaces,
+            goal.out is not None,
+            goal.hands_over,
+            _hit_addresses(goal.out),
+            _address(job.tallies),
             _address(runs),
             _address(stacks),
             np.uint64(steps.stack_bytes),
             np.uint64(self.traversal_steps),
             np.uint64(self.intersections),
         )
-        streams = RayStreams(steps, query, task)
+        streams = RayStreams(steps, arguments, job)
         if self.observer is not None:
-            streams.on_run = self._shower(self.observer, streams, stacks, wish, task)
+            streams.on_run = self._shower(self.observer, streams, stacks, goal, job)
             streams.on_run(None)
         self._run(streams, progress)
         if self.passes is not None and runs is not None:
@@ -209,12 +178,12 @@ class Multipass(BatchQueries):
         overflown = streams.finish()
         if overflown.any() and steps.grow is not None:
             # Their tallies are to be those of the search that succeeds.
-            if task.tallies is not None and before is not None:
-                task.tallies[overflown] = before[overflown]
-            again = task.part(overflown)
-            streams.counts[overflown] = self._trace(steps.grow(), again, wish, None)
-            if task.tallies is not None and again.tallies is not None:
-                task.tallies[overflown] = again.tallies
+            if job.tallies is not None and before is not None:
+                job.tallies[overflown] = before[overflown]
+            again = job.part(overflown)
+            streams.counts[overflown] = self._trace(steps.grow(), again, goal, None)
+            if job.tallies is not None and again.tallies is not None:
+                job.tallies[overflown] = again.tallies
         return streams.counts
 
     @staticmethod
@@ -222,14 +191,14 @@ class Multipass(BatchQueries):
         observer: Observer,
         streams: RayStreams,
         stacks: NDArray[np.uint8],
-        wish: Wish,
-        task: Task,
+        goal: HitGoal,
+        job: RayJob,
     ) -> Callable[[StepKernel | None], None]:
         """Tells the observer which kernel ran, and shows what it left."""
 
         def show(kernel: StepKernel | None) -> None:
             arrays = {name: stream.array for name, stream in streams.streams.items()}
-            observer(Shown(kernel, arrays, stacks, wish.out, task.tallies))
+            observer(Shown(kernel, arrays, stacks, goal.out, job.tallies))
 
         return show
 

@@ -1,29 +1,44 @@
-"""Queries: what a tracer is asked, and how a machine answers it."""
+"""Queries: what a tracer is asked. Arguments are checked here, and become a `Query`."""
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits, MultiHits
-from raystream.core.rays import RayBatch
+from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
+from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import UNLIMITED
-from raystream.machines.on_device import on_device
-from raystream.machines.programs import Traces, is_surfaces
-from raystream.programs.filters import Bound
+from raystream.kernels.sink import Sink
+from raystream.machines.backend import Backend
+from raystream.programs.filters import Bound, Filter
+from raystream.programs.payloads import as_payload, as_records
+from raystream.programs.trace import Order, check_order
+from raystream.structures import Structure
 
-__all__ = ["Crossings", "Queries"]
+if TYPE_CHECKING:
+    from raystream.machines.counters import RayCounters
 
-Crossings = Literal["triangles", "surfaces"]
+__all__ = ["Queries"]
 
 
-class Queries(Traces):
-    """The queries of a tracer; see `Traces` for the one that runs a program."""
+class Queries:
+    """The queries of a tracer.
+
+    Attributes
+    ----------
+    structure : Structure
+        What rays are traced in.
+    """
+
+    structure: Structure
+    _backend: Backend
+    _counts: bool
+    _latest: RayCounters | None
 
     def first_hit(
         self,
@@ -72,23 +87,19 @@ class Queries(Traces):
         -----
         Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
-        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
-        if there is not None:
-            return there.first_hit(progress)
-        batch = RayBatch(origins, directions, t_min, t_max)
-        status = np.zeros(len(batch), np.uint8)
-        shape = batch.shape
-        chosen = self._filter(on_hit, skip_prim_ids, shape)
-        if chosen is None:
-            t, u, v, prim_id = self._machine.first_hit_batch(batch, status, progress)
-        else:
-            t, u, v, prim_id = self._filtered_first(chosen, batch, status, progress)
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
+        if isinstance(rays, RayArrays):
+            found: Hits = self._backend.answer_on_device(query, rays, progress)
+            return found
+        sink, shape = self._answer(query, rays, progress), rays.shape
+        t, u, v, prim_id = sink.hits
         return Hits(
             t.reshape(shape),
             u.reshape(shape),
             v.reshape(shape),
             prim_id.reshape(shape),
-            status.reshape(shape),
+            sink.status.reshape(shape),
             self.structure.triangles,
         )
 
@@ -121,16 +132,12 @@ class Queries(Traces):
         ValueError, TypeError, RuntimeError
             See `first_hit`.
         """
-        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
-        if there is not None:
-            return there.any_hit(progress)
-        batch = RayBatch(origins, directions, t_min, t_max)
-        status = np.zeros(len(batch), np.uint8)
-        chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
-        if chosen is None:
-            return self._machine.any_hit_batch(batch, status, progress).reshape(batch.shape)
-        hits = self._filtered_first(chosen, batch, status, progress)
-        return (hits.prim_id >= 0).reshape(batch.shape)
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
+        if isinstance(rays, RayArrays):
+            seen: NDArray[np.bool_] = self._backend.answer_on_device(query, rays, progress)
+            return seen
+        return self._answer(query, rays, progress).seen.reshape(rays.shape)
 
     def count_hits(
         self,
@@ -166,17 +173,13 @@ class Queries(Traces):
         ValueError, TypeError, RuntimeError
             As `first_hit`, or if `crossings` is unknown.
         """
-        surfaces = is_surfaces(crossings)
-        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
-        if there is not None:
-            return there.count_hits(surfaces, progress)
-        batch = RayBatch(origins, directions, t_min, t_max)
-        chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
-        if chosen is not None:
-            return self._filtered_counts(chosen, batch, surfaces, progress).reshape(batch.shape)
-        status = np.zeros(len(batch), np.uint8)
-        counts = self._machine.count_hits_batch(batch, surfaces, UNLIMITED, status, progress)
-        return counts.reshape(batch.shape)
+        surfaces = counts_surfaces(crossings)
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
+        if isinstance(rays, RayArrays):
+            counts: NDArray[np.int64] = self._backend.answer_on_device(query, rays, progress)
+            return counts
+        return self._answer(query, rays, progress).counts.reshape(rays.shape)
 
     def multi_hit(
         self,
@@ -226,27 +229,117 @@ class Queries(Traces):
         t, before it is rounded to float32: the lower prim_id comes first. No hit is found
         twice and none is lost between two others, however close.
         """
-        surfaces = is_surfaces(crossings)
+        surfaces = counts_surfaces(crossings)
         limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
         if limit < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
-        there = on_device(self._machine, on_hit, skip_prim_ids, origins, directions, t_min, t_max)
-        if there is not None:
-            return there.multi_hit(surfaces, limit, progress)
-        batch = RayBatch(origins, directions, t_min, t_max)
-        status = np.zeros(len(batch), np.uint8)
-        chosen = self._filter(on_hit, skip_prim_ids, batch.shape)
-        if chosen is None or limit == 0:
-            splits, hits = self._machine.multi_hit_batch(batch, surfaces, limit, status, progress)
-        else:
-            splits, hits = self._filtered_hits(chosen, batch, surfaces, limit, status, progress)
-        return MultiHits(splits, *hits, status.reshape(batch.shape), self.structure.triangles)
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
+        if isinstance(rays, RayArrays):
+            found: MultiHits = self._backend.answer_on_device(query, rays, progress)
+            return found
+        sink = self._answer(query, rays, progress)
+        status = sink.status.reshape(rays.shape)
+        return MultiHits(sink.splits, *sink.hits, status, self.structure.triangles)
+
+    def trace(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        on_hit: Callable[..., Any],
+        payload: Any = None,
+        order: Order = "front-to-back",
+        t_min: Any = 0.0,
+        t_max: Any = np.inf,
+        crossings: str = "triangles",
+        progress: Progress | None = None,
+    ) -> NDArray[Any] | None:
+        """Run a function at the hits of each ray.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max
+            See `first_hit`.
+        on_hit : callable
+            ``on_hit(hit, payload)``, a Python function that Numba compiles. It gets a `Hit`
+            and its own ray's payload, which it changes in place, and returns `CONTINUE`,
+            `STOP` (no more hits of this ray) or `IGNORE` (here the same as `CONTINUE`);
+            nothing means `CONTINUE`.
+        payload : ndarray or dtype, optional
+            A writable array of the rays' shape S, which is changed in place; a dtype makes
+            one of zeros. With a structured dtype a function gets its ray's record, as in
+            ``payload.depth += hit.t``. Plain numbers, of shape S or S + (k,), it gets as an
+            array of one or k numbers, as in ``payload[0] += 1``. Without a payload it gets
+            None. Of rays in arrays on a GPU: an array there is changed there, a dtype makes
+            one there, whose fields are aligned, and a NumPy array is copied there and back.
+        order : {"front-to-back", "any"}
+            Hits of a ray come by increasing t, then prim_id; or as they are found, for
+            functions to which the order does not matter: packets of rays save sorting them.
+        crossings : {"triangles", "surfaces"}
+            See `count_hits`.
+        progress : callable, optional
+            Called with (rays done, rays).
+
+        Returns
+        -------
+        ndarray or None
+            The payload: the array that was given, or the new one; of rays in arrays on a GPU,
+            a new one is a `raystream.jit.cuda.DeviceArray`.
+
+        Raises
+        ------
+        ValueError
+            If shapes disagree, `order` or `crossings` is unknown, the payload is read-only,
+            or the tracer counts (``counters=True``).
+        TypeError
+            If the function cannot be compiled, or takes other arguments, or returns something
+            else than a decision; if the payload is no array or dtype of numbers and records.
+            If rays are in arrays on a GPU, and the function cannot run there.
+        RuntimeError
+            If the function raises something, which is then the cause.
+
+        Notes
+        -----
+        Rays are independent, and run on several threads. A function that is new is compiled
+        when it is first used, in a second or two, and kept on disk if all that it uses can be
+        told apart by its content (as `raystream.streams.Kernel` does). Variables from outside
+        are constants. After an exception or Ctrl-C the payload of some rays has changed.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> tracer = rs.Tracer(rs.load("cornell"))
+        >>> def farthest(hit, payload):
+        ...     payload[0] = hit.t
+        >>> far = tracer.trace([278, 273, -800], [0, 0, 1], on_hit=farthest, payload=float)
+        >>> round(far.item(), 1)
+        1359.2
+        """
+        surfaces = counts_surfaces(crossings)
+        check_order(order)
+        query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
+        rays = self._rays(origins, directions, t_min, t_max)
+        if isinstance(rays, RayArrays):
+            there: NDArray[Any] | None
+            there = self._backend.answer_on_device(query, rays, progress, payload)
+            return there
+        self._check_programs()
+        if payload is None:
+            self._answer(query, rays, progress)
+            return None
+        result = as_payload(payload, rays.shape)
+        records = as_records(result, rays.shape)
+        self._answer(query, rays, progress, records)
+        if not np.shares_memory(result, records):
+            result[...] = records.reshape(result.shape)
+        return result
 
     def bands_on_device(self, setting: Any) -> Any:
-        """What takes samples of a picture where the tracer's rays are; None if the host does.
+        """What takes samples of a picture on the tracer's device; None if the host does.
 
-        It does if the machine shades nothing, or a subclass has queries of its own, which are to
-        be asked.
+        The host does if the backend does not shade, or a subclass overrides queries, which the
+        renderer must then call.
 
         Parameters
         ----------
@@ -256,6 +349,55 @@ class Queries(Traces):
         -------
         render.device_bands.DeviceBands or None
         """
-        own, make = type(self), getattr(self._machine, "bands_on_device", None)
+        own = type(self)
         is_usual = own.first_hit is Queries.first_hit and own.any_hit is Queries.any_hit
-        return make(setting) if make is not None and is_usual else None
+        if not (self._backend.capabilities.shading and is_usual) or self._counts:
+            return None
+        return self._backend.bands_on_device(setting)
+
+    def _rays(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch | RayArrays:
+        """The rays in the host's memory; or as they are, if the backend reads them there."""
+        if self._backend.capabilities.device_arrays and not self._counts:
+            arrays = RayArrays(origins, directions, t_min, t_max)
+            if arrays.is_on_gpu():
+                return arrays
+        return RayBatch(origins, directions, t_min, t_max)
+
+    def _query(
+        self,
+        kind: Kind,
+        rays: RayBatch | RayArrays,
+        on_hit: Any,
+        skip_prim_ids: Any,
+        surfaces: bool = False,
+        limit: int = UNLIMITED,
+    ) -> Query:
+        if on_hit is None and skip_prim_ids is None:
+            return Query(kind, surfaces, limit)
+        triangles = self.structure.triangles
+        if isinstance(rays, RayArrays):
+            chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)
+        else:
+            chosen = Filter.of(on_hit, skip_prim_ids, rays.shape, triangles)
+            if limit:
+                self._check_programs()
+        return Query(kind, surfaces, limit, on_hit=chosen)
+
+    def _check_programs(self) -> None:
+        if self._counts:
+            raise ValueError(
+                "on_hit, skip_prim_ids: a tracer with counters=True counts whole queries, "
+                "and programs take several; use another tracer"
+            )
+        if not self._backend.capabilities.programs:
+            raise ValueError("on_hit, skip_prim_ids: programs do not run on this tracer's device")
+
+    def _answer(
+        self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None
+    ) -> Sink:
+        if not self._counts:
+            return self._backend.answer(query, rays, progress, records)
+        from raystream.machines.counters import answer_counting
+
+        sink, self._latest = answer_counting(self._backend, query, rays, progress)
+        return sink

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.machines.ray_job import RayJob
 from raystream.machines.records import FOUND, RAY, WANTED, Query, RayState
 from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel, Steps
-from raystream.machines.task import Task
 from raystream.streams import Counters, Kernel, Stream
 
 __all__ = ["RayStreams", "declared_as"]
@@ -57,7 +57,7 @@ class RayStreams:
     ----------
     steps : Steps
     query : Query
-    task : Task
+    job : RayJob
 
     Attributes
     ----------
@@ -67,8 +67,8 @@ class RayStreams:
         Called with each `StepKernel` that has run.
     """
 
-    def __init__(self, steps: Steps, query: Query, task: Task) -> None:
-        count, rays = len(task), task.rays
+    def __init__(self, steps: Steps, query: Query, job: RayJob) -> None:
+        count, rays = len(job), job.rays
         self._steps = steps
         self._query = query
         self.counts = np.zeros(count, np.uint32)
@@ -78,7 +78,7 @@ class RayStreams:
         ray, wanted = np.empty(count, RAY), np.empty(count, WANTED)
         ray["origin"], ray["direction"] = rays.origins, rays.directions
         ray["t_min"], ray["t_max"] = rays.t_min, rays.t_max
-        wanted["first"], wanted["capacity"] = task.first, task.capacity
+        wanted["first"], wanted["capacity"] = job.first, job.capacity
         wanted["number"] = np.arange(count, dtype=np.uint32)
         self._set(
             {

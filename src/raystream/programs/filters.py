@@ -12,12 +12,12 @@ from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses, HitArrays, copy_rows
-from raystream.programs.asked import Asked, Piece
+from raystream.kernels.hit_batch import HitAccumulator, HitBatch, for_each_chunk
 from raystream.programs.program import Program
-from raystream.programs.rounds import AskHits, visit
+from raystream.programs.ray_subset import PendingRays, RaySubset
+from raystream.programs.rounds import FindHits, visit
 from raystream.programs.rows import SkipsAt, as_skips
 from raystream.programs.texts import Goal
-from raystream.structures.found import Collected, Found, cut
 
 __all__ = ["Bound", "Filter", "count_filtered", "filter_first", "multi_filtered"]
 
@@ -54,14 +54,14 @@ class Filter(NamedTuple):
     function : callable
         The user's.
     skipped : ndarray of shape (N, k), int32, or None
-        Triangles that do not exist for each ray.
+        Triangles that do not exist for each ray; of rays on a device as the caller gave them.
     triangles : Triangles
     bound : Bound, optional
         If the function has constants.
     """
 
     function: Callable[..., Any]
-    skipped: NDArray[np.int32] | None
+    skipped: Any
     triangles: Triangles
     bound: Bound | None = None
 
@@ -78,7 +78,7 @@ class Filter(NamedTuple):
         return cls.among(on_hit, skipped, triangles)
 
     @classmethod
-    def among(cls, on_hit: Any, skipped: NDArray[np.int32] | None, triangles: Triangles) -> Filter:
+    def among(cls, on_hit: Any, skipped: Any, triangles: Triangles) -> Filter:
         """A function, or None for the one that finds that all hits exist."""
         if isinstance(on_hit, Bound):
             return cls(on_hit.function, skipped, triangles, on_hit)
@@ -93,7 +93,7 @@ class Filter(NamedTuple):
 
 def filter_first(
     filter_: Filter,
-    ask: AskHits,
+    find: FindHits,
     batch: RayBatch,
     hits: HitArrays,
 ) -> None:
@@ -102,76 +102,76 @@ def filter_first(
     Parameters
     ----------
     filter_ : Filter
-    ask : callable
+    find : callable
     batch : RayBatch
     hits : HitArrays
         The nearest hits of all triangles; changed.
     """
     program = filter_.program("first", HitAddresses.of(hits))
     program.compile()
-    whole = Asked(batch, None, 0)
-    piece = Piece.of(whole, 0)
-    cut(Found(hits, None, None, 0), lambda found: program.run(found, piece))
-    ignored = np.flatnonzero(piece.open_rays)  # rays without hits are closed
+    whole = RaySubset(batch, None, 0)
+    pending = PendingRays.of(whole, 0)
+    for_each_chunk(HitBatch(hits, None, None, 0), lambda found: program.run(found, pending))
+    ignored = np.flatnonzero(pending.open_rays)  # rays without hits are closed
     if len(ignored) == 0:
         return
     for array, value in zip(hits, (np.inf, 0.0, 0.0, -1), strict=True):
         array[ignored] = value
-    visit(ask, whole.part(ignored), program.run, np.zeros(len(ignored), np.uint8), delivered=1)
+    visit(find, whole.part(ignored), program.run, np.zeros(len(ignored), np.uint8), delivered=1)
 
 
 def count_filtered(
-    filter_: Filter, ask: AskHits, batch: RayBatch, progress: Progress | None
+    filter_: Filter, find: FindHits, batch: RayBatch, progress: Progress | None
 ) -> NDArray[np.int64]:
     """Count the hits of each ray that exist."""
     counts = np.zeros(len(batch), np.int64)
     program = filter_.program("count", np.uint64(counts.ctypes.data))
     program.compile()
-    whole, status = Asked(batch, None, 0), np.zeros(len(batch), np.uint8)
-    if visit(ask, whole, program.run, status, progress, is_ordered=False):
+    whole, status = RaySubset(batch, None, 0), np.zeros(len(batch), np.uint8)
+    if visit(find, whole, program.run, status, progress, is_ordered=False):
         # What is counted before a ray ends depends on the order.
         counts.fill(0)
-        visit(ask, whole, program.run, status, progress)
+        visit(find, whole, program.run, status, progress)
     return counts
 
 
 def multi_filtered(
     filter_: Filter,
-    ask: AskHits,
+    find: FindHits,
     batch: RayBatch,
     limit: int,
     status: NDArray[np.uint8],
     progress: Progress | None,
 ) -> tuple[NDArray[np.int64], HitArrays]:
-    """Find the nearest `limit` hits of each ray that exist; see `BatchQueries.multi_hit_batch`."""
+    """Find the nearest `limit` hits of each ray that exist: splits, and rows; see `Sink`."""
     found_counts = np.zeros(len(batch), np.int64)
     program = filter_.program("multi", found_counts, np.int64(limit))
     program.compile(np.empty(0, np.int64))
-    collected = Collected(len(batch))
+    collected = HitAccumulator(len(batch))
 
-    def look(found: Found, piece: Piece) -> int:
+    def look(found: HitBatch, pending: PendingRays) -> int:
         counts = np.zeros(len(found), np.int64)
-        seen = program.run(found, piece, counts)
-        collected.take(_compact(found, piece, counts), piece.delivered > 0)
+        seen = program.run(found, pending, counts)
+        collected.take(_compact(found, pending, counts), pending.delivered > 0)
         return seen
 
-    visit(ask, Asked(batch, None, 0), look, status, progress)
+    visit(find, RaySubset(batch, None, 0), look, status, progress)
     return collected.whole()
 
 
-def _compact(found: Found, piece: Piece, counts: NDArray[np.int64]) -> Found:
+def _compact(found: HitBatch, pending: PendingRays, counts: NDArray[np.int64]) -> HitBatch:
     """The rows that exist, of rays of the whole batch.
 
     The loop left them where each ray's new rows begin.
     """
     assert found.splits is not None
-    firsts = np.minimum(found.splits[:-1] + piece.delivered, found.splits[1:])
+    firsts = np.minimum(found.splits[:-1] + pending.delivered, found.splits[1:])
     splits = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=splits[1:])
     kept = HitArrays.empty(int(splits[-1]))
     copy_rows(0, len(counts), found.hits, firsts, counts, splits[:-1], kept)
-    if piece.asked.ids is not None:
-        return Found(kept, splits, piece.asked.ids[found.rays], 0)
-    first = piece.asked.first
+    if pending.rays.ids is not None:
+        return HitBatch(kept, splits, pending.rays.ids[found.rays], 0)
+    first = pending.rays.first
     ids = None if found.ids is None else found.ids + first
-    return Found(kept, splits, ids, found.first + first)
+    return HitBatch(kept, splits, ids, found.first + first)

@@ -128,20 +128,20 @@ class RaysAt(NamedTuple):
     Attributes
     ----------
     positions : uint64
-        Address of the entries' positions among the rays asked about; 0 if they follow each
+        Address of the entries' positions among the rays traced; 0 if they follow each
         other.
     positions_are_short : bool
         Whether they are int32, else int64.
     start : uint64
         Position of the first one if they follow each other.
     ids : uint64
-        Address of the indices in the batch of the rays asked about, int64; 0 if they follow
+        Address of the indices in the batch of the rays traced, int64; 0 if they follow
         each other.
     first : uint64
         Index of the first one if they follow each other.
     directions, direction_step : uint64
     directions_are_double : bool
-        See `RaySource`; of the rays asked about.
+        See `RaySource`; of the rays traced.
     """
 
     positions: np.uint64
@@ -189,7 +189,7 @@ def _place(array: NDArray[Any] | None) -> int:
 
 @device
 def position_at(rays, i):
-    """Position of entry i's ray among those asked about."""
+    """Position of entry i's ray among those traced."""
     if rays.positions == _NOWHERE:
         return rays.start + i
     if rays.positions_are_short:
@@ -199,7 +199,7 @@ def position_at(rays, i):
 
 @device
 def ray_at(rays, position):
-    """Index in the batch of a ray that was asked about."""
+    """Index in the batch of a ray that was traced."""
     if rays.ids == _NOWHERE:
         return rays.first + position
     return np.uint64(load(np.int64, rays.ids + position * _LONG))

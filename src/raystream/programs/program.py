@@ -9,11 +9,11 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.jit.loops import Loop, compile_loop
-from raystream.programs.asked import Piece
+from raystream.kernels.hit_batch import HitBatch
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
+from raystream.programs.ray_subset import PendingRays
 from raystream.programs.rows import SkipsAt
 from raystream.programs.texts import Goal, names_of, text_of
-from raystream.structures.found import Found
 
 __all__ = ["Program", "check_function"]
 
@@ -91,14 +91,14 @@ class Program:
             reason = f"{type(error).__name__}: {error}"
             raise TypeError(f"{self.name}: Numba cannot compile it: {reason}") from error
 
-    def run(self, found: Found, piece: Piece, *more: Any) -> int:
+    def run(self, found: HitBatch, pending: PendingRays, *more: Any) -> int:
         """Run it over the rows of some rays, on the calling thread.
 
         Parameters
         ----------
-        found : Found
-        piece : Piece
-            The rays that were asked about; those that end are closed.
+        found : HitBatch
+        pending : PendingRays
+            The rays that were traced; those that end are closed.
         *more
             The goal's last argument, if it is made for each part.
 
@@ -112,9 +112,9 @@ class Program:
         RuntimeError
             If the function raised something.
         """
-        rows = RowsAt.of(found.hits, found.splits, piece.delivered)
-        rays = RaysAt.of(piece.source, *piece.asked.places, found.ids, found.first)
-        open_rays = np.uint64(piece.open_rays.ctypes.data)
+        rows = RowsAt.of(found.hits, found.splits, pending.delivered)
+        rays = RaysAt.of(pending.source, *pending.rays.places, found.ids, found.first)
+        open_rays = np.uint64(pending.open_rays.ctypes.data)
         try:
             return int(
                 self._loop(

@@ -1,7 +1,7 @@
 """Rounds: asking for hits until a program has seen what it wants to see.
 
-Hits are in a total order (t, then prim_id), so that a ray which is asked about again for more
-hits gives the same ones first: those are left out.
+Hits are in a total order (t, then prim_id), so that a ray that is traced again for more hits
+gives the same ones first: those are left out.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import UNLIMITED
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import UNLIMITED
-from raystream.programs.asked import Asked, Piece
-from raystream.structures.found import Found, FoundVisitor
+from raystream.kernels.hit_batch import HitBatch, HitVisitor
+from raystream.programs.ray_subset import PendingRays, RaySubset
 
-__all__ = ["AskHits", "Look", "visit"]
+__all__ = ["FindHits", "Look", "visit"]
 
 #: Gives hits of a batch to a visitor: (batch, most of a ray, whether in order, visitor, status,
-#: progress); see `BatchQueries.visit_hits_batch`.
-AskHits = Callable[[RayBatch, int, bool, FoundVisitor, NDArray[np.uint8], Progress | None], None]
+#: progress).
+FindHits = Callable[[RayBatch, int, bool, HitVisitor, NDArray[np.uint8], Progress | None], None]
 
 #: Runs a program over some of the hits, on any thread; returns how many it looked at.
-Look = Callable[[Found, Piece], int]
+Look = Callable[[HitBatch, PendingRays], int]
 
-#: Rays that are asked about at a time, at most.
+#: Most rays whose hits are found at a time.
 RAYS_PER_BLOCK = 1 << 20
 
 #: Rays of the first block, which shows how many hits they have and how many of these a
@@ -34,19 +34,19 @@ RAYS_PER_BLOCK = 1 << 20
 FIRST_RAYS = 1 << 12
 TILE_ROWS = 16
 
-#: Where rays have no more hits than this, all are asked for: that takes one search, and the
+#: Where rays have no more hits than this, all are found: that takes one search, and the
 #: nearest few may take several.
 FEW_HITS = 16
 
 #: Likewise where a program sees more than this share of the hits.
 SEEN_SHARE = 0.25
 
-#: A ray that wants more hits is asked about for so many times as many.
+#: Each round finds this many times as many hits of a ray as the one before.
 GROWTH = 4
 
 
 class _Pace:
-    """How many rays to ask about, and for how many hits, by what was seen so far."""
+    """How many rays to trace next, and how many hits of each to find, by what was seen so far."""
 
     def __init__(self) -> None:
         self._rays = self._found = self._seen = 0
@@ -58,7 +58,7 @@ class _Pace:
         self._seen += seen
 
     def limit(self) -> int:
-        """Hits of a ray to ask for at first."""
+        """Hits of a ray to find at first."""
         if self._found <= FEW_HITS * self._rays or self._seen > SEEN_SHARE * self._found:
             return UNLIMITED
         limit = GROWTH
@@ -67,13 +67,13 @@ class _Pace:
         return limit
 
     def ray_count(self) -> int:
-        """Rays to ask about."""
+        """Rays to trace next."""
         return FIRST_RAYS if self._rays == 0 else RAYS_PER_BLOCK
 
 
 def visit(
-    ask: AskHits,
-    whole: Asked,
+    find: FindHits,
+    whole: RaySubset,
     look: Look,
     status: NDArray[np.uint8],
     progress: Progress | None = None,
@@ -85,8 +85,8 @@ def visit(
 
     Parameters
     ----------
-    ask : callable
-    whole : Asked
+    find : callable
+    whole : RaySubset
     look : callable
     status : ndarray of shape (N,), uint8
         Of these rays; written for invalid ones.
@@ -103,23 +103,23 @@ def visit(
         Whether the program ended a ray.
     """
     pace, has_ended = _Pace(), False
-    for rows, asked in _blocks(whole, pace):
+    for rows, rays in _blocks(whole, pace):
         report = _report(progress, rows, len(whole.batch))
         limit = pace.limit()
         if limit == UNLIMITED:
             has_ended |= _visit_all(
-                ask, Piece.of(asked, delivered), look, status[rows], report, is_ordered, pace
+                find, PendingRays.of(rays, delivered), look, status[rows], report, is_ordered, pace
             )
         else:
-            has_ended |= _visit_rounds(ask, asked, limit, look, status[rows], report, delivered)
+            has_ended |= _visit_rounds(find, rays, limit, look, status[rows], report, delivered)
     if progress:
         progress(len(whole.batch), len(whole.batch))
     return has_ended
 
 
 def _visit_all(
-    ask: AskHits,
-    piece: Piece,
+    find: FindHits,
+    pending: PendingRays,
     look: Look,
     status: NDArray[np.uint8],
     progress: Progress | None,
@@ -129,19 +129,19 @@ def _visit_all(
     """Ask for all hits, once."""
     figures: list[tuple[int, int]] = []
 
-    def visitor(found: Found) -> None:
-        figures.append((found.hit_count, look(found, piece)))
+    def visitor(found: HitBatch) -> None:
+        figures.append((found.hit_count, look(found, pending)))
 
-    batch = piece.asked.batch
-    ask(batch, UNLIMITED, is_ordered, visitor, status, progress)
+    batch = pending.rays.batch
+    find(batch, UNLIMITED, is_ordered, visitor, status, progress)
     found, seen = np.sum(figures, axis=0) if figures else (0, 0)
     pace.saw(len(batch), int(found), int(seen))
-    return not piece.open_rays.all()
+    return not pending.open_rays.all()
 
 
 def _visit_rounds(
-    ask: AskHits,
-    asked: Asked,
+    find: FindHits,
+    rays: RaySubset,
     limit: int,
     look: Look,
     status: NDArray[np.uint8],
@@ -151,36 +151,36 @@ def _visit_rounds(
     """Ask for the nearest few hits, and for more where the program did not end the ray."""
     has_ended = False
     while True:
-        piece = Piece.of(asked, delivered)
-        more = _visit_nearest(ask, piece, limit, look, status, progress)
-        has_ended |= not piece.open_rays.all()
+        pending = PendingRays.of(rays, delivered)
+        more = _visit_nearest(find, pending, limit, look, status, progress)
+        has_ended |= not pending.open_rays.all()
         if len(more) == 0:
             return has_ended
-        asked, status, progress = asked.part(more), status[more], None
+        rays, status, progress = rays.part(more), status[more], None
         delivered, limit = max(delivered, limit), limit * GROWTH
 
 
 def _visit_nearest(
-    ask: AskHits,
-    piece: Piece,
+    find: FindHits,
+    pending: PendingRays,
     limit: int,
     look: Look,
     status: NDArray[np.uint8],
     progress: Progress | None,
 ) -> NDArray[np.int64]:
     """Ask for the nearest few hits; returns the positions of rays that want more."""
-    is_full = np.zeros(len(piece.asked.batch), np.bool_)
+    is_full = np.zeros(len(pending.rays.batch), np.bool_)
 
-    def visitor(found: Found) -> None:
+    def visitor(found: HitBatch) -> None:
         assert found.splits is not None
         is_full[found.rays] = np.diff(found.splits) == limit
-        look(found, piece)
+        look(found, pending)
 
-    ask(piece.asked.batch, limit, True, visitor, status, progress)
-    return np.flatnonzero(is_full & piece.open_rays)
+    find(pending.rays.batch, limit, True, visitor, status, progress)
+    return np.flatnonzero(is_full & pending.open_rays)
 
 
-def _blocks(whole: Asked, pace: _Pace) -> Iterator[tuple[slice, Asked]]:
+def _blocks(whole: RaySubset, pace: _Pace) -> Iterator[tuple[slice, RaySubset]]:
     """Cut rays into blocks, of whole rows of tiles where they are an image's."""
     shape, count = whole.batch.shape, len(whole.batch)
     width = shape[-1] if len(shape) > 1 else 0

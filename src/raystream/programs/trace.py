@@ -11,19 +11,15 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.programs.asked import Asked
-from raystream.programs.payloads import as_payload, as_records
 from raystream.programs.program import Program
-from raystream.programs.rounds import AskHits, visit
+from raystream.programs.ray_subset import RaySubset
+from raystream.programs.rounds import FindHits, visit
 
 __all__ = ["ORDERS", "Order", "check_order", "trace_program"]
 
 #: How a ray's hits are given to a program.
 Order = Literal["front-to-back", "any"]
 ORDERS: tuple[str, ...] = ("front-to-back", "any")
-
-#: Runs a function on records, elsewhere; False if it cannot.
-RunThere = Callable[[Callable[..., Any], "NDArray[Any] | None"], bool]
 
 
 def check_order(order: str) -> None:
@@ -34,46 +30,29 @@ def check_order(order: str) -> None:
 
 
 def trace_program(
-    ask: AskHits,
+    find: FindHits,
     batch: RayBatch,
     triangles: Triangles,
     function: Callable[..., Any],
-    payload: Any,
-    order: str,
+    records: NDArray[Any] | None,
+    is_ordered: bool,
     progress: Progress | None,
-    run_there: RunThere | None = None,
-) -> NDArray[Any] | None:
+) -> None:
     """Run a program at the hits of each ray.
 
     Parameters
     ----------
-    ask : callable
-        The query for hits.
+    find : callable
     batch : RayBatch
     triangles : Triangles
     function : callable
-    payload : ndarray, dtype or None
-    order : {"front-to-back", "any"}
-        "any": packets of rays need not sort what they find.
+    records : ndarray of shape (N,) or (N, k), or None
+        Each ray's payload, of `payloads.as_records`; changed in place.
+    is_ordered : bool
+        Whether hits come by t, then prim_id: packets of rays need not sort what they find.
     progress : callable, optional
-    run_there : callable, optional
-        Runs the function elsewhere, on records of `as_records`; False if it has to run here.
-
-    Returns
-    -------
-    ndarray or None
-        The payload.
     """
-    check_order(order)
-    result = records = None
-    if payload is not None:
-        result = as_payload(payload, batch.shape)
-        records = as_records(result, batch.shape)
-    if run_there is None or not run_there(function, records):
-        program = Program(function, "trace", None, (records,), triangles)
-        program.compile()
-        whole, status = Asked(batch, None, 0), np.zeros(len(batch), np.uint8)
-        visit(ask, whole, program.run, status, progress, is_ordered=order != "any")
-    if result is not None and records is not None and not np.shares_memory(result, records):
-        result[...] = records.reshape(result.shape)
-    return result
+    program = Program(function, "trace", None, (records,), triangles)
+    program.compile()
+    whole, status = RaySubset(batch, None, 0), np.zeros(len(batch), np.uint8)
+    visit(find, whole, program.run, status, progress, is_ordered=is_ordered)

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper import Spot, Step, Walk, walk
-from raystream.machines import make_machine
-from raystream.machines.counting import Counting
+from raystream.machines import Branching
+from raystream.machines.counters import answer_counting
 from raystream.tracer import Tracer
 from raystream.viewer.messages import Message, finite_or_none
 from raystream.viewer.picking import PixelRay
@@ -50,12 +51,9 @@ def walk_along(tracer: Tracer, ray: PixelRay) -> Message:
 
 
 def _counts(tracer: Tracer, ray: PixelRay) -> dict[str, int]:
-    counting = make_machine("branching", tracer.structure, True, {})
-    assert isinstance(counting, Counting)
     batch = RayBatch(ray.origin[None], ray.direction[None], 0.0, np.inf)
-    counting.first_hit_batch(batch, np.zeros(1, np.uint8))
-    assert counting.latest is not None
-    return {name: int(getattr(counting.latest, name)[0]) for name in COLUMNS}
+    _, counters = answer_counting(Branching(tracer.structure), Query(Kind.FIRST_HIT), batch)
+    return {name: int(getattr(counters, name)[0]) for name in COLUMNS}
 
 
 def _walk_message(way: Walk, counts: dict[str, int]) -> Message:

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.errors import FileFormatError
+from raystream.core.query import counts_surfaces
 from raystream.jit.threads import Progress, part_of
-from raystream.machines.programs import is_surfaces
 from raystream.tracer import Crossings, Tracer
 from raystream.zarr_queries.asking import Answer, Asking
 from raystream.zarr_queries.beginning import begin
@@ -178,7 +178,7 @@ def query_zarr(
 
 def _options(query: str, max_hits: int | None, crossings: Crossings) -> dict[str, Any]:
     options: dict[str, Any] = {}
-    is_surfaces(crossings)
+    counts_surfaces(crossings)
     if query in ("multi_hit", "count_hits"):
         options["crossings"] = crossings
     elif crossings != "triangles":

@@ -7,7 +7,8 @@ import pytest
 
 import raystream as rs
 from conftest import TRACERS, assert_same_bits
-from raystream.kernels.collect import HitArrays
+from raystream.core.query import Kind, Query
+from raystream.kernels.sink import Sink
 from raystream.lab.kernels.bandwidth import copy_bandwidth, kernel_speeds, measure_speed
 from raystream.lab.kernels.costs import cost_of, stream_words, words_fetched, words_of
 from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only
@@ -21,6 +22,7 @@ from raystream.lab.kernels.recirculation import (
 )
 from raystream.lab.kernels.record import compile_steps
 from raystream.lab.kernels.search import Search, busiest, local_rays, snapshots
+from raystream.machines import Branching
 from raystream.machines.steps import steps_of
 from raystream.streams import Counters
 
@@ -58,8 +60,10 @@ def test_words_are_those_that_passes_count(name):
 @pytest.mark.parametrize("name", ["bvh", "grid", BACKTRACK])
 def test_a_search_finds_what_the_structure_finds(name):
     structure, rays = make(name)
-    expected = HitArrays.empty(len(rays.t_min))
-    structure.first_hit(rays, expected)
+    query = Query(Kind.FIRST_HIT)
+    sink = Sink.of(query, len(rays.t_min))
+    Branching(structure).run_local(query, rays, sink)
+    expected = sink.hits
     search = Search(structure, rays, "double", compaction=True)
     assert search.run() > 2
     hit = expected.prim_id >= 0

@@ -26,9 +26,11 @@ from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import columns_of
 from raystream.cuda.multipass.ray_streams import RayStreams, Wish, ray_bytes
 from raystream.cuda.multipass.tree import ResidentSteps
-from raystream.cuda.parts import Asked, parts_of
+from raystream.cuda.parts import HostQuery, parts_of
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
 from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.sink import Sink
+from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes
 from raystream.machines.records import RayState
 from raystream.machines.schedulers import (
@@ -91,6 +93,8 @@ class Multipass(Branching):
         If an option is out of range, or the structure has no kernels.
     """
 
+    capabilities = Capabilities(device_arrays=True, passes=True)
+
     def __init__(
         self,
         structure: Structure,
@@ -132,73 +136,58 @@ class Multipass(Branching):
         machine.passes = passes
         return machine
 
-    @property
-    def programs_there(self) -> None:
-        """Nothing: programs run on the CPU, at hits that the passes found."""
-        return None
+    # Programs run on the CPU, at hits that the passes found.
+    run_program = Backend.run_program
 
-    def bands_on_device(self, setting: object) -> None:
-        """Nothing takes samples of a picture in passes but the host."""
-
-    # ---- Queries.
-
-    def _first_hit(self, asked: Asked, out: HitArrays) -> None:
-        for part in self._parts(asked, self._steps.usual):
+    def _first_hit(self, job: HostQuery) -> None:
+        out = job.sink.hits
+        for part in self._parts(job, self._steps.usual):
             memory, hits = _hits_of(self.gpu, part.count)
             wish = Wish(False, True, True, _ONE_EACH, hits=hits)
-            streams = self._run_all(self._steps.usual, part, wish, asked)
+            streams = self._run_all(self._steps.usual, part, wish, job)
             FINISH.launch(
                 self.gpu,
                 part.count,
                 (streams.capacity, streams.found, streams.world, hits),
             )
             _copy(memory, out.part(part.rows))
-            _finish(part, asked)
+            _finish(part, job)
 
-    def _any_hit(self, asked: Asked) -> NDArray[np.bool_]:
-        seen = np.empty(len(asked.batch), np.bool_)
-        for part in self._parts(asked, self._steps.usual):
+    def _any_hit(self, job: HostQuery) -> None:
+        seen = job.sink.seen
+        for part in self._parts(job, self._steps.usual):
             wish = Wish(False, False, True, _ONE_EACH)
-            seen[part.rows] = self._run_all(self._steps.usual, part, wish, asked).counts() != 0
-            _finish(part, asked)
-        return seen
+            seen[part.rows] = self._run_all(self._steps.usual, part, wish, job).counts() != 0
+            _finish(part, job)
 
-    def _count_hits(
-        self, asked: Asked, surfaces: bool, limit: int, steps: Steps | None = None
-    ) -> NDArray[np.int64]:
-        steps = steps or self._steps.usual
-        counts = np.empty(len(asked.batch), np.int64)
-        for part in self._parts(asked, steps):
-            wish = Wish(surfaces, False, False, Wanted(_NOWHERE, np.uint64(limit)))
-            streams = self._run_all(steps, part, wish, asked)
+    def _count_hits(self, job: HostQuery, steps: Steps | None = None) -> None:
+        steps, counts, query = steps or self._steps.usual, job.sink.counts, job.query
+        for part in self._parts(job, steps):
+            wish = Wish(query.surfaces, False, False, Wanted(_NOWHERE, np.uint64(query.limit)))
+            streams = self._run_all(steps, part, wish, job)
             counts[part.rows] = streams.counts()
             overflown = streams.overflown()
-            _finish(part, asked, overflown)
+            _finish(part, job, overflown)
             if len(overflown):
                 rows = part.rows.start + overflown
-                again = _some_of(asked, rows)
-                counts[rows] = self._count_hits(again, surfaces, limit, self._steps.grown(steps))
-                _add_tallies(asked, rows, again)
-        return counts
+                again = _some_of(job, rows)
+                again.sink.counts = np.empty(len(rows), np.int64)
+                self._count_hits(again, self._steps.grown(steps))
+                counts[rows] = again.sink.counts
+                _add_tallies(job, rows, again)
 
-    def _multi_hit(
-        self,
-        asked: Asked,
-        surfaces: bool,
-        splits: NDArray[np.int64],
-        out: HitArrays,
-        steps: Steps | None = None,
-    ) -> None:
-        steps = steps or self._steps.usual
-        for part in self._parts(asked, steps, splits):
+    def _multi_hit(self, job: HostQuery, steps: Steps | None = None) -> None:
+        steps, splits, out = steps or self._steps.usual, job.sink.splits, job.sink.hits
+        for part in self._parts(job, steps, splits):
             wanted = splits[part.rows.start : part.rows.stop + 1]
             capacity = np.diff(wanted)
             rows = slice(int(wanted[0]), int(wanted[-1]))
             own = self.gpu.upload("splits", wanted - wanted[0])
             memory, hits = _hits_of(self.gpu, rows.stop - rows.start)
             want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
-            wish = Wish(surfaces, True, True, Wanted(own.address, _NOWHERE), want_any, hits)
-            streams = self._run_all(steps, part, wish, asked)
+            each = Wanted(own.address, _NOWHERE)
+            wish = Wish(job.query.surfaces, True, True, each, want_any, hits)
+            streams = self._run_all(steps, part, wish, job)
             FINISH_MANY.launch(
                 self.gpu,
                 part.count,
@@ -215,42 +204,33 @@ class Multipass(Branching):
                     f"device 'cuda': {self.gpu.name} found fewer hits than it had counted"
                 )
             _copy(memory, out.part(rows))
-            _finish(part, asked, overflown)
+            _finish(part, job, overflown)
             if len(overflown):
-                again = part.rows.start + overflown
-                self._multi_hit_again(asked, again, surfaces, splits, out, steps)
+                self._multi_hit_again(job, part.rows.start + overflown, steps)
 
-    def _multi_hit_again(
-        self,
-        asked: Asked,
-        rows: NDArray[Any],
-        surfaces: bool,
-        splits: NDArray[np.int64],
-        out: HitArrays,
-        steps: Steps,
-    ) -> None:
+    def _multi_hit_again(self, job: HostQuery, rows: NDArray[Any], steps: Steps) -> None:
         """Trace some rays with more memory, and put their hits where they belong."""
-        again, capacity = _some_of(asked, rows), np.diff(splits)[rows]
+        splits, out = job.sink.splits, job.sink.hits
+        again, capacity = _some_of(job, rows), np.diff(splits)[rows]
         own = np.concatenate([[0], np.cumsum(capacity)])
         hits = HitArrays.empty(int(own[-1]))
-        self._multi_hit(again, surfaces, own, hits, self._steps.grown(steps))
+        again.sink.splits, again.sink.hits = own, hits
+        self._multi_hit(again, self._steps.grown(steps))
         to = np.repeat(splits[rows] - own[:-1], capacity) + np.arange(own[-1])
         for column, values in zip(out, hits, strict=True):
             column[to] = values
-        _add_tallies(asked, rows, again)
-
-    # ---- What they come to.
+        _add_tallies(job, rows, again)
 
     def _parts(
-        self, asked: Asked, steps: Steps, splits: NDArray[np.int64] | None = None
+        self, job: HostQuery, steps: Steps, splits: NDArray[np.int64] | None = None
     ) -> Iterator[PassPart]:
         """As many rays at a time as there is memory for."""
         byte_count = min(_MOST_BYTES, self.gpu.byte_count // 4)
         most = max(1, min(self.rays_at_once, byte_count // ray_bytes(steps)))
-        for rows in parts_of(slice(0, len(asked.batch)), most, splits):
-            yield PassPart(asked, rows, self.gpu)
+        for rows in parts_of(slice(0, len(job.batch)), most, splits):
+            yield PassPart(job, rows, self.gpu)
 
-    def _run_all(self, steps: Steps, part: PassPart, wish: Wish, asked: Asked) -> RayStreams:
+    def _run_all(self, steps: Steps, part: PassPart, wish: Wish, job: HostQuery) -> RayStreams:
         """Trace rays for which there is memory, until none is active."""
         streams = RayStreams(
             self.gpu,
@@ -261,14 +241,14 @@ class Multipass(Branching):
             np.float32(self.structure.triangles.extreme),
         )
         if streams.length:
-            self._run(steps, streams, part, asked)
+            self._run(steps, streams, part, job)
             runs = streams.runs()
             if self.passes is not None and runs is not None:
                 at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
                 self.passes.add_bound(steps.kernels, runs, at_once)
         return streams
 
-    def _run(self, steps: Steps, streams: RayStreams, part: PassPart, asked: Asked) -> None:
+    def _run(self, steps: Steps, streams: RayStreams, part: PassPart, job: HostQuery) -> None:
         """Pass after pass; the host looks at times how far they went."""
         loop, known = LOOPS[self.loop](streams, self._rules), 0
         while True:
@@ -277,8 +257,8 @@ class Multipass(Branching):
             known += len(ran)
             self._note(steps, ran)
             active = read_active(words)
-            if asked.progress:
-                asked.progress(part.rows.stop - active, len(asked.batch))
+            if job.progress:
+                job.progress(part.rows.stop - active, len(job.batch))
             if not active:
                 return
             if known >= self.max_passes:
@@ -320,25 +300,26 @@ def _pass(kernel: StepKernel, ran: Ran, words: dict[str, int]) -> Pass:
     )
 
 
-def _finish(part: PassPart, asked: Asked, but: NDArray[Any] | None = None) -> None:
+def _finish(part: PassPart, job: HostQuery, but: NDArray[Any] | None = None) -> None:
     """Hand over what became of rays, but not what those met that are traced again."""
     part.finish(but)
-    if asked.progress:
-        asked.progress(part.rows.stop, len(asked.batch))
+    if job.progress:
+        job.progress(part.rows.stop, len(job.batch))
 
 
-def _some_of(asked: Asked, rows: NDArray[Any]) -> Asked:
+def _some_of(job: HostQuery, rows: NDArray[Any]) -> HostQuery:
     """Some of the rays, to be traced again."""
-    batch = asked.batch
+    batch = job.batch
     limits = [one if len(one) == 1 else one[rows] for one in batch.limits]
     some = RayBatch(batch.origins[rows], batch.directions[rows], *limits)
-    tallies = None if asked.tallies is None else np.zeros_like(asked.tallies[rows])
-    return Asked(some, asked.frame, np.zeros(len(rows), np.uint8), None, tallies)
+    tallies = None if job.sink.tallies is None else np.zeros_like(job.sink.tallies[rows])
+    sink = Sink(np.zeros(len(rows), np.uint8), tallies=tallies)
+    return HostQuery(job.query, some, job.frame, sink, None)
 
 
-def _add_tallies(asked: Asked, rows: NDArray[Any], again: Asked) -> None:
-    if asked.tallies is not None and again.tallies is not None:
-        asked.tallies[rows] += again.tallies
+def _add_tallies(job: HostQuery, rows: NDArray[Any], again: HostQuery) -> None:
+    if job.sink.tallies is not None and again.sink.tallies is not None:
+        job.sink.tallies[rows] += again.sink.tallies
 
 
 def _hits_of(gpu: Gpu, count: int) -> tuple[DeviceArray, HitAddresses]:

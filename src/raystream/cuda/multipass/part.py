@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cuda.parts import Asked
+from raystream.cuda.parts import HostQuery
 from raystream.cuda.rays import place_rays
 from raystream.jit.cuda import Gpu
 
@@ -19,7 +19,7 @@ class PassPart:
 
     Parameters
     ----------
-    asked : Asked
+    job : HostQuery
     rows : slice
         Which.
     gpu : Gpu
@@ -41,17 +41,17 @@ class PassPart:
         If there is no memory for them.
     """
 
-    def __init__(self, asked: Asked, rows: slice, gpu: Gpu) -> None:
+    def __init__(self, job: HostQuery, rows: slice, gpu: Gpu) -> None:
         self.rows = rows
         self.count = rows.stop - rows.start
-        self._asked, self._gpu = asked, gpu
-        self._rays = place_rays(asked.batch, rows, gpu.upload)
-        self._status = gpu.upload("status", asked.status[rows])
+        self._job, self._gpu = job, gpu
+        self._rays = place_rays(job.batch, rows, gpu.upload)
+        self._status = gpu.upload("status", job.sink.status[rows])
         self.status = self._status.address
-        self.source, self.frame = self._rays.source, asked.frame
+        self.source, self.frame = self._rays.source, job.frame
         self.tallies: np.uint64 | None = None
-        if asked.tallies is not None:
-            zeros = np.zeros((self.count, asked.tallies.shape[1]), np.uint32)
+        if job.sink.tallies is not None:
+            zeros = np.zeros((self.count, job.sink.tallies.shape[1]), np.uint32)
             self._tallies = gpu.upload("tallies", zeros)
             self.tallies = self._tallies.address
 
@@ -64,9 +64,9 @@ class PassPart:
             Numbers of rays, in this part, of which it does not matter what they met.
         """
         self._gpu.wait()
-        self._asked.status[self.rows] = self._status.host()
-        if self._asked.tallies is not None:
+        self._job.sink.status[self.rows] = self._status.host()
+        if self._job.sink.tallies is not None:
             tallies = self._tallies.host()
             if but is not None:
                 tallies[but] = 0
-            self._asked.tallies[self.rows] += tallies
+            self._job.sink.tallies[self.rows] += tallies

@@ -1,14 +1,15 @@
-"""HostRays: programs at the hits of the host's rays: these travel there, and what comes of them."""
+"""HostRays: programs on the device for rays in the host's memory, which are copied there."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.cuda.asking import Asking
 from raystream.cuda.device_queries import DeviceScene
@@ -23,18 +24,32 @@ from raystream.cuda.rays import place_rays
 from raystream.jit.cuda import DeviceArray, Work
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.hit_batch import allocate_hits
+from raystream.kernels.sink import Sink
 from raystream.programs.filters import Filter
 from raystream.programs.rows import SkipsAt
 from raystream.programs.texts import Goal
-from raystream.structures.found import allocate_hits
 
 __all__ = ["HostRays"]
 
 
-class HostRays:
-    """Runs programs on the device for rays of the host's.
+#: What a filter's loop does, by the kind of the query.
+_GOALS: dict[Kind, Goal] = {
+    Kind.FIRST_HIT: "first",
+    Kind.COUNT_HITS: "count",
+    Kind.MULTI_HIT: "keep",
+}
 
-    Each query returns None if its function has to stay on the CPU: then nothing was done.
+
+class _Job(NamedTuple):
+    query: Query
+    rays: RayBatch
+    sink: Sink
+    program: DeviceProgram
+
+
+class HostRays:
+    """Runs programs on the device for rays in the host's memory.
 
     Parameters
     ----------
@@ -46,72 +61,71 @@ class HostRays:
     def __init__(self, scene: DeviceScene, rays_at_once: int) -> None:
         self._scene, self._most = scene, rays_at_once
 
-    def first_hit(
-        self,
-        filter_: Filter,
-        batch: RayBatch,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-    ) -> HitArrays | None:
-        """Find the nearest hit of each ray that exists; see `BatchQueries.first_hit_batch`."""
-        program = self._filter(filter_, "first")
+    def run(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> bool:
+        """Answer a query with its filter or program; False if that has to stay on the CPU.
+
+        Parameters
+        ----------
+        query : Query
+            Of any kind but `Kind.ANY_HIT`.
+        rays : RayBatch
+        sink : Sink
+        progress : callable, optional
+            Called with (rays done, rays).
+        """
+        if query.kind is Kind.TRACE:
+            record = record_of(sink.records)
+            program = self._fitting(DeviceProgram(query.on_hit, "trace", record=record))
+        else:
+            program = self._filter(query.on_hit, _GOALS[query.kind])
         if program is None:
-            return None
-        hits = HitArrays.empty(len(batch))
+            return False
+        job = _Job(query, rays, sink, program)
+        if query.kind is Kind.FIRST_HIT:
+            self._first_hit(job, progress)
+        elif query.kind is Kind.COUNT_HITS:
+            self._count_hits(job, progress)
+        elif query.kind is Kind.MULTI_HIT:
+            self._multi_hit(job, progress)
+        else:
+            self._trace(job, progress)
+        return True
+
+    def _first_hit(self, job: _Job, progress: Progress | None) -> None:
+        hits, status = job.sink.hits, job.sink.status
 
         def run(rows: slice, work: Work, rays: DeviceRays) -> None:
             memory = work.empty("hits", (4, len(rays)), np.float32)
             own = work.cleared("status", len(rays), np.uint8)
-            search = self._search(work, rays, rows, program, filter_)
+            search = self._search(work, rays, rows, job)
             search.nearest(HitAddresses.of_rows(memory.address, len(rays)), own.address)
             found = HitArrays.rows_of(work.read(memory))
             for column, values in zip(hits.part(rows), found, strict=True):
                 column[:] = values
             status[rows] = work.read(own)
 
-        self._each(batch, run, progress)
-        return hits
+        self._each(job.rays, run, progress)
 
-    def count_hits(
-        self,
-        filter_: Filter,
-        batch: RayBatch,
-        surfaces: bool,
-        progress: Progress | None = None,
-    ) -> NDArray[np.int64] | None:
-        """Count the hits of each ray that exist; of shape (N,)."""
-        program = self._filter(filter_, "count")
-        if program is None:
-            return None
-        counts = np.empty(len(batch), np.int64)
+    def _count_hits(self, job: _Job, progress: Progress | None) -> None:
+        counts = job.sink.counts
 
         def run(rows: slice, work: Work, rays: DeviceRays) -> None:
             own = work.cleared("counts", len(rays), np.int64)
-            self._search(work, rays, rows, program, filter_, surfaces).count_into(own)
+            self._search(work, rays, rows, job).count_into(own)
             counts[rows] = work.read(own)
 
-        self._each(batch, run, progress)
-        return counts
+        self._each(job.rays, run, progress)
 
-    def multi_hit(
-        self,
-        filter_: Filter,
-        batch: RayBatch,
-        surfaces: bool,
-        limit: int,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-    ) -> tuple[NDArray[np.int64], HitArrays] | None:
-        """Find the nearest hits of each ray that exist; see `BatchQueries.multi_hit_batch`."""
-        program = self._filter(filter_, "keep")
-        if program is None:
-            return None
-        splits, found = np.zeros(len(batch) + 1, np.int64), [np.empty((4, 0), np.float32)]
+    def _multi_hit(self, job: _Job, progress: Progress | None) -> None:
+        limit, status = job.query.limit, job.sink.status
+        splits, found = np.zeros(len(job.rays) + 1, np.int64), [np.empty((4, 0), np.float32)]
 
         def run(rows: slice, work: Work, rays: DeviceRays) -> None:
             own = work.cleared("status", len(rays), np.uint8)
             work.launch(NOTE_INVALID, len(rays), (rays.source, self._scene.frame, own.address))
-            search = self._search(work, rays, rows, program, filter_, surfaces)
+            search = self._search(work, rays, rows, job)
             firsts, row_count = search.keep_splits(limit)
             if row_count:
                 memory = work.empty("hits", (4, row_count), np.float32)
@@ -120,38 +134,18 @@ class HostRays:
             splits[rows.start + 1 : rows.stop + 1] = splits[rows.start] + work.read(firsts)[1:]
             status[rows] = work.read(own)
 
-        self._each(batch, run, progress)
+        self._each(job.rays, run, progress)
         hits = allocate_hits(int(splits[-1]))
         columns = zip(*map(HitArrays.rows_of, found), strict=True)
         for column, parts in zip(hits, columns, strict=True):
             np.concatenate(parts, out=column)
-        return splits, hits
+        job.sink.put(splits, hits)
 
-    def trace(
-        self,
-        batch: RayBatch,
-        function: Callable[..., Any],
-        records: NDArray[Any] | None,
-        surfaces: bool,
-        progress: Progress | None = None,
-    ) -> bool:
-        """Run a program at the hits of each ray; whether it runs there.
-
-        Parameters
-        ----------
-        batch : RayBatch
-        function : callable
-        records : ndarray of shape (N,) or (N, k), or None
-            In C order; changed.
-        surfaces : bool
-        progress : callable, optional
-        """
-        program = self._fitting(DeviceProgram(function, "trace", record=record_of(records)))
-        if program is None:
-            return False
+    def _trace(self, job: _Job, progress: Progress | None) -> None:
+        records = job.sink.records
 
         def run(rows: slice, work: Work, rays: DeviceRays) -> None:
-            search = self._search(work, rays, rows, program, None, surfaces)
+            search = self._search(work, rays, rows, job)
             if records is None:
                 search.trace(np.uint64(0), 0)
                 return
@@ -160,8 +154,7 @@ class HostRays:
             search.trace(placed.address, own[:1].nbytes)
             records[rows] = work.read(placed)
 
-        self._each(batch, run, progress)
-        return True
+        self._each(job.rays, run, progress)
 
     def _filter(self, filter_: Filter, goal: Goal) -> DeviceProgram | None:
         bound = filter_.bound
@@ -190,22 +183,14 @@ class HostRays:
             if progress:
                 progress(rows.stop, len(batch))
 
-    def _search(
-        self,
-        work: Work,
-        rays: DeviceRays,
-        rows: slice,
-        program: DeviceProgram,
-        filter_: Filter | None,
-        surfaces: bool = False,
-    ) -> Search:
-        skips = None
-        if filter_ is not None and filter_.skipped is not None:
-            placed = _copied(work, "skip_prim_ids", filter_.skipped[rows])
-            skips = SkipsAt(placed.address, np.uint64(filter_.skipped.shape[1]))
+    def _search(self, work: Work, rays: DeviceRays, rows: slice, job: _Job) -> Search:
+        chosen, skips = job.query.on_hit, None
+        if isinstance(chosen, Filter) and chosen.skipped is not None:
+            placed = _copied(work, "skip_prim_ids", chosen.skipped[rows])
+            skips = SkipsAt(placed.address, np.uint64(chosen.skipped.shape[1]))
         triangles = self._scene.in_order.place()
         asking = Asking(work, self._scene, rays)
-        return Search(asking, triangles, rows.start, program, surfaces, skips)
+        return Search(asking, triangles, rows.start, job.program, job.query.surfaces, skips)
 
 
 def _copied(work: Work, name: str, array: NDArray[Any]) -> DeviceArray:

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.query import Kind, Query
+from raystream.core.rays import RayArrays
 from raystream.cuda.asking import Asking
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
 from raystream.cuda.device_queries import DeviceQueries, DeviceScene, report
@@ -30,9 +32,9 @@ class ProgramQueries(DeviceQueries):
     Parameters
     ----------
     scene : DeviceScene
-    on_hit, skip_prim_ids
-        As a tracer's queries take them; both None if all hits exist.
-    origins, directions, t_min, t_max
+    query : Query
+        Triangles that its filter skips are as the caller gave them.
+    rays : RayArrays
         See `place_device_rays`.
 
     Notes
@@ -40,21 +42,9 @@ class ProgramQueries(DeviceQueries):
     A query waits for the device after each round of its program.
     """
 
-    def __init__(
-        self,
-        scene: DeviceScene,
-        on_hit: Any,
-        skip_prim_ids: Any,
-        origins: Any,
-        directions: Any,
-        t_min: Any,
-        t_max: Any,
-    ) -> None:
-        super().__init__(scene, origins, directions, t_min, t_max)
-        self._skipped = skip_prim_ids
-        self._filter: Filter | None = None
-        if on_hit is not None or skip_prim_ids is not None:
-            self._filter = Filter.among(on_hit, None, scene.triangles)
+    def __init__(self, scene: DeviceScene, query: Query, rays: RayArrays) -> None:
+        super().__init__(scene, query, rays)
+        self._filter: Filter | None = None if query.kind is Kind.TRACE else query.on_hit
 
     def first_hit(self, progress: Progress | None = None) -> DeviceHits:
         """Find the nearest triangle along each ray that exists; see `DeviceQueries.first_hit`.
@@ -83,26 +73,25 @@ class ProgramQueries(DeviceQueries):
         report(progress, len(rays), 1)
         return seen
 
-    def count_hits(self, surfaces: bool, progress: Progress | None = None) -> DeviceArray:
+    def count_hits(self, progress: Progress | None = None) -> DeviceArray:
         """Count what exists along each ray; of the rays' shape, int64."""
         if self._filter is None:
-            return super().count_hits(surfaces, progress)
+            return super().count_hits(progress)
         with self._work() as work:
             rays = self._rays(work)
             counts = work.cleared("counts", len(rays), np.int64)
-            self._search(work, rays, "count", surfaces).count_into(counts)
+            self._search(work, rays, "count").count_into(counts)
         report(progress, len(rays), 1)
         return counts.shaped(rays.shape)
 
-    def multi_hit(
-        self, surfaces: bool, limit: int, progress: Progress | None = None
-    ) -> DeviceMultiHits:
+    def multi_hit(self, progress: Progress | None = None) -> DeviceMultiHits:
         """Find the nearest `limit` hits of each ray that exist; see `DeviceQueries.multi_hit`."""
+        limit = self._query.limit
         if self._filter is None or limit == 0:
-            return super().multi_hit(surfaces, limit, progress)
+            return super().multi_hit(progress)
         with self._work() as work:
             rays = self._rays(work)
-            search = self._search(work, rays, "keep", surfaces)
+            search = self._search(work, rays, "keep")
             status = work.cleared("status", rays.shape, np.uint8)
             work.launch(NOTE_INVALID, len(rays), (rays.source, self._scene.frame, status.address))
             splits, row_count = search.keep_splits(limit)
@@ -116,14 +105,11 @@ class ProgramQueries(DeviceQueries):
             progress(2 * len(rays), 2 * len(rays))
         return DeviceMultiHits(splits, *hits, status, self._scene.triangles)
 
-    def trace(
-        self, function: Any, payload: Any, surfaces: bool, progress: Progress | None = None
-    ) -> Any:
+    def trace(self, payload: Any, progress: Progress | None = None) -> Any:
         """Run a program at the hits of each ray.
 
         Parameters
         ----------
-        function : callable
         payload : array, dtype or None
             An array on the device is changed there. A NumPy array is copied there and back. A
             dtype makes an array of zeros on the device.
@@ -141,10 +127,10 @@ class ProgramQueries(DeviceQueries):
         with self._work() as work:
             rays = self._rays(work)
             placed = place_payload(work, payload, rays.shape)
-            program = program_of(self._scene, function, "trace", record=placed.record)
+            program = program_of(self._scene, self._query.on_hit, "trace", record=placed.record)
             triangles = self._scene.in_order.place()
             asking = Asking(work, self._scene, rays)
-            search = Search(asking, triangles, 0, program, surfaces)
+            search = Search(asking, triangles, 0, program, self._query.surfaces)
             search.trace(placed.address, placed.record_bytes)
             placed.finish(work)
         report(progress, len(rays), 1)
@@ -159,14 +145,14 @@ class ProgramQueries(DeviceQueries):
         search.nearest(HitAddresses(*(one.address for one in hits)), status.address)
         return DeviceHits(*hits, status, self._scene.triangles)
 
-    def _search(self, work: Work, rays: DeviceRays, goal: Goal, surfaces: bool = False) -> Search:
+    def _search(self, work: Work, rays: DeviceRays, goal: Goal) -> Search:
         assert self._filter is not None
         scene, chosen = self._scene, self._filter
-        program = program_of(scene, chosen.function, goal, self._skipped is not None, chosen)
-        skips = place_skips(work, self._skipped, rays.shape, len(scene.triangles))
+        program = program_of(scene, chosen.function, goal, chosen.skipped is not None, chosen)
+        skips = place_skips(work, chosen.skipped, rays.shape, len(scene.triangles))
         asking = Asking(work, scene, rays)
         placed = scene.in_order.place()
-        return Search(asking, placed, 0, program, surfaces, skips)
+        return Search(asking, placed, 0, program, self._query.surfaces, skips)
 
 
 def program_of(

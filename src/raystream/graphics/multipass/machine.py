@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.endings import hit_counts
 from raystream.graphics.errors import GraphicsError
@@ -25,9 +26,10 @@ from raystream.graphics.multipass.loops import (
 from raystream.graphics.multipass.oracle import Oracle
 from raystream.graphics.multipass.plan import Plan, Wish, make_plan
 from raystream.graphics.multipass.ray_streams import RayStreams
-from raystream.graphics.queries import GraphicsQueries
-from raystream.graphics.records import ENDLESS, Query
+from raystream.graphics.queries import Chunk, GraphicsQueries
+from raystream.graphics.records import ENDLESS
 from raystream.kernels.queries import LocalRays
+from raystream.machines.backend import Capabilities
 from raystream.machines.passes import Passes
 from raystream.machines.schedulers import (
     SCHEDULERS,
@@ -96,6 +98,8 @@ class Multipass(GraphicsQueries):
         If an option is out of range.
     """
 
+    capabilities = Capabilities(passes=True)
+
     def __init__(
         self,
         structure: Structure,
@@ -131,11 +135,11 @@ class Multipass(GraphicsQueries):
         self._constants = TriangleConstants.wanted(structure, loop, self.intersections)
         if self._constants is not None:
             self._form = self._constants.form
-        self._latest = Query.FIRST_HIT
+        self._latest = Kind.FIRST_HIT
         self._streams = RayStreams(opened, self._form)
-        self._plans: dict[tuple[Query, bool, bool], Plan] = {}
+        self._plans: dict[tuple[Kind, bool, bool], Plan] = {}
         self._oracle: list[Oracle] = []
-        self._plan(Query.FIRST_HIT, False, False)  # whatever is wrong is said now
+        self._plan(Kind.FIRST_HIT, False, False)  # whatever is wrong is said now
 
     def recording(self, passes: Passes) -> Multipass:
         """The same machine, which adds its passes to a record."""
@@ -143,18 +147,10 @@ class Multipass(GraphicsQueries):
         machine.passes = passes
         return machine
 
-    def _run(
-        self,
-        query: Query,
-        surfaces: bool,
-        rays: LocalRays,
-        chunk: slice,
-        wanted: NDArray[np.uint32],
-        row_count: int,
-        tallies: NDArray[np.uint32] | None,
-    ) -> NDArray[np.uint32]:
-        self._latest = query
-        counts, is_multi = tallies is not None, query == Query.MULTI_HIT
+    def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
+        kind, wanted, tallies = chunk.kind, chunk.wanted, chunk.tallies
+        self._latest = kind
+        counts, is_multi = tallies is not None, kind == Kind.MULTI_HIT
         streams = self._streams
         if is_multi and len(streams.passes.groups) > 1:
             raise GraphicsError(
@@ -163,24 +159,15 @@ class Multipass(GraphicsQueries):
             )
         begins = wanted[:, 1] != 0 if is_multi else np.full(len(wanted), True)
         if not begins.all():
-            # Rays that want nothing are left out.
-            rows = chunk.start + np.flatnonzero(begins)
-            some = LocalRays(*(array[rows] for array in rays))
-            met = None if tallies is None else tallies[rows]
-            all_counts = np.zeros(len(wanted), np.uint32)
-            all_counts[begins] = self._run(
-                query, surfaces, some, slice(0, len(rows)), wanted[begins], row_count, met
-            )
-            if tallies is not None and met is not None:
-                tallies[rows] = met
-            return all_counts
-        streams.load(rays, chunk, wanted, row_count if is_multi else 0, counts)
+            return self._run_some(chunk, begins)
+        row_count = chunk.row_count if is_multi else 0
+        streams.load(chunk.rays, chunk.rows, wanted, row_count, counts)
         streams.rays.write_params(self.structure.triangles.extreme)
         work = Work(
             self.opened,
             streams.passes,
-            self._plan(query, surfaces, counts),
-            streams.bindings(query, counts),
+            self._plan(kind, chunk.surfaces, counts),
+            streams.bindings(kind, counts),
             len(wanted),
             self._prepare,
         )
@@ -191,9 +178,25 @@ class Multipass(GraphicsQueries):
         endings = np.where(state[:, 3] == 0, ENDLESS, state[:, 1] + np.uint32(1))
         found = hit_counts(endings, self._form, self.opened)
         if tallies is not None:
-            tallies[chunk] += streams.rays.read_tallies()
+            tallies[chunk.rows] += streams.rays.read_tallies()
             self._note_bound()
         return found
+
+    def _run_some(self, chunk: Chunk, begins: NDArray[np.bool_]) -> NDArray[np.uint32]:
+        """Trace a chunk without the rays that want nothing."""
+        rows = chunk.rows.start + np.flatnonzero(begins)
+        some = LocalRays(*(array[rows] for array in chunk.rays))
+        tallies = chunk.tallies
+        met = None if tallies is None else tallies[rows]
+        all_counts = np.zeros(len(chunk.wanted), np.uint32)
+        all_counts[begins] = self._run(
+            chunk._replace(
+                rays=some, rows=slice(0, len(rows)), wanted=chunk.wanted[begins], tallies=met
+            )
+        )
+        if tallies is not None and met is not None:
+            tallies[rows] = met
+        return all_counts
 
     def _rows(self, count: int) -> NDArray[Any]:
         return self._streams.rays.read_rows(self._latest, count)
@@ -250,21 +253,21 @@ class Multipass(GraphicsQueries):
             runs = self._streams.rays.read_runs()
             self.passes.add_bound(self._steps.kernels, runs, at_once)
 
-    def _plan(self, query: Query, surfaces: bool, counts: bool) -> Plan:
-        key = query, surfaces, counts
+    def _plan(self, kind: Kind, surfaces: bool, counts: bool) -> Plan:
+        key = kind, surfaces, counts
         if key not in self._plans:
             rays = self._streams.rays
             wish = Wish(
                 self._form,
-                rays.instead(query, counts),
+                rays.instead(kind, counts),
                 {
-                    "QUERY": float(query),
+                    "QUERY": float(kind),
                     "SURFACES": float(surfaces),
                     "TRAVERSAL_STEPS": float(self.traversal_steps),
                     "INTERSECTIONS": float(self.intersections),
                     **self._form.constants,
                 },
-                rays.layouts(query, counts),
+                rays.layouts(kind, counts),
                 counts,
             )
             self._plans[key] = make_plan(self.opened, self._traversal, wish)

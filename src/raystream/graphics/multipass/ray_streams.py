@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.forms import Form
 from raystream.graphics.multipass.kernels import STREAMS
 from raystream.graphics.multipass.plan import LAYOUT, STREAM_TYPES
 from raystream.graphics.pipelines import bind
 from raystream.graphics.ray_textures import RayTextures
-from raystream.graphics.records import Query
 from raystream.graphics.streams.passes import Bindings, StreamPasses
 from raystream.graphics.streams.textures import StreamTexture
 from raystream.kernels.queries import LocalRays
@@ -62,10 +62,10 @@ class RayStreams:
         if self.rays.load(rays, chunk, wanted, row_count, counts):
             self._resize()
 
-    def bindings(self, query: Query, counts: bool) -> Bindings:
+    def bindings(self, kind: Kind, counts: bool) -> Bindings:
         """What binds the streams, or their scratch textures, and all else that kernels read."""
         shared = [self.rays.params, *(one.view for one in self.rays.inputs)]
-        rest = self.rays.groups(query, counts)
+        rest = self.rays.groups(kind, counts)
         first = [
             bind(self._opened, LAYOUT, [*shared, *(textures[name].view for name in STREAMS)])
             for textures in (self.passes.streams, self.passes.scratch)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.lab.foley.scenes import (
     SIZE,
@@ -21,7 +22,7 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
-from raystream.machines import Multipass
+from raystream.machines import Branching, Multipass
 from raystream.structures.kdtree import KdTree
 
 __all__ = ["COSTS", "cost_sweep"]
@@ -97,9 +98,13 @@ def _times(
     trees: Mapping[str, Mapping[str, KdTree]], batch: RayBatch, rounds: int
 ) -> dict[str, dict[str, float]]:
     """Milliseconds, by cost and traversal; all take turns."""
-    status = np.zeros(len(batch), np.uint8)
+
+    def tracing(tree: KdTree) -> Callable[[], object]:
+        backend = Branching(tree)
+        return lambda: backend.answer(Query(Kind.FIRST_HIT), batch)
+
     calls = {
-        f"{cost} {traversal}": lambda tree=tree: tree.first_hit_batch(batch, status)
+        f"{cost} {traversal}": tracing(tree)
         for cost, each in trees.items()
         for traversal, tree in each.items()
     }

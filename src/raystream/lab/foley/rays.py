@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.hits import Hits
-from raystream.core.rays import RayBatch
 from raystream.lab.bounces import leaving
 from raystream.lab.views import View
 from raystream.scene.lights import PointLight
 from raystream.structures import Structure
+from raystream.tracer import Tracer
 
 __all__ = ["RayKind", "first_hits", "ray_kinds"]
 
@@ -77,6 +77,5 @@ def ray_kinds(view: View, structure: Structure, size: int) -> list[RayKind]:
 
 def first_hits(structure: Structure, rays: RayKind) -> Hits:
     """First hits up to t_max."""
-    batch = RayBatch(rays.origins, rays.directions, 0.0, rays.t_max)
-    status = np.zeros(len(batch), np.uint8)
-    return Hits(*structure.first_hit_batch(batch, status), status, structure.triangles)
+    tracer = Tracer.of_structure(structure)
+    return tracer.first_hit(rays.origins, rays.directions, t_max=rays.t_max)

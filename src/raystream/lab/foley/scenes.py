@@ -7,15 +7,17 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Result
 from raystream.lab.views import View
-from raystream.machines import Counting, Multipass, RayCounters
+from raystream.machines import Branching, RayCounters
+from raystream.machines.backend import Backend
+from raystream.machines.counters import answer_counting
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
 from raystream.structures.kdtree import KdTree
@@ -80,7 +82,7 @@ def foley_trees(
 
 
 def counted(
-    machine: Structure | Multipass,
+    machine: Structure | Backend,
     origins: Any,
     directions: Any,
     *,
@@ -89,13 +91,10 @@ def counted(
     progress: Progress | None = None,
 ) -> RayCounters:
     """What rays meet on their way to their first hits, or to any."""
-    counting = Counting(machine)
+    backend = Branching(machine) if isinstance(machine, Structure) else machine
+    query = Query(Kind.ANY_HIT if any_hit else Kind.FIRST_HIT)
     batch = RayBatch(origins, directions, 0.0, t_max)
-    status: NDArray[np.uint8] = np.zeros(len(batch), np.uint8)
-    query = counting.any_hit_batch if any_hit else counting.first_hit_batch
-    query(batch, status, progress)
-    assert counting.latest is not None
-    return counting.latest
+    return answer_counting(backend, query, batch, progress)[1]
 
 
 def states(trees: dict[str, KdTree], origins: Any, directions: Any) -> States:

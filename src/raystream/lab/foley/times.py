@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.lab.foley.claims import time_claims
 from raystream.lab.foley.elsewhere import (
@@ -22,7 +23,7 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
 from raystream.lab.views import View
-from raystream.machines import Multipass
+from raystream.machines import Branching, Multipass
 from raystream.structures import Structure, build_structure
 
 __all__ = ["structure_times"]
@@ -148,8 +149,8 @@ class _Scene:
 
 
 def _tracing(machine: Structure | Multipass, batch: RayBatch) -> Callable[[], object]:
-    status = np.zeros(len(batch), np.uint8)
-    return lambda: machine.first_hit_batch(batch, status)
+    backend = Branching(machine) if isinstance(machine, Structure) else machine
+    return lambda: backend.answer(Query(Kind.FIRST_HIT), batch)
 
 
 def _milliseconds(each: Mapping[str, Any], kind: str = "best") -> float:

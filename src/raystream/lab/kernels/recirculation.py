@@ -15,10 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raystream.core.query import Kind, Query
 from raystream.jit.threads import thread_count
-from raystream.kernels.collect import HitArrays
 from raystream.kernels.queries import LocalRays
+from raystream.kernels.sink import Sink
 from raystream.lab.kernels.search import Search
+from raystream.machines import Branching
 from raystream.structures import Structure
 
 __all__ = [
@@ -258,11 +260,12 @@ def _time_idle(search: Search) -> dict[str, float]:
 
 
 def _time_branching(structure: Structure, rays: LocalRays) -> float:
-    out = HitArrays.empty(len(rays.t_min))
-    structure.first_hit(LocalRays(*(column[:1] for column in rays)), out.part(slice(1)))
+    backend, query = Branching(structure), Query(Kind.FIRST_HIT)
+    sink = Sink.of(query, len(rays.t_min))
+    backend.run_local(query, LocalRays(*(column[:1] for column in rays)), sink.part(slice(1)))
     seconds = []
     for _ in range(3):
         started = time.perf_counter()
-        structure.first_hit(rays, out)
+        backend.run_local(query, rays, sink)
         seconds.append(time.perf_counter() - started)
     return float(np.median(seconds))

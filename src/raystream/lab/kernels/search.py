@@ -12,13 +12,13 @@ from raystream.core.rays import RayBatch
 from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.queries import LocalRays
 from raystream.lab.kernels.record import first_hit_query
+from raystream.machines.ray_block import blocks
+from raystream.machines.ray_job import RayJob
 from raystream.machines.ray_streams import RayStreams, declared_as
 from raystream.machines.schedulers import make_scheduler
 from raystream.machines.steps import Steps, steps_of
-from raystream.machines.task import Task
 from raystream.streams import Counters, Kernel, Stream
 from raystream.structures import Structure
-from raystream.structures.ray_block import blocks
 
 __all__ = ["Search", "Snapshot", "busiest", "local_rays", "snapshots"]
 
@@ -83,7 +83,7 @@ class Search:
         self._compaction = compaction
         rows, one = np.arange(count, dtype=np.uint64), np.ones(count, np.uint64)
         query = query_of(self._extreme, self.hits, self.stacks)
-        self.streams = RayStreams(self.steps, query, Task(rays, rows, one, None))
+        self.streams = RayStreams(self.steps, query, RayJob(rays, rows, one, None))
 
     def schedule(self) -> Iterator[tuple[int, list[int]]]:
         """Choose kernels until no ray is active; see `RayStreams.schedule`."""

@@ -12,8 +12,8 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, scenes
 from raystream.lab.results import Cell, Plot, Result, Series, Table
 from raystream.lab.views import View
+from raystream.machines.ray_block import blocks
 from raystream.structures.graph import Graph
-from raystream.structures.ray_block import blocks
 from raystream.tracer import Tracer
 
 __all__ = ["RAYS", "graph", "ray_sets"]

@@ -8,14 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.kernels.collect import HitArrays
-from raystream.kernels.tally import COLUMNS, new_tallies
+from raystream.kernels.sink import Sink
+from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper.chart import LocalSpot, Records, StructureMap
 from raystream.lab.stepper.maps import map_of
 from raystream.machines import Multipass, Shown
+from raystream.machines.ray_block import RayBlock, blocks
 from raystream.machines.records import RayState
-from raystream.structures.ray_block import RayBlock, blocks
 from raystream.tracer import Tracer
 
 __all__ = ["Spot", "Step", "Walk", "walk"]
@@ -170,16 +171,19 @@ def walk(
     batch = RayBatch(origin, direction, 0.0, np.inf)
     if len(batch) != 1:
         raise ValueError(f"walk: expected one ray, got {len(batch):,}")
-    status, hits, tallies = np.zeros(1, np.uint8), HitArrays.empty(1), new_tallies(1)
-    (block,) = blocks(batch, structure.frame, status, None)
-    if status[0]:
+    query = Query(Kind.FIRST_HIT, counters=True)
+    sink = Sink.of(query, 1)
+    (block,) = blocks(batch, structure.frame, sink.status, None)
+    if sink.status[0]:
         raise ValueError(f"walk: the ray from {origin!r} in direction {direction!r} is invalid")
     recorder = _Recorder(chart, block, math.inf if most_steps is None else most_steps)
     is_whole = True
     try:
-        Multipass(structure).shown_to(recorder.note).first_hit(block.rays, hits, None, tallies)
+        Multipass(structure).shown_to(recorder.note).run_local(query, block.rays, sink)
     except _EnoughError:
         is_whole = False
+    hits, tallies = sink.hits, sink.tallies
+    assert tallies is not None
     start, way = (np.asarray(array, np.float64).reshape(3) for array in (origin, direction))
     return Walk(
         structure.name,

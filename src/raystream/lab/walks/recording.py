@@ -15,10 +15,10 @@ from raystream.kernels.tally import new_tallies
 from raystream.lab.walks.search import search_loop, visits_of
 from raystream.lab.walks.walks import Walks
 from raystream.machines.counters import RayCounters
+from raystream.machines.ray_block import RayBlock, blocks
 from raystream.machines.records import FOUND, Query
 from raystream.machines.steps import steps_of
 from raystream.structures import Structure
-from raystream.structures.ray_block import RayBlock, blocks
 from raystream.tracer import Tracer
 
 __all__ = ["record"]

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.kernels.sink import Sink
 from raystream.structures.bvh.layout import BvhArrays
 from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_all import count_all, visit_all
@@ -19,7 +20,6 @@ from raystream.structures.bvh.probe import choose, probe
 from raystream.structures.bvh.sorted_batch import trace_sorted
 from raystream.structures.bvh.steps import TreeAddresses
 from raystream.structures.bvh.wavefront import trace_wavefront
-from raystream.structures.found import FoundVisitor
 
 __all__ = [
     "KERNELS",
@@ -140,47 +140,46 @@ def trace_batch(
 
 def visit_batch(
     tree: Tree,
-    batch: RayBatch,
-    surfaces: bool,
+    query: Query,
+    rays: RayBatch,
     lists_twice: bool,
-    is_ordered: bool,
-    visitor: FoundVisitor,
-    status: NDArray[np.uint8],
+    sink: Sink,
     progress: Progress | None,
     only_if_narrow: bool,
 ) -> bool:
-    """Give all hits of each ray to a function, by packets.
+    """Give all hits of each ray to the sink's visitor, by packets.
 
     Parameters
     ----------
-    tree, batch
-        See `trace_batch`.
-    surfaces, lists_twice, is_ordered, visitor
-        See `packet_all.visit_all`.
-    status : ndarray of shape (N,), uint8
-        Written for invalid rays.
+    tree : Tree
+        Not empty.
+    query : Query
+    rays : RayBatch
+    lists_twice : bool
+        Whether a triangle may be in several leaves.
+    sink : Sink
     progress : callable, optional
         Called with (rays done, rays).
     only_if_narrow : bool
         Do nothing, and return False, unless packets suit the rays.
     """
-    source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
-    order, packet_count = packet_order(batch.shape)
+    source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, True)
+    order, packet_count = packet_order(rays.shape)
     if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
         return False
-    report = _of_rays(progress, packet_count, len(batch))
+    assert sink.visitor is not None
     visit_all(
         tree.addresses,
         tree.frame,
         source,
         order,
         packet_count,
-        surfaces,
+        query.surfaces,
         lists_twice,
-        is_ordered,
-        visitor,
-        status,
-        report,
+        query.is_ordered,
+        sink.visitor,
+        sink.status,
+        _of_rays(progress, packet_count, len(rays)),
     )
     del kept
     return True
@@ -188,26 +187,22 @@ def visit_batch(
 
 def count_batch(
     tree: Tree,
-    batch: RayBatch,
-    surfaces: bool,
-    status: NDArray[np.uint8],
+    query: Query,
+    rays: RayBatch,
+    sink: Sink,
     progress: Progress | None,
     only_if_narrow: bool,
-) -> NDArray[np.int64] | None:
-    """Count all hits of each ray, by packets; see `visit_batch`.
-
-    None if they do not suit the rays.
-    """
-    source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
-    order, packet_count = packet_order(batch.shape)
+) -> bool:
+    """Count all hits of each ray, by packets; see `visit_batch`."""
+    source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, True)
+    order, packet_count = packet_order(rays.shape)
     if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
-        return None
-    report = _of_rays(progress, packet_count, len(batch))
-    counts = count_all(
-        tree.addresses, tree.frame, source, order, packet_count, surfaces, status, report
-    )
+        return False
+    report = _of_rays(progress, packet_count, len(rays))
+    own = tree.addresses, tree.frame, source, order, packet_count
+    sink.counts = count_all(*own, query.surfaces, sink.status, report)
     del kept
-    return counts
+    return True
 
 
 def _suits_packets(tree: Tree, source: RaySource, order: PacketOrder, packet_count: int) -> bool:

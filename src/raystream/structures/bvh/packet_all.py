@@ -12,6 +12,8 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, scratch, store
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
+from raystream.kernels.growing import Gatherer
+from raystream.kernels.hit_batch import HitBatch, HitVisitor
 from raystream.kernels.local_ray import SceneFrame, world_t
 from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
@@ -41,8 +43,6 @@ from raystream.structures.bvh.packet_rays import (
     PacketOrder,
     group_rows,
 )
-from raystream.structures.found import Found, FoundVisitor
-from raystream.structures.gathering import Gatherer
 
 __all__ = ["count_all", "visit_all"]
 
@@ -100,15 +100,15 @@ class PacketBuffers(NamedTuple):
         addresses = np.array([array.ctypes.data for array in arrays], np.uint64)
         return cls(found, rows, ids, splits, capacity, addresses)
 
-    def found_hits(self, count: int) -> Found:
+    def found_hits(self, count: int) -> HitBatch:
         """The hits as they were found."""
         t, u, v, prim_bits, ray_bits = self.found[:, :count]
         hits = HitArrays(t, u, v, prim_bits.view(np.int32))
-        return Found(hits, None, ray_bits.view(np.int32), 0)
+        return HitBatch(hits, None, ray_bits.view(np.int32), 0)
 
-    def sorted_hits(self, ray_count: int) -> Found:
+    def sorted_hits(self, ray_count: int) -> HitBatch:
         """The hits in order."""
-        return Found(self.rows, self.splits[: ray_count + 1], self.ray_ids[:ray_count], 0)
+        return HitBatch(self.rows, self.splits[: ray_count + 1], self.ray_ids[:ray_count], 0)
 
 
 def visit_all(
@@ -120,7 +120,7 @@ def visit_all(
     surfaces: bool,
     lists_twice: bool,
     is_ordered: bool,
-    visitor: FoundVisitor,
+    visitor: HitVisitor,
     status: NDArray[np.uint8],
     progress: Progress | None,
 ) -> None:
@@ -131,7 +131,7 @@ def visit_all(
     lists_twice : bool
         Whether a triangle may be in several leaves: hits are then in order anyway.
     is_ordered, visitor
-        See `BatchQueries.visit_hits_batch`.
+        See `Query.is_ordered` and `Sink.visitor`.
     """
     goal = ALL + SURFACES if surfaces else ALL
     # As they are found, 32 bits tell the rays of hits.

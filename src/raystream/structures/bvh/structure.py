@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.collect import HitArrays, aligned_rows
-from raystream.kernels.queries import UNLIMITED, ray_queries
+from raystream.kernels.queries import ray_queries
 from raystream.kernels.ray_source import ResultAddresses
+from raystream.kernels.sink import Sink
 from raystream.structures.base import BuildReport, Structure, UpdateReport
 from raystream.structures.bvh.build import QUALITIES, build_arrays
 from raystream.structures.bvh.engine import (
@@ -32,7 +33,6 @@ from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import TreeAddresses, stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
-from raystream.structures.found import FoundVisitor
 
 __all__ = ["Bvh", "hittable_corners", "trace_cost"]
 
@@ -209,72 +209,28 @@ class Bvh(Structure):
         moved.report = BuildReport(seconds, self.report.byte_count)
         return moved
 
-    def first_hit_batch(
-        self,
-        batch: RayBatch,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> HitArrays:
-        """Find the nearest hit of each ray; see `Structure.first_hit_batch`."""
-        if tallies is not None or self._is_traced_singly():
-            return super().first_hit_batch(batch, status, progress, tallies)
-        memory = aligned_rows(len(batch))
-        to = ResultAddresses.of_first(memory, status)
-        trace_batch(self._numbers, batch, False, to, progress, self.kernel)
-        return HitArrays.rows_of(memory)
-
-    def any_hit_batch(
-        self,
-        batch: RayBatch,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way; see `Structure.any_hit_batch`."""
-        if tallies is not None or self._is_traced_singly():
-            return super().any_hit_batch(batch, status, progress, tallies)
-        seen = np.empty(len(batch), np.bool_)
-        to = ResultAddresses.of_any(seen, status)
-        trace_batch(self._numbers, batch, True, to, progress, self.kernel)
-        return seen
-
-    def count_hits_batch(
-        self,
-        batch: RayBatch,
-        surfaces: bool,
-        limit: int,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-        tallies: NDArray[np.uint32] | None = None,
-    ) -> NDArray[np.int64]:
-        """Count the hits of each ray; see `Structure.count_hits_batch`."""
-        may_collect = tallies is None and self._may_collect(batch, limit)
-        if may_collect and not self.lists_twice:
-            counts = count_batch(
-                self._numbers, batch, surfaces, status, progress, self.kernel == "auto"
-            )
-            if counts is not None:
-                return counts
-        return super().count_hits_batch(batch, surfaces, limit, status, progress, tallies)
-
-    def visit_hits_batch(
-        self,
-        batch: RayBatch,
-        surfaces: bool,
-        limit: int,
-        is_ordered: bool,
-        visitor: FoundVisitor,
-        status: NDArray[np.uint8],
-        progress: Progress | None = None,
-    ) -> None:
-        """Give the nearest hits of each ray to a function; see `BatchQueries`."""
-        arguments = surfaces, self.lists_twice, is_ordered, visitor, status, progress
-        if not (
-            self._may_collect(batch, limit)
-            and visit_batch(self._numbers, batch, *arguments, self.kernel == "auto")
-        ):
-            super().visit_hits_batch(batch, surfaces, limit, is_ordered, visitor, status, progress)
+    def trace_batch(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> bool:
+        """Answer a query with one of the kernels for many rays; see `engine`."""
+        kind, tree = query.kind, self._numbers
+        if kind is Kind.FIRST_HIT or kind is Kind.ANY_HIT:
+            if self._is_traced_singly():
+                return False
+            if kind is Kind.ANY_HIT:
+                to = ResultAddresses.of_any(sink.seen, sink.status)
+            else:
+                to = ResultAddresses.of_first(sink.memory, sink.status)
+            trace_batch(tree, rays, kind is Kind.ANY_HIT, to, progress, self.kernel)
+            return True
+        if not self._may_collect(rays, query.limit):
+            return False
+        only_if_narrow = self.kernel == "auto"
+        if kind is Kind.MULTI_HIT:
+            return visit_batch(tree, query, rays, self.lists_twice, sink, progress, only_if_narrow)
+        return not self.lists_twice and count_batch(
+            tree, query, rays, sink, progress, only_if_narrow
+        )
 
     def _may_collect(self, batch: RayBatch, limit: int) -> bool:
         """Whether packets could find the hits of a batch: all of them are wanted."""

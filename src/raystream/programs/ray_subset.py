@@ -1,4 +1,4 @@
-"""Rays that are asked about: a whole batch, some in a row, or a few of them."""
+"""Rays that a program is run for: a whole batch, consecutive rays of it, or a selection."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from raystream.core.rays import RayBatch
 from raystream.kernels.ray_source import RaySource
 
-__all__ = ["Asked", "Piece"]
+__all__ = ["PendingRays", "RaySubset"]
 
 
-class Asked(NamedTuple):
-    """Rays that are asked about.
+class RaySubset(NamedTuple):
+    """Rays of a batch.
 
     Attributes
     ----------
@@ -34,23 +34,23 @@ class Asked(NamedTuple):
         """Indices in the whole batch, or the first one's."""
         return self.ids, self.first
 
-    def part(self, picked: NDArray[np.int64]) -> Asked:
+    def part(self, picked: NDArray[np.int64]) -> RaySubset:
         """Some of the rays, by their position among these."""
         ids = picked + self.first if self.ids is None else self.ids[picked]
-        return Asked(_batch(self.batch, picked, (len(picked),)), ids, 0)
+        return RaySubset(_batch(self.batch, picked, (len(picked),)), ids, 0)
 
-    def rows(self, rows: slice, shape: tuple[int, ...]) -> Asked:
+    def rows(self, rows: slice, shape: tuple[int, ...]) -> RaySubset:
         """Some rays in a row, in the shape in which they are to be traced."""
         ids = None if self.ids is None else self.ids[rows]
-        return Asked(_batch(self.batch, rows, shape), ids, self.first + rows.start)
+        return RaySubset(_batch(self.batch, rows, shape), ids, self.first + rows.start)
 
 
-class Piece(NamedTuple):
-    """Rays in the course of being asked about.
+class PendingRays(NamedTuple):
+    """Rays whose hits are being found, and which of them a program still wants hits of.
 
     Attributes
     ----------
-    asked : Asked
+    rays : RaySubset
     source : RaySource
         Where they lie.
     delivered : int
@@ -61,18 +61,18 @@ class Piece(NamedTuple):
         What lies at the source's addresses.
     """
 
-    asked: Asked
+    rays: RaySubset
     source: RaySource
     delivered: int
     open_rays: NDArray[np.bool_]
     kept: object
 
     @classmethod
-    def of(cls, asked: Asked, delivered: int) -> Piece:
-        """Begin to ask about rays."""
-        batch = asked.batch
+    def of(cls, rays: RaySubset, delivered: int) -> PendingRays:
+        """All of them open."""
+        batch = rays.batch
         source, kept = RaySource.of(batch.origins, batch.directions, batch.limits)
-        return cls(asked, source, delivered, np.ones(len(batch), np.bool_), kept)
+        return cls(rays, source, delivered, np.ones(len(batch), np.bool_), kept)
 
 
 def _batch(batch: RayBatch, picked: Any, shape: tuple[int, ...]) -> RayBatch:

@@ -1,4 +1,4 @@
-"""Task: rays for a machine to trace, and where what it finds goes."""
+"""RayJob: rays for a machine to trace, and where what it finds goes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.queries import LocalRays
 
-__all__ = ["Task", "Wish"]
+__all__ = ["HitGoal", "RayJob"]
 
 
-class Wish(NamedTuple):
-    """What is wanted of all rays.
+class HitGoal(NamedTuple):
+    """What is wanted of all rays of a job.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Wish(NamedTuple):
     out : HitArrays or None
         Where hits are kept; None if they are only counted.
     hands_over : bool
-        Whether anyone wants to know of a ray's hits, and not only their number.
+        Whether hits are handed over, and shading counts as a pass; not if they are only counted.
     """
 
     surfaces: bool
@@ -33,8 +33,8 @@ class Wish(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Task:
-    """Rays, and what each of them wants.
+class RayJob:
+    """Rays, and the hits that each of them wants.
 
     Attributes
     ----------
@@ -53,8 +53,8 @@ class Task:
     def __len__(self) -> int:
         return len(self.first)
 
-    def part(self, rows: Any) -> Task:
+    def part(self, rows: Any) -> RayJob:
         """Some of the rays: a slice shares their tallies, an index does not."""
         rays = LocalRays(*(array[rows] for array in self.rays))
         tallies = None if self.tallies is None else self.tallies[rows]
-        return Task(rays, self.first[rows], self.capacity[rows], tallies)
+        return RayJob(rays, self.first[rows], self.capacity[rows], tallies)

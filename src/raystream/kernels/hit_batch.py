@@ -1,4 +1,4 @@
-"""Hits in the parts in which a traversal finds them: what multi_hit keeps and programs look at."""
+"""HitBatch: hits in the batches in which a traversal finds them, for multi-hit and programs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from raystream.core.memory import check_memory
 from raystream.jit.threads import parallel_for, thread_count
 from raystream.kernels.collect import HitArrays, count_rows, place_rows
 
-__all__ = ["CHECKED_HITS", "Collected", "Found", "FoundVisitor", "allocate_hits", "cut"]
+__all__ = [
+    "CHECKED_HITS",
+    "HitAccumulator",
+    "HitBatch",
+    "HitVisitor",
+    "allocate_hits",
+    "for_each_chunk",
+]
 
 #: Hits for which it is worth asking the system whether it has the memory, which takes longer
 #: than a small query.
@@ -26,7 +33,7 @@ LEAST_PART, MOST_PART = 1 << 13, 1 << 17
 _NO_IDS = np.empty(0, np.int64)
 
 
-class Found(NamedTuple):
+class HitBatch(NamedTuple):
     """Hits of some rays of a batch.
 
     Attributes
@@ -64,19 +71,19 @@ class Found(NamedTuple):
 
 
 #: Takes hits, from several threads at a time; their memory is used again afterwards.
-FoundVisitor = Callable[[Found], object]
+HitVisitor = Callable[[HitBatch], object]
 
 
-def cut(found: Found, visitor: FoundVisitor) -> None:
-    """Give hits that lie in memory as a whole, of rays in a row, to a visitor on all threads."""
+def for_each_chunk(found: HitBatch, visitor: HitVisitor) -> None:
+    """Give hits of consecutive rays, all in memory, to a visitor in chunks, on all threads."""
 
     def body(begin: int, end: int) -> None:
         rows = slice(begin, end)
         if found.splits is None:
-            visitor(Found(found.hits.part(rows), None, None, found.first + begin))
+            visitor(HitBatch(found.hits.part(rows), None, None, found.first + begin))
         elif begin != end:
             splits = found.splits[begin : end + 1]
-            visitor(Found(found.hits, splits, None, found.first + begin))
+            visitor(HitBatch(found.hits, splits, None, found.first + begin))
 
     share = -(-len(found) // (4 * thread_count()))
     parallel_for(body, len(found), max(LEAST_PART, min(share, MOST_PART)))
@@ -94,8 +101,8 @@ def _check_hits(count: int) -> None:
     check_memory(count * 16, f"multi_hit: {count:,} hits would", remedy)
 
 
-class Collected:
-    """Copies of the parts, until all are there.
+class HitAccumulator:
+    """Copies batches of hits until all are there.
 
     Parameters
     ----------
@@ -105,18 +112,18 @@ class Collected:
 
     def __init__(self, ray_count: int) -> None:
         self._counts = np.zeros(ray_count, np.int64)
-        self._parts: list[Found] = []
+        self._parts: list[HitBatch] = []
         self._in_order = False
         self._found = 0
         self._unchecked = CHECKED_HITS
         count_rows(np.zeros(1, np.int64), _NO_IDS, 0, self._counts)  # compile on this thread
 
-    def take(self, found: Found, again: bool = False) -> None:
-        """Copy a part with splits; a `FoundVisitor`.
+    def take(self, found: HitBatch, again: bool = False) -> None:
+        """Copy a part with splits; a `HitVisitor`.
 
         Parameters
         ----------
-        found : Found
+        found : HitBatch
         again : bool
             Whether its rays were in parts before, whose hits come first.
         """
@@ -131,7 +138,7 @@ class Collected:
             self._unchecked = self._found + CHECKED_HITS
             _check_hits(self._found)
         ids = _NO_IDS if found.ids is None else found.ids.astype(np.int64)
-        part = Found(found.hits.copy_of(slice(begin, end)), splits - begin, ids, found.first)
+        part = HitBatch(found.hits.copy_of(slice(begin, end)), splits - begin, ids, found.first)
         count_rows(part.splits, ids, part.first, self._counts)
         self._parts.append(part)
 

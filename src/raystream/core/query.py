@@ -1,0 +1,65 @@
+"""Query: what is asked of rays, as data."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, Literal, NamedTuple
+
+__all__ = ["UNLIMITED", "Crossings", "Kind", "Query", "counts_surfaces"]
+
+#: A limit of hits that no scene reaches.
+UNLIMITED = 2**62
+
+#: What a ray exactly through an edge or a vertex meets: see `Tracer.count_hits`.
+Crossings = Literal["triangles", "surfaces"]
+
+
+class Kind(IntEnum):
+    """What is wanted of each ray; shaders know them by these numbers."""
+
+    FIRST_HIT = 0
+    ANY_HIT = 1
+    COUNT_HITS = 2
+    MULTI_HIT = 3
+    TRACE = 4
+
+
+class Query(NamedTuple):
+    """What is asked of each ray of a batch.
+
+    Attributes
+    ----------
+    kind : Kind
+    surfaces : bool
+        Whether a ray through an edge or a vertex meets a surface once, rather than every
+        triangle there; see `kernels.triangle.intersect`.
+    limit : int
+        Most hits of a ray that are counted, or found, nearest first.
+    is_ordered : bool
+        Whether each ray's hits come by increasing t, then prim_id. Otherwise they may come in
+        any order, each ray's on one thread.
+    on_hit : programs.filters.Filter, callable or None
+        The filter that says which hits exist; for `Kind.TRACE` the program to run at them.
+    counters : bool
+        Whether what each ray meets is counted.
+    """
+
+    kind: Kind
+    surfaces: bool = False
+    limit: int = UNLIMITED
+    is_ordered: bool = True
+    on_hit: Any = None
+    counters: bool = False
+
+
+def counts_surfaces(crossings: str) -> bool:
+    """Whether `crossings` asks for surfaces.
+
+    Raises
+    ------
+    ValueError
+        If it is neither ``"triangles"`` nor ``"surfaces"``.
+    """
+    if crossings not in ("triangles", "surfaces"):
+        raise ValueError(f"crossings: expected 'triangles' or 'surfaces', got {crossings!r}")
+    return crossings == "surfaces"

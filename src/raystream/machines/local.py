@@ -1,0 +1,66 @@
+"""LocalBackend: a backend that traces rays in the scene's local frame, a block at a time."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+
+from raystream.core.query import Kind, Query
+from raystream.core.rays import RayBatch
+from raystream.jit.threads import Progress
+from raystream.kernels.queries import LocalRays
+from raystream.kernels.sink import Sink
+from raystream.machines.backend import Backend
+from raystream.machines.ray_block import blocks
+
+__all__ = ["LocalBackend"]
+
+
+class LocalBackend(Backend):
+    """Turns rays into local ones, a block at a time, and distances back; see `ray_block`.
+
+    All hits are counted before they are written, so that there is room for them: counters get
+    what rays meet both times.
+    """
+
+    @abstractmethod
+    def run_local(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
+    ) -> None:
+        """Answer a query of local rays.
+
+        Parameters
+        ----------
+        query : Query
+        rays : LocalRays
+        sink : Sink
+            Of these rays. Of `Kind.MULTI_HIT` with `splits` and `hits`: of each ray i the
+            nearest splits[i + 1] - splits[i] hits, of which it has so many, are written, by t,
+            then prim_id.
+        progress : callable, optional
+            Called with (rays done, rays to do).
+        """
+
+    def run(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
+    ) -> None:
+        """Answer a query; see `Backend.run`."""
+        if query.kind is Kind.MULTI_HIT:
+            self._count_and_fill(query, rays, sink, progress)
+            return
+        for block in blocks(rays, self.structure.frame, sink.status, progress):
+            part = sink.part(block.rows)
+            self.run_local(query, block.rays, part, block.progress)
+            if query.kind is Kind.FIRST_HIT:
+                block.to_world(part.hits.t, np.arange(len(part.hits.t) + 1))
+
+    def _count_and_fill(
+        self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
+    ) -> None:
+        filled, half = self.room_for_hits(query, rays, sink, progress)
+        splits, hits = filled.splits, filled.hits
+        for block in blocks(rays, self.structure.frame, sink.status, half):
+            self.run_local(query, block.rays, filled.part(block.rows), block.progress)
+            block.to_world(hits.t, splits[block.rows.start : block.rows.stop + 1])
+        sink.put(splits, hits)
