@@ -59,7 +59,7 @@ def begin_and_interrupt(run, monkeypatch, *more) -> str:
     """Ctrl-C once 400 rays are done."""
     from raystream.zarr_queries import asking
 
-    ask = asking.Asking.__call__
+    ask = asking.QueryInputs.__call__
 
     def interrupted(self, block, *arguments):
         if block.begin == 400:
@@ -67,7 +67,7 @@ def begin_and_interrupt(run, monkeypatch, *more) -> str:
         return ask(self, block, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(asking.Asking, "__call__", interrupted)
+        patch.setattr(asking.QueryInputs, "__call__", interrupted)
         result = run(*ASKED, "--block-rays", 200, *more)
     assert (result.code, result.out) == (130, "")
     assert result.err.count("\n") == 1

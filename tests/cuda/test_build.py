@@ -78,7 +78,7 @@ def test_grids_in_the_simulator_itself(gpu):
     assert_same_lists(ours, rs.Tracer(scene, "grid", resolution=2).structure)
 
 
-def test_moved_grids_are_built_anew(device):
+def test_moved_grids_are_rebuilt(device):
     scene = rs.load("cornell")
     tracer = built(scene, "grid", resolution=(2, 3, 4))
     moved = [mesh.vertices * 1.5 for mesh in scene.meshes]
@@ -229,7 +229,7 @@ def test_trees_are_refitted_as_on_the_cpu(device):
     assert tracer.update(case.vertices).cost_when_built == report.cost_when_built
 
 
-def test_trees_that_lost_their_shape_are_built_anew(device):
+def test_trees_that_lost_their_shape_are_rebuilt(device):
     case = case_of("random_soup")
     tracer = built(case.scene, "bvh", method="linear")
     order = np.random.default_rng(5).permutation(len(case.vertices))

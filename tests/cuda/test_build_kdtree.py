@@ -81,7 +81,7 @@ def test_rays_find_what_brute_force_finds(device, monkeypatch, traversal):
     assert_expected(answers_of(tracer, rays, is_brief=is_simulated()), expected)
 
 
-def test_moved_trees_are_built_anew(device):
+def test_moved_trees_are_rebuilt(device):
     scene = rs.load("cornell")
     tracer = built(scene, traversal="restart")
     moved = [mesh.vertices * 1.5 for mesh in scene.meshes]

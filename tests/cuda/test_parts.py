@@ -67,16 +67,16 @@ def test_parts_whose_tables_are_too_small_are_traced_again(gpu, case, oracle, ra
 
 def test_an_interrupt_leaves_nothing_behind(gpu, case, oracle, rays):
     tracer = rs.Tracer(case.scene, "brute", "cuda", rays_at_once=6)
-    lanes = tracer._backend._lanes
+    staging_streams = tracer._backend._staging_streams
 
     def interrupt(done, count):
-        assert not lanes._free  # they are in use
+        assert not staging_streams._free  # they are in use
         if done > 8:
             raise KeyboardInterrupt
 
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
             tracer.first_hit(*rays, progress=interrupt)
-        assert len(lanes._free) == 2
+        assert len(staging_streams._free) == 2
     assert_same(tracer.first_hit(*rays), oracle.first_hit(*rays), *COLUMNS)
-    assert len(lanes._free) == 2
+    assert len(staging_streams._free) == 2

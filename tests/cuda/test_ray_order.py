@@ -233,7 +233,7 @@ def test_rays_in_arrays_on_the_device(gpu, simple_sort, rays):
         return sort_rays(gpu, source, count, *more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("raystream.cuda.asking.sort_rays", note)
+        patch.setattr("raystream.cuda.query_inputs.sort_rays", note)
         hits, expected = tracer.first_hit(*placed).host(), oracle.first_hit(*on_host)
         for column in ("t", "u", "v", "prim_id", "status"):
             assert_same_bits(getattr(hits, column), getattr(expected, column))

@@ -13,8 +13,8 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import cube, icosphere
 from raystream.core.errors import RaystreamError
-from raystream.cuda.lanes import Lane
 from raystream.cuda.rendering.tables import TableMemory, plain
+from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
 from raystream.lab.asked import AskedTracer
 from raystream.render.picture import RENDERERS
@@ -126,20 +126,20 @@ def test_pictures_are_the_processor_s(gpu, name):
 
 @pytest.fixture
 def travels(monkeypatch):
-    """Bytes of each copy between host and device by way of lanes."""
+    """Bytes of each copy between host and device by way of staging_streams."""
     sizes = {"upload": [], "download": []}
-    upload, download = Lane.upload, Lane.download
+    upload, download = StagingStream.upload, StagingStream.download
 
-    def counted_upload(lane, name, array):
+    def counted_upload(staging, name, array):
         sizes["upload"].append(array.nbytes)
-        return upload(lane, name, array)
+        return upload(staging, name, array)
 
-    def counted_download(lane, array):
+    def counted_download(staging, array):
         sizes["download"].append(array.nbytes)
-        return download(lane, array)
+        return download(staging, array)
 
-    monkeypatch.setattr(Lane, "upload", counted_upload)
-    monkeypatch.setattr(Lane, "download", counted_download)
+    monkeypatch.setattr(StagingStream, "upload", counted_upload)
+    monkeypatch.setattr(StagingStream, "download", counted_download)
     return sizes
 
 

@@ -43,7 +43,7 @@ Title
 >>> x
 3
 
-Shown as it is::
+PassSnapshot as it is::
 
     something
 

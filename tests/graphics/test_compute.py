@@ -11,9 +11,9 @@ import pytest
 import raystream as rs
 from meshes import dented_sphere, sticks
 from raystream.graphics import dispatches
+from raystream.graphics.dispatch_size import Pace
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import form_of
-from raystream.graphics.pace import Pace
 
 pytestmark = pytest.mark.usefixtures("opened")
 

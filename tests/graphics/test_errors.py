@@ -13,9 +13,9 @@ from meshes import soup
 from raystream.graphics import machines
 from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.compute import Compute
+from raystream.graphics.error_scope import guarded
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import FORMS
-from raystream.graphics.guarding import guarded
 
 
 @pytest.fixture

@@ -12,12 +12,12 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays, RayBatch
 from raystream.cuda.device_queries import DeviceScene
 from raystream.cuda.device_rays import usual_limits
-from raystream.cuda.lanes import Lanes
 from raystream.cuda.parts import Answer, HostQuery, Part, trace_parts
 from raystream.cuda.programs import HostRays, ProgramQueries
+from raystream.cuda.staging import StagingStreams
 from raystream.cuda.structures import kernel_for, kernels_of, place
 from raystream.cuda.threads import RETRY, SeenTables
-from raystream.cuda.triangles import TrianglesThere
+from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import CudaError, Gpu
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses, HitArrays
@@ -90,8 +90,8 @@ class Branching(Backend):
         self._kernels = kernels_of(structure.name, kernel, launch, order)
         self._is_sorted = order == "sorted"
         self._resident = place(structure, gpu, kernel)
-        self._in_order = TrianglesThere(gpu, structure.triangles)
-        self._lanes = Lanes(gpu)
+        self._in_order = DeviceTriangles(gpu, structure.triangles)
+        self._staging_streams = StagingStreams(gpu)
         usual_limits(gpu)  # now, for no query should wait for them
 
     def run(
@@ -149,7 +149,7 @@ class Branching(Backend):
         """What takes samples of a picture on the device; see `Queries.bands_on_device`."""
         from raystream.cuda.rendering import CudaBands
 
-        own = self.gpu, self._kernels, self._resident, self.structure.frame, self._lanes
+        own = self.gpu, self._kernels, self._resident, self.structure.frame, self._staging_streams
         return CudaBands(setting, *own, self.rays_at_once, is_sorted=self._is_sorted)
 
     def _first_hit(self, job: HostQuery) -> None:
@@ -160,7 +160,7 @@ class Branching(Backend):
             t, u, v, prim_id = _rows(hits.address, part.count)
             to = ResultAddresses(t, u, v, prim_id, _NOWHERE, part.status)
             part.run(self._kernels.first_hit, to)
-            rows = part.lane.download(hits)
+            rows = part.staging.download(hits)
 
             def take() -> bool:
                 _copy(rows, out.part(part.rows))
@@ -178,7 +178,7 @@ class Branching(Backend):
             nowhere = _NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE
             to = ResultAddresses(*nowhere, found.address, part.status)
             part.run(self._kernels.any_hit, to)
-            answers = part.lane.download(found)
+            answers = part.staging.download(found)
 
             def take() -> bool:
                 seen[part.rows] = answers
@@ -195,7 +195,7 @@ class Branching(Backend):
             found = part.empty("counts", part.count, np.int64)
             wanted = bool(query.surfaces), np.uint64(query.limit)
             part.run(self._kernels.count_hits, tables, *wanted, part.status, found.address)
-            own = part.lane.download(found)
+            own = part.staging.download(found)
 
             def take() -> bool:
                 counts[part.rows] = own
@@ -217,7 +217,7 @@ class Branching(Backend):
             t, u, v, prim_id = _rows(hits.address, rows.stop - rows.start)
             to = HitAddresses(t, u, v, prim_id)
             part.run(self._kernels.multi_hit, tables, surfaces, own.address, to, found.address)
-            counts, columns = part.lane.download(found), part.lane.download(hits)
+            counts, columns = part.staging.download(found), part.staging.download(hits)
 
             def take() -> bool:
                 if (counts == RETRY).any():
@@ -235,7 +235,7 @@ class Branching(Backend):
         self._trace(job, answer, lists_twice=lists_twice, splits=splits)
 
     def _trace(self, job: HostQuery, answer: Answer, **options: Any) -> None:
-        shared = self.gpu, self._resident, self._lanes, self.rays_at_once
+        shared = self.gpu, self._resident, self._staging_streams, self.rays_at_once
         trace_parts(job, *shared, answer, is_sorted=self._is_sorted, **options)
 
 

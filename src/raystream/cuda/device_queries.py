@@ -9,14 +9,14 @@ import numpy as np
 from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayArrays
 from raystream.core.triangles import Triangles
-from raystream.cuda.asking import Asking
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
 from raystream.cuda.device_rays import DeviceRays, place_device_rays
+from raystream.cuda.query_inputs import QueryInputs
 from raystream.cuda.scan import add_up
 from raystream.cuda.structures import Resident
 from raystream.cuda.tables import with_tables
 from raystream.cuda.threads import SeenTables, ThreadQueries
-from raystream.cuda.triangles import TrianglesThere
+from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, Work, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses
@@ -42,7 +42,7 @@ class DeviceScene(NamedTuple):
         Whether rays need tables of the triangles that they have met.
     is_sorted : bool
         Whether the kernels take rays in the order of their keys, see `ray_order`.
-    in_order : TrianglesThere
+    in_order : DeviceTriangles
         The triangles for programs.
     """
 
@@ -53,7 +53,7 @@ class DeviceScene(NamedTuple):
     triangles: Triangles
     lists_twice: bool
     is_sorted: bool
-    in_order: TrianglesThere
+    in_order: DeviceTriangles
 
 
 class DeviceQueries:
@@ -131,8 +131,8 @@ class DeviceQueries:
         with self._work() as work:
             rays = self._rays(work)
             status = work.cleared("status", rays.shape, np.uint8)
-            asking = Asking(work, self._scene, rays)
-            counts = self._count(work, asking, UNLIMITED, status)
+            inputs = QueryInputs(work, self._scene, rays)
+            counts = self._count(work, inputs, UNLIMITED, status)
         report(progress, len(rays), 1)
         return counts.shaped(rays.shape)
 
@@ -150,8 +150,8 @@ class DeviceQueries:
             count = len(rays)
             status = work.cleared("status", rays.shape, np.uint8)
             # Hits that nobody wants are looked for, too: it tells which rays are invalid.
-            asking = Asking(work, self._scene, rays)
-            counts = self._count(work, asking, max(limit, 1), status)
+            inputs = QueryInputs(work, self._scene, rays)
+            counts = self._count(work, inputs, max(limit, 1), status)
             if limit == 0:
                 work.gpu.clear(counts, work.stream)
             splits = work.empty("splits", count + 1, np.int64)
@@ -162,7 +162,7 @@ class DeviceQueries:
             prim_id = work.empty("hits", row_count, np.int32)
             to = HitAddresses(t.address, u.address, v.address, prim_id.address)
             if row_count:
-                self._fill(work, asking, splits, to)
+                self._fill(work, inputs, splits, to)
         if progress:
             progress(2 * count, 2 * count)
         hits = t, u, v, prim_id
@@ -176,27 +176,29 @@ class DeviceQueries:
         return place_device_rays(work, **self._given)
 
     def _run(self, work: Work, rays: DeviceRays, kernel: RangeKernel, to: Any) -> None:
-        asking = Asking(work, self._scene, rays)
-        work.launch(kernel, len(asking), (*asking.shared(0, len(asking)), to))
+        inputs = QueryInputs(work, self._scene, rays)
+        work.launch(kernel, len(inputs), (*inputs.shared(0, len(inputs)), to))
 
-    def _count(self, work: Work, asking: Asking, limit: int, status: DeviceArray) -> DeviceArray:
-        counts = work.empty("counts", len(asking), np.int64)
+    def _count(
+        self, work: Work, inputs: QueryInputs, limit: int, status: DeviceArray
+    ) -> DeviceArray:
+        counts = work.empty("counts", len(inputs), np.int64)
 
         def run(tables: SeenTables, first: int, count: int) -> None:
             wanted = bool(self._query.surfaces), np.uint64(limit)
             places = _moved(status, first), _moved(counts, first)
-            arguments = (*asking.shared(first, count), tables, *wanted, *places)
+            arguments = (*inputs.shared(first, count), tables, *wanted, *places)
             work.launch(self._scene.kernels.count_hits, count, arguments)
 
         with_tables(work, self._scene.lists_twice, counts, run)
         return counts
 
-    def _fill(self, work: Work, asking: Asking, splits: DeviceArray, to: HitAddresses) -> None:
-        found = work.empty("counts", len(asking), np.int64)
+    def _fill(self, work: Work, inputs: QueryInputs, splits: DeviceArray, to: HitAddresses) -> None:
+        found = work.empty("counts", len(inputs), np.int64)
 
         def run(tables: SeenTables, first: int, count: int) -> None:
             more = bool(self._query.surfaces), _moved(splits, first), to, _moved(found, first)
-            arguments = (*asking.shared(first, count), tables, *more)
+            arguments = (*inputs.shared(first, count), tables, *more)
             work.launch(self._scene.kernels.multi_hit, count, arguments)
 
         with_tables(work, self._scene.lists_twice, found, run)

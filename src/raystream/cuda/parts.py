@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
-from raystream.cuda.lanes import Lane, Lanes
 from raystream.cuda.ray_order import sort_rays
 from raystream.cuda.rays import place_rays
+from raystream.cuda.staging import StagingStream, StagingStreams
 from raystream.cuda.structures import Resident
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
@@ -77,7 +77,7 @@ class Part:
     gpu : Gpu
     resident : Resident
         The structure.
-    lane : Lane
+    staging : StagingStream
         Whose memory the rays and answers go through.
     is_sorted : bool
         Whether kernels take the rays in the order of their keys, see `ray_order`.
@@ -86,7 +86,7 @@ class Part:
     ----------
     rows : slice
     count : int
-    lane : Lane
+    staging : StagingStream
     status : uint64
         Address of the rays' status, one byte each.
 
@@ -102,37 +102,37 @@ class Part:
         rows: slice,
         gpu: Gpu,
         resident: Resident,
-        lane: Lane,
+        staging: StagingStream,
         is_sorted: bool = False,
     ) -> None:
         self.rows = rows
         self.count = rows.stop - rows.start
-        self.lane = lane
+        self.staging = staging
         self._job, self._gpu, self._resident = job, gpu, resident
-        lane.begin()
-        self._rays = place_rays(job.batch, rows, lane.upload)
-        self._status = lane.upload("status", job.sink.status[rows])
+        staging.begin()
+        self._rays = place_rays(job.batch, rows, staging.upload)
+        self._status = staging.upload("status", job.sink.status[rows])
         self.status = self._status.address
         self._tallies = None
         if job.sink.tallies is not None:
             shape = self.count, job.sink.tallies.shape[1]
-            self._tallies = lane.cleared("tallies", shape, np.uint32)
+            self._tallies = staging.cleared("tallies", shape, np.uint32)
         self._kept: list[DeviceArray] = []
         self._returned: list[NDArray[Any]] = []
         self._order: tuple[DeviceArray, ...] = ()
         if is_sorted:
             rays = self._rays.source, self.count, job.frame
-            self._order = (sort_rays(gpu, *rays, lane.empty, lane.stream),)
+            self._order = (sort_rays(gpu, *rays, staging.empty, staging.stream),)
 
     def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
         """Make an array on the device that exists as long as the part; not initialised."""
-        made = self.lane.empty(name, shape, dtype)
+        made = self.staging.empty(name, shape, dtype)
         self._kept.append(made)
         return made
 
     def upload(self, name: str, array: NDArray[Any]) -> DeviceArray:
         """Copy an array to the device that exists as long as the part."""
-        made = self.lane.upload(name, array)
+        made = self.staging.upload(name, array)
         self._kept.append(made)
         return made
 
@@ -141,13 +141,13 @@ class Part:
         tallies = None if self._tallies is None else self._tallies.address
         order = (one.address for one in self._order)
         shared = *order, self._rays.source, self._job.frame, self._resident.tree, tallies
-        stream = self.lane.stream.native
+        stream = self.staging.stream.native
         kernel.launch(self._gpu, self.count, (*shared, *arguments), stream)
 
     def bring_back(self) -> None:
         """Begin to copy what became of the rays, and what they met, to the host."""
         self._returned = [
-            self.lane.download(one) for one in (self._status, self._tallies) if one is not None
+            self.staging.download(one) for one in (self._status, self._tallies) if one is not None
         ]
 
     def finish(self, take: Callable[[], bool]) -> bool:
@@ -158,7 +158,7 @@ class Part:
         take : callable
             Takes what was found; False if that is not all.
         """
-        self.lane.finish()
+        self.staging.finish()
         if not take():
             return False
         status, *tallies = self._returned
@@ -195,7 +195,7 @@ def trace_parts(
     job: HostQuery,
     gpu: Gpu,
     resident: Resident,
-    lanes: Lanes,
+    staging_streams: StagingStreams,
     rays_at_once: int,
     answer: Answer,
     *,
@@ -210,7 +210,7 @@ def trace_parts(
     job : HostQuery
     gpu : Gpu
     resident : Resident
-    lanes : Lanes
+    staging_streams : StagingStreams
         What they are copied through.
     rays_at_once : int
         Most rays that are on the device together.
@@ -235,8 +235,10 @@ def trace_parts(
             most = max(min(most, TABLE_BYTES // (4 * room + 4)), 1)
         return parts_of(rows, most, splits)
 
-    def begin(rows: slice, room: int, lane: Lane) -> tuple[Part, int, Callable[[], bool]]:
-        part = Part(job, rows, gpu, resident, lane, is_sorted)
+    def begin(
+        rows: slice, room: int, staging: StagingStream
+    ) -> tuple[Part, int, Callable[[], bool]]:
+        part = Part(job, rows, gpu, resident, staging, is_sorted)
         tables = NO_TABLES
         if room:
             memory = part.empty("tables of triangles seen", (part.count, room + 1), np.int32)
@@ -248,18 +250,18 @@ def trace_parts(
     def finish(part: Part, room: int, take: Callable[[], bool]) -> None:
         if not part.finish(take):
             for rows in parts(part.rows, GROWTH * room):
-                finish(*begin(rows, GROWTH * room, part.lane))
+                finish(*begin(rows, GROWTH * room, part.staging))
         elif job.progress:
             job.progress(part.rows.stop, len(job.batch))
 
-    with lanes.taken() as turns:
+    with staging_streams.taken() as turns:
         begun: deque[tuple[Part, int, Callable[[], bool]]] = deque()
         room = int(LEAST_ROOM) if lists_twice else 0
-        for rows, lane in zip(
+        for rows, staging in zip(
             parts(slice(0, len(job.batch)), room), itertools.cycle(turns), strict=False
         ):
             if len(begun) == len(turns):
                 finish(*begun.popleft())
-            begun.append(begin(rows, room, lane))
+            begun.append(begin(rows, room, staging))
         while begun:
             finish(*begun.popleft())

@@ -8,10 +8,10 @@ from raystream.core.triangles import Triangles
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.programs.hits import SceneAt
 
-__all__ = ["TrianglesThere"]
+__all__ = ["DeviceTriangles"]
 
 
-class TrianglesThere:
+class DeviceTriangles:
     """Triangles by their numbers in the scene, copied to a device when a program first runs.
 
     Traversals have them in an order of their own, some of them twice.

@@ -15,10 +15,10 @@ import numpy as np
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.buffers import Buffer, uniform, upload, whole
+from raystream.graphics.error_scope import guarded
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms import form_of
 from raystream.graphics.fragments import FragmentProgram
-from raystream.graphics.guarding import guarded
 from raystream.graphics.pipelines import Program
 from raystream.graphics.source import shader_source
 from raystream.graphics.surfaces import SurfaceArrays, check_surfaces

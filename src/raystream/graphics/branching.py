@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.endings import hit_counts
 from raystream.graphics.fragments import FragmentProgram
 from raystream.graphics.pipelines import Program
 from raystream.graphics.queries import RAYS_AT_ONCE, Chunk, GraphicsQueries
 from raystream.graphics.ray_textures import FRAME, RayTextures
+from raystream.graphics.termination import hit_counts
 from raystream.structures import Structure
 
 __all__ = ["Branching"]

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, ReadBack, uniform, upload, whole
-from raystream.graphics.endings import hit_counts
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.forms.base import Form
 from raystream.graphics.pipelines import Program, bind, compute_pipeline
 from raystream.graphics.records import RAY_BYTES, ROW
+from raystream.graphics.termination import hit_counts
 
 __all__ = ["Dispatches", "Found", "Task"]
 

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from raystream.graphics.adapters import open_device
-from raystream.graphics.guarding import guarded
+from raystream.graphics.error_scope import guarded
 from raystream.machines.backend import Backend
 from raystream.machines.devices import Machines
 from raystream.structures import Structure

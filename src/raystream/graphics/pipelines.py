@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.fusing import device_constants
+from raystream.graphics.fma_probe import device_constants
 
 __all__ = [
     "DepthStencil",

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.dispatch_size import Pace
+from raystream.graphics.error_scope import guarded
 from raystream.graphics.forms import Form, form_of
-from raystream.graphics.guarding import guarded
-from raystream.graphics.pace import Pace
 from raystream.graphics.records import MOST_HITS, unpack_rows, without_repeats
 from raystream.jit.threads import Progress
 from raystream.kernels.queries import LocalRays

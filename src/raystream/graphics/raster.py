@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.buffers import Buffer, uniform, upload, whole
+from raystream.graphics.error_scope import guarded
 from raystream.graphics.forms.base import numbers
 from raystream.graphics.fragments import FragmentProgram
-from raystream.graphics.guarding import guarded
 from raystream.graphics.pipelines import Program, bind, fragment_pipeline
 from raystream.graphics.source import shader_source
 from raystream.graphics.textures import IDS, WORDS, Texture, new_texture, sampled

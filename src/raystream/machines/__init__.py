@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from raystream.machines.backend import Backend
     from raystream.machines.counters import RayCounters
     from raystream.machines.multipass import Multipass
-    from raystream.machines.observing import Observer, Shown
+    from raystream.machines.pass_snapshot import Observer, PassSnapshot
     from raystream.machines.passes import Passes
     from raystream.machines.schedulers import Queues, Scheduler
 
@@ -23,11 +23,11 @@ __all__ = [
     "Branching",
     "Multipass",
     "Observer",
+    "PassSnapshot",
     "Passes",
     "Queues",
     "RayCounters",
     "Scheduler",
-    "Shown",
     "make_machine",
     "own_options",
 ]
@@ -46,7 +46,7 @@ _HOMES = {
     "Queues": "schedulers",
     "RayCounters": "counters",
     "Scheduler": "schedulers",
-    "Shown": "observing",
+    "PassSnapshot": "observing",
 }
 
 

@@ -18,11 +18,11 @@ from raystream.kernels.sink import Sink
 from raystream.kernels.tally import new_tallies
 from raystream.machines.backend import Capabilities
 from raystream.machines.local import LocalBackend
-from raystream.machines.observing import Observer, Shown
+from raystream.machines.pass_snapshot import Observer, PassSnapshot
 from raystream.machines.passes import Passes
 from raystream.machines.ray_job import HitGoal, RayJob
 from raystream.machines.ray_streams import RayStreams
-from raystream.machines.records import Query as PassQuery
+from raystream.machines.records import StepArguments
 from raystream.machines.schedulers import USUAL_THRESHOLD, Scheduler, make_scheduler
 from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
@@ -92,13 +92,13 @@ class Multipass(LocalBackend):
         machine.passes = passes
         return machine
 
-    def shown_to(self, observer: Observer) -> Multipass:
+    def observed_by(self, observer: Observer) -> Multipass:
         """The same machine, which shows its rays before the first pass and after each one.
 
         Parameters
         ----------
         observer : callable
-            Gets a `Shown`. Rays that are traced in parts, for want of memory or because they
+            Gets a `PassSnapshot`. Rays that are traced in parts, for want of memory or because they
             need more of it, begin anew with each part.
         """
         machine = copy.copy(self)
@@ -154,7 +154,7 @@ class Multipass(LocalBackend):
         before = job.tallies if steps.grow is None else copy.copy(job.tallies)
         runs = None if job.tallies is None else new_tallies(len(job))
         stacks = np.empty((len(job), steps.stack_bytes), np.uint8)
-        arguments = PassQuery(
+        arguments = StepArguments(
             np.float32(self.structure.triangles.extreme),
             goal.surfaces,
             goal.out is not None,
@@ -198,7 +198,7 @@ class Multipass(LocalBackend):
 
         def show(kernel: StepKernel | None) -> None:
             arrays = {name: stream.array for name, stream in streams.streams.items()}
-            observer(Shown(kernel, arrays, stacks, goal.out, job.tallies))
+            observer(PassSnapshot(kernel, arrays, stacks, goal.out, job.tallies))
 
         return show
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.machines.ray_job import RayJob
-from raystream.machines.records import FOUND, RAY, WANTED, Query, RayState
+from raystream.machines.records import FOUND, RAY, WANTED, RayState, StepArguments
 from raystream.machines.schedulers import Queues, Scheduler
 from raystream.machines.steps.base import StepKernel, Steps
 from raystream.streams import Counters, Kernel, Stream
@@ -23,7 +23,7 @@ _COMPACTION = 0.5
 
 def declared_as(
     steps: Steps,
-    query: Query,
+    query: StepArguments,
     number: int,
     read: Mapping[str, Stream],
     written: Mapping[str, Stream],
@@ -33,7 +33,7 @@ def declared_as(
     Parameters
     ----------
     steps : Steps
-    query : Query
+    query : StepArguments
     number : int
         Which of its kernels.
     read, written : mapping of str to Stream
@@ -56,7 +56,7 @@ class RayStreams:
     Parameters
     ----------
     steps : Steps
-    query : Query
+    query : StepArguments
     job : RayJob
 
     Attributes
@@ -67,7 +67,7 @@ class RayStreams:
         Called with each `StepKernel` that has run.
     """
 
-    def __init__(self, steps: Steps, query: Query, job: RayJob) -> None:
+    def __init__(self, steps: Steps, query: StepArguments, job: RayJob) -> None:
         count, rays = len(job), job.rays
         self._steps = steps
         self._query = query

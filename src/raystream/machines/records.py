@@ -17,8 +17,8 @@ __all__ = [
     "FOUND",
     "RAY",
     "WANTED",
-    "Query",
     "RayState",
+    "StepArguments",
     "end_of",
     "note",
     "ray_of",
@@ -77,7 +77,7 @@ _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 
 
-class Query(NamedTuple):
+class StepArguments(NamedTuple):
     """What all rays of a query have in common.
 
     Attributes

@@ -1,4 +1,4 @@
-"""Asking a tracer about a block of rays."""
+"""QueryInputs a tracer about a block of rays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from raystream.jit.threads import Progress, part_of
 from raystream.tracer import Tracer
 from raystream.zarr_queries.blocks import Block
 
-__all__ = ["Answer", "Asking"]
+__all__ = ["Answer", "QueryInputs"]
 
 #: Hits of a part of a block that are held at a time, for each ray of a block.
 HITS_A_RAY = 16
@@ -41,7 +41,7 @@ class Answer(NamedTuple):
     invalid_rays: int
 
 
-class Asking:
+class QueryInputs:
     """Asks one query of a tracer.
 
     Parameters

@@ -16,7 +16,7 @@ from raystream.core.errors import FileFormatError
 from raystream.core.query import counts_surfaces
 from raystream.jit.threads import Progress, part_of
 from raystream.tracer import Crossings, Tracer
-from raystream.zarr_queries.asking import Answer, Asking
+from raystream.zarr_queries.asking import Answer, QueryInputs
 from raystream.zarr_queries.beginning import begin
 from raystream.zarr_queries.durable import locked
 from raystream.zarr_queries.errors import StoreWritingError, require_zarr
@@ -151,7 +151,7 @@ def query_zarr(
         if not is_complete:
             store = HitStore(target, query, blocks, done.rays, done.rows)
             writer = _Writer(store, progress_beside(target), identity, done)
-            asking = Asking(tracer, query, options)
+            asking = QueryInputs(tracer, query, options)
             if progress is not None:
                 progress(before, blocks.ray_count)
             waits = run(

@@ -12,10 +12,10 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.clusters import merge_clusters
+from raystream.cuda.builders.device_resident import DeviceResident, finish
 from raystream.cuda.builders.linear import link_by_keys
 from raystream.cuda.builders.moving import cost_of, refit
 from raystream.cuda.builders.records import COARSE_BITS, FINE_BITS, Nodes, make_leaves
-from raystream.cuda.builders.there import StaysThere, finish
 from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
@@ -31,7 +31,7 @@ __all__ = ["METHODS", "DeviceBvh", "build_bvh"]
 METHODS = ("clusters", "linear")
 
 
-class DeviceBvh(StaysThere, Bvh):
+class DeviceBvh(DeviceResident, Bvh):
     """A BVH in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters

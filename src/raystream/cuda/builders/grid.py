@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from raystream.core.triangles import Triangles
+from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
 from raystream.cuda.builders.lists import DeviceLists, build_lists
-from raystream.cuda.builders.there import RebuiltThere, finish
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.structures.base import Structure
@@ -25,7 +25,7 @@ __all__ = ["DeviceGrid", "build_grid"]
 _NOWHERE = np.uint64(0)
 
 
-class DeviceGrid(RebuiltThere, Grid):
+class DeviceGrid(RebuiltOnDevice, Grid):
     """A grid in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -76,7 +76,7 @@ class DeviceGrid(RebuiltThere, Grid):
         made._set(self.triangles, self.lattice, lists, self.fine, self.options, 0.0)
         return made
 
-    def _built_anew(self, triangles: Triangles) -> Structure:
+    def _rebuilt(self, triangles: Triangles) -> Structure:
         return build_grid(self.gpu, triangles, **self.options)
 
 

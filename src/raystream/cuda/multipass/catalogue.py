@@ -13,7 +13,7 @@ from raystream.cuda.multipass.passes import pass_of
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.ray_source import RaySource
-from raystream.machines.records import Query
+from raystream.machines.records import StepArguments
 from raystream.machines.schedulers import USUAL_THRESHOLD
 from raystream.machines.steps import steps_of
 from raystream.scene.scene import Scene
@@ -48,7 +48,7 @@ def multipass_catalogue_of(
     source = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
     hits = HitAddresses(_AT, _AT, _AT, _AT)
     wanted = rays.Wanted(_AT, _AT)
-    query = Query(np.float32(1.0), True, True, True, hits, *(_AT,) * 6)
+    query = StepArguments(np.float32(1.0), True, True, True, hits, *(_AT,) * 6)
     rules = rules_of(steps.kernels, "threshold", USUAL_THRESHOLD, compacts=False)
     return {
         "pass": (pass_of(steps), (*(_AT,) * 8, steps.tree, query)),

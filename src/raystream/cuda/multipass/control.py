@@ -34,7 +34,7 @@ __all__ = [
     "read_ended",
     "read_passes",
     "rules_of",
-    "write_wishes",
+    "write_limits",
 ]
 
 #: Passes that may run before the host looks at them.
@@ -124,7 +124,7 @@ def begin_control(kernels: Sequence[StepKernel], count: int) -> NDArray[np.uint3
     return words
 
 
-def write_wishes(words: NDArray[np.uint32], until: int, length: int) -> None:
+def write_limits(words: NDArray[np.uint32], until: int, length: int) -> None:
     """Say after how many passes the host wants to look, and how many rays passes look at."""
     words[int(UNTIL) // 4], words[int(LOOKED_AT) // 4] = until, length
 

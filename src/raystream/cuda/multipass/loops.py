@@ -13,7 +13,7 @@ from raystream.cuda.multipass.control import (
     Rules,
     begin_control,
     pass_count,
-    write_wishes,
+    write_limits,
 )
 from raystream.cuda.multipass.ray_streams import RayStreams
 from raystream.jit.cuda import DeviceLoop
@@ -93,7 +93,7 @@ class DeviceGraph:
     def run(self, most: int) -> NDArray[np.uint32]:
         """See `Loop.run`."""
         assert self._loop is not None
-        write_wishes(self._words, self._known + min(most, MOST_PASSES), self._streams.length)
+        write_limits(self._words, self._known + min(most, MOST_PASSES), self._streams.length)
         self._streams.tell(self._words)
         self._loop.begin()
         self._words = self._streams.look()

@@ -24,7 +24,7 @@ from raystream.cuda.multipass.kernels.rays import FINISH, FINISH_MANY, Wanted
 from raystream.cuda.multipass.loops import LOOPS
 from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import columns_of
-from raystream.cuda.multipass.ray_streams import RayStreams, Wish, ray_bytes
+from raystream.cuda.multipass.ray_streams import HitGoal, RayStreams, ray_bytes
 from raystream.cuda.multipass.tree import ResidentSteps
 from raystream.cuda.parts import HostQuery, parts_of
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
@@ -143,8 +143,8 @@ class Multipass(Branching):
         out = job.sink.hits
         for part in self._parts(job, self._steps.usual):
             memory, hits = _hits_of(self.gpu, part.count)
-            wish = Wish(False, True, True, _ONE_EACH, hits=hits)
-            streams = self._run_all(self._steps.usual, part, wish, job)
+            goal = HitGoal(False, True, True, _ONE_EACH, hits=hits)
+            streams = self._run_all(self._steps.usual, part, goal, job)
             FINISH.launch(
                 self.gpu,
                 part.count,
@@ -156,15 +156,15 @@ class Multipass(Branching):
     def _any_hit(self, job: HostQuery) -> None:
         seen = job.sink.seen
         for part in self._parts(job, self._steps.usual):
-            wish = Wish(False, False, True, _ONE_EACH)
-            seen[part.rows] = self._run_all(self._steps.usual, part, wish, job).counts() != 0
+            goal = HitGoal(False, False, True, _ONE_EACH)
+            seen[part.rows] = self._run_all(self._steps.usual, part, goal, job).counts() != 0
             _finish(part, job)
 
     def _count_hits(self, job: HostQuery, steps: Steps | None = None) -> None:
         steps, counts, query = steps or self._steps.usual, job.sink.counts, job.query
         for part in self._parts(job, steps):
-            wish = Wish(query.surfaces, False, False, Wanted(_NOWHERE, np.uint64(query.limit)))
-            streams = self._run_all(steps, part, wish, job)
+            goal = HitGoal(query.surfaces, False, False, Wanted(_NOWHERE, np.uint64(query.limit)))
+            streams = self._run_all(steps, part, goal, job)
             counts[part.rows] = streams.counts()
             overflown = streams.overflown()
             _finish(part, job, overflown)
@@ -186,14 +186,14 @@ class Multipass(Branching):
             memory, hits = _hits_of(self.gpu, rows.stop - rows.start)
             want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
             each = Wanted(own.address, _NOWHERE)
-            wish = Wish(job.query.surfaces, True, True, each, want_any, hits)
-            streams = self._run_all(steps, part, wish, job)
+            goal = HitGoal(job.query.surfaces, True, True, each, want_any, hits)
+            streams = self._run_all(steps, part, goal, job)
             FINISH_MANY.launch(
                 self.gpu,
                 part.count,
                 (
                     *(_NOWHERE, streams.capacity, streams.found, streams.state),
-                    *(streams.world, wish.wanted, hits),
+                    *(streams.world, goal.wanted, hits),
                 ),
             )
             counts, overflown = streams.counts(), streams.overflown()
@@ -230,13 +230,13 @@ class Multipass(Branching):
         for rows in parts_of(slice(0, len(job.batch)), most, splits):
             yield PassPart(job, rows, self.gpu)
 
-    def _run_all(self, steps: Steps, part: PassPart, wish: Wish, job: HostQuery) -> RayStreams:
+    def _run_all(self, steps: Steps, part: PassPart, goal: HitGoal, job: HostQuery) -> RayStreams:
         """Trace rays for which there is memory, until none is active."""
         streams = RayStreams(
             self.gpu,
             steps,
             part,
-            wish,
+            goal,
             (self.traversal_steps, self.intersections),
             np.float32(self.structure.triangles.extreme),
         )

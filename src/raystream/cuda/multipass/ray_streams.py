@@ -24,21 +24,21 @@ from raystream.jit.cuda import DeviceLoop, Gpu, Launch
 from raystream.jit.cuda.scan import Scan
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.tally import new_tallies
-from raystream.machines.records import Query, RayState
+from raystream.machines.records import RayState, StepArguments
 from raystream.machines.steps.base import StepKernel, Steps
 
-__all__ = ["RayStreams", "Wish", "ray_bytes"]
+__all__ = ["HitGoal", "RayStreams", "ray_bytes"]
 
 _NOWHERE = np.uint64(0)
 
 
-class Wish(NamedTuple):
+class HitGoal(NamedTuple):
     """What is wanted of rays.
 
     Attributes
     ----------
     surfaces, keep, hands_over : bool
-        See `machines.records.Query`.
+        See `machines.records.StepArguments`.
     wanted : Wanted
     rows : ndarray of uint32, or None
         Numbers of the rays that want anything; None if all do.
@@ -69,11 +69,11 @@ class RayStreams:
         With addresses on the device.
     part : PassPart
         The rays.
-    wish : Wish
+    goal : HitGoal
     limits : (int, int)
         Steps, and triangles tested, in a pass.
     extreme : float32
-        See `Query`.
+        See `StepArguments`.
 
     Attributes
     ----------
@@ -91,11 +91,11 @@ class RayStreams:
         gpu: Gpu,
         steps: Steps,
         part: PassPart,
-        wish: Wish,
+        goal: HitGoal,
         limits: tuple[int, int],
         extreme: np.float32,
     ) -> None:
-        self._gpu, self._steps, self._wish = gpu, steps, wish
+        self._gpu, self._steps, self._wish = gpu, steps, goal
         count = part.count
         self._count = count
         self.capacity = np.uint64(capacity_of(count))
@@ -111,14 +111,14 @@ class RayStreams:
         if part.tallies is not None:
             self._runs = gpu.upload("runs", new_tallies(count))
         self._stacks = gpu.empty("stacks", count * steps.stack_bytes, np.uint8)
-        self._rows = None if wish.rows is None else gpu.upload("rows", wish.rows)
-        self.length = count if wish.rows is None else len(wish.rows)
-        self._query = Query(
+        self._rows = None if goal.rows is None else gpu.upload("rows", goal.rows)
+        self.length = count if goal.rows is None else len(goal.rows)
+        self._query = StepArguments(
             extreme,
-            bool(wish.surfaces),
-            wish.keep,
-            wish.hands_over,
-            wish.hits,
+            bool(goal.surfaces),
+            goal.keep,
+            goal.hands_over,
+            goal.hits,
             _NOWHERE if part.tallies is None else part.tallies,
             _NOWHERE if self._runs is None else self._runs.address,
             self._stacks.address,
@@ -159,7 +159,7 @@ class RayStreams:
         return [choose, self._pass.kernel.prepared(self._gpu, *self._pass[1:])]
 
     def loop(self, rules: Rules) -> DeviceLoop:
-        """Passes, until no ray waits or the host wants to look; see `control.write_wishes`."""
+        """Passes, until no ray waits or the host wants to look; see `control.write_limits`."""
 
         def launches(condition: np.uint64) -> list[Launch]:
             arguments = self._control.address, rules, condition

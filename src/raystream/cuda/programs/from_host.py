@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.cuda.asking import Asking
 from raystream.cuda.device_queries import DeviceScene
 from raystream.cuda.device_rays import DeviceRays
 from raystream.cuda.parts import parts_of
@@ -20,6 +19,7 @@ from raystream.cuda.programs.payload import record_of
 from raystream.cuda.programs.records import aligned_records
 from raystream.cuda.programs.search import Search
 from raystream.cuda.programs.steps import NOTE_INVALID
+from raystream.cuda.query_inputs import QueryInputs
 from raystream.cuda.rays import place_rays
 from raystream.jit.cuda import DeviceArray, Work
 from raystream.jit.threads import Progress
@@ -189,8 +189,8 @@ class HostRays:
             placed = _copied(work, "skip_prim_ids", chosen.skipped[rows])
             skips = SkipsAt(placed.address, np.uint64(chosen.skipped.shape[1]))
         triangles = self._scene.in_order.place()
-        asking = Asking(work, self._scene, rays)
-        return Search(asking, triangles, rows.start, job.program, job.query.surfaces, skips)
+        inputs = QueryInputs(work, self._scene, rays)
+        return Search(inputs, triangles, rows.start, job.program, job.query.surfaces, skips)
 
 
 def _copied(work: Work, name: str, array: NDArray[Any]) -> DeviceArray:

@@ -8,7 +8,6 @@ import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayArrays
-from raystream.cuda.asking import Asking
 from raystream.cuda.device_hits import DeviceHits, DeviceMultiHits
 from raystream.cuda.device_queries import DeviceQueries, DeviceScene, report
 from raystream.cuda.device_rays import DeviceRays
@@ -17,6 +16,7 @@ from raystream.cuda.programs.payload import place_payload
 from raystream.cuda.programs.search import Search
 from raystream.cuda.programs.skips import place_skips
 from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
+from raystream.cuda.query_inputs import QueryInputs
 from raystream.jit.cuda import DeviceArray, Work
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses
@@ -129,8 +129,8 @@ class ProgramQueries(DeviceQueries):
             placed = place_payload(work, payload, rays.shape)
             program = program_of(self._scene, self._query.on_hit, "trace", record=placed.record)
             triangles = self._scene.in_order.place()
-            asking = Asking(work, self._scene, rays)
-            search = Search(asking, triangles, 0, program, self._query.surfaces)
+            inputs = QueryInputs(work, self._scene, rays)
+            search = Search(inputs, triangles, 0, program, self._query.surfaces)
             search.trace(placed.address, placed.record_bytes)
             placed.finish(work)
         report(progress, len(rays), 1)
@@ -150,9 +150,9 @@ class ProgramQueries(DeviceQueries):
         scene, chosen = self._scene, self._filter
         program = program_of(scene, chosen.function, goal, chosen.skipped is not None, chosen)
         skips = place_skips(work, chosen.skipped, rays.shape, len(scene.triangles))
-        asking = Asking(work, scene, rays)
+        inputs = QueryInputs(work, scene, rays)
         placed = scene.in_order.place()
-        return Search(asking, placed, 0, program, self._query.surfaces, skips)
+        return Search(inputs, placed, 0, program, self._query.surfaces, skips)
 
 
 def program_of(

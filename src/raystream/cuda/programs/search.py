@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from raystream.cuda.asking import Asking
 from raystream.cuda.device_rays import DeviceRays
 from raystream.cuda.parts import parts_of
 from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.cuda.programs.steps import CLEAR_IGNORED, OPEN, WANT
+from raystream.cuda.query_inputs import QueryInputs
 from raystream.cuda.scan import add_up
 from raystream.cuda.tables import with_tables
 from raystream.cuda.threads import SeenTables
@@ -59,7 +59,7 @@ class Search(NamedTuple):
 
     Attributes
     ----------
-    asking : Asking
+    inputs : QueryInputs
         The rays, and what their kernels are given.
     triangles : SceneAt
     first : int
@@ -70,7 +70,7 @@ class Search(NamedTuple):
         Of these rays.
     """
 
-    asking: Asking
+    inputs: QueryInputs
     triangles: SceneAt
     first: int
     program: DeviceProgram
@@ -80,17 +80,17 @@ class Search(NamedTuple):
     @property
     def work(self) -> Work:
         """What keeps the memory of the whole search."""
-        return self.asking.work
+        return self.inputs.work
 
     @property
     def scene(self) -> DeviceScene:
         """What is searched."""
-        return self.asking.scene
+        return self.inputs.scene
 
     @property
     def rays(self) -> DeviceRays:
         """Whose hits are looked at."""
-        return self.asking.rays
+        return self.inputs.rays
 
     def trace(self, payload: np.uint64, record_bytes: int) -> None:
         """Give all hits to the program, with the records of these rays."""
@@ -100,7 +100,7 @@ class Search(NamedTuple):
         """Write the nearest hits that exist, and what is wrong with rays."""
         scene = self.scene
         to = ResultAddresses(*out, _NOWHERE, status)
-        shared = self.asking.shared(0, len(self.rays))
+        shared = self.inputs.shared(0, len(self.rays))
         self.work.launch(scene.kernels.first_hit, len(self.rays), (*shared, to))
         open_rays, goal = self._opened(), (_moved_hits(out, -self.first),)
         rows = RowsAt(*out, _NOWHERE, _NOWHERE, _NOWHERE)
@@ -189,7 +189,7 @@ class Search(NamedTuple):
             hits = _moved_hits(HitAddresses.of_rows(memory.address, row_count), -part.first_row)
 
             def run(tables: SeenTables, first: int, count: int) -> None:
-                rays = self.asking.shared(start + first, count)
+                rays = self.inputs.shared(start + first, count)
                 places = [moved(one.address, first, 8) for one in own]
                 more = tables, bool(self.surfaces), places[0], hits, places[1]
                 work.launch(scene.kernels.multi_hit, count, (*rays, *more))

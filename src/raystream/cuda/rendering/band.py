@@ -22,7 +22,7 @@ from raystream.render.sampled import Setting, eye_paths
 from raystream.render.shading.eyes import view_of
 
 if TYPE_CHECKING:
-    from raystream.cuda.lanes import Lane
+    from raystream.cuda.staging import StagingStream
     from raystream.cuda.structures import Resident
     from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.local_ray import SceneFrame
@@ -84,7 +84,7 @@ class DeviceScene:
         with self._lock:
             if name not in self._placed:
                 self._placed[name] = self._memory.placed(getattr(self.setting, name))
-                self.gpu.wait()  # for whom lanes do not
+                self.gpu.wait()  # for whom staging streams do not
             return self._placed[name]
 
 
@@ -120,7 +120,7 @@ class DeviceBand:
     Parameters
     ----------
     scene : DeviceScene
-    lane : Lane
+    staging : StagingStream
         In whose stream all is done.
     rows : range
     sample : int
@@ -138,15 +138,17 @@ class DeviceBand:
         If there is no memory for it.
     """
 
-    def __init__(self, scene: DeviceScene, lane: Lane, rows: range, sample: int) -> None:
-        self.scene, self._lane, self._rows = scene, lane, rows
+    def __init__(
+        self, scene: DeviceScene, staging: StagingStream, rows: range, sample: int
+    ) -> None:
+        self.scene, self._staging, self._rows = scene, staging, rows
         width = scene.setting.width
         self.count = len(rows) * width
         self.sample = np.int64(sample)
         self.first_pixel = np.int64(rows.start * width)
-        self._radiance = lane.cleared("light", (self.count, 3), np.float32)
+        self._radiance = staging.cleared("light", (self.count, 3), np.float32)
         self.radiance = self._radiance.address
-        self.empty = lane.empty
+        self.empty = staging.empty
         self._room: tuple[Slots, StreamColumns] | None = None
         limits = usual_limits(scene.gpu)
         self._limits = limits[0.0].address, limits[np.inf].address
@@ -159,18 +161,18 @@ class DeviceBand:
     @cached_property
     def onward(self) -> Slots:
         """Room for paths that threads send on."""
-        return Slots(self.scene.gpu, self._lane, self.count, 1)
+        return Slots(self.scene.gpu, self._staging, self.count, 1)
 
     def room_for_rays(self, each: int) -> tuple[Slots, StreamColumns]:
         """Room for rays to lights: where threads write them, so many each, and without gaps."""
         if self._room is None:
-            slots = Slots(self.scene.gpu, self._lane, self.count, each)
+            slots = Slots(self.scene.gpu, self._staging, self.count, each)
             self._room = slots, StreamColumns(self.empty, slots.most)
         return self._room
 
     def run(self, kernel: RangeKernel, count: int, *arguments: Any) -> None:
         """Begin to run a kernel."""
-        kernel.launch(self.scene.gpu, count, arguments, self._lane.stream.native)
+        kernel.launch(self.scene.gpu, count, arguments, self._staging.stream.native)
 
     def ask(
         self, kernel: RangeKernel, rays: StreamColumns, count: int, has_ends: bool, **to: np.uint64
@@ -185,13 +187,13 @@ class DeviceBand:
         if not scene.is_sorted:
             self.run(kernel, count, *shared)
             return
-        own = self.empty, self._lane.stream
+        own = self.empty, self._staging.stream
         order = sort_rays(scene.gpu, source, count, scene.frame, *own)
         self.run(kernel, count, order.address, *shared)
 
     def wait(self) -> None:
         """Wait until all that was begun is done."""
-        self._lane.finish()
+        self._staging.finish()
 
     def eye_paths(self) -> DeviceStream:
         """Begin a path at each pixel; see `render.sampled.eye_paths`."""
@@ -199,7 +201,7 @@ class DeviceBand:
         if scene.view is None:
             size = setting.width, setting.height
             paths = eye_paths(setting.camera, size, setting.sampler, self._rows, int(self.sample))
-            return DeviceStream(StreamColumns.copied(self._lane.upload, paths), self.count)
+            return DeviceStream(StreamColumns.copied(self._staging.upload, paths), self.count)
         columns = StreamColumns(self.empty, self.count)
         first_row = np.int64(self._rows.start)
         numbers = scene.sampler, self.sample
@@ -208,6 +210,6 @@ class DeviceBand:
 
     def read(self) -> NDArray[np.float32]:
         """The light, when all is done."""
-        light = self._lane.download(self._radiance)
+        light = self._staging.download(self._radiance)
         self.wait()
         return light.copy()

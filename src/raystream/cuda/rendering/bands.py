@@ -15,7 +15,7 @@ from raystream.jit.cuda import Gpu
 from raystream.render.whitted import ask_every_light
 
 if TYPE_CHECKING:
-    from raystream.cuda.lanes import Lanes
+    from raystream.cuda.staging import StagingStreams
     from raystream.cuda.structures import Resident
     from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.local_ray import SceneFrame
@@ -38,7 +38,7 @@ class CudaBands:
     kernels : ThreadQueries
     resident : Resident
     frame : SceneFrame
-    lanes : Lanes
+    staging_streams : StagingStreams
         The machine's.
     most_pixels : int
         Most of them whose paths are on the device together.
@@ -53,13 +53,13 @@ class CudaBands:
         kernels: ThreadQueries,
         resident: Resident,
         frame: SceneFrame,
-        lanes: Lanes,
+        staging_streams: StagingStreams,
         most_pixels: int,
         *,
         is_sorted: bool = False,
     ) -> None:
         self.pixels_at_once = min(most_pixels, MOST_PIXELS)
-        self._setting, self._lanes = setting, lanes
+        self._setting, self._staging_streams = setting, staging_streams
         self._queries = gpu, kernels, resident, frame, is_sorted
         self._lock = threading.Lock()
         self._scene: DeviceScene | None = None
@@ -87,9 +87,9 @@ class CudaBands:
             if self._scene is None:
                 self._scene = DeviceScene(*self._queries, self._setting)
             scene = self._scene
-        with self._lanes.taken(1) as (lane,):
-            lane.begin()
-            band = DeviceBand(scene, lane, rows, sample)
+        with self._staging_streams.taken(1) as (staging,):
+            staging.begin()
+            band = DeviceBand(scene, staging, rows, sample)
             stream = band.eye_paths()
             while stream.count:
                 for stage in stages:

@@ -14,7 +14,7 @@ from raystream.jit.cuda.scan import Scan
 from raystream.render.shading.streams import StreamAddresses
 
 if TYPE_CHECKING:
-    from raystream.cuda.lanes import Lane
+    from raystream.cuda.staging import StagingStream
 
 __all__ = ["Slots"]
 
@@ -25,7 +25,7 @@ class Slots:
     Parameters
     ----------
     gpu : Gpu
-    lane : Lane
+    staging : StagingStream
         In whose stream all is done.
     thread_count, per_thread : int
         Most threads, at least 1, and most rows of each.
@@ -42,13 +42,15 @@ class Slots:
         If there is no memory for them.
     """
 
-    def __init__(self, gpu: Gpu, lane: Lane, thread_count: int, per_thread: int) -> None:
-        self._gpu, self._lane = gpu, lane
+    def __init__(
+        self, gpu: Gpu, staging: StagingStream, thread_count: int, per_thread: int
+    ) -> None:
+        self._gpu, self._staging = gpu, staging
         self.per_thread = per_thread
         self.most = thread_count * per_thread
-        self._columns = StreamColumns(lane.empty, self.most)
-        self._counts = lane.empty("counts", thread_count + 1, np.uint32)
-        self._scan = Scan(gpu, thread_count, empty=lane.empty)
+        self._columns = StreamColumns(staging.empty, self.most)
+        self._counts = staging.empty("counts", thread_count + 1, np.uint32)
+        self._scan = Scan(gpu, thread_count, empty=staging.empty)
 
     @property
     def addresses(self) -> StreamAddresses:
@@ -72,13 +74,13 @@ class Slots:
         Returns
         -------
         callable
-            Says how many there are, when the lane is done.
+            Says how many there are, when the staging is done.
         """
-        stream = self._lane.stream.native
+        stream = self._staging.stream.native
         self._scan.run(self.counts, thread_count, self.counts, np.uint32, stream)
         moved = np.uint64(self.per_thread), self.counts, self.addresses, to.addresses
         KEEP.launch(self._gpu, thread_count * self.per_thread, moved, stream)
-        total = self._lane.download(self._total(thread_count))
+        total = self._staging.download(self._total(thread_count))
         return lambda: int(total[0])
 
     def _total(self, thread_count: int) -> DeviceArray:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.endings import hit_counts
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass.kernels import kernels_of
 from raystream.graphics.multipass.kernels.constants import TriangleConstants
@@ -24,10 +23,11 @@ from raystream.graphics.multipass.loops import (
     run_on_device,
 )
 from raystream.graphics.multipass.oracle import Oracle
-from raystream.graphics.multipass.plan import Plan, Wish, make_plan
+from raystream.graphics.multipass.plan import Plan, PlanInputs, make_plan
 from raystream.graphics.multipass.ray_streams import RayStreams
 from raystream.graphics.queries import Chunk, GraphicsQueries
 from raystream.graphics.records import ENDLESS
+from raystream.graphics.termination import hit_counts
 from raystream.kernels.queries import LocalRays
 from raystream.machines.backend import Capabilities
 from raystream.machines.passes import Passes
@@ -257,7 +257,7 @@ class Multipass(GraphicsQueries):
         key = kind, surfaces, counts
         if key not in self._plans:
             rays = self._streams.rays
-            wish = Wish(
+            inputs = PlanInputs(
                 self._form,
                 rays.instead(kind, counts),
                 {
@@ -270,7 +270,7 @@ class Multipass(GraphicsQueries):
                 rays.layouts(kind, counts),
                 counts,
             )
-            self._plans[key] = make_plan(self.opened, self._traversal, wish)
+            self._plans[key] = make_plan(self.opened, self._traversal, inputs)
         return self._plans[key]
 
 

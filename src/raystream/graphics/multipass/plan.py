@@ -17,7 +17,7 @@ from raystream.graphics.streams.passes import Draw, groups_of
 from raystream.graphics.streams.stencil import Stencil
 from raystream.graphics.textures import FLOATS, WORDS, sampled
 
-__all__ = ["LAYOUT", "STREAM_TYPES", "Plan", "Wish", "make_plan"]
+__all__ = ["LAYOUT", "STREAM_TYPES", "Plan", "PlanInputs", "make_plan"]
 
 #: Types of the streams that kernels write.
 STREAM_TYPES = {"state": "uint32", "found": "float32", "place": "uint32", "span": "float32"}
@@ -31,7 +31,7 @@ LAYOUT = (*FRAME, *(sampled(_FORMATS[STREAM_TYPES[name]]) for name in STREAMS))
 _HALVES = ("fragment/texels_found.wgsl", "fragment/texels_place.wgsl")
 
 
-class Wish(NamedTuple):
+class PlanInputs(NamedTuple):
     """What the programs of a query are made for.
 
     Attributes
@@ -96,14 +96,14 @@ class Plan:
 class _Maker:
     """Makes the pipelines of a query."""
 
-    def __init__(self, opened: OpenDevice, traversal: TraversalKernels, wish: Wish) -> None:
+    def __init__(self, opened: OpenDevice, traversal: TraversalKernels, inputs: PlanInputs) -> None:
         self._opened = opened
-        self._wish = wish
+        self._wish = inputs
         self.kernels = traversal.kernels
         self.groups = groups_of(STREAMS, opened)
-        form = wish.form
+        form = inputs.form
         self._sources = self._sources_of(
-            lambda instead: form.source(traversal.shader, instead={**wish.instead, **instead})
+            lambda instead: form.source(traversal.shader, instead={**inputs.instead, **instead})
         )
         # Those that do not depend on the structure, nor on the query.
         self._shared_sources = self._sources_of(
@@ -168,7 +168,7 @@ class _Maker:
         ]
 
 
-def make_plan(opened: OpenDevice, traversal: TraversalKernels, wish: Wish) -> Plan:
+def make_plan(opened: OpenDevice, traversal: TraversalKernels, inputs: PlanInputs) -> Plan:
     """Make the draws of a query.
 
     Raises
@@ -176,7 +176,7 @@ def make_plan(opened: OpenDevice, traversal: TraversalKernels, wish: Wish) -> Pl
     GraphicsError
         If a program does not compile.
     """
-    maker = _Maker(opened, traversal, wish)
+    maker = _Maker(opened, traversal, inputs)
     numbered = list(enumerate(maker.kernels))
     moves = [(number, one.state, to) for number, one in numbered for to in one.transitions]
     return Plan(

@@ -11,7 +11,7 @@ import numpy as np
 from raystream.jit.inspect import Code, assume, compile_code
 from raystream.kernels.collect import HitAddresses
 from raystream.machines.ray_streams import declared_as
-from raystream.machines.records import FOUND, RAY, WANTED, Query
+from raystream.machines.records import FOUND, RAY, WANTED, StepArguments
 from raystream.machines.steps import Steps
 from raystream.machines.steps.base import StepKernel
 from raystream.streams import Stream
@@ -50,7 +50,7 @@ def first_hit_query(
     hits: HitAddresses | None = None,
     stacks: int = 0,
     stack_bytes: int = 0,
-) -> Query:
+) -> StepArguments:
     """What a multipass machine hands to kernels for first hits that nobody counts.
 
     Parameters
@@ -60,9 +60,9 @@ def first_hit_query(
     hits : HitAddresses, optional
         Without it, kernels can be compiled and not run.
     stacks, stack_bytes : int
-        See `Query`.
+        See `StepArguments`.
     """
-    return Query(
+    return StepArguments(
         np.float32(extreme),
         False,
         True,

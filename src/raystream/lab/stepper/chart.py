@@ -26,7 +26,7 @@ class LocalSpot(NamedTuple):
 
 
 class Records(NamedTuple):
-    """What a machine keeps of one ray between two passes; see `machines.Shown`.
+    """What a machine keeps of one ray between two passes; see `machines.PassSnapshot`.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper.chart import LocalSpot, Records, StructureMap
 from raystream.lab.stepper.maps import map_of
-from raystream.machines import Multipass, Shown
+from raystream.machines import Multipass, PassSnapshot
 from raystream.machines.ray_block import RayBlock, blocks
 from raystream.machines.records import RayState
 from raystream.tracer import Tracer
@@ -179,7 +179,7 @@ def walk(
     recorder = _Recorder(chart, block, math.inf if most_steps is None else most_steps)
     is_whole = True
     try:
-        Multipass(structure).shown_to(recorder.note).run_local(query, block.rays, sink)
+        Multipass(structure).observed_by(recorder.note).run_local(query, block.rays, sink)
     except _EnoughError:
         is_whole = False
     hits, tallies = sink.hits, sink.tallies
@@ -215,7 +215,7 @@ class _Recorder:
         self._spot: Spot | None = None
         self._counts = dict.fromkeys(COLUMNS, 0)
 
-    def note(self, shown: Shown) -> None:
+    def note(self, shown: PassSnapshot) -> None:
         """Take down a pass, as a `machines.Observer`."""
         assert shown.hits is not None
         assert shown.tallies is not None

@@ -16,7 +16,7 @@ from raystream.lab.walks.search import search_loop, visits_of
 from raystream.lab.walks.walks import Walks
 from raystream.machines.counters import RayCounters
 from raystream.machines.ray_block import RayBlock, blocks
-from raystream.machines.records import FOUND, Query
+from raystream.machines.records import FOUND, StepArguments
 from raystream.machines.steps import steps_of
 from raystream.structures import Structure
 from raystream.tracer import Tracer
@@ -175,11 +175,11 @@ class _Recording:
         tallies: NDArray[np.uint32] | None,
         runs: NDArray[np.uint32],
         stack: NDArray[np.uint8],
-    ) -> Query:
+    ) -> StepArguments:
         """What the kernels get: one stack, for one ray after another."""
         nowhere = np.uint64(0)
         found = [nowhere] * 4 if hits is None else [_address(array) for array in hits]
-        return Query(
+        return StepArguments(
             extreme=np.float32(self.structure.triangles.extreme),
             surfaces=False,
             keep=hits is not None,

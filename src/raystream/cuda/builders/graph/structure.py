@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
 from raystream.cuda.builders.graph import sectors
 from raystream.cuda.builders.graph.linker import link_sectors
 from raystream.cuda.builders.graph.pruning import prune
@@ -18,7 +19,6 @@ from raystream.cuda.builders.graph.sectors import Ordered, number_sectors, order
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.cuda.builders.kdtree.grow import GrownTree, grow_tree
 from raystream.cuda.builders.kdtree.rows import number_nodes
-from raystream.cuda.builders.there import RebuiltThere, finish
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.structures.base import Structure
@@ -40,7 +40,7 @@ class _Built(NamedTuple):
     bins: DeviceArray
 
 
-class DeviceGraph(RebuiltThere, Graph):
+class DeviceGraph(RebuiltOnDevice, Graph):
     """A graph in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -84,7 +84,7 @@ class DeviceGraph(RebuiltThere, Graph):
         made._set(self.triangles, graph, self.options, 0.0)
         return made
 
-    def _built_anew(self, triangles: Triangles) -> Structure:
+    def _rebuilt(self, triangles: Triangles) -> Structure:
         return build_graph(self.gpu, triangles, **self.options)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.core.triangles import Triangles
 from raystream.cuda.builders.kdtree import parting, planes
-from raystream.cuda.builders.kdtree.parting import Counts, Made
+from raystream.cuda.builders.kdtree.partition import Counts, Made
 from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, References, Tried
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.cuda.scan import Scan

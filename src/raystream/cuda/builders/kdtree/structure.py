@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from raystream.core.triangles import Triangles
+from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
 from raystream.cuda.builders.kdtree.grow import grow_tree
 from raystream.cuda.builders.kdtree.rows import number_nodes
 from raystream.cuda.builders.kdtree.trees import WrittenTree, write_tree
-from raystream.cuda.builders.there import RebuiltThere, finish
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import Gpu
 from raystream.structures.base import Structure
@@ -26,7 +26,7 @@ __all__ = ["DeviceKdTree", "build_kdtree"]
 _NOWHERE = np.uint64(0)
 
 
-class DeviceKdTree(RebuiltThere, KdTree):
+class DeviceKdTree(RebuiltOnDevice, KdTree):
     """A kd-tree in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -79,7 +79,7 @@ class DeviceKdTree(RebuiltThere, KdTree):
         made._set(self.triangles, tree, self.options, 0.0)
         return made
 
-    def _built_anew(self, triangles: Triangles) -> Structure:
+    def _rebuilt(self, triangles: Triangles) -> Structure:
         return build_kdtree(self.gpu, triangles, **self.options)
 
 

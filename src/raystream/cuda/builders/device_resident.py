@@ -12,10 +12,10 @@ from raystream.jit.cuda import Gpu
 from raystream.jit.threads import Progress
 from raystream.structures.base import BuildReport, Structure, UpdateReport
 
-__all__ = ["RebuiltThere", "StaysThere", "finish"]
+__all__ = ["DeviceResident", "RebuiltOnDevice", "finish"]
 
 
-class StaysThere:
+class DeviceResident:
     """A structure whose arrays are on a device; the host's are made when they are asked for.
 
     A class of these names what its host's structure has and it has not, and makes that structure
@@ -34,12 +34,12 @@ class StaysThere:
         raise AttributeError(name)
 
 
-class RebuiltThere(StaysThere):
-    """One that is built anew for triangles that have moved, by ``_built_anew``."""
+class RebuiltOnDevice(DeviceResident):
+    """One that is built anew for triangles that have moved, by ``_rebuilt``."""
 
     if TYPE_CHECKING:
 
-        def _built_anew(self, triangles: Triangles) -> Structure:
+        def _rebuilt(self, triangles: Triangles) -> Structure:
             """Another one, on the same device, with the same options."""
 
     def updated(
@@ -47,7 +47,7 @@ class RebuiltThere(StaysThere):
     ) -> tuple[Structure, UpdateReport]:
         """Build it anew, on the device; see `Structure.updated`. Costs are not said."""
         del max_cost_growth, progress
-        rebuilt = self._built_anew(triangles)
+        rebuilt = self._rebuilt(triangles)
         return rebuilt, UpdateReport(True, rebuilt.report.seconds, np.nan, np.nan)
 
 

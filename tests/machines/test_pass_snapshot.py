@@ -30,7 +30,7 @@ def test_an_observer_sees_every_pass_and_changes_nothing(compaction):
 
     machine = Multipass(structure, scheduler="most-work", compaction=compaction)
     answers = []
-    for one in (machine.recording(plain), machine.recording(watched).shown_to(observe)):
+    for one in (machine.recording(plain), machine.recording(watched).observed_by(observe)):
         sink = one.answer(Query(Kind.FIRST_HIT, counters=True), batch)
         answers.append((sink.hits, sink.tallies))
     (hits, tallies), (again, counted) = answers
@@ -54,7 +54,7 @@ def test_a_machine_that_nobody_watches_shows_nothing():
     case = CASES["random_soup"](np.random.default_rng(7))
     machine = Multipass(rs.Tracer(case.scene, "grid").structure)
     seen = []
-    watched = machine.shown_to(lambda now: seen.append(RayState(int(now.streams["state"][0]))))
+    watched = machine.observed_by(lambda now: seen.append(RayState(int(now.streams["state"][0]))))
     batch = RayBatch(case.origins[:1], case.directions[:1], 0.0, np.inf)
     machine.answer(Query(Kind.FIRST_HIT), batch)
     assert not seen

@@ -1,4 +1,4 @@
-"""Asking: what kernels of queries are given of rays on the device, before anything of their own."""
+"""QueryInputs: the arguments that kernels of all queries share, of rays on the device."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from raystream.jit.cuda import DeviceArray, Work
 if TYPE_CHECKING:
     from raystream.cuda.device_queries import DeviceScene
 
-__all__ = ["Asking"]
+__all__ = ["QueryInputs"]
 
 
-class Asking:
+class QueryInputs:
     """Rays of one query, in the order in which its kernels take them.
 
     Parameters

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from raystream.kernels.collect import HitArrays
 from raystream.machines.steps.base import StepKernel
 
-__all__ = ["Observer", "Shown"]
+__all__ = ["Observer", "PassSnapshot"]
 
 
-class Shown(NamedTuple):
+class PassSnapshot(NamedTuple):
     """The rays between two passes: the machine's own arrays, which the next pass changes.
 
     Attributes
@@ -42,4 +42,4 @@ class Shown(NamedTuple):
 
 
 #: Called before the first pass and after each one. It changes nothing.
-Observer = Callable[[Shown], None]
+Observer = Callable[[PassSnapshot], None]

@@ -1,4 +1,4 @@
-"""Lanes: two streams that take turns, so that one copies while the other traces.
+"""StagingStreams: two streams that take turns, so that one copies while the other traces.
 
 A device copies from and to pinned memory of the host while it computes. So what goes to it is first
 put into such memory, and what comes back is taken out of it.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cuda import CudaError, CudaStream, DeviceArray, Gpu
 
-__all__ = ["LANE_COUNT", "Lane", "Lanes"]
+__all__ = ["LANE_COUNT", "StagingStream", "StagingStreams"]
 
 #: One copies in or out while the other traces.
 LANE_COUNT = 2
@@ -25,7 +25,7 @@ LANE_COUNT = 2
 _ALIGNMENT = 64
 
 
-class Lane:
+class StagingStream:
     """A stream with pinned memory, for one part of the rays after the other.
 
     Parameters
@@ -79,7 +79,7 @@ class Lane:
         return made
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
-        """Begin to copy an array of this lane to the host.
+        """Begin to copy an array of this stream to the host.
 
         Returns
         -------
@@ -116,8 +116,8 @@ class Lane:
         return piece[first : first + byte_count].view(dtype).reshape(shape)
 
 
-class Lanes:
-    """The lanes of a machine, kept from query to query.
+class StagingStreams:
+    """The streams of a machine, kept from query to query.
 
     Parameters
     ----------
@@ -126,33 +126,33 @@ class Lanes:
 
     def __init__(self, gpu: Gpu) -> None:
         self._gpu = gpu
-        self._free: list[Lane] = []
+        self._free: list[StagingStream] = []
         self._lock = threading.Lock()
 
     @contextmanager
-    def taken(self, count: int = LANE_COUNT) -> Iterator[list[Lane]]:
-        """Lanes for one query: queries in other threads have others.
+    def taken(self, count: int = LANE_COUNT) -> Iterator[list[StagingStream]]:
+        """StagingStreams for one query: queries in other threads have others.
 
         However it ends, they are empty then.
         """
         with self._lock:
-            lanes = [self._free.pop() for _ in range(min(count, len(self._free)))]
+            streams = [self._free.pop() for _ in range(min(count, len(self._free)))]
         try:
-            while len(lanes) < count:
-                lanes.append(Lane(self._gpu))
-            yield lanes
+            while len(streams) < count:
+                streams.append(StagingStream(self._gpu))
+            yield streams
         except BaseException:
-            self._empty(lanes)
+            self._empty(streams)
             raise
         with self._lock:
-            self._free += lanes
+            self._free += streams
 
-    def _empty(self, lanes: list[Lane]) -> None:
+    def _empty(self, streams: list[StagingStream]) -> None:
         """Wait for what an exception left behind, for whose memory is freed next."""
         try:
-            for lane in lanes:
-                lane.finish()
+            for stream in streams:
+                stream.finish()
         except CudaError:  # the device is lost: so are they
             return
         with self._lock:
-            self._free += lanes
+            self._free += streams
