@@ -6,7 +6,7 @@ import pytest
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.kernels.collect import HitArrays, hit_addresses, keep_hit, sort_hits
-from raystream.kernels.seen import FULL, NEW, OLD, clear_seen, mark_seen
+from raystream.kernels.seen import FULL, NEW, OLD, SeenSet, clear_seen, mark_seen
 
 
 @kernel
@@ -54,9 +54,10 @@ def test_the_columns_are_one_piece_of_memory():
 
 @kernel
 def mark(table, prim_ids, answers):
-    clear_seen(table)
+    seen = SeenSet(address(table), np.uint64(len(table) - 1))
+    clear_seen(seen)
     for i in range(len(prim_ids)):
-        answers[i] = mark_seen(address(table), np.uint64(len(table) - 1), prim_ids[i])
+        answers[i] = mark_seen(seen, prim_ids[i])
 
 
 def test_triangles_seen_before(rng):
@@ -68,6 +69,12 @@ def test_triangles_seen_before(rng):
     first = np.zeros(5000, bool)
     first[np.unique(prim_ids, return_index=True)[1]] = True
     np.testing.assert_array_equal(answers, np.where(first, NEW, OLD))
+
+
+def test_a_set_without_places_remembers_nothing():
+    answers = np.empty(40, np.uint64)
+    mark(np.empty(1, np.int32), np.zeros(40, np.int32), answers)
+    assert (answers == NEW).all()
 
 
 def test_a_set_that_is_full_says_so():

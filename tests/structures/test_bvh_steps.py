@@ -9,12 +9,13 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, lattice_soup, soup, sticks
 from raystream.core.query import UNLIMITED, Kind, Query
-from raystream.jit.cpu import kernel
+from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
-from raystream.kernels.queries import AGAIN, LocalRays
+from raystream.kernels.queries import LocalRays
 from raystream.kernels.ray import set_up
-from raystream.kernels.seen import clear_seen
+from raystream.kernels.search import Search, begin_search, is_full
+from raystream.kernels.seen import SeenSet, clear_seen
 from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching
@@ -25,7 +26,6 @@ from raystream.structures.bvh.steps import (
     begin,
     intersect_block,
     is_leaf,
-    is_over,
     leaf_blocks,
     next_entry,
     stack_half,
@@ -37,6 +37,9 @@ from raystream.structures.bvh.wide import BLOCK
 
 _ONE = np.uint64(1)
 _NONE = np.uint64(0)
+
+#: A count that says that the set of triangles seen was too small.
+_OVERFLOWED = np.uint64(2**64 - 1)
 
 # What is next for a ray.
 _POP, _VISIT, _INTERSECT, _DONE, _FULL = range(5)
@@ -79,14 +82,21 @@ def set_off(tree, rays, states, stacks, stride, half):
         states.top[i] = begin(tree, rays.t_min[i], rays.t_max[i], stack, np.uint64(half))
 
 
+@device
+def rows_of(out):
+    """Addresses of hits, or None."""
+    if out is None:
+        return None
+    return hit_addresses(out)
+
+
 @kernel
 def run_pass(
-    tree, extreme, rays, states, stacks, stride, half, surfaces, keep, slots, out, seen, tallies
+    tree, extreme, rays, states, stacks, stride, half, surfaces, slots, out, seen, tallies
 ):
     """One step of each ray. Returns how many were not done."""
     o, d = rays.origins, rays.directions
     lanes = scratch(64)
-    to = hit_addresses(out)
     room = np.uint64(seen.shape[1]) - _ONE
     half_bytes = np.uint64(half)
     active = 0
@@ -96,7 +106,7 @@ def run_pass(
             continue
         active += 1
         stack = address(stacks) + np.uint64(i) * np.uint64(stride)
-        table = address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4)
+        met = SeenSet(address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4), room)
         top, t_min, t_far = states.top[i], rays.t_min[i], states.t_far[i]
         first, capacity = slots.first[i], slots.capacity[i]
         tally = tally_of(tallies, i)
@@ -120,25 +130,15 @@ def run_pass(
         else:
             block = states.block[i]
             add_to(tally, TESTS, triangle_count(block))
-            count, t_far = intersect_block(
-                block,
-                frame,
-                t_min,
-                t_far,
-                surfaces,
-                keep,
-                states.count[i],
-                capacity,
-                first,
-                to,
-                table,
-                room,
-                lanes,
-            )
-            states.count[i], states.t_far[i], states.block[i] = count, t_far, block + BLOCK
-            if count == AGAIN:
+            count, to = states.count[i], rows_of(out)
+            search = Search(t_min, t_far, count, capacity, to, first, surfaces, met, False, tally)
+            search = intersect_block(block, frame, search, lanes)
+            states.count[i], states.t_far[i] = search.count, search.t_far
+            states.block[i] = block + BLOCK
+            if search.has_overflowed:
+                states.count[i] = _OVERFLOWED
                 stage = _FULL
-            elif is_over(count, capacity, keep):
+            elif is_full(search):
                 stage = _DONE
             elif block + BLOCK == states.end[i]:
                 stage = _POP
@@ -147,27 +147,19 @@ def run_pass(
 
 
 @kernel
-def fused(tree, extreme, rays, surfaces, keep, slots, out, seen, counts, tallies):
-    """`traverse` for each ray; the number of its hits, or AGAIN."""
+def fused(tree, extreme, rays, surfaces, slots, out, seen, counts, tallies):
+    """`traverse` for each ray; the number of its hits, or _OVERFLOWED."""
     o, d = rays.origins, rays.directions
     stack = scratch(STACK_BYTES)
-    to = hit_addresses(out)
+    room = np.uint64(seen.shape[1]) - _ONE
     for i in range(len(counts)):
         ray = set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
-        counts[i] = traverse(
-            tree,
-            ray,
-            rays.t_min[i],
-            rays.t_max[i],
-            surfaces,
-            keep,
-            slots.capacity[i],
-            slots.first[i],
-            to,
-            stack,
-            seen[i],
-            tally_of(tallies, i),
-        )
+        met = SeenSet(address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4), room)
+        first, capacity = slots.first[i], slots.capacity[i]
+        t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(tallies, i)
+        search = begin_search(t_min, t_max, capacity, rows_of(out), first, surfaces, met, tally)
+        search = traverse(tree, ray, search, stack)
+        counts[i] = _OVERFLOWED if search.has_overflowed else search.count
 
 
 @kernel
@@ -180,14 +172,22 @@ def sort_all(slots, counts, out):
 def new_seen(ray_count, room):
     """Sets of triangles seen, one for each ray, with `room` places each."""
     seen = np.empty((ray_count, room + 1), np.int32)
-    for table in seen:
-        clear_seen.py_func(table)
+    clear_all(seen)
     return seen
 
 
+@kernel
+def clear_all(seen):
+    room = np.uint64(seen.shape[1]) - _ONE
+    for i in range(np.uint64(len(seen))):
+        clear_seen(SeenSet(address(seen) + i * (room + _ONE) * np.uint64(4), room))
+
+
 def new_hits(slots, keep):
-    """Hits of t = inf and no triangle."""
-    out = HitArrays.empty(int((slots.first + slots.capacity).max()) if keep else 0)
+    """Hits of t = inf and no triangle; None if none are kept."""
+    if not keep:
+        return None
+    out = HitArrays.empty(int((slots.first + slots.capacity).max()))
     for array, miss in zip(out, (np.inf, 0, 0, -1), strict=True):
         array[:] = miss
     return out
@@ -198,7 +198,7 @@ def run_fused(structure, rays, surfaces, keep, slots, room):
     count, out = len(rays.t_max), new_hits(slots, keep)
     counts, tallies = np.zeros(count, np.uint64), new_tallies(count)
     extreme = structure.triangles.extreme
-    arguments = surfaces, keep, slots, out, new_seen(count, room), counts, tallies
+    arguments = surfaces, slots, out, new_seen(count, room), counts, tallies
     fused(structure.arrays, extreme, rays, *arguments)
     return counts, out, tallies
 
@@ -212,7 +212,7 @@ def run_steps(structure, rays, surfaces, keep, slots, room):
     stacks = np.full((count, 2, half), _CANARY, np.uint8)
     where = stacks, 2 * half, half
     set_off(structure.arrays, rays, states, *where)
-    constants = surfaces, keep, slots, out, new_seen(count, room), tallies
+    constants = surfaces, slots, out, new_seen(count, room), tallies
     extreme = structure.triangles.extreme
     while run_pass(structure.arrays, extreme, rays, states, *where, *constants):
         pass
@@ -228,7 +228,7 @@ def both(structure, rays, surfaces, keep, slots, room):
     assert_same_bits(again, counts)
     assert_same_bits(again_tallies, tallies)
     if keep:
-        kept = np.where(counts == AGAIN, 0, counts)
+        kept = np.where(counts == _OVERFLOWED, 0, counts)
         for hits in (out, again_out):
             sort_all(slots, kept, hits)
         for column, other in zip(again_out, out, strict=True):
@@ -355,7 +355,7 @@ def test_a_full_set_of_triangles_seen_is_told(keep, rng):
         counts, _, _ = both(structure, rays, False, keep, slots, 0)
         assert (counts > wanted).any()  # some are met twice
     counts, _, _ = both(structure, rays, False, keep, slots, 64)
-    assert_same_bits(counts == AGAIN, wanted > 32)
+    assert_same_bits(counts == _OVERFLOWED, wanted > 32)
     assert 20 < (wanted > 32).sum() < 180
     counts, _, _ = both(structure, rays, False, keep, slots, 1024)
     assert_same_bits(counts.astype(np.int64), wanted)

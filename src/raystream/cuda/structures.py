@@ -36,7 +36,7 @@ def _brute(launcher: _Launcher) -> ThreadQueries:
 
 def _bvh(launcher: _Launcher, kernel: str) -> ThreadQueries:
     traverse, stack_bytes = search_of(kernel)
-    return thread_queries(traverse, stack_bytes, launcher)
+    return thread_queries(traverse, stack_bytes, launcher, lists_twice=True)
 
 
 def _graph(launcher: _Launcher) -> ThreadQueries:

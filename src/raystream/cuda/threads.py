@@ -14,14 +14,13 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
-from raystream.jit.intrinsics import int32_at
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.collect import HitAddresses, sort_hits
 from raystream.kernels.local_ray import world_t
-from raystream.kernels.queries import AGAIN
 from raystream.kernels.ray import set_up
 from raystream.kernels.ray_source import load_ray
-from raystream.kernels.seen import clear_room
+from raystream.kernels.search import begin_search
+from raystream.kernels.seen import SeenSet, clear_seen
 from raystream.kernels.tally import ROW, SHADINGS, add_to
 
 __all__ = ["RETRY", "SeenTables", "ThreadQueries", "thread_queries"]
@@ -73,14 +72,17 @@ def _tally_at(tallies, i):
 
 
 @device
-def _table_of(tables, i, none):
-    """Address and length of thread i's own table, empty; of 4 bytes where it needs no places."""
-    if tables.room == _NONE:
-        store(none, np.int32(0))
-        return none, _ONE
-    at = tables.memory + ((tables.room + _ONE) << _WORD) * i
-    clear_room(at, tables.room)
-    return at, tables.room + _ONE
+def _seen_of(tables, i):
+    """Thread i's own set of triangles, empty."""
+    size = (tables.room + _ONE) << _WORD
+    seen = SeenSet(tables.memory + size * i, tables.room)
+    clear_seen(seen)
+    return seen
+
+
+@device
+def _no_set(_tables, _i):
+    return None
 
 
 @device
@@ -92,6 +94,8 @@ def thread_queries(
     traverse: Callable[..., Any],
     stack_bytes: int,
     launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
+    *,
+    lists_twice: bool = False,
 ) -> ThreadQueries:
     """Make the kernels of a structure.
 
@@ -103,6 +107,8 @@ def thread_queries(
         Of the memory that it is given.
     launcher : callable
         `RangeKernel` or `PersistentKernel`.
+    lists_twice : bool
+        See `kernels.queries.ray_queries`.
 
     Returns
     -------
@@ -110,34 +116,22 @@ def thread_queries(
         Each for ``(source, frame, tree, tallies, ...)``: rays of the caller's, the scene's frame,
         the structure's arrays, and the address of tallies or None.
     """
+    seen_of = _seen_of if lists_twice else _no_set
 
     @kernel
     def first_hit(i, source, frame, tree, tallies, out):
-        stack, none = scratch(stack_bytes), scratch(8)
+        stack = scratch(stack_bytes)
         store(stack, _NONE)
-        store(none, np.int32(0))
         ray = load_ray(source, i, frame)
         if ray.status != _VALID:
             store(out.status + i, ray.status)
         to = HitAddresses(out.t, out.u, out.v, out.prim_id)
         tally = _tally_at(tallies, i)
-        count = traverse(
-            tree,
-            _set_up(ray, frame),
-            ray.t_min,
-            ray.t_max,
-            False,
-            True,
-            _ONE,
-            i,
-            to,
-            stack,
-            int32_at(none, _ONE),
-            tally,
-        )
-        add_to(tally, SHADINGS, count)
+        search = begin_search(ray.t_min, ray.t_max, _ONE, to, i, False, None, tally)
+        search = traverse(tree, _set_up(ray, frame), search, stack)
+        add_to(tally, SHADINGS, search.count)
         at = i << _WORD
-        if count == _NONE:
+        if search.count == _NONE:
             store(out.t + at, _INF)
             store(out.u + at, _ZERO)
             store(out.v + at, _ZERO)
@@ -148,53 +142,29 @@ def thread_queries(
 
     @kernel
     def any_hit(i, source, frame, tree, tallies, out):
-        stack, none = scratch(stack_bytes), scratch(8)
+        stack = scratch(stack_bytes)
         store(stack, _NONE)
-        store(none, np.int32(0))
         ray = load_ray(source, i, frame)
         if ray.status != _VALID:
             store(out.status + i, ray.status)
         tally = _tally_at(tallies, i)
-        count = traverse(
-            tree,
-            _set_up(ray, frame),
-            ray.t_min,
-            ray.t_max,
-            False,
-            False,
-            _ONE,
-            _NONE,
-            HitAddresses(_NONE, _NONE, _NONE, _NONE),
-            stack,
-            int32_at(none, _ONE),
-            tally,
-        )
-        add_to(tally, SHADINGS, count)
-        store(out.seen + i, np.uint8(count != _NONE))
+        search = begin_search(ray.t_min, ray.t_max, _ONE, None, _NONE, False, None, tally)
+        search = traverse(tree, _set_up(ray, frame), search, stack)
+        add_to(tally, SHADINGS, search.count)
+        store(out.seen + i, np.uint8(search.count != _NONE))
 
     @kernel
     def count_hits(i, source, frame, tree, tallies, tables, surfaces, limit, status, counts):
-        stack, none = scratch(stack_bytes), scratch(8)
+        stack = scratch(stack_bytes)
         store(stack, _NONE)
-        table, places = _table_of(tables, i, none)
         ray = load_ray(source, i, frame)
         if ray.status != _VALID:
             store(status + i, ray.status)
-        count = traverse(
-            tree,
-            _set_up(ray, frame),
-            ray.t_min,
-            ray.t_max,
-            surfaces,
-            False,
-            limit,
-            _NONE,
-            HitAddresses(_NONE, _NONE, _NONE, _NONE),
-            stack,
-            int32_at(table, places),
-            _tally_at(tallies, i),
-        )
-        store(counts + (i << _LONG), np.int64(RETRY) if count == AGAIN else np.int64(count))
+        seen, tally = seen_of(tables, i), _tally_at(tallies, i)
+        search = begin_search(ray.t_min, ray.t_max, limit, None, _NONE, surfaces, seen, tally)
+        search = traverse(tree, _set_up(ray, frame), search, stack)
+        count = np.int64(RETRY) if search.has_overflowed else np.int64(search.count)
+        store(counts + (i << _LONG), count)
 
     @kernel
     def multi_hit(i, source, frame, tree, tallies, tables, surfaces, splits, out, found):
@@ -203,32 +173,19 @@ def thread_queries(
         store(found + (i << _LONG), np.int64(0))
         if capacity == _NONE:
             return
-        stack, none = scratch(stack_bytes), scratch(8)
+        stack = scratch(stack_bytes)
         store(stack, _NONE)
-        table, places = _table_of(tables, i, none)
         ray = load_ray(source, i, frame)
-        tally = _tally_at(tallies, i)
-        count = traverse(
-            tree,
-            _set_up(ray, frame),
-            ray.t_min,
-            ray.t_max,
-            surfaces,
-            True,
-            capacity,
-            first,
-            out,
-            stack,
-            int32_at(table, places),
-            tally,
-        )
-        if count == AGAIN:
+        seen, tally = seen_of(tables, i), _tally_at(tallies, i)
+        search = begin_search(ray.t_min, ray.t_max, capacity, out, first, surfaces, seen, tally)
+        search = traverse(tree, _set_up(ray, frame), search, stack)
+        if search.has_overflowed:
             store(found + (i << _LONG), np.int64(RETRY))
             return
-        store(found + (i << _LONG), np.int64(count))
-        add_to(tally, SHADINGS, count)
-        sort_hits(out, first, count)
-        for row in range(first, first + count):
+        store(found + (i << _LONG), np.int64(search.count))
+        add_to(tally, SHADINGS, search.count)
+        sort_hits(out, first, search.count)
+        for row in range(first, first + search.count):
             at = out.t + (row << _WORD)
             store(at, world_t(load(np.float32, at), ray.factor, ray.offset))
 

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import scratch, store
-from raystream.kernels.collect import HitAddresses, hit_addresses, sort_hits
+from raystream.jit.simd import address, scratch, store
+from raystream.kernels.collect import hit_addresses, sort_hits
 from raystream.kernels.local_ray import world_t
 from raystream.kernels.ray import set_up
-from raystream.kernels.seen import LEAST_ROOM, clear_seen
+from raystream.kernels.search import begin_search
+from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
-__all__ = ["AGAIN", "LocalRays", "RayQueries", "ray_queries"]
+__all__ = ["LocalRays", "RayQueries", "ray_queries"]
 
 _INF = np.float32(np.inf)
 _ZERO = np.float32(0.0)
@@ -79,24 +80,31 @@ class RayQueries(NamedTuple):
     gather: Callable[..., int]
 
 
-#: What `traverse` returns if the set of triangles seen is too small.
-AGAIN = np.uint64(2**64 - 1)
-
 _NOWHERE = np.uint64(0)
 
 
 @device
-def _new_seen(repeats):
-    """A set for triangles seen; without places where none is needed."""
-    seen = np.empty((LEAST_ROOM if repeats else np.uint64(0)) + np.uint64(1), np.int32)
-    clear_seen(seen)
-    return seen
+def _seen_at(table, room):
+    return SeenSet(table, room)
 
 
 @device
-def _larger_seen(seen):
-    larger = np.empty((np.uint64(len(seen)) - np.uint64(1)) * np.uint64(8) + np.uint64(1), np.int32)
-    clear_seen(larger)
+def _no_set(table, room):
+    return None
+
+
+@device
+def _new_table(repeats):
+    """Memory of a set for triangles seen; without places where none is needed."""
+    table = np.empty((LEAST_ROOM if repeats else _NOWHERE) + _ONE, np.int32)
+    clear_seen(SeenSet(address(table), np.uint64(len(table)) - _ONE))
+    return table
+
+
+@device
+def _larger_table(table):
+    larger = np.empty((np.uint64(len(table)) - _ONE) * np.uint64(8) + _ONE, np.int32)
+    clear_seen(SeenSet(address(larger), np.uint64(len(larger)) - _ONE))
     return larger
 
 
@@ -106,43 +114,45 @@ def _ray(rays, i, extreme):
     return set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
 
 
-def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
+def ray_queries(
+    traverse: Callable[..., Any], stack_bytes: int, *, lists_twice: bool = False
+) -> RayQueries:
     """Make the queries of a structure.
 
     Parameters
     ----------
     traverse : device function
-        ``traverse(arrays, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack,
-        seen, tally)`` visits every triangle of `arrays` whose hit with `ray` may be wanted, gives
-        it to `kernels.leaf.test_triangles`, and returns the number of hits kept or counted.
-        It may stop once it has counted `capacity` of them. `seen` is of no use to one that
-        gives no triangle twice; one that does adds each hit's triangle to it
-        (`kernels.seen`) if it has places, and returns `AGAIN` when it is full. What it meets
-        it adds to `tally` (`kernels.tally`).
+        ``traverse(view, ray, search, stack)`` visits every triangle of `view`, the structure's
+        `arrays`, whose hit with `ray` the search may want, offers their hits to it
+        (`kernels.search`), and returns the search. It may be given one that has hits already,
+        from elsewhere, but none that is full; it returns as soon as it `is_full`. What it meets
+        it adds to ``search.counters`` (`kernels.tally`).
     stack_bytes : int
         Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
         What a traversal leaves there, the next ray's finds; before the first ray, the first
         8 bytes are 0.
+    lists_twice : bool
+        Whether the traversal may offer a triangle more than once: then searches for several hits
+        remember the triangles of their hits, where `repeats` is true.
 
     Returns
     -------
     RayQueries
     """
+    seen_at = _seen_at if lists_twice else _no_set
 
     @kernel
     def first_hit(begin, end, arrays, extreme, rays, out, tallies):
         stack = scratch(stack_bytes)
         store(stack, _NOWHERE)
-        seen = _new_seen(False)
         to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
             ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
-            count = traverse(
-                arrays, ray, t_min, t_max, False, True, np.uint64(1), i, to, stack, seen, tally
-            )
-            add_to(tally, SHADINGS, count)
-            if count == 0:
+            search = begin_search(t_min, t_max, _ONE, to, i, False, None, tally)
+            search = traverse(arrays, ray, search, stack)
+            add_to(tally, SHADINGS, search.count)
+            if search.count == _NOWHERE:
                 out.t[i] = _INF
                 out.u[i] = _ZERO
                 out.v[i] = _ZERO
@@ -152,57 +162,41 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     def any_hit(begin, end, arrays, extreme, rays, out, tallies):
         stack = scratch(stack_bytes)
         store(stack, _NOWHERE)
-        seen = _new_seen(False)
-        to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
-        one = np.uint64(1)
         for i in range(np.uint64(begin), np.uint64(end)):
             ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
-            count = traverse(
-                arrays, ray, t_min, t_max, False, False, one, _NOWHERE, to, stack, seen, tally
-            )
-            add_to(tally, SHADINGS, count)
-            out[i] = count != 0
+            search = begin_search(t_min, t_max, _ONE, None, _NOWHERE, False, None, tally)
+            search = traverse(arrays, ray, search, stack)
+            add_to(tally, SHADINGS, search.count)
+            out[i] = search.count != _NOWHERE
 
     @kernel
     def count_hits(begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts, tallies):
         stack, saved = scratch(stack_bytes), scratch(32)
         store(stack, _NOWHERE)
-        seen = _new_seen(repeats)
-        to = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
+        table = _new_table(repeats)
         most = np.uint64(limit)
         for i in range(np.uint64(begin), np.uint64(end)):
             ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
             save_counts(tally, saved)
             while True:
-                count = traverse(
-                    arrays,
-                    ray,
-                    t_min,
-                    t_max,
-                    surfaces,
-                    False,
-                    most,
-                    _NOWHERE,
-                    to,
-                    stack,
-                    seen,
-                    tally,
-                )
-                if count != AGAIN:
+                seen = seen_at(address(table), np.uint64(len(table)) - _ONE)
+                search = begin_search(t_min, t_max, most, None, _NOWHERE, surfaces, seen, tally)
+                search = traverse(arrays, ray, search, stack)
+                if not search.has_overflowed:
                     break
-                seen = _larger_seen(seen)
+                table = _larger_table(table)
                 restore_counts(tally, saved)
-            counts[i] = count
+            counts[i] = search.count
             if repeats:
-                seen = _new_seen(True)
+                table = _new_table(True)
 
     @kernel
     def multi_hit(begin, end, arrays, extreme, rays, repeats, surfaces, splits, out, tallies):
         stack, saved = scratch(stack_bytes), scratch(32)
         store(stack, _NOWHERE)
-        seen = _new_seen(repeats)
+        table = _new_table(repeats)
         to = hit_addresses(out)
         for i in range(np.uint64(begin), np.uint64(end)):
             first = np.uint64(splits[i])
@@ -213,28 +207,17 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
             t_min, t_max = rays.t_min[i], rays.t_max[i]
             save_counts(tally, saved)
             while True:
-                count = traverse(
-                    arrays,
-                    ray,
-                    t_min,
-                    t_max,
-                    surfaces,
-                    True,
-                    capacity,
-                    first,
-                    to,
-                    stack,
-                    seen,
-                    tally,
-                )
-                if count != AGAIN:
+                seen = seen_at(address(table), np.uint64(len(table)) - _ONE)
+                search = begin_search(t_min, t_max, capacity, to, first, surfaces, seen, tally)
+                search = traverse(arrays, ray, search, stack)
+                if not search.has_overflowed:
                     break
-                seen = _larger_seen(seen)
+                table = _larger_table(table)
                 restore_counts(tally, saved)
-            add_to(tally, SHADINGS, count)
-            sort_hits(to, first, count)
+            add_to(tally, SHADINGS, search.count)
+            sort_hits(to, first, search.count)
             if repeats:
-                seen = _new_seen(True)
+                table = _new_table(True)
 
     @kernel
     def gather(
@@ -253,7 +236,7 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
     ):
         stack = scratch(stack_bytes)
         store(stack, _NOWHERE)
-        seen = _new_seen(repeats)
+        table = _new_table(repeats)
         to = hit_addresses(out)
         most, room, row = np.uint64(limit), np.uint64(len(out.t)), _NOWHERE
         splits[0] = 0
@@ -264,20 +247,20 @@ def ray_queries(traverse: Callable[..., Any], stack_bytes: int) -> RayQueries:
             ray = _ray(rays, i, extreme)
             t_min, t_max = rays.t_min[i], rays.t_max[i]
             while True:
-                count = traverse(
-                    arrays, ray, t_min, t_max, surfaces, True, capacity, row, to, stack, seen, None
-                )
-                if count != AGAIN:
+                seen = seen_at(address(table), np.uint64(len(table)) - _ONE)
+                search = begin_search(t_min, t_max, capacity, to, row, surfaces, seen, None)
+                search = traverse(arrays, ray, search, stack)
+                if not search.has_overflowed:
                     break
-                seen = _larger_seen(seen)
-            if count == capacity and capacity != most:
+                table = _larger_table(table)
+            if search.count == capacity and capacity != most:
                 return np.int64(i)
             if repeats:
-                seen = _new_seen(True)
+                table = _new_table(True)
             if sorts:
-                sort_hits(to, row, count)
+                sort_hits(to, row, search.count)
             factor, offset = t_scale.factor[i], t_scale.offset[i]
-            for _ in range(count):
+            for _ in range(search.count):
                 out.t[row] = world_t(out.t[row], factor, offset)
                 row += _ONE
             splits[i + _ONE - np.uint64(begin)] = row

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
-__all__ = ["FULL", "LEAST_ROOM", "NEW", "OLD", "clear_room", "clear_seen", "mark_seen"]
+__all__ = ["FULL", "LEAST_ROOM", "NEW", "OLD", "SeenSet", "clear_seen", "mark_seen"]
 
 #: What `mark_seen` answers.
 OLD, NEW, FULL = np.uint64(0), np.uint64(1), np.uint64(2)
@@ -16,6 +18,7 @@ OLD, NEW, FULL = np.uint64(0), np.uint64(1), np.uint64(2)
 LEAST_ROOM = np.uint64(64)
 
 _FREE = np.int32(-1)
+_NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 
@@ -24,33 +27,38 @@ _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 _UPPER = np.uint64(32)
 
 
-@device
-def clear_seen(table):
-    """Empty a set: an array of R + 1 int32, R places and how many of them are taken.
+class SeenSet(NamedTuple):
+    """A set of triangles in memory; the caller keeps it alive.
 
-    R is a power of two; the set has room for half as many numbers.
+    Attributes
+    ----------
+    table : uint64
+        Address of `room` + 1 int32: the places, and how many of them are taken.
+    room : uint64
+        Places, a power of two; half as many triangles can be added. 0 for a set that remembers
+        nothing, and needs no memory.
     """
-    for place in range(len(table)):
-        table[place] = _FREE
-    table[len(table) - 1] = 0
+
+    table: np.uint64
+    room: np.uint64
 
 
 @device
-def clear_room(table, room):
-    """Empty a set of which the address and the number of places are given."""
-    for place in range(room):
-        store(table + (place << _WORD), _FREE)
-    store(table + (room << _WORD), np.int32(0))
+def clear_seen(seen):
+    """Empty a set."""
+    if seen.room != _NONE:
+        for place in range(seen.room):
+            store(seen.table + (place << _WORD), _FREE)
+        store(seen.table + (seen.room << _WORD), np.int32(0))
 
 
 @device
-def mark_seen(table, room, prim_id):
+def mark_seen(seen, prim_id):
     """Add a triangle to a set.
 
     Parameters
     ----------
-    table, room : uint64
-        Address of the set's array, and its number of places.
+    seen : SeenSet
     prim_id : int32
 
     Returns
@@ -59,6 +67,9 @@ def mark_seen(table, room, prim_id):
         `NEW`, `OLD` if it was there already, or `FULL` if there is no room: then the ray
         has to be traced again with a larger set.
     """
+    table, room = seen.table, seen.room
+    if room == _NONE:
+        return NEW
     place = (np.uint64(prim_id) * _SPREAD) >> _UPPER
     while True:
         at = table + ((place & (room - _ONE)) << _WORD)

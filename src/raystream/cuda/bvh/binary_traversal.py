@@ -15,10 +15,10 @@ import numpy as np
 
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
 from raystream.jit.cpu import device
-from raystream.jit.simd import address, f32x4, float_as_bits, lane, load, load_constant, store
+from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
+from raystream.kernels.search import is_full
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
-from raystream.structures.bvh.steps import is_over
 
 __all__ = ["child_intervals", "pop", "traverse"]
 
@@ -31,44 +31,28 @@ _DONE = np.int32(2**31 - 1)
 
 
 @device
-def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(tree, ray, search, stack):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
-    count, t_far = _NONE, t_max
-    if tree.nodes == _NONE or not (t_min <= t_max):
-        return count
-    table, room = address(seen), np.uint64(len(seen)) - _ONE
+    if tree.nodes == _NONE or not (search.t_min <= search.t_far):
+        return search
     link, top = _ROOT, stack
     while link != _DONE:
         while link >= _ROOT and link != _DONE:
-            add_to(tally, STEPS, _ONE)
+            add_to(search.counters, STEPS, _ONE)
             at = tree.nodes + np.uint64(link) * _NODE
-            link, top = _visit(at, ray, t_min, t_far, stack, top)
+            link, top = _visit(at, ray, search.t_min, search.t_far, stack, top)
         while link < _ROOT:
-            add_to(tally, LEAVES, _ONE)
+            add_to(search.counters, LEAVES, _ONE)
             triangle = tree.triangles + np.uint64(~link) * TRIANGLE
             while True:
-                count, t_far, is_last = test_triangle(
-                    triangle,
-                    ray,
-                    t_min,
-                    t_far,
-                    surfaces,
-                    keep,
-                    count,
-                    capacity,
-                    first,
-                    out,
-                    table,
-                    room,
-                    tally,
-                )
-                if is_over(count, capacity, keep):
-                    return count
+                search, is_last = test_triangle(triangle, ray, search)
+                if is_full(search):
+                    return search
                 if is_last:
                     break
                 triangle += TRIANGLE
             link, top = pop(stack, top)
-    return count
+    return search
 
 
 @device

@@ -24,7 +24,6 @@ import numpy as np
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
-    address,
     bits_as_float,
     count_bits,
     first_bit,
@@ -35,8 +34,8 @@ from raystream.jit.simd import (
     store,
     u32x4,
 )
+from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, add_to
-from raystream.structures.bvh.steps import is_over
 
 __all__ = ["traverse"]
 
@@ -61,12 +60,10 @@ _LEAST = np.float32(2.0**-149)
 
 
 @device
-def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(tree, ray, search, stack):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
-    count, t_far = _NONE, t_max
-    if tree.nodes == _NONE or not (t_min <= t_max):
-        return count
-    table, room = address(seen), np.uint64(len(seen)) - _ONE
+    if tree.nodes == _NONE or not (search.t_min <= search.t_far):
+        return search
     turned = _octant(ray)
     # The root, as the only child of a node.
     base, inner, hits = _NO_BITS, _ONE_BIT, np.uint32(_ONE_BIT << turned)
@@ -81,35 +78,21 @@ def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stac
             store(top, base)
             store(top + np.uint64(4), np.uint32((hits << _EIGHT) | inner))
             top += _ENTRY
-        add_to(tally, STEPS, _ONE)
+        add_to(search.counters, STEPS, _ONE)
         at = tree.nodes + node * _NODE
-        base, inner, hits, triangle, pending = _visit(at, ray, turned, t_min, t_far, tally)
+        base, inner, hits, triangle, pending = _visit(at, ray, turned, search)
         # Step 2: the triangles of its leaves.
         triangle = tree.triangles + triangle * TRIANGLE
         while pending != _NO_BITS:
             place = first_bit(np.uint64(pending))
             pending = np.uint32(pending & (pending - _ONE_BIT))
-            count, t_far, _ = test_triangle(
-                triangle + place * TRIANGLE,
-                ray,
-                t_min,
-                t_far,
-                surfaces,
-                keep,
-                count,
-                capacity,
-                first,
-                out,
-                table,
-                room,
-                tally,
-            )
-            if is_over(count, capacity, keep):
-                return count
+            search, _ = test_triangle(triangle + place * TRIANGLE, ray, search)
+            if is_full(search):
+                return search
         # Step 3: the next group.
         if hits == _NO_BITS:
             if top == stack:
-                return count
+                return search
             top -= _ENTRY
             base = load(np.uint32, top)
             hits = load(np.uint32, top + np.uint64(4))
@@ -127,7 +110,7 @@ def _octant(ray):
 
 
 @device
-def _visit(at, ray, turned, t_min, t_far, tally):
+def _visit(at, ray, turned, search):
     """Test the boxes of a node's children.
 
     Parameters
@@ -137,8 +120,7 @@ def _visit(at, ray, turned, t_min, t_far, tally):
     ray : Ray
     turned : uint32
         See `_octant`.
-    t_min, t_far : float32
-    tally : uint64 or None
+    search : Search
 
     Returns
     -------
@@ -170,7 +152,7 @@ def _visit(at, ray, turned, t_min, t_far, tally):
         _ordered(back_x, lane(planes, 0), lane(more, 2)),
         _ordered(back_y, lane(planes, 2), lane(rest, 0)),
         _ordered(back_z, lane(more, 0), lane(rest, 2)),
-        *(axes, turned, t_min, t_far, hits, pending, tally),
+        *(axes, turned, search, hits, pending),
     )
     hits, pending = _visit_four(
         lane(links, 3),
@@ -178,7 +160,7 @@ def _visit(at, ray, turned, t_min, t_far, tally):
         _ordered(back_x, lane(planes, 1), lane(more, 3)),
         _ordered(back_y, lane(planes, 3), lane(rest, 1)),
         _ordered(back_z, lane(more, 1), lane(rest, 3)),
-        *(axes, turned, t_min, t_far, hits, pending, tally),
+        *(axes, turned, search, hits, pending),
     )
     inner = np.uint32(exponents >> np.uint32(24))
     return lane(links, 0), inner, hits, np.uint64(lane(links, 1)), pending
@@ -200,7 +182,7 @@ def _ordered(is_back, low, high):
 
 
 @device
-def _visit_four(kinds, first, x, y, z, axes, turned, t_min, t_far, hits, pending, tally):
+def _visit_four(kinds, first, x, y, z, axes, turned, search, hits, pending):
     """Test the boxes of four slots, from number `first` on; returns `hits` and `pending`."""
     for k in range(np.uint32(4)):
         shift = np.uint32(k << np.uint32(3))
@@ -215,12 +197,12 @@ def _visit_four(kinds, first, x, y, z, axes, turned, t_min, t_far, hits, pending
             fma(_byte(y[1], shift), axes[1][0], axes[1][2]),
             fma(_byte(z[1], shift), axes[2][0], axes[2][2]),
         )
-        if kind != _NO_BITS and max(t_in, t_min) <= min(t_out, t_far):
+        if kind != _NO_BITS and max(t_in, search.t_min) <= min(t_out, search.t_far):
             size = np.uint32(kind >> _FIVE)
             if size == _IS_NODE:
                 hits = np.uint32(hits | (_ONE_BIT << np.uint32((first + k) ^ turned)))
             else:
-                add_to(tally, LEAVES, _ONE)
+                add_to(search.counters, LEAVES, _ONE)
                 triangles = np.uint32((_ONE_BIT << size) - _ONE_BIT)
                 pending = np.uint32(pending | (triangles << np.uint32(kind & _OFFSET)))
     return hits, pending

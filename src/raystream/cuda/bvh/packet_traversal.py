@@ -23,10 +23,10 @@ import numpy as np
 from raystream.cuda.bvh.binary_traversal import child_intervals, pop
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
 from raystream.jit.cpu import device
-from raystream.jit.simd import address, count_bits, store
+from raystream.jit.simd import count_bits, store
 from raystream.jit.votes import ballot, together
+from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, add_to
-from raystream.structures.bvh.steps import is_over
 
 __all__ = ["traverse"]
 
@@ -40,50 +40,35 @@ _NOBODY = np.uint32(0)
 
 
 @device
-def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(tree, ray, search, stack):
     """Visit the boxes that any ray of the warp meets.
 
     See `kernels.queries.ray_queries` for the arguments.
     """
-    count, t_far = _NONE, t_max
-    if tree.nodes == _NONE or not (t_min <= t_max):
-        return count
-    table, room = address(seen), np.uint64(len(seen)) - _ONE
+    if tree.nodes == _NONE or not (search.t_min <= search.t_far):
+        return search
     voters = together()
     is_searching = True
     link, top = _ROOT, stack
     while link != _DONE:
         if link >= _ROOT:
-            add_to(tally, STEPS, _ONE)
+            add_to(search.counters, STEPS, _ONE)
             at = tree.nodes + np.uint64(link) * _NODE
+            t_min, t_far = search.t_min, search.t_far
             link, top = _visit(at, ray, t_min, t_far, is_searching, voters, stack, top)
             continue
-        add_to(tally, LEAVES, _ONE)
+        add_to(search.counters, LEAVES, _ONE)
         triangle = tree.triangles + np.uint64(~link) * TRIANGLE
         is_last = not is_searching
         while not is_last:
-            count, t_far, is_last = test_triangle(
-                triangle,
-                ray,
-                t_min,
-                t_far,
-                surfaces,
-                keep,
-                count,
-                capacity,
-                first,
-                out,
-                table,
-                room,
-                tally,
-            )
-            if is_over(count, capacity, keep):
+            search, is_last = test_triangle(triangle, ray, search)
+            if is_full(search):
                 is_searching, is_last = False, True
             triangle += TRIANGLE
         if ballot(voters, is_searching) == _NOBODY:
-            return count
+            return search
         link, top = pop(stack, top)
-    return count
+    return search
 
 
 @device

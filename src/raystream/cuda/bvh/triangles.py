@@ -11,9 +11,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
-from raystream.kernels.collect import keep_hit
-from raystream.kernels.queries import AGAIN
-from raystream.kernels.seen import FULL, OLD, mark_seen
+from raystream.kernels.search import offer
 from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle import intersect_corners
 from raystream.structures.bvh.layout import BLOCK_SIZE
@@ -28,7 +26,6 @@ _QUARTER = np.uint64(16)
 _HALF = np.uint64(32)
 
 _LAST = np.uint64(28)
-_NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 
@@ -75,53 +72,32 @@ def copy_leaf(leaves, child, to):
 
 
 @device
-def test_triangle(
-    at, ray, t_min, t_far, surfaces, keep, count, capacity, first, out, table, room, tally
-):
-    """Test a triangle, and keep or count its hit.
+def test_triangle(at, ray, search):
+    """Test a triangle, and offer its hit to a search.
 
     Parameters
     ----------
     at : uint64
         Address.
     ray : Ray
-    t_min, t_far : float32
-        Closed interval in which a hit is wanted.
-    surfaces, keep, count, capacity, first, out
-        See `kernels.leaf.test_triangles`.
-    table, room : uint64
-        See `structures.bvh.steps.intersect_block`.
-    tally : uint64 or None
-        See `kernels.tally`.
+    search : Search
 
     Returns
     -------
-    count : uint64
-        `AGAIN` if the set is full; see `structures.bvh.steps.is_over`.
-    t_far : float32
+    search : Search
     is_last : bool
         Whether the triangle is the last one of its leaf.
     """
-    add_to(tally, TESTS, _ONE)
+    add_to(search.counters, TESTS, _ONE)
     a = load_constant(f32x4, at)
     b = load_constant(f32x4, at + _QUARTER)
     c = load_constant(f32x4, at + _HALF)
     is_last = lane(float_as_bits(b), 3) != np.int32(0)
-    hit, t, u, v = intersect_corners(ray, _corner(a), _corner(b), _corner(c), surfaces)
+    hit, t, u, v = intersect_corners(ray, _corner(a), _corner(b), _corner(c), search.surfaces)
     # Written so that a NaN would fail.
-    if hit and t >= t_min and t <= t_far:
-        prim_id = lane(float_as_bits(a), 3)
-        if room != _NONE:
-            answer = mark_seen(table, room, prim_id)
-            if answer == OLD:
-                return count, t_far, is_last
-            if answer == FULL:
-                return AGAIN, t_far, is_last
-        if keep:
-            count, t_far = keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far)
-        else:
-            count += _ONE
-    return count, t_far, is_last
+    if hit and t >= search.t_min and t <= search.t_far:
+        search = offer(search, t, u, v, lane(float_as_bits(a), 3))
+    return search, is_last
 
 
 @device

@@ -9,10 +9,11 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.kernels.collect import sort_hits
+from raystream.kernels.search import Search
 from raystream.kernels.tally import SHADINGS
 from raystream.machines.records import RayState, tick
 
-__all__ = ["SHADE", "StepKernel", "Steps", "with_shade"]
+__all__ = ["SHADE", "StepKernel", "Steps", "resumed", "with_shade"]
 
 _DONE = np.uint8(RayState.DONE)
 _ONE = np.uint64(1)
@@ -66,6 +67,37 @@ class Steps(NamedTuple):
     tree: Any
     stack_bytes: int = 0
     grow: Callable[[], Steps] | None = None
+
+
+@device
+def resumed(hits, ray, wanted, found, query, seen):
+    """The search of a ray as its records have it; what it meets is counted by `tick`.
+
+    Parameters
+    ----------
+    hits : HitAddresses or None
+        The query's, or None for one that only counts: two types, so that a kernel that tests
+        triangles has a branch for each.
+    ray, wanted, found, query
+        See `StepKernel.function`.
+    seen : SeenSet or None
+
+    Returns
+    -------
+    Search
+    """
+    return Search(
+        ray.t_min,
+        found.t_far,
+        np.uint64(found.count),
+        wanted.capacity,
+        hits,
+        wanted.first,
+        query.surfaces,
+        seen,
+        False,
+        None,
+    )
 
 
 def shade(wanted, found, query, kernel):

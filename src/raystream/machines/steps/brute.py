@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.kernels.search import is_full
 from raystream.kernels.tally import TESTS
 from raystream.machines.records import RayState, end_of, ray_of, tick
-from raystream.machines.steps.base import StepKernel, Steps, with_shade
+from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.brute import Brute
 from raystream.structures.grid.traversal import intersect_list
 
@@ -40,35 +41,27 @@ def set_up(ray, wanted, tree, query, kernel):
     return (np.uint32(0), ray.t_max), (np.uint32(0),), _INTERSECTING if is_active else _DONE
 
 
-def intersect(ray, wanted, found, place, tree, query, kernel):
-    """Test a triangle."""
-    line = ray_of(ray, query)
-    row, count, t_far = np.uint64(place.row), np.uint64(found.count), found.t_far
-    state = _INTERSECTING
+@device
+def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
+    line, search = ray_of(ray, query), resumed(hits, ray, wanted, found, query, None)
+    row, state = np.uint64(place.row), _INTERSECTING
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, _ONE)
-        count, t_far = intersect_list(
-            tree.references,
-            tree.corners,
-            line,
-            row,
-            row + _ONE,
-            ray.t_min,
-            _INF,
-            t_far,
-            query.surfaces,
-            query.keep,
-            count,
-            wanted.capacity,
-            wanted.first,
-            query.hits,
-            None,
+        search = intersect_list(
+            tree.references, tree.corners, line, row, row + _ONE, search, search.t_min, _INF
         )
         row += _ONE
-        if row == tree.length or (not query.keep and count == wanted.capacity):
-            state = end_of(count, query)
+        if row == tree.length or is_full(search):
+            state = end_of(search.count, query)
             break
-    return (np.uint32(count), t_far), (np.uint32(row),), state
+    return (np.uint32(search.count), search.t_far), (np.uint32(row),), state
+
+
+def intersect(ray, wanted, found, place, tree, query, kernel):
+    """Test a triangle."""
+    if query.keep:
+        return _intersect(query.hits, ray, wanted, found, place, tree, query, kernel)
+    return _intersect(None, ray, wanted, found, place, tree, query, kernel)
 
 
 _KERNELS = with_shade(

@@ -8,13 +8,13 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import scratch
-from raystream.kernels.queries import AGAIN
-from raystream.kernels.seen import LEAST_ROOM, clear_room
+from raystream.kernels.search import is_full
+from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, ray_of, tick
-from raystream.machines.steps.base import StepKernel, Steps, with_shade
+from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.bvh import Bvh
-from raystream.structures.bvh import steps as search
+from raystream.structures.bvh import steps as tree_steps
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
 
@@ -48,19 +48,18 @@ def _stack_of(wanted, query):
 
 
 @device
-def _room_of(tree, wanted):
-    """Places of a ray's set of triangles: one hit alone cannot be found twice."""
-    return _NONE if wanted.capacity == _ONE else tree.room
+def _seen_of(tree, wanted, query):
+    """A ray's set of triangles: without places for one hit, which cannot be found twice."""
+    room = _NONE if wanted.capacity == _ONE else tree.room
+    return SeenSet(_stack_of(wanted, query) + tree.half + tree.half, room)
 
 
 def set_up(ray, wanted, tree, query, kernel):
     """Put the root on the stack."""
     tick(query, wanted, kernel, STEPS, _NONE)
     stack = _stack_of(wanted, query)
-    room = _room_of(tree, wanted)
-    if room != _NONE:
-        clear_room(stack + tree.half + tree.half, room)
-    top = search.begin(tree, ray.t_min, ray.t_max, stack, tree.half)
+    clear_seen(_seen_of(tree, wanted, query))
+    top = tree_steps.begin(tree, ray.t_min, ray.t_max, stack, tree.half)
     state = _DONE if top == _NONE else _TRAVERSING
     return (np.uint32(0), ray.t_max), (np.uint32(top), _NONE, _NONE), state
 
@@ -71,55 +70,47 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
     top, block, end = np.uint64(place.top), place.block, place.end
     state = _TRAVERSING
     for _ in range(query.steps):
-        has_entry, child, top = search.next_entry(stack, tree.half, top, found.t_far)
+        has_entry, child, top = tree_steps.next_entry(stack, tree.half, top, found.t_far)
         if not has_entry:
             tick(query, wanted, kernel, STEPS, _NONE)
             state = end_of(np.uint64(found.count), query)
             break
-        if search.is_leaf(child):
+        if tree_steps.is_leaf(child):
             tick(query, wanted, kernel, LEAVES, _ONE)
-            block, end = search.leaf_blocks(tree, child)
+            block, end = tree_steps.leaf_blocks(tree, child)
             state = _INTERSECTING
             break
         tick(query, wanted, kernel, STEPS, _ONE)
-        top = search.visit(tree, child, frame, ray.t_min, found.t_far, stack, tree.half, top)
+        top = tree_steps.visit(tree, child, frame, ray.t_min, found.t_far, stack, tree.half, top)
     return (np.uint32(top), block, end), state
 
 
-def intersect(ray, wanted, found, place, tree, query, kernel):
-    """Test a block of up to four triangles."""
+@device
+def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
     frame, lanes = lane_frame(ray_of(ray, query)), scratch(64)
-    table = _stack_of(wanted, query) + tree.half + tree.half
-    block, count, t_far = place.block, np.uint64(found.count), found.t_far
-    state = _INTERSECTING
+    search = resumed(hits, ray, wanted, found, query, _seen_of(tree, wanted, query))
+    block, state = place.block, _INTERSECTING
     for _ in range(query.tests):
-        tick(query, wanted, kernel, TESTS, search.triangle_count(block))
-        count, t_far = search.intersect_block(
-            block,
-            frame,
-            ray.t_min,
-            t_far,
-            query.surfaces,
-            query.keep,
-            count,
-            wanted.capacity,
-            wanted.first,
-            query.hits,
-            table,
-            _room_of(tree, wanted),
-            lanes,
-        )
+        tick(query, wanted, kernel, TESTS, tree_steps.triangle_count(block))
+        search = tree_steps.intersect_block(block, frame, search, lanes)
         block += BLOCK
-        if count == AGAIN:
+        if search.has_overflowed:
             state = _OVERFLOWN
             break
-        if search.is_over(count, wanted.capacity, query.keep):
-            state = end_of(count, query)
+        if is_full(search):
+            state = end_of(search.count, query)
             break
         if block == place.end:
             state = _TRAVERSING
             break
-    return (np.uint32(count), t_far), (place.top, block, place.end), state
+    return (np.uint32(search.count), search.t_far), (place.top, block, place.end), state
+
+
+def intersect(ray, wanted, found, place, tree, query, kernel):
+    """Test a block of up to four triangles."""
+    if query.keep:
+        return _intersect(query.hits, ray, wanted, found, place, tree, query, kernel)
+    return _intersect(None, ray, wanted, found, place, tree, query, kernel)
 
 
 _KERNELS = with_shade(

@@ -6,14 +6,14 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import scratch
+from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
-from raystream.machines.steps.base import StepKernel, Steps, with_shade
+from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.graph import Graph
 from raystream.structures.graph.steps import (
-    GraphState,
     cross,
     enter,
     sector_blocks,
@@ -46,12 +46,12 @@ _LANES = np.uint64(4)
 
 
 @device
-def _go_on(tree, line, sector, t_end, count, t_far, wanted, query):
+def _go_on(tree, line, sector, t_end, search, wanted, query):
     """Leave a sector, unless nothing more is wanted: next state, sector, and t there."""
     way = way_out(line, sector)
     t_out = min(way.t, t_end)
-    if t_out >= t_end or (count == wanted.capacity and t_far < t_out):
-        return end_of(count, query), sector, t_out
+    if t_out >= t_end or is_over(search, t_out):
+        return end_of(search.count, query), sector, t_out
     sector, node_count = cross(tree, line, way.link, t_out)
     note(query, wanted, LINK_NODES, node_count)
     return _TRAVERSING, sector, t_out
@@ -74,7 +74,7 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
     """Look at the sector that a ray is in; go on to the next one if it is empty."""
     line = sector_ray(ray_of(ray, query))
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
-    count, state = np.uint64(found.count), _TRAVERSING
+    search, state = resumed(None, ray, wanted, found, query, None), _TRAVERSING
     for _ in range(query.steps):
         tick(query, wanted, kernel, STEPS, _ONE)
         block, end, left = sector_blocks(tree, sector)
@@ -82,49 +82,40 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
             note(query, wanted, LEAVES, _ONE)
             state = _INTERSECTING
             break
-        state, sector, t_in = _go_on(
-            tree, line, sector, place.t_end, count, found.t_far, wanted, query
-        )
+        state, sector, t_in = _go_on(tree, line, sector, place.t_end, search, wanted, query)
         if state != _TRAVERSING:
             break
     return (sector, t_in, place.t_end, block, np.uint32(left)), state
 
 
-def intersect(ray, wanted, found, place, tree, query, kernel):
-    """Test a block of up to four triangles; go on to the next sector after the last."""
+@device
+def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
     prepared = ray_of(ray, query)
     line, frame, lanes = sector_ray(prepared), lane_frame(prepared), scratch(64)
+    search = resumed(hits, ray, wanted, found, query, None)
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
-    way = way_out(line, sector)
-    within = GraphState(sector, t_in, min(way.t, place.t_end), way.link)
-    count, t_far = np.uint64(found.count), found.t_far
+    t_out = min(way_out(line, sector).t, place.t_end)
     state = _INTERSECTING
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, min(left, _LANES))
-        count, t_far = intersect_block(
-            block,
-            frame,
-            within,
-            t_far,
-            query.surfaces,
-            query.keep,
-            count,
-            wanted.capacity,
-            wanted.first,
-            query.hits,
-            lanes,
-        )
+        search = intersect_block(block, frame, search, t_in, t_out, lanes)
         block += BLOCK
         left -= min(left, _LANES)
-        if count == wanted.capacity and not query.keep:
-            state = end_of(count, query)
+        if is_full(search):
+            state = end_of(search.count, query)
             break
         if left == _NONE:
-            state, sector, t_in = _go_on(
-                tree, line, sector, place.t_end, count, t_far, wanted, query
-            )
+            state, sector, t_in = _go_on(tree, line, sector, place.t_end, search, wanted, query)
             break
-    return (np.uint32(count), t_far), (sector, t_in, place.t_end, block, np.uint32(left)), state
+    place = sector, t_in, place.t_end, block, np.uint32(left)
+    return (np.uint32(search.count), search.t_far), place, state
+
+
+def intersect(ray, wanted, found, place, tree, query, kernel):
+    """Test a block of up to four triangles; go on to the next sector after the last."""
+    if query.keep:
+        return _intersect(query.hits, ray, wanted, found, place, tree, query, kernel)
+    return _intersect(None, ray, wanted, found, place, tree, query, kernel)
 
 
 _KERNELS = with_shade(

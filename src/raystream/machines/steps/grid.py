@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
-from raystream.machines.records import RayState, end_of, note, ray_of, tick, wants_any
-from raystream.machines.steps.base import StepKernel, Steps, with_shade
+from raystream.machines.records import RayState, end_of, note, ray_of, tick
+from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.grid import Grid
 from raystream.structures.grid.cells import (
     NO_CHILD,
@@ -108,10 +109,9 @@ def _record(place):
 
 
 @device
-def _is_over(place, count, t_far, wanted, query):
-    """Whether a ray that leaves its cell has all that it wants."""
-    is_enough = not query.keep and count == wanted.capacity
-    return t_far < min(cell_end(place.walk), place.t_end) or is_enough
+def _is_over(place, t_far):
+    """Whether no hit beyond a ray's cell can be wanted."""
+    return t_far < min(cell_end(place.walk), place.t_end)
 
 
 @device
@@ -148,7 +148,6 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
     at = _given(place)
     line = ray_of(ray, query)
     state = _TRAVERSING
-    count = np.uint64(found.count)
     for _ in range(query.steps):
         tick(query, wanted, kernel, STEPS, _ONE)
         lattice = _lattice(tree, at.outer)
@@ -165,51 +164,42 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
             outer = np.int32(at.walk.cell)
             at = _Place(walk, outer, at.t_in, cell_end(at.walk), _NONE, _NONE)
         else:
-            if _is_over(at, count, found.t_far, wanted, query):
-                state = end_of(count, query)
+            if _is_over(at, found.t_far):
+                state = end_of(np.uint64(found.count), query)
                 break
             at = _next_cell(tree, line, at)
     return _record(at), state
 
 
-def intersect(ray, wanted, found, place, tree, query, kernel):
-    """Test a triangle of the cell that a ray is in; go on to the next cell after the last."""
+@device
+def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
     at = _given(place)
-    line = ray_of(ray, query)
+    line, search = ray_of(ray, query), resumed(hits, ray, wanted, found, query, None)
     references = _lattice(tree, at.outer).references
-    t_out = min(cell_end(at.walk), at.t_end)
-    row, count, t_far = at.row, np.uint64(found.count), found.t_far
-    state = _INTERSECTING
+    t_out = _INF if wants_any(search) else min(cell_end(at.walk), at.t_end)
+    row, state = at.row, _INTERSECTING
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, _ONE)
-        count, t_far = intersect_list(
-            references,
-            tree.corners,
-            line,
-            row,
-            row + _ONE,
-            at.t_in,
-            _INF if wants_any(wanted, query) else t_out,
-            t_far,
-            query.surfaces,
-            query.keep,
-            count,
-            wanted.capacity,
-            wanted.first,
-            query.hits,
-            None,
+        search = intersect_list(
+            references, tree.corners, line, row, row + _ONE, search, at.t_in, t_out
         )
         row += _ONE
-        is_enough = not query.keep and count == wanted.capacity
-        if row == at.end or is_enough:
-            if _is_over(at, count, t_far, wanted, query):
-                state = end_of(count, query)
-            else:
-                at = _next_cell(tree, line, at)
-                state = _TRAVERSING
+        if is_full(search) or (row == at.end and _is_over(at, search.t_far)):
+            state = end_of(search.count, query)
+            break
+        if row == at.end:
+            at = _next_cell(tree, line, at)
+            state = _TRAVERSING
             break
     place = _Place(at.walk, at.outer, at.t_in, at.t_end, row, at.end)
-    return (np.uint32(count), t_far), _record(place), state
+    return (np.uint32(search.count), search.t_far), _record(place), state
+
+
+def intersect(ray, wanted, found, place, tree, query, kernel):
+    """Test a triangle of the cell that a ray is in; go on to the next cell after the last."""
+    if query.keep:
+        return _intersect(query.hits, ray, wanted, found, place, tree, query, kernel)
+    return _intersect(None, ray, wanted, found, place, tree, query, kernel)
 
 
 _KERNELS = with_shade(

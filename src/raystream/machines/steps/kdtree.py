@@ -9,6 +9,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import scratch
+from raystream.kernels.search import is_full
 from raystream.kernels.tally import (
     BACKTRACK_STEPS,
     BACKTRACKS,
@@ -18,7 +19,7 @@ from raystream.kernels.tally import (
     TESTS,
 )
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
-from raystream.machines.steps.base import StepKernel, Steps, with_shade
+from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.kdtree import KdTree
@@ -129,37 +130,32 @@ def look_at_leaf(wanted, place, tree, query, kernel):
     return _record(state, triangles.block, triangles.triangle_count), status
 
 
-def intersect(ray, wanted, found, place, query, kernel):
-    """Test a block of triangles."""
+@device
+def _intersect(hits, ray, wanted, found, place, query, kernel):
     frame, lanes = lane_frame(ray_of(ray, query)), scratch(64)
+    search = resumed(hits, ray, wanted, found, query, None)
     state = _search(place)
     block, left = place.block, np.uint64(place.left)
-    count, t_far = np.uint64(found.count), found.t_far
     status = _INTERSECTING
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, min(left, _LANES))
-        count, t_far = intersect_block(
-            block,
-            frame,
-            state,
-            t_far,
-            query.surfaces,
-            query.keep,
-            count,
-            wanted.capacity,
-            wanted.first,
-            query.hits,
-            lanes,
-        )
+        search = intersect_block(block, frame, search, state.t_in, state.t_out, lanes)
         block += BLOCK
         left -= min(left, _LANES)
-        if count == wanted.capacity and not query.keep:
-            status = end_of(count, query)
+        if is_full(search):
+            status = end_of(search.count, query)
             break
         if left == _NONE:
             status = _LEAVING
             break
-    return (np.uint32(count), t_far), _record(state, block, left), status
+    return (np.uint32(search.count), search.t_far), _record(state, block, left), status
+
+
+def intersect(ray, wanted, found, place, query, kernel):
+    """Test a block of triangles."""
+    if query.keep:
+        return _intersect(query.hits, ray, wanted, found, place, query, kernel)
+    return _intersect(None, ray, wanted, found, place, query, kernel)
 
 
 def go_on(wanted, found, place, tree, query, kernel):

@@ -30,24 +30,15 @@ class BruteAddresses(NamedTuple):
 
 
 @device
-def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(tree, ray, search, stack):
     """Test every triangle; see `kernels.queries.ray_queries` for the arguments."""
-    count = np.uint64(0)
-    if t_min <= t_max:
-        count, _ = test_triangles(
+    if search.t_min <= search.t_far:
+        search = test_triangles(
             ray,
             corners_at(tree.corners),
             int32_at(tree.prim_ids, tree.triangle_count),
             np.uint64(0),
             tree.triangle_count,
-            t_min,
-            t_max,
-            surfaces,
-            keep,
-            count,
-            capacity,
-            first,
-            out,
-            tally,
+            search,
         )
-    return count
+    return search

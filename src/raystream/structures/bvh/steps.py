@@ -35,9 +35,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.kernels.collect import keep_hit
-from raystream.kernels.queries import AGAIN
-from raystream.kernels.seen import FULL, OLD, mark_seen
+from raystream.kernels.search import is_full, offer
 from raystream.kernels.triangle_lanes import interval_lanes
 from raystream.structures.bvh.block import test_block
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
@@ -58,7 +56,6 @@ __all__ = [
     "begin",
     "intersect_block",
     "is_leaf",
-    "is_over",
     "leaf_blocks",
     "next_entry",
     "stack_half",
@@ -215,65 +212,32 @@ def visit(tree, child, frame, t_min, t_far, stack, half, top):
 
 
 @device
-def intersect_block(
-    block, frame, t_min, t_far, surfaces, keep, count, capacity, first, out, table, room, lanes
-):
-    """Test the triangles of a leaf block, and keep or count their hits.
+def intersect_block(block, frame, search, lanes):
+    """Test the triangles of a leaf block, and offer their hits to a search.
 
     Parameters
     ----------
     block : uint64
         Address.
     frame : LaneFrame
-    t_min, t_far : float32
-        Closed interval in which a hit is wanted.
-    surfaces, keep, count, capacity, first, out
-        See `kernels.leaf.test_triangles`.
-    table, room : uint64
-        The set of triangles seen, see `kernels.seen.mark_seen`; `room` is 0 if none is needed.
+    search : Search
     lanes : uint64
         Address of 48 bytes.
 
     Returns
     -------
-    count : uint64
-        `AGAIN` if the set is full; see `is_over`.
-    t_far : float32
+    Search
     """
-    bits = test_block(block, frame, t_min, t_far, surfaces, lanes)
+    bits = test_block(block, frame, search.t_min, search.t_far, search.surfaces, lanes)
     while bits != _NONE:
         at = first_bit(bits) << _WORD
         bits &= bits - _ONE
-        prim_id = load(np.int32, block + PRIM_IDS + at)
-        if room != _NONE:
-            answer = mark_seen(table, room, prim_id)
-            if answer == OLD:
-                continue
-            if answer == FULL:
-                return AGAIN, t_far
-        if keep:
-            count, t_far = keep_hit(
-                out,
-                first,
-                count,
-                capacity,
-                load(np.float32, lanes + at),
-                load(np.float32, lanes + (_U + at)),
-                load(np.float32, lanes + (_V + at)),
-                prim_id,
-                t_far,
-            )
-        else:
-            count += _ONE
-            if count == capacity:
-                break
-    return count, t_far
-
-
-@device
-def is_over(count, capacity, keep):
-    """Whether a search ends with the count that `intersect_block` returned."""
-    return count == AGAIN or (count == capacity and not keep)
+        t, u = load(np.float32, lanes + at), load(np.float32, lanes + (_U + at))
+        v = load(np.float32, lanes + (_V + at))
+        search = offer(search, t, u, v, load(np.int32, block + PRIM_IDS + at))
+        if is_full(search):
+            break
+    return search
 
 
 @device

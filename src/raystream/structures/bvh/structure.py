@@ -63,7 +63,7 @@ class Bvh(Structure):
     """
 
     name = "bvh"
-    queries = ray_queries(traverse, STACK_BYTES)
+    queries = ray_queries(traverse, STACK_BYTES, lists_twice=True)
 
     def __init__(
         self,

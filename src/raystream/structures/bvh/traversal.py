@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import address, scratch
+from raystream.jit.simd import scratch
+from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.layout import STACK_SIZE
@@ -13,7 +14,6 @@ from raystream.structures.bvh.steps import (
     begin,
     intersect_block,
     is_leaf,
-    is_over,
     leaf_blocks,
     next_entry,
     triangle_count,
@@ -24,7 +24,6 @@ from raystream.structures.bvh.wide import BLOCK
 __all__ = ["STACK_BYTES", "traverse"]
 
 _ONE = np.uint64(1)
-_NONE = np.uint64(0)
 
 #: Bytes of a half of the stack, for the deepest of trees.
 _HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
@@ -34,39 +33,23 @@ STACK_BYTES = 2 * int(_HALF)
 
 
 @device
-def traverse(tree, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(tree, ray, search, stack):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
-    count, t_far = _NONE, t_max
     frame, lanes = lane_frame(ray), scratch(64)
-    table, room = address(seen), np.uint64(len(seen)) - _ONE
-    top = begin(tree, t_min, t_max, stack, _HALF)
+    top = begin(tree, search.t_min, search.t_far, stack, _HALF)
     while True:
-        found, child, top = next_entry(stack, _HALF, top, t_far)
+        found, child, top = next_entry(stack, _HALF, top, search.t_far)
         if not found:
-            return count
+            return search
         if is_leaf(child):
-            add_to(tally, LEAVES, _ONE)
+            add_to(search.counters, LEAVES, _ONE)
             block, end = leaf_blocks(tree, child)
             while block != end:
-                add_to(tally, TESTS, triangle_count(block))
-                count, t_far = intersect_block(
-                    block,
-                    frame,
-                    t_min,
-                    t_far,
-                    surfaces,
-                    keep,
-                    count,
-                    capacity,
-                    first,
-                    out,
-                    table,
-                    room,
-                    lanes,
-                )
-                if is_over(count, capacity, keep):
-                    return count
+                add_to(search.counters, TESTS, triangle_count(block))
+                search = intersect_block(block, frame, search, lanes)
+                if is_full(search):
+                    return search
                 block += BLOCK
         else:
-            add_to(tally, STEPS, _ONE)
-            top = visit(tree, child, frame, t_min, t_far, stack, _HALF, top)
+            add_to(search.counters, STEPS, _ONE)
+            top = visit(tree, child, frame, search.t_min, search.t_far, stack, _HALF, top)

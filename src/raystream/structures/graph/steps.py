@@ -30,7 +30,6 @@ from raystream.kernels.slab import box_interval
 
 __all__ = [
     "GraphAddresses",
-    "GraphState",
     "SectorRay",
     "Way",
     "cross",
@@ -125,25 +124,6 @@ class SectorRay(NamedTuple):
     link_x: np.uint64
     link_y: np.uint64
     link_z: np.uint64
-
-
-class GraphState(NamedTuple):
-    """Where a ray is.
-
-    Attributes
-    ----------
-    sector : uint64
-        Address.
-    t_in, t_out : float32
-        The part of the ray in the sector: t_in <= t < t_out.
-    link : uint64
-        Of the face by which it goes out.
-    """
-
-    sector: np.uint64
-    t_in: np.float32
-    t_out: np.float32
-    link: np.uint64
 
 
 class Way(NamedTuple):

@@ -6,11 +6,11 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import prefetch, scratch
+from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS, add_to
 from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.graph.steps import (
-    GraphState,
     cross,
     enter,
     sector_blocks,
@@ -32,16 +32,15 @@ _LINE = np.uint64(64)
 
 
 @device
-def traverse(graph, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(graph, ray, search, stack):
     """Visit the sectors along a ray; see `kernels.queries.ray_queries` for the arguments."""
-    count, t_far = _NONE, t_max
-    is_active, t_in, t_end = enter(graph, ray, t_min, t_max)
+    is_active, t_in, t_end = enter(graph, ray, search.t_min, search.t_far)
     if not is_active:
-        return count
+        return search
     line, frame, lanes = sector_ray(ray), lane_frame(ray), scratch(64)
     sector = start_sector_after(graph, line, ray, t_in, stack)
     while True:
-        add_to(tally, STEPS, _ONE)
+        add_to(search.counters, STEPS, _ONE)
         way = way_out(line, sector)
         t_out = min(way.t, t_end)
         is_last = t_out >= t_end
@@ -56,19 +55,15 @@ def traverse(graph, ray, t_min, t_max, surfaces, keep, capacity, first, out, sta
             next_sector, node_count = cross(graph, line, way.link, t_out)
             prefetch(next_sector)
         if block != end:
-            add_to(tally, LEAVES, _ONE)
-            state = GraphState(sector, t_in, t_out, way.link)
+            add_to(search.counters, LEAVES, _ONE)
             while block != end:
-                add_to(tally, TESTS, min(left, _LANES))
-                count, t_far = intersect_block(
-                    block, frame, state, t_far, surfaces, keep, count, capacity, first, out, lanes
-                )
-                if count == capacity and not keep:
-                    return count
+                add_to(search.counters, TESTS, min(left, _LANES))
+                search = intersect_block(block, frame, search, t_in, t_out, lanes)
+                if is_full(search):
+                    return search
                 block += BLOCK
                 left -= min(left, _LANES)
-        # Hits in sectors to come are not before this one's end.
-        if is_last or (count == capacity and t_far < t_out):
-            return count
-        add_to(tally, LINK_NODES, node_count)
+        if is_last or is_over(search, t_out):
+            return search
+        add_to(search.counters, LINK_NODES, node_count)
         sector, t_in = next_sector, t_out

@@ -7,7 +7,7 @@ import numpy as np
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import corners_at, stay_out_of_line
 from raystream.jit.simd import load
-from raystream.kernels.collect import keep_hit
+from raystream.kernels.search import is_full, offer, wants_any
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
 from raystream.kernels.triangle import intersect
@@ -37,23 +37,7 @@ def enter_grid(grid, ray, t_min, t_max):
 
 
 @device
-def intersect_list(
-    references,
-    corners,
-    ray,
-    begin,
-    end,
-    t_in,
-    t_out,
-    t_far,
-    surfaces,
-    keep,
-    count,
-    capacity,
-    first,
-    out,
-    tally,
-):
+def intersect_list(references, corners, ray, begin, end, search, t_in, t_out):
     """Test the triangles of a cell against a ray.
 
     Parameters
@@ -63,138 +47,86 @@ def intersect_list(
     ray : Ray
     begin, end : uint64
         See `cells.cell_list`.
+    search : Search
     t_in, t_out : float32
         A hit counts where t_in <= t < t_out. Outside, it is another cell's.
-    t_far : float32
-        Hits beyond are not wanted.
-    surfaces, keep, count, capacity, first, out, tally
-        See `kernels.leaf.test_triangles`.
 
     Returns
     -------
-    count : uint64
-    t_far : float32
-        Hits beyond are no longer wanted.
+    Search
     """
     at, stop = references + (begin << _WORD), references + (end << _WORD)
     triangles = corners_at(corners)
-    if begin != end:
-        add_to(tally, LEAVES, _ONE)
     while at != stop:
-        add_to(tally, TESTS, _ONE)
+        add_to(search.counters, TESTS, _ONE)
         prim_id = load(np.int32, at)
         at += np.uint64(4)
-        hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), surfaces)
+        hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), search.surfaces)
         # Written so that a NaN would fail.
-        if hit and t >= t_in and t < t_out and t <= t_far:
-            if keep:
-                count, t_far = keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far)
-            else:
-                count += _ONE
-                if count == capacity:
-                    break
-    return count, t_far
+        if hit and t >= t_in and t < t_out and t <= search.t_far:
+            search = offer(search, t, u, v, prim_id)
+            if is_full(search):
+                break
+    return search
+
+
+@device
+def _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out):
+    """Test the triangles of a cell; a search for any hit takes it from wherever it is."""
+    if begin != end:
+        add_to(search.counters, LEAVES, _ONE)
+    t_out = _INF if wants_any(search) else t_out
+    return intersect_list(cells.references, grid.corners, ray, begin, end, search, t_in, t_out)
 
 
 @device_call
-def _visit_fine(
-    grid, cells, ray, t_in, t_end, t_far, surfaces, keep, count, capacity, first, out, tally
-):
-    """Visit the cells within a cell, from t_in to t_end; see `intersect_list`."""
+def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
+    """Visit the cells within a cell, from t_in to t_end; none beyond t_last."""
     stay_out_of_line()
-    is_any = capacity == _ONE and not keep
     walk, state = set_up_walk(cells, ray, t_in)
     while True:
         t_out = min(cell_end(state), t_end)
         begin, end = cell_list(cells.splits, state.cell)
-        add_to(tally, STEPS, _ONE)
+        add_to(search.counters, STEPS, _ONE)
+        t_far = min(search.t_far, t_last)
         while begin == end and t_out <= t_far and t_out < t_end:
             state = step_walk(walk, state)
             t_in, t_out = t_out, min(cell_end(state), t_end)
             begin, end = cell_list(cells.splits, state.cell)
-            add_to(tally, STEPS, _ONE)
-        count, t_far = intersect_list(
-            cells.references,
-            grid.corners,
-            ray,
-            begin,
-            end,
-            t_in,
-            _INF if is_any else t_out,
-            t_far,
-            surfaces,
-            keep,
-            count,
-            capacity,
-            first,
-            out,
-            tally,
-        )
-        if t_far < t_out or t_out >= t_end or (not keep and count == capacity):
-            break
+            add_to(search.counters, STEPS, _ONE)
+        search = _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out)
+        if is_full(search) or min(search.t_far, t_last) < t_out or t_out >= t_end:
+            return search
         state = step_walk(walk, state)
         t_in = t_out
-    return count, t_far
 
 
 @device
-def traverse(grid, ray, t_min, t_max, surfaces, keep, capacity, first, out, stack, seen, tally):
+def traverse(grid, ray, search, stack):
     """Visit the cells along a ray; see `kernels.queries.ray_queries` for the arguments."""
-    count = _NONE
-    t_in, t_far = enter_grid(grid, ray, t_min, t_max)
-    if grid.splits == _NONE or not (t_in <= t_far):
-        return count
-    # Whoever wants one hit, no matter which, takes it from wherever it is.
-    is_any = capacity == _ONE and not keep
+    t_in, t_last = enter_grid(grid, ray, search.t_min, search.t_far)
+    if grid.splits == _NONE or not (t_in <= t_last):
+        return search
     cells = coarse_cells(grid)
     walk, state = set_up_walk(cells, ray, t_in)
     while True:
         t_out = cell_end(state)
         begin, end = cell_list(cells.splits, state.cell)
-        add_to(tally, STEPS, _ONE)
+        add_to(search.counters, STEPS, _ONE)
         # A hit at the cell's end is in the next cell, and may tie with one at t_far.
+        t_far = min(search.t_far, t_last)
         while begin == end and t_out <= t_far:
             state = step_walk(walk, state)
             t_in, t_out = t_out, cell_end(state)
             begin, end = cell_list(cells.splits, state.cell)
-            add_to(tally, STEPS, _ONE)
+            add_to(search.counters, STEPS, _ONE)
         child = child_of(grid, state.cell)
         if child != NO_CHILD:
-            count, t_far = _visit_fine(
-                grid,
-                fine_cells(grid, state.cell, child),
-                ray,
-                t_in,
-                t_out,
-                t_far,
-                surfaces,
-                keep,
-                count,
-                capacity,
-                first,
-                out,
-                tally,
-            )
+            within = fine_cells(grid, state.cell, child)
+            search = _visit_fine(grid, within, ray, search, t_in, t_out, t_last)
         else:
-            count, t_far = intersect_list(
-                cells.references,
-                grid.corners,
-                ray,
-                begin,
-                end,
-                t_in,
-                _INF if is_any else t_out,
-                t_far,
-                surfaces,
-                keep,
-                count,
-                capacity,
-                first,
-                out,
-                tally,
-            )
-        if t_far < t_out or (not keep and count == capacity):
-            break
+            search = _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out)
+        if is_full(search) or min(search.t_far, t_last) < t_out:
+            return search
         state = step_walk(walk, state)
         t_in = t_out
-    return count

@@ -30,8 +30,8 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import first_bit, fma, load, next_above, store
-from raystream.kernels.collect import keep_hit
 from raystream.kernels.ray import pick
+from raystream.kernels.search import is_full, offer
 from raystream.kernels.slab import box_interval
 from raystream.structures.bvh.block import test_block
 from raystream.structures.bvh.wide import BLOCK, PRIM_IDS
@@ -178,8 +178,8 @@ def leaf(tree, state):
 
 
 @device
-def intersect_block(block, frame, state, t_far, surfaces, keep, count, capacity, first, out, lanes):
-    """Test four triangles of a leaf, and keep or count their hits in it (Foley's Intersect).
+def intersect_block(block, frame, search, t_in, t_out, lanes):
+    """Test four triangles of a leaf, and offer their hits in it to a search (Foley's Intersect).
 
     Parameters
     ----------
@@ -187,44 +187,27 @@ def intersect_block(block, frame, state, t_far, surfaces, keep, count, capacity,
         Address.
     frame : LaneFrame
         Of `bvh.block.lane_frame`.
-    state : KdState
-        At the leaf.
-    t_far : float32
-        Hits beyond are not wanted.
-    surfaces, keep, count, capacity, first, out
-        See `kernels.leaf.test_triangles`.
+    search : Search
+    t_in, t_out : float32
+        A hit counts where t_in <= t < t_out: the part of the ray in the leaf.
     lanes : uint64
         Address of 48 bytes.
 
     Returns
     -------
-    count : uint64
-    t_far : float32
+    Search
     """
-    bits = test_block(block, frame, state.t_in, min(t_far, state.t_out), surfaces, lanes)
+    bits = test_block(block, frame, t_in, min(search.t_far, t_out), search.surfaces, lanes)
     while bits != _NONE:
         at = first_bit(bits) << _TWO
         bits &= bits - _ONE
         t = load(np.float32, lanes + at)
-        if not t < state.t_out:  # the next leaf's
-            continue
-        if keep:
-            count, t_far = keep_hit(
-                out,
-                first,
-                count,
-                capacity,
-                t,
-                load(np.float32, lanes + (_U + at)),
-                load(np.float32, lanes + (_V + at)),
-                load(np.int32, block + (PRIM_IDS + at)),
-                t_far,
-            )
-        else:
-            count += _ONE
-            if count == capacity:
+        if t < t_out:  # else the next leaf's
+            u, v = load(np.float32, lanes + (_U + at)), load(np.float32, lanes + (_V + at))
+            search = offer(search, t, u, v, load(np.int32, block + (PRIM_IDS + at)))
+            if is_full(search):
                 break
-    return count, t_far
+    return search
 
 
 @device

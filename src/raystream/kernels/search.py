@@ -1,0 +1,163 @@
+"""A search as one value: the interval that is left, the hits so far, and when it is over.
+
+A query loop begins a search, a structure's traversal takes it and returns it, and each leaf on the
+way offers its hits to it. Nothing else knows what a query wants. A search that was begun elsewhere
+goes on in any structure: only `offer` changes its count and its t_far.
+
+Members that may be None are known when a kernel is compiled, and code for None is left out. That
+holds for arguments alone, so each such member is asked about by a function that takes it as one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.kernels.collect import HitAddresses, keep_hit
+from raystream.kernels.seen import FULL, NEW, SeenSet, mark_seen
+
+__all__ = ["Search", "begin_search", "is_full", "is_over", "offer", "wants_any"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+
+
+class Search(NamedTuple):
+    """What a ray looks for, and what it has found.
+
+    Addresses and numbers alone: an array as a member costs two atomic operations wherever a
+    search is made.
+
+    Attributes
+    ----------
+    t_min, t_far : float32
+        Closed interval in which a hit is wanted; t_far decreases as hits are kept.
+    count : uint64
+        Hits kept or counted.
+    capacity : uint64
+        Most hits that are wanted, at least 1.
+    hits : HitAddresses or None
+        Where the nearest hits are kept; None if they are only counted.
+    first_row : uint64
+        The first of the `capacity` rows of `hits` that are this ray's.
+    surfaces : bool
+        The rule at edges and vertices, see `kernels.triangle.intersect`.
+    seen : SeenSet or None
+        The triangles hit so far, for structures that list some more than once.
+    has_overflowed : bool
+        `seen` is too small for this ray: the search has to be repeated with a larger one.
+    counters : uint64 or None
+        Address of the ray's counts, see `kernels.tally`.
+    """
+
+    t_min: np.float32
+    t_far: np.float32
+    count: np.uint64
+    capacity: np.uint64
+    hits: HitAddresses | None
+    first_row: np.uint64
+    surfaces: bool
+    seen: SeenSet | None
+    has_overflowed: bool
+    counters: np.uint64 | None
+
+
+@device
+def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, seen, counters):
+    """A search that has found nothing yet; see `Search` for the arguments."""
+    return Search(t_min, t_max, _NONE, capacity, hits, first_row, surfaces, seen, False, counters)
+
+
+@device
+def _changed(search, count, t_far, has_overflowed):
+    """The same search with other results: the one place that makes a search of another."""
+    return Search(
+        search.t_min,
+        t_far,
+        count,
+        search.capacity,
+        search.hits,
+        search.first_row,
+        search.surfaces,
+        search.seen,
+        has_overflowed,
+        search.counters,
+    )
+
+
+@device
+def _mark(seen, prim_id):
+    if seen is None:
+        return NEW
+    return mark_seen(seen, prim_id)
+
+
+@device
+def _offer_to(hits, search, t, u, v, prim_id):
+    if hits is None:
+        return _changed(search, search.count + _ONE, search.t_far, False)
+    count, t_far = keep_hit(
+        hits,
+        search.first_row,
+        search.count,
+        search.capacity,
+        t,
+        u,
+        v,
+        prim_id,
+        search.t_far,
+    )
+    return _changed(search, count, t_far, False)
+
+
+@device
+def offer(search, t, u, v, prim_id):
+    """Keep or count a hit, unless its triangle was hit before.
+
+    Parameters
+    ----------
+    search : Search
+        Not full, see `is_full`.
+    t : float32
+        In the search's interval.
+    u, v : float32
+    prim_id : int32
+
+    Returns
+    -------
+    Search
+    """
+    answer = _mark(search.seen, prim_id)
+    if answer == NEW:
+        return _offer_to(search.hits, search, t, u, v, prim_id)
+    return _changed(search, search.count, search.t_far, answer == FULL)
+
+
+@device
+def _is_counted(hits):
+    return hits is None
+
+
+@device
+def is_full(search):
+    """Whether no hit, wherever it is, can change the result: the traversal returns."""
+    is_enough = search.count == search.capacity and _is_counted(search.hits)
+    return is_enough or search.has_overflowed
+
+
+@device
+def is_over(search, t_out):
+    """Whether no hit at t_out or beyond can change the result.
+
+    For traversals that visit cells in order. A search that only counts is over when it
+    `is_full`, and not before.
+    """
+    return search.count == search.capacity and search.t_far < t_out
+
+
+@device
+def wants_any(search):
+    """Whether one hit is wanted, no matter which."""
+    return search.capacity == _ONE and _is_counted(search.hits)

@@ -1,0 +1,123 @@
+"""A search that goes on from structure to structure, each with some of the triangles."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from conftest import assert_same_bits
+from meshes import lattice_soup, soup
+from raystream.jit.cpu import device
+from raystream.jit.simd import store
+from raystream.kernels.collect import HitArrays
+from raystream.kernels.queries import UNLIMITED, LocalRays, ray_queries
+from raystream.kernels.search import is_full
+from raystream.structures import STRUCTURES, build_structure
+from raystream.structures.brute.traversal import traverse as in_brute
+from raystream.structures.bvh.traversal import STACK_BYTES
+from raystream.structures.bvh.traversal import traverse as in_bvh
+from raystream.structures.graph.traversal import traverse as in_graph
+from raystream.structures.grid.traversal import traverse as in_grid
+from raystream.structures.kdtree.traversal import traverse as in_kdtree
+
+_NOWHERE = np.uint64(0)
+
+
+class Views(NamedTuple):
+    """Each structure's arrays, in the order in which a ray comes to them."""
+
+    kdtree: object
+    grid: object
+    bvh: object
+    graph: object
+    brute: object
+
+
+@device
+def in_all(views, ray, search, stack):
+    search = in_kdtree(views.kdtree, ray, search, stack)
+    if not is_full(search):
+        search = in_grid(views.grid, ray, search, stack)
+    if not is_full(search):
+        search = in_bvh(views.bvh, ray, search, stack)
+    if not is_full(search):
+        store(stack, _NOWHERE)  # not what the BVH left there
+        search = in_graph(views.graph, ray, search, stack)
+    if not is_full(search):
+        search = in_brute(views.brute, ray, search, stack)
+    return search
+
+
+QUERIES = ray_queries(in_all, STACK_BYTES, lists_twice=True)
+
+OPTIONS = {"bvh": {"quality": "high", "max_leaf_size": 1}}
+
+
+def parts_of(triangles):
+    """A structure of each kind for every fifth triangle."""
+    number = np.arange(len(triangles))
+    for k, name in enumerate(Views._fields):
+        solid = (number % len(Views._fields) == k) & np.isin(number, triangles.prim_ids)
+        corners = triangles.corners[solid]
+        bounds = np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
+        some = triangles.moved(triangles.corners, solid, 0, bounds)
+        yield build_structure(name, some, **OPTIONS.get(name, {}))
+
+
+@pytest.fixture(params=["soup", "ties"])
+def case(request, rng):
+    """Brute force for all triangles; structures with some each; and rays."""
+    mesh = soup(600, 1) if request.param == "soup" else lattice_soup(150)
+    triangles = rs.Scene.from_arrays(*mesh).triangles
+    parts = list(parts_of(triangles))
+    assert {part.name for part in parts} == set(STRUCTURES)
+    count = 400
+    low, high = triangles.bounds
+    origins = (low + rng.random((count, 3)) * (high - low)).astype(np.float32)
+    directions = rng.uniform(1, 2, (count, 3)) * rng.choice([-1, 1], (count, 3))
+    t_min = np.where(rng.random(count) < 0.8, 0, 0.2).astype(np.float32)
+    t_max = np.where(rng.random(count) < 0.8, np.inf, 0.5).astype(np.float32)
+    rays = LocalRays(origins, directions.astype(np.float32), t_min, t_max)
+    views = Views(*(part.arrays for part in parts))
+    return build_structure("brute", triangles), (0, count, views, triangles.extreme, rays), parts
+
+
+def test_the_nearest_hit_of_all(case):
+    brute, arguments, _parts = case
+    rays = arguments[-1]
+    out, expected = HitArrays.empty(len(rays.t_min)), HitArrays.empty(len(rays.t_min))
+    QUERIES.first_hit(*arguments, out, None)
+    brute.first_hit(rays, expected)
+    assert (expected.prim_id >= 0).any()
+    for column, right in zip(out, expected, strict=True):
+        assert_same_bits(column, right)
+
+
+def test_any_hit_of_all(case):
+    brute, arguments, _parts = case
+    seen = np.empty(len(arguments[-1].t_min), np.bool_)
+    QUERIES.any_hit(*arguments, seen, None)
+    assert_same_bits(seen, brute.any_hit(arguments[-1]))
+
+
+@pytest.mark.parametrize("limit", [1, 3, UNLIMITED])
+@pytest.mark.parametrize("surfaces", [False, True])
+def test_counts_of_all(case, surfaces, limit):
+    brute, arguments, _parts = case
+    counts = np.empty(len(arguments[-1].t_min), np.int64)
+    QUERIES.count_hits(*arguments, True, surfaces, limit, counts, None)
+    assert_same_bits(counts, brute.count_hits(arguments[-1], surfaces, limit))
+
+
+@pytest.mark.parametrize("most", [2, 50])
+def test_the_nearest_hits_of_all(case, most):
+    brute, arguments, _parts = case
+    rays = arguments[-1]
+    splits = np.zeros(len(rays.t_min) + 1, np.int64)
+    np.cumsum(np.minimum(brute.count_hits(rays, False), most), out=splits[1:])
+    out, expected = HitArrays.empty(int(splits[-1])), HitArrays.empty(int(splits[-1]))
+    QUERIES.multi_hit(*arguments, True, False, splits, out, None)
+    brute.multi_hit(rays, False, splits, expected)
+    for column, right in zip(out, expected, strict=True):
+        assert_same_bits(column, right)
