@@ -9,10 +9,11 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, lattice_soup, soup, sticks
 from raystream.core.query import UNLIMITED, Kind, Query
+from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays, SceneFrame
 from raystream.kernels.ray import set_up
 from raystream.kernels.search import Search, begin_search, is_full
 from raystream.kernels.seen import SeenSet, clear_seen
@@ -242,7 +243,9 @@ def local_rays(triangles, count, rng):
     low, high = ([-1] * 3, [1] * 3) if not len(corners) else triangles.bounds
     size = np.max(np.subtract(high, low))
     origins = low + rng.random((count, 3)) * np.subtract(high, low)
-    origins += rng.normal(size=(count, 3)) * size * rng.choice([0, 0.01, 1], (count, 1))
+    # Not so far outside that a machine would advance the origins, as the steps do not.
+    away = np.clip(rng.normal(size=(count, 3)), -1.5, 1.5) * size
+    origins += away * rng.choice([0, 0.01, 1], (count, 1))
     targets = rng.normal(size=(count, 3)) * size
     if len(corners):
         weights = rng.dirichlet([1, 1, 1], count)
@@ -301,10 +304,10 @@ def slots_for(ray_count, capacity):
 
 
 def answered(structure, kind, rays, surfaces=False):
-    """What the branching machine finds for local rays."""
-    query = Query(kind, surfaces)
+    """What the branching machine finds for local rays, one by one."""
+    query, frame = Query(kind, surfaces), SceneFrame.identity(structure.triangles)
     sink = Sink.of(query, len(rays.t_max))
-    Branching(structure).run_local(query, rays, sink)
+    Branching(structure).trace_singly(query, RayBatch(*rays), sink, frame=frame)
     return sink
 
 
@@ -336,7 +339,8 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
             some = Slots(rows.first, np.maximum(rows.capacity, 1))  # a miss keeps none
             filled = Sink(np.zeros(count, np.uint8))
             filled.splits, filled.hits = splits, new_hits(some, True)
-            Branching(brute).run_local(Query(Kind.MULTI_HIT, surfaces), rays, filled)
+            query, frame = Query(Kind.MULTI_HIT, surfaces), SceneFrame.identity(brute.triangles)
+            Branching(brute).trace_singly(query, RayBatch(*rays), filled, frame=frame)
             _, many, _ = both(structure, rays, surfaces, True, some, room)
             for column, right in zip(many, filled.hits, strict=True):
                 assert_same_bits(column, right)

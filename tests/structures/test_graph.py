@@ -11,7 +11,7 @@ import raystream as rs
 from cases import CASES
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import set_up
 from raystream.machines.ray_block import blocks
 from raystream.structures.graph.graphlog import load_graph

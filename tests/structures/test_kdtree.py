@@ -12,7 +12,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import scratch
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import set_up
 from raystream.machines import Branching
 from raystream.structures.kdtree.state import STACK_BYTES, split_ray

@@ -1,5 +1,6 @@
 """A search that goes on from structure to structure, each with some of the triangles."""
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,11 +9,16 @@ import pytest
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import lattice_soup, soup
+from raystream.core.query import UNLIMITED, Kind, Query
+from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.kernels.collect import HitArrays
-from raystream.kernels.queries import UNLIMITED, LocalRays, ray_queries
+from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.queries import ray_queries
 from raystream.kernels.search import is_full
+from raystream.kernels.sink import Sink
+from raystream.machines import Branching
 from raystream.structures import STRUCTURES, build_structure
 from raystream.structures.brute.traversal import traverse as in_brute
 from raystream.structures.bvh.traversal import STACK_BYTES
@@ -67,7 +73,7 @@ def parts_of(triangles):
 
 @pytest.fixture(params=["soup", "ties"])
 def case(request, rng):
-    """Brute force for all triangles; structures with some each; and rays."""
+    """Brute force for all triangles; structures with some each, in turn; and rays."""
     mesh = soup(600, 1) if request.param == "soup" else lattice_soup(150)
     triangles = rs.Scene.from_arrays(*mesh).triangles
     parts = list(parts_of(triangles))
@@ -78,46 +84,53 @@ def case(request, rng):
     directions = rng.uniform(1, 2, (count, 3)) * rng.choice([-1, 1], (count, 3))
     t_min = np.where(rng.random(count) < 0.8, 0, 0.2).astype(np.float32)
     t_max = np.where(rng.random(count) < 0.8, np.inf, 0.5).astype(np.float32)
-    rays = LocalRays(origins, directions.astype(np.float32), t_min, t_max)
-    views = Views(*(part.arrays for part in parts))
-    return build_structure("brute", triangles), (0, count, views, triangles.extreme, rays), parts
+    batch = RayBatch(origins, directions.astype(np.float32), t_min, t_max)
+    brute = build_structure("brute", triangles)
+    together = SimpleNamespace(
+        queries=QUERIES,
+        arrays=Views(*(part.arrays for part in parts)),
+        frame=SceneFrame.of(triangles),
+        lists_twice=True,
+        rays_per_call=lambda: 100,
+        parts=parts,  # whose arrays are read by address
+    )
+    return Branching(brute), Branching(together), batch
+
+
+def answers(case, query, fill=None):
+    """What brute force finds, and what the structures together do."""
+    *backends, batch = case
+    for backend in backends:
+        sink = Sink.of(query, len(batch))
+        if fill is not None:
+            sink.splits, sink.hits = fill, HitArrays.empty(int(fill[-1]))
+        backend.trace_singly(query, batch, sink)
+        yield sink
 
 
 def test_the_nearest_hit_of_all(case):
-    brute, arguments, _parts = case
-    rays = arguments[-1]
-    out, expected = HitArrays.empty(len(rays.t_min)), HitArrays.empty(len(rays.t_min))
-    QUERIES.first_hit(*arguments, out, None)
-    brute.first_hit(rays, expected)
-    assert (expected.prim_id >= 0).any()
-    for column, right in zip(out, expected, strict=True):
+    expected, found = answers(case, Query(Kind.FIRST_HIT))
+    assert (expected.hits.prim_id >= 0).any()
+    for column, right in zip(found.hits, expected.hits, strict=True):
         assert_same_bits(column, right)
 
 
 def test_any_hit_of_all(case):
-    brute, arguments, _parts = case
-    seen = np.empty(len(arguments[-1].t_min), np.bool_)
-    QUERIES.any_hit(*arguments, seen, None)
-    assert_same_bits(seen, brute.any_hit(arguments[-1]))
+    expected, found = answers(case, Query(Kind.ANY_HIT))
+    assert_same_bits(found.seen, expected.seen)
 
 
 @pytest.mark.parametrize("limit", [1, 3, UNLIMITED])
 @pytest.mark.parametrize("surfaces", [False, True])
 def test_counts_of_all(case, surfaces, limit):
-    brute, arguments, _parts = case
-    counts = np.empty(len(arguments[-1].t_min), np.int64)
-    QUERIES.count_hits(*arguments, True, surfaces, limit, counts, None)
-    assert_same_bits(counts, brute.count_hits(arguments[-1], surfaces, limit))
+    expected, found = answers(case, Query(Kind.COUNT_HITS, surfaces, limit))
+    assert_same_bits(found.counts, expected.counts)
 
 
 @pytest.mark.parametrize("most", [2, 50])
 def test_the_nearest_hits_of_all(case, most):
-    brute, arguments, _parts = case
-    rays = arguments[-1]
-    splits = np.zeros(len(rays.t_min) + 1, np.int64)
-    np.cumsum(np.minimum(brute.count_hits(rays, False), most), out=splits[1:])
-    out, expected = HitArrays.empty(int(splits[-1])), HitArrays.empty(int(splits[-1]))
-    QUERIES.multi_hit(*arguments, True, False, splits, out, None)
-    brute.multi_hit(rays, False, splits, expected)
-    for column, right in zip(out, expected, strict=True):
+    counted, _ = answers(case, Query(Kind.COUNT_HITS, limit=most))
+    splits = np.concatenate([[0], np.cumsum(counted.counts)])
+    expected, found = answers(case, Query(Kind.MULTI_HIT), splits)
+    for column, right in zip(found.hits, expected.hits, strict=True):
         assert_same_bits(column, right)

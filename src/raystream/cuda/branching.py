@@ -101,9 +101,6 @@ class Branching(Backend):
         frame = self.structure.frame
         if query.kind is Kind.MULTI_HIT:
             filled, half = self.room_for_hits(query, rays, sink, progress)
-            if query.limit == 0:  # any hit tells which rays are invalid
-                seen = Query(Kind.ANY_HIT)
-                self.run(seen, rays, Sink.of(seen, len(rays), status=sink.status))
             self._multi_hit(HostQuery(query, rays, frame, filled, half))
             sink.put(filled.splits, filled.hits)
             return

@@ -11,15 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
-from raystream.kernels.collect import HitAddresses, sort_hits
-from raystream.kernels.local_ray import world_t
-from raystream.kernels.ray import set_up
-from raystream.kernels.ray_source import load_ray
-from raystream.kernels.search import begin_search
+from raystream.kernels.collect import HitAddresses
+from raystream.kernels.ray_search import Goal, RayScene, finish_first, finish_rows, ray_search
 from raystream.kernels.seen import SeenSet, clear_seen
 from raystream.kernels.tally import ROW, SHADINGS, add_to
 
@@ -29,10 +25,6 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _LONG = np.uint64(3)  # one of eight
-_INF = np.float32(np.inf)
-_ZERO = np.float32(0.0)
-_MISS = np.int32(-1)
-_VALID = np.uint8(RayStatus.VALID)
 
 #: A count that says: the table of triangles seen was too small for this ray.
 RETRY = -1
@@ -85,11 +77,6 @@ def _no_set(_tables, _i):
     return None
 
 
-@device
-def _set_up(ray, frame):
-    return set_up(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.extreme)
-
-
 def thread_queries(
     traverse: Callable[..., Any],
     stack_bytes: int,
@@ -116,40 +103,27 @@ def thread_queries(
         Each for ``(source, frame, tree, tallies, ...)``: rays of the caller's, the scene's frame,
         the structure's arrays, and the address of tallies or None.
     """
+    search_ray = ray_search(traverse)
     seen_of = _seen_of if lists_twice else _no_set
 
     @kernel
     def first_hit(i, source, frame, tree, tallies, out):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        ray = load_ray(source, i, frame)
-        if ray.status != _VALID:
-            store(out.status + i, ray.status)
-        to = HitAddresses(out.t, out.u, out.v, out.prim_id)
         tally = _tally_at(tallies, i)
-        search = begin_search(ray.t_min, ray.t_max, _ONE, to, i, False, None, tally)
-        search = traverse(tree, _set_up(ray, frame), search, stack)
+        hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
+        scene = RayScene(source, frame, tree, stack, out.status)
+        search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, None, tally))
         add_to(tally, SHADINGS, search.count)
-        at = i << _WORD
-        if search.count == _NONE:
-            store(out.t + at, _INF)
-            store(out.u + at, _ZERO)
-            store(out.v + at, _ZERO)
-            store(out.prim_id + at, _MISS)
-        else:
-            t = load(np.float32, out.t + at)
-            store(out.t + at, world_t(t, ray.factor, ray.offset))
+        finish_first(out, i, search.count, ray)
 
     @kernel
     def any_hit(i, source, frame, tree, tallies, out):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        ray = load_ray(source, i, frame)
-        if ray.status != _VALID:
-            store(out.status + i, ray.status)
         tally = _tally_at(tallies, i)
-        search = begin_search(ray.t_min, ray.t_max, _ONE, None, _NONE, False, None, tally)
-        search = traverse(tree, _set_up(ray, frame), search, stack)
+        scene = RayScene(source, frame, tree, stack, out.status)
+        search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, None, tally))
         add_to(tally, SHADINGS, search.count)
         store(out.seen + i, np.uint8(search.count != _NONE))
 
@@ -157,12 +131,9 @@ def thread_queries(
     def count_hits(i, source, frame, tree, tallies, tables, surfaces, limit, status, counts):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        ray = load_ray(source, i, frame)
-        if ray.status != _VALID:
-            store(status + i, ray.status)
-        seen, tally = seen_of(tables, i), _tally_at(tallies, i)
-        search = begin_search(ray.t_min, ray.t_max, limit, None, _NONE, surfaces, seen, tally)
-        search = traverse(tree, _set_up(ray, frame), search, stack)
+        scene = RayScene(source, frame, tree, stack, status)
+        goal = Goal(limit, None, _NONE, surfaces, seen_of(tables, i), _tally_at(tallies, i))
+        search, _ = search_ray(i, scene, goal)
         count = np.int64(RETRY) if search.has_overflowed else np.int64(search.count)
         store(counts + (i << _LONG), count)
 
@@ -175,19 +146,16 @@ def thread_queries(
             return
         stack = scratch(stack_bytes)
         store(stack, _NONE)
-        ray = load_ray(source, i, frame)
-        seen, tally = seen_of(tables, i), _tally_at(tallies, i)
-        search = begin_search(ray.t_min, ray.t_max, capacity, out, first, surfaces, seen, tally)
-        search = traverse(tree, _set_up(ray, frame), search, stack)
+        tally = _tally_at(tallies, i)
+        scene = RayScene(source, frame, tree, stack, None)
+        goal = Goal(capacity, out, first, surfaces, seen_of(tables, i), tally)
+        search, ray = search_ray(i, scene, goal)
         if search.has_overflowed:
             store(found + (i << _LONG), np.int64(RETRY))
             return
         store(found + (i << _LONG), np.int64(search.count))
         add_to(tally, SHADINGS, search.count)
-        sort_hits(out, first, search.count)
-        for row in range(first, first + search.count):
-            at = out.t + (row << _WORD)
-            store(at, world_t(load(np.float32, at), ray.factor, ray.offset))
+        finish_rows(out, first, search.count, ray, True)
 
     return ThreadQueries(
         launcher(first_hit), launcher(any_hit), launcher(count_hits), launcher(multi_hit)

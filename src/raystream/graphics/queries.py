@@ -18,7 +18,7 @@ from raystream.graphics.error_scope import guarded
 from raystream.graphics.forms import Form, form_of
 from raystream.graphics.records import MOST_HITS, unpack_rows, without_repeats
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.sink import Sink
 from raystream.machines.local import LocalBackend
 from raystream.structures import Structure

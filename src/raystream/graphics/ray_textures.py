@@ -15,7 +15,7 @@ from raystream.graphics.forms.base import TREE_AT
 from raystream.graphics.pipelines import Layout, bind
 from raystream.graphics.records import ROW, packed_rays
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 
 __all__ = ["FRAME", "RayTextures"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.kernels.collect import HitArrays
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 
 __all__ = [
     "CUT_SHORT",

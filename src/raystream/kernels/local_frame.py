@@ -10,9 +10,32 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.kernels.local_ray import FAR, SceneFrame, localise, world_t
 
-__all__ = ["FAR", "SceneFrame", "TScale", "to_local_rays", "to_world_t"]
+__all__ = ["FAR", "LocalRays", "SceneFrame", "TScale", "to_local_rays", "to_world_t"]
 
 _INF = np.float32(np.inf)
+
+
+class LocalRays(NamedTuple):
+    """Rays in the local frame of a scene, ready to trace.
+
+    Attributes
+    ----------
+    origins, directions : ndarray of shape (N, 3), float32
+        The largest component of each direction is in [1, 2).
+    t_min, t_max : ndarray of shape (N,), float32
+        Closed interval in local direction lengths; empty for a ray that cannot hit.
+    """
+
+    origins: NDArray[np.float32]
+    directions: NDArray[np.float32]
+    t_min: NDArray[np.float32]
+    t_max: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, count: int) -> LocalRays:
+        """Make arrays for `count` rays, not initialised."""
+        origins, directions = (np.empty((count, 3), np.float32) for _ in range(2))
+        return cls(origins, directions, np.empty(count, np.float32), np.empty(count, np.float32))
 
 
 class TScale(NamedTuple):

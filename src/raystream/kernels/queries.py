@@ -1,4 +1,4 @@
-"""The four queries as loops over rays, around any structure's traversal."""
+"""The queries as loops over rays, around any structure's traversal."""
 
 from __future__ import annotations
 
@@ -6,71 +6,68 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch, store
-from raystream.kernels.collect import hit_addresses, sort_hits
-from raystream.kernels.local_ray import world_t
-from raystream.kernels.ray import set_up
-from raystream.kernels.search import begin_search
+from raystream.kernels.collect import HitAddresses, hit_addresses
+from raystream.kernels.ray_search import Goal, RayScene, finish_first, finish_rows, ray_search
 from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
-__all__ = ["LocalRays", "RayQueries", "ray_queries"]
+__all__ = ["RayQueries", "Wanted", "ray_queries"]
 
-_INF = np.float32(np.inf)
-_ZERO = np.float32(0.0)
-_MISS = np.int32(-1)
+_NONE = np.uint64(0)
 _ONE = np.uint64(1)
 
+#: How much more room a ray gets whose set of triangles seen was too small.
+_GROWTH = np.uint64(8)
 
-class LocalRays(NamedTuple):
-    """Rays in the local frame of a scene, ready to trace.
+
+class Wanted(NamedTuple):
+    """What is wanted of every ray.
 
     Attributes
     ----------
-    origins, directions : ndarray of shape (N, 3), float32
-        The largest component of each direction is in [1, 2).
-    t_min, t_max : ndarray of shape (N,), float32
-        Closed interval in local direction lengths; empty for a ray that cannot hit.
+    repeats : bool
+        The structure lists a triangle more than once.
+    surfaces : bool
+        See `kernels.triangle.intersect`.
+    limit : uint64
+        Most hits of a ray.
+    sorts : bool
+        Hits by t, then prim_id.
     """
 
-    origins: NDArray[np.float32]
-    directions: NDArray[np.float32]
-    t_min: NDArray[np.float32]
-    t_max: NDArray[np.float32]
-
-    @classmethod
-    def empty(cls, count: int) -> LocalRays:
-        """Make arrays for `count` rays, not initialised."""
-        origins, directions = (np.empty((count, 3), np.float32) for _ in range(2))
-        return cls(origins, directions, np.empty(count, np.float32), np.empty(count, np.float32))
+    repeats: bool
+    surfaces: bool
+    limit: np.uint64
+    sorts: bool
 
 
 class RayQueries(NamedTuple):
     """Compiled loops over the rays begin to end; all share one traversal.
 
+    Each takes ``(begin, end, source, frame, arrays, tallies, ...)``: a `RaySource`, the
+    `SceneFrame` of its rays, the structure's arrays, and an array of counts or None, which counts
+    nothing, at no cost. What ray i meets is added to row i, see `kernels.tally`.
+
     Attributes
     ----------
-    first_hit : (begin, end, arrays, extreme, rays, out, tallies)
-        Writes row i of `out` (HitArrays) for ray i.
-    any_hit : (begin, end, arrays, extreme, rays, seen, tallies)
-        Writes `seen`, of shape (N,), bool.
-    count_hits : (begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts, tallies)
-        Writes `counts`, of shape (N,), int64: the number of hits, at most `limit`.
-    multi_hit : (begin, end, arrays, extreme, rays, repeats, surfaces, splits, out, tallies)
-        Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row
-        splits[i] of `out`.
+    first_hit : (..., out)
+        Writes a `ResultAddresses`.
+    any_hit : (..., out)
+        Writes the bytes at `seen` of a `ResultAddresses`.
+    count_hits : (..., status, wanted, counts)
+        Writes `counts`, of shape (N,), int64: the number of hits, up to the limit.
+    multi_hit : (..., wanted, splits, hits)
+        Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row splits[i] of
+        `hits` (HitArrays) on.
+    gather : (begin, end, source, frame, arrays, status, wanted, splits, hits)
+        Writes the nearest hits of each ray into rows 0 to splits[end - begin] of `hits`.
+        Returns the first ray that is not done: `end`, or one that finds no room in `hits`.
 
-    gather : (begin, end, arrays, extreme, rays, t_scale, repeats, surfaces, limit, sorts, splits,
-              out)
-        Writes the nearest `limit` hits of each ray into rows 0 to splits[end - begin] of
-        `out`, with t in world direction lengths, sorted if `sorts`. Returns the first ray
-        that is not done: `end`, or one that finds no room in `out`.
-
-    `repeats` says whether the structure lists a triangle more than once. What ray i meets is
-    added to row i of `tallies`, of `kernels.tally`; None counts nothing, at no cost.
+    Distances are in world direction lengths. `status` is the address of a byte for each ray,
+    written for invalid ones. `wanted` is a `Wanted`.
     """
 
     first_hit: Callable[..., None]
@@ -80,38 +77,29 @@ class RayQueries(NamedTuple):
     gather: Callable[..., int]
 
 
-_NOWHERE = np.uint64(0)
+@device
+def _seen_at(table):
+    return SeenSet(address(table), np.uint64(len(table)) - _ONE)
 
 
 @device
-def _seen_at(table, room):
-    return SeenSet(table, room)
-
-
-@device
-def _no_set(table, room):
+def _no_set(table):
     return None
 
 
 @device
 def _new_table(repeats):
     """Memory of a set for triangles seen; without places where none is needed."""
-    table = np.empty((LEAST_ROOM if repeats else _NOWHERE) + _ONE, np.int32)
-    clear_seen(SeenSet(address(table), np.uint64(len(table)) - _ONE))
+    table = np.empty((LEAST_ROOM if repeats else _NONE) + _ONE, np.int32)
+    clear_seen(_seen_at(table))
     return table
 
 
 @device
 def _larger_table(table):
-    larger = np.empty((np.uint64(len(table)) - _ONE) * np.uint64(8) + _ONE, np.int32)
-    clear_seen(SeenSet(address(larger), np.uint64(len(larger)) - _ONE))
+    larger = np.empty((np.uint64(len(table)) - _ONE) * _GROWTH + _ONE, np.int32)
+    clear_seen(_seen_at(larger))
     return larger
-
-
-@device
-def _ray(rays, i, extreme):
-    o, d = rays.origins, rays.directions
-    return set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
 
 
 def ray_queries(
@@ -139,51 +127,45 @@ def ray_queries(
     -------
     RayQueries
     """
+    search_ray = ray_search(traverse)
     seen_at = _seen_at if lists_twice else _no_set
 
     @kernel
-    def first_hit(begin, end, arrays, extreme, rays, out, tallies):
+    def first_hit(begin, end, source, frame, arrays, tallies, out):
         stack = scratch(stack_bytes)
-        store(stack, _NOWHERE)
-        to = hit_addresses(out)
+        store(stack, _NONE)
+        scene = RayScene(source, frame, arrays, stack, out.status)
+        hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
-            t_min, t_max = rays.t_min[i], rays.t_max[i]
-            search = begin_search(t_min, t_max, _ONE, to, i, False, None, tally)
-            search = traverse(arrays, ray, search, stack)
+            tally = tally_of(tallies, i)
+            search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, None, tally))
             add_to(tally, SHADINGS, search.count)
-            if search.count == _NOWHERE:
-                out.t[i] = _INF
-                out.u[i] = _ZERO
-                out.v[i] = _ZERO
-                out.prim_id[i] = _MISS
+            finish_first(out, i, search.count, ray)
 
     @kernel
-    def any_hit(begin, end, arrays, extreme, rays, out, tallies):
+    def any_hit(begin, end, source, frame, arrays, tallies, out):
         stack = scratch(stack_bytes)
-        store(stack, _NOWHERE)
+        store(stack, _NONE)
+        scene = RayScene(source, frame, arrays, stack, out.status)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
-            t_min, t_max = rays.t_min[i], rays.t_max[i]
-            search = begin_search(t_min, t_max, _ONE, None, _NOWHERE, False, None, tally)
-            search = traverse(arrays, ray, search, stack)
+            tally = tally_of(tallies, i)
+            search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, None, tally))
             add_to(tally, SHADINGS, search.count)
-            out[i] = search.count != _NOWHERE
+            store(out.seen + i, np.uint8(search.count != _NONE))
 
     @kernel
-    def count_hits(begin, end, arrays, extreme, rays, repeats, surfaces, limit, counts, tallies):
+    def count_hits(begin, end, source, frame, arrays, tallies, status, wanted, counts):
         stack, saved = scratch(stack_bytes), scratch(32)
-        store(stack, _NOWHERE)
+        store(stack, _NONE)
+        scene = RayScene(source, frame, arrays, stack, status)
+        repeats, surfaces, most = wanted.repeats, wanted.surfaces, wanted.limit
         table = _new_table(repeats)
-        most = np.uint64(limit)
         for i in range(np.uint64(begin), np.uint64(end)):
-            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
-            t_min, t_max = rays.t_min[i], rays.t_max[i]
+            tally = tally_of(tallies, i)
             save_counts(tally, saved)
             while True:
-                seen = seen_at(address(table), np.uint64(len(table)) - _ONE)
-                search = begin_search(t_min, t_max, most, None, _NOWHERE, surfaces, seen, tally)
-                search = traverse(arrays, ray, search, stack)
+                goal = Goal(most, None, _NONE, surfaces, seen_at(table), tally)
+                search, _ = search_ray(i, scene, goal)
                 if not search.has_overflowed:
                     break
                 table = _larger_table(table)
@@ -193,63 +175,47 @@ def ray_queries(
                 table = _new_table(True)
 
     @kernel
-    def multi_hit(begin, end, arrays, extreme, rays, repeats, surfaces, splits, out, tallies):
+    def multi_hit(begin, end, source, frame, arrays, tallies, wanted, splits, hits):
         stack, saved = scratch(stack_bytes), scratch(32)
-        store(stack, _NOWHERE)
-        table = _new_table(repeats)
-        to = hit_addresses(out)
+        store(stack, _NONE)
+        scene = RayScene(source, frame, arrays, stack, None)
+        repeats, surfaces = wanted.repeats, wanted.surfaces
+        table, to = _new_table(repeats), hit_addresses(hits)
         for i in range(np.uint64(begin), np.uint64(end)):
             first = np.uint64(splits[i])
-            capacity = np.uint64(splits[i + np.uint64(1)]) - first
-            if capacity == 0:
+            capacity = np.uint64(splits[i + _ONE]) - first
+            if capacity == _NONE:
                 continue
-            ray, tally = _ray(rays, i, extreme), tally_of(tallies, i)
-            t_min, t_max = rays.t_min[i], rays.t_max[i]
+            tally = tally_of(tallies, i)
             save_counts(tally, saved)
             while True:
-                seen = seen_at(address(table), np.uint64(len(table)) - _ONE)
-                search = begin_search(t_min, t_max, capacity, to, first, surfaces, seen, tally)
-                search = traverse(arrays, ray, search, stack)
+                goal = Goal(capacity, to, first, surfaces, seen_at(table), tally)
+                search, ray = search_ray(i, scene, goal)
                 if not search.has_overflowed:
                     break
                 table = _larger_table(table)
                 restore_counts(tally, saved)
             add_to(tally, SHADINGS, search.count)
-            sort_hits(to, first, search.count)
+            finish_rows(to, first, search.count, ray, True)
             if repeats:
                 table = _new_table(True)
 
     @kernel
-    def gather(
-        begin,
-        end,
-        arrays,
-        extreme,
-        rays,
-        t_scale,
-        repeats,
-        surfaces,
-        limit,
-        sorts,
-        splits,
-        out,
-    ):
+    def gather(begin, end, source, frame, arrays, status, wanted, splits, hits):
         stack = scratch(stack_bytes)
-        store(stack, _NOWHERE)
-        table = _new_table(repeats)
-        to = hit_addresses(out)
-        most, room, row = np.uint64(limit), np.uint64(len(out.t)), _NOWHERE
+        store(stack, _NONE)
+        scene = RayScene(source, frame, arrays, stack, status)
+        repeats, surfaces = wanted.repeats, wanted.surfaces
+        table, to = _new_table(repeats), hit_addresses(hits)
+        most, room, row = wanted.limit, np.uint64(len(hits.t)), _NONE
         splits[0] = 0
         for i in range(np.uint64(begin), np.uint64(end)):
             capacity = min(most, room - row)
-            if capacity == 0:
+            if capacity == _NONE:
                 return np.int64(i)
-            ray = _ray(rays, i, extreme)
-            t_min, t_max = rays.t_min[i], rays.t_max[i]
             while True:
-                seen = seen_at(address(table), np.uint64(len(table)) - _ONE)
-                search = begin_search(t_min, t_max, capacity, to, row, surfaces, seen, None)
-                search = traverse(arrays, ray, search, stack)
+                goal = Goal(capacity, to, row, surfaces, seen_at(table), None)
+                search, ray = search_ray(i, scene, goal)
                 if not search.has_overflowed:
                     break
                 table = _larger_table(table)
@@ -257,12 +223,8 @@ def ray_queries(
                 return np.int64(i)
             if repeats:
                 table = _new_table(True)
-            if sorts:
-                sort_hits(to, row, search.count)
-            factor, offset = t_scale.factor[i], t_scale.offset[i]
-            for _ in range(search.count):
-                out.t[row] = world_t(out.t[row], factor, offset)
-                row += _ONE
+            finish_rows(to, row, search.count, ray, wanted.sorts)
+            row += search.count
             splits[i + _ONE - np.uint64(begin)] = row
         return np.int64(end)
 

@@ -135,7 +135,10 @@ class Backend(ABC):
         count = len(rays)
         filled = Sink(sink.status, tallies=sink.tallies)
         filled.splits = np.zeros(count + 1, np.int64)
-        if query.limit:
+        if query.limit == 0:  # any hit tells which rays are invalid
+            seen = Query(Kind.ANY_HIT)
+            self.run(seen, rays, Sink.of(seen, count, status=sink.status))
+        else:
             counted = Sink(sink.status, tallies=sink.tallies)
             counted.counts = np.empty(count, np.int64)
             half = part_of(progress, 0, 2 * count)

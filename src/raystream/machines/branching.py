@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,11 +11,12 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.growing import Gatherer
-from raystream.kernels.hit_batch import HitAccumulator, HitBatch, HitVisitor, allocate_hits
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.hit_batch import HitAccumulator, HitBatch, allocate_hits
+from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.queries import Wanted
+from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.sink import Sink
-from raystream.machines.local import LocalBackend
-from raystream.machines.ray_block import RayBlock, blocks
+from raystream.machines.backend import Backend
 from raystream.structures import Structure
 
 __all__ = ["Branching"]
@@ -37,7 +37,7 @@ class HitRows(NamedTuple):
         return cls(allocate_hits(capacity), capacity)
 
 
-class Branching(LocalBackend):
+class Branching(Backend):
     """Traces rays with a structure's own kernels.
 
     Batches that the structure's kernels for many rays suit are theirs; others are traced one ray
@@ -61,11 +61,14 @@ class Branching(LocalBackend):
         Without counters, all hits are found in one search, in buffers that grow; for a while
         they take twice their memory.
         """
-        if sink.tallies is not None or query.limit == 0:
-            super().run(query, rays, sink, progress)
-        elif query.kind is not Kind.MULTI_HIT:
-            if not self.structure.trace_batch(query, rays, sink, progress):
-                super().run(query, rays, sink, progress)
+        if query.kind is not Kind.MULTI_HIT:
+            counts = sink.tallies is not None
+            if counts or not self.structure.trace_batch(query, rays, sink, progress):
+                self.trace_singly(query, rays, sink, progress)
+        elif sink.tallies is not None or query.limit == 0:
+            filled, half = self.room_for_hits(query, rays, sink, progress)
+            self.trace_singly(query, rays, filled, half)
+            sink.put(filled.splits, filled.hits)
         elif sink.visitor is not None:
             self._visit(query, rays, sink, progress)
         else:
@@ -73,58 +76,74 @@ class Branching(LocalBackend):
             self._visit(query, rays, Sink(sink.status, visitor=hits.take), progress)
             sink.put(*hits.whole())
 
-    def run_local(
-        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
+    def trace_singly(
+        self,
+        query: Query,
+        rays: RayBatch,
+        sink: Sink,
+        progress: Progress | None = None,
+        frame: SceneFrame | None = None,
     ) -> None:
-        """Answer a query of local rays; see `LocalBackend.run_local`."""
-        structure, surfaces = self.structure, query.surfaces
-        kernels, repeats = structure.queries, structure.lists_twice
+        """Answer a query ray by ray.
+
+        Parameters
+        ----------
+        query : Query
+        rays : RayBatch
+        sink : Sink
+            Of `Kind.MULTI_HIT` with `splits` and `hits`: of each ray i the nearest
+            splits[i + 1] - splits[i] hits, of which it has as many, are written.
+        progress : callable, optional
+            Called with (rays done, rays).
+        frame : SceneFrame, optional
+            Of the rays [default: the scene's].
+        """
+        structure = self.structure
+        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
+        kernel, output = structure.queries[query.kind], self._output(query, sink)
+        shared = source, structure.frame if frame is None else frame, structure.arrays, sink.tallies
+
+        def body(begin: int, end: int) -> None:
+            kernel(begin, end, *shared, *output)
+
+        parallel_for(body, len(rays), self._chunk(len(rays)), progress)
+        del kept  # the kernel reads it by address
+
+    def _output(self, query: Query, sink: Sink) -> tuple[Any, ...]:
+        """The arguments of `RayQueries` that say what is wanted, and where it goes."""
         if query.kind is Kind.FIRST_HIT:
-            self._run(kernels.first_hit, (rays, sink.hits, sink.tallies), progress)
-        elif query.kind is Kind.ANY_HIT:
-            self._run(kernels.any_hit, (rays, sink.seen, sink.tallies), progress)
-        elif query.kind is Kind.COUNT_HITS:
-            most = query.limit, sink.counts, sink.tallies
-            self._run(kernels.count_hits, (rays, repeats, surfaces, *most), progress)
-        else:
-            to = sink.splits, sink.hits, sink.tallies
-            self._run(kernels.multi_hit, (rays, repeats, surfaces, *to), progress)
+            return (ResultAddresses.of_first(sink.memory, sink.status),)
+        if query.kind is Kind.ANY_HIT:
+            return (ResultAddresses.of_any(sink.seen, sink.status),)
+        wanted = self._wanted(query)
+        if query.kind is Kind.COUNT_HITS:
+            return np.uint64(sink.status.ctypes.data), wanted, sink.counts
+        return wanted, sink.splits, sink.hits
+
+    def _wanted(self, query: Query) -> Wanted:
+        limit = np.uint64(query.limit)
+        return Wanted(self.structure.lists_twice, query.surfaces, limit, query.is_ordered)
 
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Give all hits to the sink's visitor."""
-        if self.structure.trace_batch(query, rays, sink, progress):
+        structure, visitor = self.structure, sink.visitor
+        if structure.trace_batch(query, rays, sink, progress):
             return
-        assert sink.visitor is not None
-        for block in blocks(rays, self.structure.frame, sink.status, progress):
-            self._visit_block(query, block, sink.visitor)
-
-    def _visit_block(self, query: Query, block: RayBlock, visitor: HitVisitor) -> None:
-        structure, rays, first = self.structure, block.rays, block.rows.start
-        gather = structure.queries.gather
-        arguments = structure.arrays, structure.triangles.extreme, rays, block.t_scale
-        goal = structure.lists_twice, query.surfaces, query.limit, query.is_ordered
+        assert visitor is not None
+        source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
+        shared = source, structure.frame, structure.arrays, np.uint64(sink.status.ctypes.data)
+        wanted = self._wanted(query)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)
-            reached = int(gather(begin, end, *arguments, *goal, splits, rows.hits))
+            reached = structure.queries.gather(begin, end, *shared, wanted, splits, rows.hits)
             if reached > begin:
-                visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, first + begin))
-            return reached
+                visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, begin))
+            return int(reached)
 
-        count = len(rays.t_min)
         body = Gatherer(HitRows.of, fill, FIRST_CAPACITY)
-        parallel_for(body, count, self._chunk(count), block.progress)
-
-    def _run(
-        self, kernel: Callable[..., None], arguments: tuple[Any, ...], progress: Progress | None
-    ) -> None:
-        arrays, extreme = self.structure.arrays, self.structure.triangles.extreme
-
-        def body(begin: int, end: int) -> None:
-            kernel(begin, end, arrays, extreme, *arguments)
-
-        count = len(arguments[0].t_min)
-        parallel_for(body, count, self._chunk(count), progress)
+        parallel_for(body, len(rays), self._chunk(len(rays)), progress)
+        del kept
 
     def _chunk(self, count: int) -> int:
         """Rays that a call of a kernel gets."""

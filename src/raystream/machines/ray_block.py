@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for
-from raystream.kernels.local_frame import SceneFrame, TScale, to_local_rays, to_world_t
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays, SceneFrame, TScale, to_local_rays, to_world_t
 
 __all__ = ["LIGHT_CHUNK", "RAYS_PER_BLOCK", "RayBlock", "blocks"]
 

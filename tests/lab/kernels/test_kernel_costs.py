@@ -8,6 +8,8 @@ import pytest
 import raystream as rs
 from conftest import TRACERS, assert_same_bits
 from raystream.core.query import Kind, Query
+from raystream.core.rays import RayBatch
+from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.sink import Sink
 from raystream.lab.kernels.bandwidth import copy_bandwidth, kernel_speeds, measure_speed
 from raystream.lab.kernels.costs import cost_of, stream_words, words_fetched, words_of
@@ -62,7 +64,8 @@ def test_a_search_finds_what_the_structure_finds(name):
     structure, rays = make(name)
     query = Query(Kind.FIRST_HIT)
     sink = Sink.of(query, len(rays.t_min))
-    Branching(structure).run_local(query, rays, sink)
+    frame = SceneFrame.identity(structure.triangles)
+    Branching(structure).trace_singly(query, RayBatch(*rays), sink, frame=frame)
     expected = sink.hits
     search = Search(structure, rays, "double", compaction=True)
     assert search.run() > 2

@@ -28,7 +28,7 @@ from raystream.graphics.multipass.ray_streams import RayStreams
 from raystream.graphics.queries import Chunk, GraphicsQueries
 from raystream.graphics.records import ENDLESS
 from raystream.graphics.termination import hit_counts
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 from raystream.machines.backend import Capabilities
 from raystream.machines.passes import Passes
 from raystream.machines.schedulers import (

@@ -16,7 +16,7 @@ from raystream.graphics.pipelines import bind
 from raystream.graphics.ray_textures import RayTextures
 from raystream.graphics.streams.passes import Bindings, StreamPasses
 from raystream.graphics.streams.textures import StreamTexture
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 
 __all__ = ["RayStreams"]
 

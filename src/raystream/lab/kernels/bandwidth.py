@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from raystream.jit.threads import parallel_for, thread_count
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 from raystream.lab.kernels.costs import stream_words, words_fetched
 from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only
 from raystream.lab.kernels.fetches import accesses

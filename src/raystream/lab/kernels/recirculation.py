@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.query import Kind, Query
+from raystream.core.rays import RayBatch
 from raystream.jit.threads import thread_count
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays, SceneFrame
 from raystream.kernels.sink import Sink
 from raystream.lab.kernels.search import Search
 from raystream.machines import Branching
@@ -261,11 +262,13 @@ def _time_idle(search: Search) -> dict[str, float]:
 
 def _time_branching(structure: Structure, rays: LocalRays) -> float:
     backend, query = Branching(structure), Query(Kind.FIRST_HIT)
-    sink = Sink.of(query, len(rays.t_min))
-    backend.run_local(query, LocalRays(*(column[:1] for column in rays)), sink.part(slice(1)))
+    frame, batch = SceneFrame.identity(structure.triangles), RayBatch(*rays)
+    sink = Sink.of(query, len(batch))
+    one = RayBatch(*(column[:1] for column in rays))
+    backend.trace_singly(query, one, Sink.of(query, 1), frame=frame)
     seconds = []
     for _ in range(3):
         started = time.perf_counter()
-        backend.run_local(query, rays, sink)
+        backend.trace_singly(query, batch, sink, frame=frame)
         seconds.append(time.perf_counter() - started)
     return float(np.median(seconds))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.kernels.collect import HitAddresses, HitArrays
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 from raystream.lab.kernels.record import first_hit_query
 from raystream.machines.ray_block import blocks
 from raystream.machines.ray_job import RayJob

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import parallel_for
-from raystream.kernels.queries import LocalRays
+from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import set_up
 from raystream.structures.graph.steps import (
     GraphAddresses,

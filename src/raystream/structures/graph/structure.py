@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.core.whole_file import replacing
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import LocalRays, ray_queries
+from raystream.kernels.local_frame import LocalRays
+from raystream.kernels.queries import ray_queries
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.bvh.layout import aligned_array
 from raystream.structures.graph.build import Method, build_graph, graph_box
