@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.builders.graph import linking, pruning, sectors, sharing
-from raystream.cuda.builders.kdtree import parting, planes, rows, trees
+from raystream.cuda.builders.kdtree import partition, planes, rows, trees
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.jit.cuda import RangeKernel
 from raystream.structures.graph.behind import Tree
@@ -31,19 +31,23 @@ def _at(count: int) -> tuple[np.uint64, ...]:
 
 def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     refs, level, tried = planes.References(*_at(3)), planes.Level(*_at(4)), planes.Tried(*_at(4))
-    choices, counts, made = planes.Choices(*_at(4)), parting.Counts(*_at(2)), parting.Made(*_at(3))
+    choices, counts, made = (
+        planes.Choices(*_at(4)),
+        partition.Counts(*_at(2)),
+        partition.Made(*_at(3)),
+    )
     numbering = rows.Numbering(*_at(5))
     bound = np.float64(0.0)
     return [
         (planes.KERNELS.try_planes, (refs, level, _COSTS, _AT, tried)),
         (planes.KERNELS.choose_plane, (level, _COSTS, _AT, tried, choices)),
-        (parting.KERNELS.make_reference, (*_at(2), np.float32(0.0), refs)),
-        (parting.KERNELS.count_cut, (refs, choices)),
-        (parting.KERNELS.confirm, (level, choices, counts)),
-        (parting.KERNELS.count_parts, (refs, choices, _AT, bound, counts)),
-        (parting.KERNELS.make_cells, (level, choices, counts, made, *_at(2), level)),
+        (partition.KERNELS.make_reference, (*_at(2), np.float32(0.0), refs)),
+        (partition.KERNELS.count_cut, (refs, choices)),
+        (partition.KERNELS.confirm, (level, choices, counts)),
+        (partition.KERNELS.count_parts, (refs, choices, _AT, bound, counts)),
+        (partition.KERNELS.make_cells, (level, choices, counts, made, *_at(2), level)),
         (
-            parting.KERNELS.place_parts,
+            partition.KERNELS.place_parts,
             (refs, level, choices, _AT, bound, counts, made, _AT, refs),
         ),
         (rows.KERNELS.count_below, (*_at(2), numbering)),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.triangles import Triangles
-from raystream.cuda.builders.kdtree import parting, planes
+from raystream.cuda.builders.kdtree import partition, planes
 from raystream.cuda.builders.kdtree.partition import Counts, Made
 from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, References, Tried
 from raystream.jit.cuda import DeviceArray, Gpu
@@ -169,7 +169,7 @@ class _Grower:
         cells.bads.fill(np.zeros(1, np.uint32))
         cells.rooms.fill(np.array([self.room], np.uint64))
         given = self.corners.address, prim_ids.address, np.float32(self.bound)
-        parting.KERNELS.make_reference.launch(self.gpu, count, (*given, lists.at))
+        partition.KERNELS.make_reference.launch(self.gpu, count, (*given, lists.at))
         return cells, lists
 
     def _choose(self, cells: _Cells, lists: _Lists, may_split: bool) -> Choices:
@@ -197,7 +197,7 @@ class _Grower:
         shared = self.costs, np.uint64(most), tried
         planes.KERNELS.try_planes.launch(gpu, all_count, (lists.at, cells.at, *shared))
         planes.KERNELS.choose_plane.launch(gpu, count, (cells.at, *shared, choices))
-        parting.KERNELS.count_cut.launch(gpu, all_count, (lists.at, choices))
+        partition.KERNELS.count_cut.launch(gpu, all_count, (lists.at, choices))
         return choices
 
     def _kept(self, array: DeviceArray) -> np.uint64:
@@ -209,7 +209,7 @@ class _Grower:
         self, cells: _Cells, lists: _Lists, first_row: int, id_count: int, may_split: bool
     ) -> tuple[DeviceArray, DeviceArray, _Cells, _Lists, int]:
         """Split a level; returns nodes, sizes, the next level, and references of leaves."""
-        gpu, kernels = self.gpu, parting.KERNELS
+        gpu, kernels = self.gpu, partition.KERNELS
         cell_count, count = len(cells.boxes), len(lists.boxes)
         self._scratch: list[DeviceArray] = []
         choices = self._choose(cells, lists, may_split)
