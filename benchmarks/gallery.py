@@ -18,7 +18,7 @@ from rich.progress import Progress
 
 import raystream as rs
 from raystream.core.errors import RaystreamError
-from raystream.render.denoise import denoise
+from raystream.rendering.denoise import denoise
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 

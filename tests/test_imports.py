@@ -23,7 +23,7 @@ ROOMS = (
     "machines",
     "tracer",
     "physics",
-    "render",
+    "rendering",
     "cuda",
     "graphics",
     "lab",

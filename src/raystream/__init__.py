@@ -33,9 +33,10 @@ if TYPE_CHECKING:
     from raystream.physics.thickness import Thickness, UnpairedKind
     from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
     from raystream.programs.hits import Hit
-    from raystream.render import Image, render
-    from raystream.render.frames import render_frames
-    from raystream.render.heatmap import Heatmap, RayCost, heatmap
+    from raystream.rendering.frames import render_frames
+    from raystream.rendering.heatmap import Heatmap, RayCost, heatmap
+    from raystream.rendering.image import Image
+    from raystream.rendering.picture import MODES, render
     from raystream.scene import textures
     from raystream.scene.animation import Animation
     from raystream.scene.camera import Camera
@@ -51,10 +52,9 @@ if TYPE_CHECKING:
     from raystream.viewer.notebook import view
     from raystream.zarr_queries.query import QueryReport, query_zarr
 
-#: Modules as a whole; the first is callable, see there.
+#: Modules as a whole.
 _MODULES = {
     "cluster": "cluster",
-    "render": "render",
     "streams": "streams",
     "textures": "scene.textures",
 }
@@ -64,6 +64,7 @@ _MODULES = {
 _HOMES = {
     "CONTINUE": "programs.decisions",
     "IGNORE": "programs.decisions",
+    "MODES": "rendering.picture",
     "STOP": "programs.decisions",
     "Animation": "scene.animation",
     "AreaLight": "scene.lights",
@@ -73,10 +74,10 @@ _HOMES = {
     "DirectionalLight": "scene.lights",
     "EnvironmentLight": "scene.lights",
     "FileFormatError": "core.errors",
-    "Heatmap": "render.heatmap",
+    "Heatmap": "rendering.heatmap",
     "Hit": "programs.hits",
     "Hits": "core.hits",
-    "Image": "render",
+    "Image": "rendering.image",
     "LidarReturns": "physics.lidar",
     "LoopLimitError": "core.errors",
     "Material": "scene.material",
@@ -84,7 +85,7 @@ _HOMES = {
     "MultiHits": "core.hits",
     "PointLight": "scene.lights",
     "QueryReport": "zarr_queries.query",
-    "RayCost": "render.heatmap",
+    "RayCost": "rendering.heatmap",
     "RayStatus": "core.rays",
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
@@ -95,12 +96,13 @@ _HOMES = {
     "UnpairedKind": "physics.thickness",
     "UpdateReport": "structures.base",
     "attenuation": "physics.attenuation",
-    "heatmap": "render.heatmap",
+    "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
     "query_zarr": "zarr_queries.query",
     "register_device": "machines.devices",
-    "render_frames": "render.frames",
+    "render": "rendering.picture",
+    "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",
     "thickness": "physics.segments",
     "thread_count": "jit.threads",
@@ -110,6 +112,7 @@ _HOMES = {
 __all__ = [
     "CONTINUE",
     "IGNORE",
+    "MODES",
     "STOP",
     "Animation",
     "AreaLight",

@@ -11,7 +11,7 @@ import pytest
 
 import raystream as rs
 from extras import need
-from raystream.render.compare import compare, draw_difference
+from raystream.rendering.compare import compare, draw_difference
 
 
 @pytest.fixture

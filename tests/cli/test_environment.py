@@ -8,7 +8,7 @@ from PIL import Image
 
 import raystream as rs
 from raystream.cli.environment import SUFFIXES
-from raystream.render.environment import MAP_SUFFIXES
+from raystream.rendering.environment import MAP_SUFFIXES
 
 SIZE = ("--size", "16x12", "--mode", "whitted")
 

@@ -9,9 +9,9 @@ from PIL import Image as Picture
 import raystream as rs
 from extras import need
 from raystream.cli.layers import GUIDES, NAMES
-from raystream.render.denoise import denoise
-from raystream.render.image import Image
-from raystream.render.layers import LAYERS
+from raystream.rendering.denoise import denoise
+from raystream.rendering.image import Image
+from raystream.rendering.layers import LAYERS
 
 ASKED = ("render", "cornell", "--mode", "path", "--size", "16x12", "--samples", 4)
 SUMS = {"variance", "samples"}

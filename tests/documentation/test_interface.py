@@ -26,11 +26,11 @@ MODULES = (
     "physics.attenuation",
     "physics.lidar",
     "programs",
-    "render",
-    "render.compare",
-    "render.denoise",
-    "render.frames",
-    "render.heatmap",
+    "rendering.picture",
+    "rendering.compare",
+    "rendering.denoise",
+    "rendering.frames",
+    "rendering.heatmap",
     "scene.animation",
     "scene.textures",
     "streams",
@@ -39,7 +39,7 @@ MODULES = (
 #: Names of those modules that the package's own rooms share.
 FOR_ROOMS = {
     "machines": {"Counting", "Observer", "make_machine", "own_options"},
-    "render.frames": {"split_options", "timeline_of"},
+    "rendering.frames": {"split_options", "timeline_of"},
 }
 
 

@@ -80,7 +80,7 @@ def use_environment(scene: Scene, path: Path, rotation: float) -> None:
     MemoryError
         If it does not fit into memory.
     """
-    from raystream.render.environment import texels_of
+    from raystream.rendering.environment import texels_of
     from raystream.scene.lights import EnvironmentLight
 
     light = EnvironmentLight(image=path, up=tuple(scene.up), rotation=rotation)
@@ -100,7 +100,7 @@ def use_environment(scene: Scene, path: Path, rotation: float) -> None:
 
 def tell_added_light(scene: Scene, mode: str, lights: str) -> None:
     """Say on stderr if a light is added to a scene's own; see `lighting.needs_light`."""
-    from raystream.render.lighting import added_light
+    from raystream.rendering.lighting import added_light
 
     added = added_light(scene, mode, lights)
     if added:

@@ -206,7 +206,7 @@ class _Files:
 
     def is_whole(self, number: int, size: tuple[int, int]) -> bool:
         """Whether a frame is there, can be read, and has the size."""
-        from raystream.render.image import Image
+        from raystream.rendering.image import Image
 
         path = self.path(number)
         if not path.is_file():
@@ -244,7 +244,7 @@ def render_film(asked: FilmAsked, json: bool) -> None:
         except ValueError as error:  # its name is that of the option
             raise BadInputError(f"--{error}") from error
         if files.video is not None:
-            from raystream.render.video import check_video
+            from raystream.rendering.video import check_video
 
             check_video(files.video, asked.size, len(numbers))
         files.prepare(asked.resume)
@@ -348,7 +348,7 @@ def _render(
         blame_options(asked.chosen),
     ):
         if client is None:
-            from raystream.render.frames import render_frames
+            from raystream.rendering.frames import render_frames
         else:
             from functools import partial
 
@@ -391,8 +391,8 @@ def _counting(files: _Files, numbers: tuple[int, ...], missing: tuple[int, ...])
 
 
 def _write_video(files: _Files, numbers: tuple[int, ...], fps: float) -> None:
-    from raystream.render.image import Image
-    from raystream.render.video import write_video
+    from raystream.rendering.image import Image
+    from raystream.rendering.video import write_video
 
     assert files.video is not None
     pictures = (Image.load(files.path(number)) for number in numbers)

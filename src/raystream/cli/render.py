@@ -47,8 +47,8 @@ from raystream.cli.sampling import (
 )
 
 if TYPE_CHECKING:
-    from raystream.render.heatmap import Heatmap
-    from raystream.render.image import Image
+    from raystream.rendering.heatmap import Heatmap
+    from raystream.rendering.image import Image
 
 __all__ = ["DEFAULT_SCENE", "render"]
 
@@ -166,8 +166,8 @@ def render(
     mode = mode or options.MODES[0]
     check_cluster(cluster, threads)
     choose_threads(threads)
-    from raystream.render.arguments import MAX_PIXELS
-    from raystream.render.heatmap import heatmap as draw_heatmap
+    from raystream.rendering.arguments import MAX_PIXELS
+    from raystream.rendering.heatmap import heatmap as draw_heatmap
 
     if width * height > MAX_PIXELS:
         raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")

@@ -30,7 +30,7 @@ from raystream.structures.found import allocate_hits
 
 if TYPE_CHECKING:
     from raystream.cuda.rendering import CudaBands
-    from raystream.render.sampled import Setting
+    from raystream.rendering.sampled import Setting
 
 __all__ = ["Branching"]
 

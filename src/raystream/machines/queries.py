@@ -250,11 +250,11 @@ class Queries(Traces):
 
         Parameters
         ----------
-        setting : render.sampled.Setting
+        setting : rendering.sampled.Setting
 
         Returns
         -------
-        render.device_bands.DeviceBands or None
+        rendering.device_bands.DeviceBands or None
         """
         own, make = type(self), getattr(self._machine, "bands_on_device", None)
         is_usual = own.first_hit is Queries.first_hit and own.any_hit is Queries.any_hit
