@@ -48,7 +48,7 @@ RESERVED = {
 #: The stream programming model knows nothing of rays: of the rooms before it, only these.
 STREAMS_MAY_IMPORT = ("raystream.core.errors", "raystream.jit")
 
-MAX_LINES = 400
+MAX_LINES = 500
 
 
 def imported_names(tree: ast.AST, package: str) -> Iterator[tuple[int, str]]:

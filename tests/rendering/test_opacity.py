@@ -156,7 +156,7 @@ def test_a_furnace_with_holes(light_samples):
     camera = rs.Camera((0.6, 0.55, 0.4), (1.5, 1.2, 0.9), fov=90)
     scene = rs.Scene([rs.Mesh(vertices, faces[:, ::-1])], materials=[walls], camera=camera)
     assert scene.area_lights == []
-    scene.lights = (rs.PointLight((9, 9, 9), BLACK),)  # so that there is no white sky
+    scene = scene.replace(lights=[rs.PointLight((9, 9, 9), BLACK)])  # so that there is no white sky
     options = {"sampler": "random", "max_bounces": 1000, "light_samples": light_samples}
     image = rs.render(scene, "path", (32, 32), 16, **options)
     assert_mean(image, 0.5 * np.array(walls.emission) / (1.0 - 0.5 * np.array(walls.diffuse)))

@@ -15,7 +15,7 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.clusters import joined
-from raystream.cli.environment import tell_added_light, use_environment
+from raystream.cli.environment import tell_added_light, with_environment
 from raystream.cli.keywords import blame_options, machine_figures
 from raystream.cli.layers import Kept
 from raystream.cli.messages import (
@@ -295,12 +295,12 @@ def _opened(asked: FilmAsked) -> tuple[Scene, Camera | CameraMotion | None, Time
     with refuse(*kinds):
         scene = load(asked.scene, triangles=asked.triangles)
     if asked.environment is not None:
-        use_environment(scene, asked.environment, asked.environment_rotation)
+        scene = with_environment(scene, asked.environment, asked.environment_rotation)
     parts = dict(asked.camera)
     which = parts.pop("which", None)
     with refuse(ValueError, where="--camera"):
         if which is not None:
-            scene.use_camera(which)
+            scene = scene.replace(camera=which)
         camera: Camera | CameraMotion | None = None
         if parts:
             still = dataclasses.replace(scene.camera_for(asked.size[0] / asked.size[1]), **parts)

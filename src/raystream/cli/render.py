@@ -19,7 +19,7 @@ from raystream.cli.environment import (
     Rotation,
     check_environment,
     tell_added_light,
-    use_environment,
+    with_environment,
 )
 from raystream.cli.films import (
     FilmAsked,
@@ -222,12 +222,13 @@ def render(
         tracer = open_tracer(source, bars, watch)
         if environment is not None:
             with watch.measure("environment"), bars.step("reading environment"):
-                use_environment(tracer.scene, environment, environment_rotation or 0.0)
+                tracer.update(
+                    with_environment(tracer.scene, environment, environment_rotation or 0.0)
+                )
         view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
             if which is not None:
-                tracer.scene.use_camera(which)
-                view = tracer.scene.camera
+                view = tracer.scene.replace(camera=which).camera
             view = dataclasses.replace(view, **parts)
         arguments |= {"size": (width, height), "camera": view}
         unit = "paths" if heatmap is None else "rays"
