@@ -14,6 +14,7 @@ from raystream.rendering import heatmap as module
 from raystream.rendering import scale_bar
 from raystream.rendering.color import decode_srgb
 from raystream.rendering.false_colors import _ANCHORS, color_ramp, draw_counts
+from raystream.rendering.heatmap import RayCost
 from raystream.rendering.sampled import eye_paths
 from raystream.rendering.sampling.sampler import Sampler
 
@@ -238,7 +239,7 @@ def test_counts_are_those_of_each_pixels_ray(robots, structure, what):
     assert heat.counts.dtype == np.float32
     np.testing.assert_array_equal(heat.counts, counts[what])
     assert heat.costs == {
-        name: rs.RayCost(many.mean(), many.max(), many.sum()) for name, many in counts.items()
+        name: RayCost(many.mean(), many.max(), many.sum()) for name, many in counts.items()
     }
     assert heat.image.size[0] == SIZE[0]
     assert heat.image.size[1] > SIZE[1]
