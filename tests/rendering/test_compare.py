@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.compare import _COLD, _INVALID, _WARM, compare, draw_difference
+from raystream.rendering.compare import _COLD, _INVALID, _WARM
 from raystream.rendering.false_colors import color_ramp
 
 
@@ -21,7 +21,7 @@ def test_figures_by_hand():
     image.pixels[2, 7, 1] = 1.5
     reference.pixels[3, 1] = 0.25
     numbers = image.pixels.size
-    found = compare(image, reference)
+    found = image.compare(reference)
     assert found.rmse == pytest.approx(math.sqrt((1 + 3 * 0.25**2) / numbers))
     relative = (1 / 0.51 + 3 * 0.25 / 0.26) / numbers
     assert found.mean_relative_error == pytest.approx(relative)
@@ -35,21 +35,21 @@ def test_figures_by_hand():
 
 
 def test_same_pictures_have_no_error():
-    found = compare(flat(0.3), flat(0.3))
+    found = flat(0.3).compare(flat(0.3))
     assert (found.rmse, found.relative_mse, found.max_error, found.bias) == (0, 0, 0, 0)
     assert found.psnr == math.inf
 
 
 def test_psnr_is_of_bytes():
     """Black against white is the peak itself; what is above white shows no difference."""
-    assert compare(flat(0.0), flat(1.0)).psnr == pytest.approx(0.0)
-    assert compare(flat(2.0), flat(1.0)).psnr == math.inf
+    assert flat(0.0).compare(flat(1.0)).psnr == pytest.approx(0.0)
+    assert flat(2.0).compare(flat(1.0)).psnr == math.inf
 
 
 def test_larger_noise_has_larger_errors():
     noise = np.random.default_rng(1).normal(size=(20, 30, 3))
     reference = flat(0.5, 20, 30)
-    found = [compare(rs.Image(reference.pixels + s * noise), reference) for s in (0.01, 0.1)]
+    found = [rs.Image(reference.pixels + s * noise).compare(reference) for s in (0.01, 0.1)]
     assert found[1].rmse == pytest.approx(10 * found[0].rmse, rel=1e-3)
     assert found[1].relative_mse > 50 * found[0].relative_mse
     assert found[1].psnr < found[0].psnr - 15
@@ -58,21 +58,21 @@ def test_larger_noise_has_larger_errors():
 def test_pixels_that_are_not_finite_are_left_out():
     image, reference = flat(0.5), flat(0.25)
     image.pixels[0, 0, 2], reference.pixels[1, 1, 0] = np.nan, np.inf
-    found = compare(image, reference)
+    found = image.compare(reference)
     assert found.invalid_count == 2
     assert found.rmse == 0.25
     assert found.max_error_at == (1, 0)
-    drawn = draw_difference(image, reference).pixels
+    drawn = image.draw_difference(reference).pixels
     for row, column in ((0, 0), (1, 1)):
         np.testing.assert_allclose(drawn[row, column], _INVALID)
     with pytest.raises(ValueError, match="no pixel is finite"):
-        compare(flat(np.nan), reference)
+        flat(np.nan).compare(reference)
 
 
 def test_sizes_are_compared():
-    for function in (compare, draw_difference):
+    for method in (rs.Image.compare, rs.Image.draw_difference):
         with pytest.raises(ValueError, match="one size, got 90x4 and 91x4"):
-            function(flat(1), flat(1, width=91))
+            method(flat(1), flat(1, width=91))
 
 
 def test_drawing_tells_brighter_from_darker():
@@ -81,7 +81,7 @@ def test_drawing_tells_brighter_from_darker():
     image.pixels[0] += 0.25
     image.pixels[1] -= 0.25
     image.pixels[2] -= 0.125
-    drawn = draw_difference(image, reference)
+    drawn = image.draw_difference(reference)
     assert drawn.size[0] == 90
     assert drawn.size[1] > 4 + 2 * 13
     brighter, darker, half, same = drawn.pixels[:4, 5]
@@ -95,12 +95,12 @@ def test_drawing_tells_brighter_from_darker():
 
 def test_maximum_is_the_top_of_the_scale():
     image, reference = flat(0.75), flat(0.5)
-    cut = draw_difference(image, reference, 0.125).pixels[:4]
-    half = draw_difference(image, reference, 0.5).pixels[:4]
-    np.testing.assert_array_equal(cut, draw_difference(image, reference).pixels[:4])
+    cut = image.draw_difference(reference, 0.125).pixels[:4]
+    half = image.draw_difference(reference, 0.5).pixels[:4]
+    np.testing.assert_array_equal(cut, image.draw_difference(reference).pixels[:4])
     assert half.max() < cut.max()
     with pytest.raises(ValueError, match="maximum"):
-        draw_difference(image, reference, -1.0)
+        image.draw_difference(reference, -1.0)
 
 
 @pytest.mark.parametrize("anchors", [_WARM, _COLD])

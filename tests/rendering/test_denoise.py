@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.denoise import denoise
 
 HEIGHT, WIDTH = 64, 96
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH].astype(float)
@@ -44,7 +43,7 @@ def test_error_falls_to_a_fifth(count, with_variance):
     truth, layers = two_walls()
     pixels, known = noisy(truth, count)
     image = rs.Image(pixels, layers | known if with_variance else layers)
-    smooth = denoise(image).pixels
+    smooth = image.denoise().pixels
     assert rmse(smooth, truth) < rmse(pixels, truth) / 5
 
 
@@ -53,7 +52,7 @@ def test_more_samples_are_still_better():
     errors = []
     for count in (4, 64):
         pixels, known = noisy(truth, count)
-        errors.append(rmse(denoise(rs.Image(pixels, layers | known)).pixels, truth))
+        errors.append(rmse(rs.Image(pixels, layers | known).denoise().pixels, truth))
     assert errors[1] < errors[0] / 2
 
 
@@ -61,9 +60,9 @@ def test_texture_stays_sharp():
     """Light is filtered without albedo: its mean over a large wall is right on each check."""
     truth, layers = two_walls()
     pixels, known = noisy(truth, 16)
-    with_albedo = denoise(rs.Image(pixels, layers | known)).pixels
+    with_albedo = rs.Image(pixels, layers | known).denoise().pixels
     layers.pop("albedo")
-    without = denoise(rs.Image(pixels, layers | known)).pixels
+    without = rs.Image(pixels, layers | known).denoise().pixels
     assert rmse(with_albedo, truth) < rmse(without, truth) / 3
 
 
@@ -79,12 +78,12 @@ def test_step_of_one_guide_does_not_blur(guide):
         "sky": np.where(right, np.inf, 2.0),
         "albedo": np.where(right[..., None], [1.0, 0.01, 1.0], [0.01, 1.0, 0.01]),
     }
-    blurred = denoise(rs.Image(pixels, layers)).pixels
+    blurred = rs.Image(pixels, layers).denoise().pixels
     assert np.abs(blurred - pixels).max() > 0.1
     layers["depth" if guide == "sky" else guide] = edges[guide]
     if guide == "albedo":  # light is what is left without it: unlike, and not mixed
         pixels = edges["albedo"]
-    kept = denoise(rs.Image(pixels, layers)).pixels
+    kept = rs.Image(pixels, layers).denoise().pixels
     np.testing.assert_allclose(kept, pixels, atol=2e-3)
 
 
@@ -97,9 +96,9 @@ def test_rim_of_a_lamp_is_left_as_it_is():
     pixels = (covered + light).astype(np.float32)
     variance = np.full(pixels.shape, 0.25) + 0.2 * covered * (20.0 - covered).clip(0)
     known = {"variance": variance, "samples": np.full((HEIGHT, WIDTH), 8)}
-    smooth = denoise(rs.Image(pixels, {**known, "emission": covered})).pixels - covered
+    smooth = rs.Image(pixels, {**known, "emission": covered}).denoise().pixels - covered
     assert rmse(smooth[:, 41], 0.5) < 0.1
-    blurred = denoise(rs.Image(pixels, known)).pixels - covered
+    blurred = rs.Image(pixels, known).denoise().pixels - covered
     assert rmse(blurred[:, 41], 0.5) > 1
 
 
@@ -109,9 +108,9 @@ def test_slope_of_depth_is_no_edge():
     truth = np.full((HEIGHT, WIDTH, 3), 0.5)
     pixels = truth + rng.normal(0, 0.1, (HEIGHT, WIDTH, 1))
     layers = {"variance": np.full(truth.shape, 0.01)}
-    flat = rmse(denoise(rs.Image(pixels, layers)).pixels, truth)
+    flat = rmse(rs.Image(pixels, layers).denoise().pixels, truth)
     layers["depth"] = 10 + 2.0 * ROWS
-    steep = rmse(denoise(rs.Image(pixels, layers)).pixels, truth)
+    steep = rmse(rs.Image(pixels, layers).denoise().pixels, truth)
     assert steep < 1.5 * flat < 0.1 / 5
 
 
@@ -119,7 +118,7 @@ def test_light_with_little_variance_is_kept():
     """A shadow's edge, which no guide knows, stays where samples agree on it."""
     pixels = np.where((COLUMNS > 40)[..., None], 1.0, 0.1) * np.ones(3)
     layers = {"variance": np.full((HEIGHT, WIDTH, 3), 1e-6)}
-    np.testing.assert_allclose(denoise(rs.Image(pixels, layers)).pixels, pixels, atol=1e-6)
+    np.testing.assert_allclose(rs.Image(pixels, layers).denoise().pixels, pixels, atol=1e-6)
 
 
 @pytest.mark.parametrize("variance", [None, 0.0, 0.3, np.inf])
@@ -130,15 +129,15 @@ def test_constant_picture_is_unchanged(variance):
         pixels = np.full((5, 7, 3), rng.exponential(1.0, 3), np.float32)
         layers = {} if variance is None else {"variance": np.full(pixels.shape, variance)}
         layers["albedo"] = np.full(pixels.shape, rng.random(3))
-        assert denoise(rs.Image(pixels, layers)).pixels.tobytes() == pixels.tobytes()
+        assert rs.Image(pixels, layers).denoise().pixels.tobytes() == pixels.tobytes()
 
 
 def test_mirrored_picture_gives_the_mirrored_answer():
     truth, layers = two_walls()
     pixels, known = noisy(truth, 8)
     flipped = {name: layer[:, ::-1] for name, layer in (layers | known).items()}
-    once = denoise(rs.Image(pixels, layers | known)).pixels
-    mirrored = denoise(rs.Image(pixels[:, ::-1], flipped)).pixels[:, ::-1]
+    once = rs.Image(pixels, layers | known).denoise().pixels
+    mirrored = rs.Image(pixels[:, ::-1], flipped).denoise().pixels[:, ::-1]
     np.testing.assert_allclose(once, mirrored, rtol=1e-3, atol=1e-4)
 
 
@@ -153,13 +152,13 @@ def test_hostile_numbers_leave_nothing_that_is_not_finite():
     layers = {name: any_of(*size, 3) for name in ("normal", "albedo", "variance")}
     layers |= {"depth": any_of(*size), "samples": rng.integers(0, 9, size)}
     for chosen in (layers, {}, {"depth": layers["depth"]}):
-        assert np.isfinite(denoise(rs.Image(any_of(*size, 3), chosen)).pixels).all()
+        assert np.isfinite(rs.Image(any_of(*size, 3), chosen).denoise().pixels).all()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (3, 2)])
 def test_small_pictures(size):
     pixels = np.random.default_rng(7).random((*size, 3)).astype(np.float32)
-    smooth = denoise(rs.Image(pixels), passes=10, strength=1e6).pixels
+    smooth = rs.Image(pixels).denoise(passes=10, strength=1e6).pixels
     assert smooth.min() >= pixels.min() - 1e-6
     assert smooth.max() <= pixels.max() + 1e-6
 
@@ -168,7 +167,7 @@ def test_layers_and_figures_go_on():
     truth, layers = two_walls()
     pixels, known = noisy(truth, 4)
     image = rs.Image(pixels, layers | known, {"rays": 5})
-    smooth = denoise(image, passes=1)
+    smooth = image.denoise(passes=1)
     assert set(smooth.layers) == {"normal", "depth", "albedo", "samples"}
     assert smooth.figures == {"rays": 5}
     np.testing.assert_array_equal(image.pixels, pixels.astype(np.float32))
@@ -178,9 +177,9 @@ def test_bad_arguments_are_refused():
     image = rs.Image(np.zeros((4, 5, 3)), {"depth": np.zeros((4, 5, 3))})
     for passes in (0, 11):
         with pytest.raises(ValueError, match="passes"):
-            denoise(image, passes=passes)
+            image.denoise(passes=passes)
     for strength in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="strength"):
-            denoise(image, strength=strength)
+            image.denoise(strength=strength)
     with pytest.raises(ValueError, match="'depth' of shape"):
-        denoise(image)
+        image.denoise()

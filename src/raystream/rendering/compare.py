@@ -71,22 +71,7 @@ class Comparison:
 
 
 def compare(image: Image, reference: Image) -> Comparison:
-    """Measure the errors of a picture.
-
-    Parameters
-    ----------
-    image, reference : Image
-        Of one size.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    ValueError
-        If sizes differ, or no pixel is finite in both.
-    """
+    """Measure errors: see `Image.compare`."""
     is_valid = _check(image, reference)
     a, b = (picture.pixels[is_valid].astype(np.float64) for picture in (image, reference))
     if len(a) == 0:
@@ -109,28 +94,8 @@ def compare(image: Image, reference: Image) -> Comparison:
     )
 
 
-def draw_difference(image: Image, reference: Image, maximum: float | None = None) -> Image:
-    """Draw the difference of luminance in false colours, with two scales below.
-
-    Parameters
-    ----------
-    image, reference : Image
-        Of one size.
-    maximum : float, optional
-        Top of the scales; without it, the largest difference. Larger ones are drawn as the
-        top.
-
-    Returns
-    -------
-    Image
-        Black where there is no difference, warm where `image` is brighter, cold where it is
-        darker, green where one of them is not finite.
-
-    Raises
-    ------
-    ValueError
-        If sizes differ, or `maximum` is not a number above 0.
-    """
+def draw_difference(image: Image, reference: Image, maximum: float | None) -> Image:
+    """Draw errors: see `Image.draw_difference`."""
     is_valid = _check(image, reference)
     check_maximum(maximum)
     difference = np.zeros(is_valid.shape)

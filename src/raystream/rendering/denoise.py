@@ -38,54 +38,8 @@ _BYTES_PER_PIXEL = 160
 _MOST_LIGHT = np.float32(1e15)
 
 
-def denoise(image: Image, *, passes: int = 5, strength: float = 4.0) -> Image:
-    """Smooth the noise of a rendered picture, and keep edges.
-
-    An edge-avoiding à-trous wavelet filter [1]_ with the weights of the spatial part of [2]_:
-    pixels mix with those of the same surface whose light differs by no more than noise would.
-
-    Parameters
-    ----------
-    image : Image
-        With these of its layers, whichever it has: ``"normal"``, ``"depth"`` and ``"albedo"``
-        tell surfaces apart; what is seen is divided by albedo before and multiplied
-        afterwards, so that textures stay sharp; ``"emission"`` has no noise, and is left as it
-        is; ``"variance"`` (of each pixel's mean, by channel) says what is noise. Where there
-        is none, it is not finite, ``"samples"`` is below 4, or there is emission, it is
-        estimated from 7 x 7 neighbours.
-    passes : int
-        Of the filter, 1 to 10; each doubles the reach. 5 reach 62 pixels to each side.
-    strength : float
-        How many standard deviations of light count as noise, 0 to 1e6.
-
-    Returns
-    -------
-    Image
-        With the layers and figures of the one given, except ``"variance"``, which is no
-        longer true. Finite: pixels that are not count as black, and light above 1e15 is cut.
-
-    Raises
-    ------
-    ValueError
-        If `passes` or `strength` is out of range, or a layer has another shape than that of
-        its kind.
-    MemoryError
-        If what is needed does not fit into memory.
-
-    Notes
-    -----
-    Mirrors and glass show other surfaces than their own: what is seen in them is told apart
-    by its light only. Light that is rarely found but strong is taken for an outlier at its
-    neighbours, so that pictures of few samples lose some brightness. A picture of one value
-    is left as it is, bit for bit.
-
-    References
-    ----------
-    .. [1] Dammertz, Sewtz, Hanika and Lensch, "Edge-Avoiding À-Trous Wavelet Transform for
-       fast Global Illumination Filtering", High Performance Graphics 2010.
-    .. [2] Schied et al., "Spatiotemporal Variance-Guided Filtering: Real-Time Reconstruction
-       for Path-Traced Global Illumination", High Performance Graphics 2017.
-    """
+def denoise(image: Image, *, passes: int, strength: float) -> Image:
+    """Smooth a picture: see `Image.denoise`."""
     passes = operator.index(passes)
     if not 1 <= passes <= _MAX_PASSES:
         raise ValueError(f"passes: expected 1 to {_MAX_PASSES}, got {passes}")

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ from raystream.rendering.exr import read_exr, write_exr
 from raystream.rendering.layers import check_layers
 from raystream.rendering.png import read_png, write_png
 from raystream.rendering.tone import apply_tone, check_tone
+
+if TYPE_CHECKING:
+    from raystream.rendering.compare import Comparison
 
 __all__ = ["IMAGE_SUFFIXES", "Image"]
 
@@ -144,6 +147,105 @@ class Image:
         if tone == "linear":
             return encode_srgb(self.pixels, exposure)
         return encode_srgb(apply_tone(self.pixels.astype(np.float64) * exposure, tone))
+
+    def denoise(self, *, passes: int = 5, strength: float = 4.0) -> Image:
+        """Smooth the noise of a rendered picture, and keep edges.
+
+        An edge-avoiding à-trous wavelet filter [1]_ with the weights of the spatial part of [2]_:
+        pixels mix with those of the same surface whose light differs by no more than noise would.
+
+        Parameters
+        ----------
+        passes : int
+            Of the filter, 1 to 10; each doubles the reach. 5 reach 62 pixels to each side.
+        strength : float
+            How many standard deviations of light count as noise, 0 to 1e6.
+
+        Returns
+        -------
+        Image
+            With the same layers and figures, except ``"variance"``, which is no longer true.
+            Finite: pixels that are not count as black, and light above 1e15 is cut.
+
+        Raises
+        ------
+        ValueError
+            If `passes` or `strength` is out of range, or a layer has another shape than that of
+            its kind.
+        MemoryError
+            If what is needed does not fit into memory.
+
+        Notes
+        -----
+        It uses the layers that the picture has: ``"normal"``, ``"depth"`` and ``"albedo"`` tell
+        surfaces apart; what is seen is divided by albedo before and multiplied afterwards, so
+        that textures stay sharp; ``"emission"`` has no noise, and is left as it is;
+        ``"variance"`` (of each pixel's mean, by channel) says what is noise. Where there is
+        none, it is not finite, ``"samples"`` is below 4, or there is emission, it is estimated
+        from 7 x 7 neighbours.
+
+        Mirrors and glass show other surfaces than their own: what is seen in them is told apart
+        by its light only. Light that is rarely found but strong is taken for an outlier at its
+        neighbours, so that pictures of few samples lose some brightness. A picture of one value
+        is left as it is, bit for bit.
+
+        References
+        ----------
+        .. [1] Dammertz, Sewtz, Hanika and Lensch, "Edge-Avoiding À-Trous Wavelet Transform for
+           fast Global Illumination Filtering", High Performance Graphics 2010.
+        .. [2] Schied et al., "Spatiotemporal Variance-Guided Filtering: Real-Time Reconstruction
+           for Path-Traced Global Illumination", High Performance Graphics 2017.
+        """
+        from raystream.rendering.denoise import denoise
+
+        return denoise(self, passes=passes, strength=strength)
+
+    def compare(self, reference: Image) -> Comparison:
+        """Measure the errors against another picture.
+
+        Parameters
+        ----------
+        reference : Image
+            Of the same size.
+
+        Returns
+        -------
+        Comparison
+
+        Raises
+        ------
+        ValueError
+            If sizes differ, or no pixel is finite in both.
+        """
+        from raystream.rendering.compare import compare
+
+        return compare(self, reference)
+
+    def draw_difference(self, reference: Image, maximum: float | None = None) -> Image:
+        """Draw the difference of luminance from another picture in false colours, with scales.
+
+        Parameters
+        ----------
+        reference : Image
+            Of the same size.
+        maximum : float, optional
+            Top of the scales [default: the largest difference]. Larger ones are drawn as the
+            top.
+
+        Returns
+        -------
+        Image
+            Black where there is no difference, warm where this picture is brighter, cold where
+            it is darker, green where one of them is not finite; below it two scales.
+
+        Raises
+        ------
+        ValueError
+            If sizes differ, or `maximum` is not a number above 0.
+        """
+        from raystream.rendering.compare import draw_difference
+
+        return draw_difference(self, reference, maximum)
 
     def _write_png(self, target: str, exposure: float, tone: str) -> None:
         write_png(target, self.to_bytes(exposure, tone))
