@@ -338,7 +338,8 @@ class _Reader:
         for place, step in enumerate(steps):
             if step.opname != "LOAD_GLOBAL" or step.argval != name:
                 continue
-            path, value = name, module
+            path = name
+            value: Any = module
             for after in steps[place + 1 :]:
                 if not (isinstance(value, ModuleType) and _is_ours(value)):
                     break

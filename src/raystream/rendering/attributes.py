@@ -1,8 +1,7 @@
-"""Vertex attributes of a whole scene, one mesh after another, and the faces that refer to them."""
+"""Vertex attributes as kernels take them: tables whose numbers they can count."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.scene.scene import Scene
 
-__all__ = ["MAX_NUMBERS", "VertexAttributes", "check_rows", "material_ids_of"]
+__all__ = ["MAX_NUMBERS", "VertexAttributes", "check_rows"]
 
 #: Of a table: kernels count them in int32.
 MAX_NUMBERS = 2**31 - 1
@@ -68,35 +67,9 @@ class VertexAttributes(NamedTuple):
         ValueError
             If kernels cannot count them, see `check_rows`.
         """
-        normals = _joined([mesh.normals for mesh in scene.meshes], scene, 3, np.nan)
-        texcoords = _joined([mesh.texcoords for mesh in scene.meshes], scene, 2, np.nan)
-        colors = _joined([mesh.colors for mesh in scene.meshes], scene, 3, 1.0)
+        known = scene.attributes
         faces = np.empty((0, 3), np.int32)
-        if not (normals is None and texcoords is None and colors is None):
-            counts = [len(mesh.vertices) for mesh in scene.meshes]
-            check_rows(sum(counts), 3, "vertices with attributes")
-            firsts = np.cumsum([0, *counts[:-1]])
-            parts = [m.faces + first for m, first in zip(scene.meshes, firsts, strict=True)]
-            faces = np.concatenate(parts).astype(np.int32)
-        return cls(normals, texcoords, colors, faces)
-
-
-def material_ids_of(scene: Scene) -> NDArray[np.int32]:
-    """The material of each triangle, shape (F,)."""
-    ids = [mesh.material_ids for mesh in scene.meshes]
-    return np.concatenate(ids).astype(np.int32) if ids else np.empty(0, np.int32)
-
-
-def _joined(
-    attributes: Sequence[NDArray[np.float32] | None], scene: Scene, width: int, missing: float
-) -> NDArray[np.float32] | None:
-    """The attribute of all meshes' vertices, one after another; None if no mesh has it."""
-    if all(attribute is None for attribute in attributes):
-        return None
-    parts = [
-        np.full((len(mesh.vertices), width), missing, np.float32)
-        if attribute is None
-        else attribute
-        for mesh, attribute in zip(scene.meshes, attributes, strict=True)
-    ]
-    return np.concatenate(parts)
+        if not (known.normals is None and known.texcoords is None and known.colors is None):
+            check_rows(known.vertex_count, 3, "vertices with attributes")
+            faces = known.faces
+        return cls(known.normals, known.texcoords, known.colors, faces)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.programs.filters import Bound
-from raystream.rendering.attributes import VertexAttributes, material_ids_of
+from raystream.rendering.attributes import VertexAttributes
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.shading.opacity import (
     MASKED,
@@ -61,7 +61,7 @@ class Opacity:
         """
         if all(material.is_opaque for material in scene.materials):
             return None
-        material_ids = material_ids_of(scene)
+        material_ids = scene.attributes.material_ids
         used = np.unique(material_ids)
         textures, kinds, kept = _pack(scene.materials, used)
         if not kinds[used].any():

@@ -13,6 +13,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.attributes import Attributes
 from raystream.core.triangles import Triangles
 from raystream.notebook import html_table
 from raystream.scene.animation import FPS, Animation, Timeline
@@ -34,12 +35,18 @@ class _Geometry:
 
     def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
         self.meshes = tuple(meshes)
+        self.attributes = Attributes(self.meshes)
         if triangles is not None:
-            self.triangles = triangles
+            self.triangles = self._described(triangles)
 
     @cached_property
     def triangles(self) -> Triangles:
-        return Triangles([(mesh.vertices, mesh.faces) for mesh in self.meshes])
+        return self._described(Triangles([(mesh.vertices, mesh.faces) for mesh in self.meshes]))
+
+    def _described(self, triangles: Triangles) -> Triangles:
+        if triangles.attributes is None:  # else hits that refer to them would change
+            triangles.attributes = self.attributes
+        return triangles
 
 
 class _Parts(TypedDict, total=False):
@@ -280,6 +287,11 @@ class Scene:
     def triangles(self) -> Triangles:
         """The triangles of all meshes in the form that structures are built from; made once."""
         return self._geometry.triangles
+
+    @property
+    def attributes(self) -> Attributes:
+        """What the meshes say of their triangles and vertices, one mesh after another."""
+        return self._geometry.attributes
 
     @property
     def triangle_count(self) -> int:

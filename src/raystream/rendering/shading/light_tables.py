@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.rendering.attributes import check_rows, material_ids_of
+from raystream.rendering.attributes import check_rows
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import image_light
 from raystream.rendering.lighting import needs_light
@@ -168,7 +168,7 @@ def _area_patches(
     """
     corners = scene.triangles.corners[prims].astype(np.float64)
     emission = np.array([material.emission for material in scene.materials]).reshape(-1, 3)
-    materials = material_ids_of(scene)[prims]
+    materials = scene.attributes.material_ids[prims]
     edges = corners[:, 1:] - corners[:, :1]
     normals = np.cross(edges[:, 0], edges[:, 1])
     lengths = np.linalg.norm(normals, axis=1)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.rendering.attributes import VertexAttributes, check_rows, material_ids_of
+from raystream.rendering.attributes import VertexAttributes, check_rows
 from raystream.rendering.shading.tangents import vertex_tangents
 from raystream.rendering.shading.textures import TextureTables, pack_textures, place_of
 from raystream.scene.material import Material
@@ -125,7 +125,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     triangles = scene.triangles
     check_rows(len(triangles.corners), 9, "triangles")
     vertices = VertexAttributes.of(scene)
-    material_ids = material_ids_of(scene)
+    material_ids = scene.attributes.material_ids
     materials = material_rows(scene.materials)
     textures, kept_textures = pack_textures(scene.materials)
     corners = np.ascontiguousarray(triangles.corners)
