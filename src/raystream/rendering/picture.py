@@ -63,7 +63,8 @@ def render(
     scene : Scene or Tracer
         A tracer saves building the structure again for every picture.
     mode : {"raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path"}
-        The renderer, see `MODES`.
+        The renderer, see `MODES`. The default draws lit surfaces without shadows, at the least
+        cost; ``"whitted"`` has shadows, mirrors and glass, ``"path"`` all light.
     size : (int, int)
         Width and height in pixels.
     samples : int
