@@ -27,7 +27,7 @@ import numpy as np
 import raystream as rs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from render.recursive_reference import MOVED, Reference
+from rendering.recursive_reference import MOVED, Reference
 
 #: Christen's scenes A, B and C; A with surfaces that mirror.
 SCENES = ("cornell_mirrors", "spheres", "boxes")

@@ -18,7 +18,6 @@ from rich.progress import Progress
 
 import raystream as rs
 from raystream.core.errors import RaystreamError
-from raystream.render.denoise import denoise
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 
@@ -106,7 +105,7 @@ def draw(tracer, name, mode, size, samples, progress):
     if mode not in ("path", "kajiya"):
         return rs.render(tracer, mode, size, max(samples // 8, 1), progress=progress, **options)
     image = rs.render(tracer, mode, size, samples, layers="all", progress=progress, **options)
-    return denoise(image)
+    return image.denoise()
 
 
 def exposure(image):

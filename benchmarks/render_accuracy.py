@@ -29,7 +29,7 @@ import numpy as np
 from render_speed import view_of
 
 import raystream as rs
-from raystream.render.color import decode_srgb
+from raystream.rendering.color import decode_srgb
 
 
 class Ours:

@@ -18,8 +18,8 @@ from functools import partial
 import numpy as np
 
 import raystream as rs
-from raystream.render import ao, path, sampled
-from raystream.render.picture import RENDERERS
+from raystream.rendering import ao, path, sampled
+from raystream.rendering.picture import RENDERERS
 
 #: Of a picture; its time is that of one.
 SAMPLES = 8

@@ -21,9 +21,9 @@ def dim(hit, light):
     """Some light is left after a pane, none after anything else."""
     if hit.mesh_id >= PANES:
         light[0] = 0.0
-        return rs.STOP
+        return rs.Decision.STOP
     light[0] *= PASSES
-    return rs.CONTINUE
+    return rs.Decision.CONTINUE
 
 
 def square(z, low, high):

@@ -24,7 +24,7 @@ ROOMS = (
     "machines",
     "tracer",
     "physics",
-    "render",
+    "rendering",
     "cuda",
     "graphics",
     "lab",

@@ -17,44 +17,36 @@ from raystream._version import __version__
 
 if TYPE_CHECKING:
     from raystream import cluster, streams
-    from raystream.core.errors import (
-        FileFormatError,
-        LoopLimitError,
-        RaystreamError,
-        RaystreamWarning,
-    )
+    from raystream.core.errors import FileFormatError, RaystreamError, RaystreamWarning
     from raystream.core.hits import Hits, MultiHits
     from raystream.core.rays import RayStatus
     from raystream.jit.threads import set_thread_count, thread_count
-    from raystream.machines.devices import register_device
     from raystream.physics.attenuation import attenuation
-    from raystream.physics.lidar import LidarReturns, lidar_returns
+    from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
-    from raystream.physics.thickness import Thickness, UnpairedKind
-    from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
-    from raystream.programs.hits import Hit
-    from raystream.render import Image, render
-    from raystream.render.frames import render_frames
-    from raystream.render.heatmap import Heatmap, RayCost, heatmap
+    from raystream.programs.decisions import Decision
+    from raystream.rendering.frames import render_frames
+    from raystream.rendering.heatmap import heatmap
+    from raystream.rendering.image import Image
+    from raystream.rendering.picture import MODES, render
+    from raystream.rendering.video import write_video
     from raystream.scene import textures
     from raystream.scene.animation import Animation
     from raystream.scene.camera import Camera
     from raystream.scene.camera_track import CameraTrack
-    from raystream.scene.lights import AreaLight, DirectionalLight, EnvironmentLight, PointLight
+    from raystream.scene.lights import DirectionalLight, EnvironmentLight, PointLight
     from raystream.scene.load import load
     from raystream.scene.material import Material
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
     from raystream.scene.texture import Texture
-    from raystream.structures.base import UpdateReport
     from raystream.tracer import Tracer
     from raystream.viewer.notebook import view
-    from raystream.zarr_queries.query import QueryReport, query_zarr
+    from raystream.zarr_queries.query import query_zarr
 
-#: Modules as a whole; the first is callable, see there.
+#: Modules as a whole.
 _MODULES = {
     "cluster": "cluster",
-    "render": "render",
     "streams": "streams",
     "textures": "scene.textures",
 }
@@ -62,84 +54,61 @@ _MODULES = {
 # Names are imported when they are first used: `import raystream` costs neither numba nor
 # Pillow, and a command that only prints help stays quick.
 _HOMES = {
-    "CONTINUE": "programs.decisions",
-    "IGNORE": "programs.decisions",
-    "STOP": "programs.decisions",
+    "MODES": "rendering.picture",
     "Animation": "scene.animation",
-    "AreaLight": "scene.lights",
     "Camera": "scene.camera",
     "CameraTrack": "scene.camera_track",
     "Decision": "programs.decisions",
     "DirectionalLight": "scene.lights",
     "EnvironmentLight": "scene.lights",
     "FileFormatError": "core.errors",
-    "Heatmap": "render.heatmap",
-    "Hit": "programs.hits",
     "Hits": "core.hits",
-    "Image": "render",
-    "LidarReturns": "physics.lidar",
-    "LoopLimitError": "core.errors",
+    "Image": "rendering.image",
     "Material": "scene.material",
     "Mesh": "scene.mesh",
     "MultiHits": "core.hits",
     "PointLight": "scene.lights",
-    "QueryReport": "zarr_queries.query",
-    "RayCost": "render.heatmap",
     "RayStatus": "core.rays",
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
     "Scene": "scene.scene",
     "Texture": "scene.texture",
-    "Thickness": "physics.thickness",
     "Tracer": "tracer",
-    "UnpairedKind": "physics.thickness",
-    "UpdateReport": "structures.base",
     "attenuation": "physics.attenuation",
-    "heatmap": "render.heatmap",
+    "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
     "query_zarr": "zarr_queries.query",
-    "register_device": "machines.devices",
-    "render_frames": "render.frames",
+    "render": "rendering.picture",
+    "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",
     "thickness": "physics.segments",
     "thread_count": "jit.threads",
     "view": "viewer.notebook",
+    "write_video": "rendering.video",
 }
 
 __all__ = [
-    "CONTINUE",
-    "IGNORE",
-    "STOP",
+    "MODES",
     "Animation",
-    "AreaLight",
     "Camera",
     "CameraTrack",
     "Decision",
     "DirectionalLight",
     "EnvironmentLight",
     "FileFormatError",
-    "Heatmap",
-    "Hit",
     "Hits",
     "Image",
-    "LidarReturns",
-    "LoopLimitError",
     "Material",
     "Mesh",
     "MultiHits",
     "PointLight",
-    "QueryReport",
-    "RayCost",
     "RayStatus",
     "RaystreamError",
     "RaystreamWarning",
     "Scene",
     "Texture",
-    "Thickness",
     "Tracer",
-    "UnpairedKind",
-    "UpdateReport",
     "__version__",
     "attenuation",
     "cluster",
@@ -147,7 +116,6 @@ __all__ = [
     "lidar_returns",
     "load",
     "query_zarr",
-    "register_device",
     "render",
     "render_frames",
     "set_thread_count",
@@ -156,6 +124,7 @@ __all__ = [
     "thickness",
     "thread_count",
     "view",
+    "write_video",
 ]
 
 

@@ -11,7 +11,6 @@ import pytest
 
 import raystream as rs
 from extras import need
-from raystream.render.compare import compare, draw_difference
 
 
 @pytest.fixture
@@ -27,7 +26,7 @@ def pictures(run):
 
 def test_figures_are_the_librarys(run, pictures):
     figures = run("compare", "a.png", "b.png", "--json").figures
-    expected = dataclasses.asdict(compare(*pictures))
+    expected = dataclasses.asdict(pictures[0].compare(pictures[1]))
     expected["max_error_at"] = list(expected["max_error_at"])
     files = {"image": "a.png", "reference": "b.png", "output": None, "width": 80, "height": 6}
     assert figures == expected | files
@@ -37,8 +36,8 @@ def test_figures_for_people(run, pictures):
     result = run("compare", "a.png", "b.png")
     assert result.code == 0
     assert result.err == ""
-    assert f"{compare(*pictures).rmse:.6g}" in result.out
-    column, row = compare(*pictures).max_error_at
+    assert f"{pictures[0].compare(pictures[1]).rmse:.6g}" in result.out
+    column, row = pictures[0].compare(pictures[1]).max_error_at
     assert f"in column {column}, row {row}" in result.out
 
 
@@ -51,7 +50,7 @@ def test_same_pictures(run, pictures):
 
 def test_difference_is_drawn(run, pictures):
     assert run("compare", "a.png", "b.png", "-o", "d.png", "--maximum", 0.5).code == 0
-    expected = draw_difference(*pictures, 0.5)
+    expected = pictures[0].draw_difference(pictures[1], 0.5)
     np.testing.assert_array_equal(rs.Image.load("d.png").to_bytes(), expected.to_bytes())
 
 

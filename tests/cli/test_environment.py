@@ -8,7 +8,7 @@ from PIL import Image
 
 import raystream as rs
 from raystream.cli.environment import SUFFIXES
-from raystream.render.environment import MAP_SUFFIXES
+from raystream.rendering.environment import MAP_SUFFIXES
 
 SIZE = ("--size", "16x12", "--mode", "whitted")
 
@@ -29,7 +29,7 @@ def test_the_sky_is_replaced(run, sky):
     light = rs.EnvironmentLight(image=sky, up=tuple(scene.up), rotation=30)
     kinds = [type(other) for other in scene.lights]
     assert kinds == [rs.DirectionalLight, rs.EnvironmentLight]
-    scene.lights, scene.background = (scene.lights[0], light), (0.0, 0.0, 0.0)
+    scene = scene.replace(lights=(scene.lights[0], light), background=(0.0, 0.0, 0.0))
     expected = rs.render(scene, "whitted", (16, 12)).to_bytes()
     with Image.open("out.png") as image:
         np.testing.assert_array_equal(np.asarray(image), expected)

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import raystream as rs
-from raystream.render import frames as render_frames_room
+from raystream.rendering import frames as render_frames_room
 
 MOVING = """v from 0 0 5 at 0 0 0 up 0 1 0 angle 40
 a 0 2 10

@@ -9,9 +9,8 @@ from PIL import Image as Picture
 import raystream as rs
 from extras import need
 from raystream.cli.layers import GUIDES, NAMES
-from raystream.render.denoise import denoise
-from raystream.render.image import Image
-from raystream.render.layers import LAYERS
+from raystream.rendering.image import Image
+from raystream.rendering.layers import LAYERS
 
 ASKED = ("render", "cornell", "--mode", "path", "--size", "16x12", "--samples", 4)
 SUMS = {"variance", "samples"}
@@ -62,7 +61,7 @@ def test_resumed_exr_has_the_same_bytes(run, exr):
 def test_denoised_png_is_the_librarys(run):
     result = run(*ASKED, "--denoise", "--json")
     assert list(result.figures["seconds"]) == ["load", "build", "trace", "denoise", "save"]
-    smooth = denoise(library(layers=GUIDES))
+    smooth = library(layers=GUIDES).denoise()
     with Picture.open("out.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture), smooth.to_bytes())
 

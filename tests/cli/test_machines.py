@@ -37,7 +37,7 @@ def on_saved(request, square, rays):
 @pytest.fixture
 def asked(monkeypatch):
     """Options that tracers were made with, but for where progress goes."""
-    importlib.import_module("raystream.render.arguments")  # has the tracer's class by its name
+    importlib.import_module("raystream.rendering.arguments")  # has the tracer's class by its name
     made = []
 
     class Noted(rs.Tracer):

@@ -255,12 +255,12 @@ def test_full_disk_behind_stdout_is_one_line(start, square):
 
 
 def test_names_are_those_of_the_library():
+    from raystream import MODES
     from raystream.machines.devices import DEVICES, device_of
     from raystream.machines.schedulers import SCHEDULERS
-    from raystream.render import MODES
-    from raystream.render.heatmap import HEATMAPS
-    from raystream.render.lighting import LIGHTS
-    from raystream.render.tone import TONES
+    from raystream.rendering.heatmap import HEATMAPS
+    from raystream.rendering.lighting import LIGHTS
+    from raystream.rendering.tone import TONES
     from raystream.scene.procedural import BUILTIN
     from raystream.structures import STRUCTURES
     from raystream.structures.kdtree.structure import TRAVERSALS

@@ -231,7 +231,7 @@ def test_exr_without_openexr_is_refused_before_the_work(run, monkeypatch):
 
 
 def test_disk_that_fills_up_leaves_the_old_picture(run, tmp_path, monkeypatch):
-    from raystream.render.image import Image as Picture
+    from raystream.rendering.image import Image as Picture
 
     def fill_up(*_, **__):
         raise OSError(28, "No space left on device")

@@ -14,9 +14,9 @@ import pytest
 
 import raystream as rs
 from extras import need
-from raystream.render import progressive, sample_file
-from raystream.render.accumulation import Accumulation
-from raystream.render.image import Image
+from raystream.rendering import progressive, sample_file
+from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.image import Image
 
 SAMPLES = 200
 PICTURE = ("render", "cornell", "--mode", "path", "--size", "32x24", "--samples", SAMPLES)

@@ -143,6 +143,6 @@ def test_what_a_mode_has_no_use_for_is_refused_in_one_line(run, tmp_path, argume
 
 
 def test_names_are_those_of_the_library():
-    from raystream.render.sampling.sampler import KINDS
+    from raystream.rendering.sampling.sampler import KINDS
 
     assert options.SAMPLERS == KINDS

@@ -25,7 +25,7 @@ def assert_same_image(found: rs.Image, expected: rs.Image) -> None:
 
 #: All in .ci/nightly.
 FEW = ("raycast", "whitted", "path")
-MODES = [pytest.param(m, marks=[pytest.mark.exhaustive] * (m not in FEW)) for m in rs.render.MODES]
+MODES = [pytest.param(m, marks=[pytest.mark.exhaustive] * (m not in FEW)) for m in rs.MODES]
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from meshes import dented_sphere, grid_floor
+from meshes import dented_sphere, grid_floor, icosphere
+
+SIZE = 128, 96
 
 
 @pytest.fixture(scope="module")
@@ -160,3 +162,136 @@ def test_thin_triangles_are_hit_where_they_are(aspect):
     np.testing.assert_allclose(hits.t[own & steep], 1, atol=5e-6)
     again = tracer.multi_hit(*hits.spawn(rng.normal(size=(len(chosen), 3))))
     assert not (again.prim_id == hits.prim_id[again.ray_id]).any()
+
+
+@pytest.fixture(scope="module")
+def dressed():
+    """A smooth ball, a ball that is textured and whose normals point inside, and a bare floor."""
+    vertices, faces = icosphere(2)
+    halves = np.arange(len(faces)) % 2
+    materials = [rs.Material(name=name) for name in ("plain", "red", "blue")]
+    ball = rs.Mesh(vertices - [2, 0, 0], faces, normals=3 * vertices, material_ids=1 + halves)
+    other = rs.Mesh(
+        vertices + [2, 0, 0], faces, normals=-vertices, texcoords=vertices[:, :2], material_ids=2
+    )
+    floor = grid_floor(4)
+    floor = rs.Mesh(np.array(floor[0]) * 9 - [0, 5, 0], floor[1])
+    return rs.Scene([ball, other, floor], materials=materials)
+
+
+def rays_at(scene, count=400):
+    rng = np.random.default_rng(1)
+    targets = rng.uniform(-3, 3, (count, 3))
+    origins = targets + [0, 20, 0]
+    return origins, targets * [1, 0.3, 1] - origins
+
+
+def test_materials_are_those_of_the_meshes(dressed):
+    hits = rs.Tracer(dressed).first_hit(*rays_at(dressed))
+    for prim, mesh, within, material in zip(
+        hits.prim_id, hits.mesh_id, hits.mesh_prim_id, hits.material_id, strict=True
+    ):
+        expected = dressed.meshes[mesh].material_ids[within] if prim >= 0 else -1
+        assert material == expected
+    assert set(hits.material_id) == {0, 1, 2}
+    assert hits.material_id.dtype == np.int32
+
+
+def test_texcoords_lie_between_those_of_vertices(dressed):
+    hits = rs.Tracer(dressed).first_hit(*rays_at(dressed))
+    textured = hits.mesh_id == 1
+    assert 20 < textured.sum() < 380
+    # They are the vertices' x and y, and so are the positions'.
+    expected = hits.positions[textured, :2] - [2, 0]
+    np.testing.assert_allclose(hits.texcoords[textured], expected, atol=1e-6)
+    assert np.isnan(hits.texcoords[~textured]).all()
+    assert hits.texcoords.dtype == np.float32
+
+
+def test_shading_normals_are_smooth_and_on_the_side_of_the_triangles(dressed):
+    hits = rs.Tracer(dressed).first_hit(*rays_at(dressed))
+    on_balls = (hits.mesh_id == 0) | (hits.mesh_id == 1)
+    center = np.where(hits.mesh_id[on_balls, None] == 0, [-2.0, 0, 0], [2.0, 0, 0])
+    outward = hits.positions[on_balls] - center
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    seen = hits.shading_normals
+    np.testing.assert_allclose(seen[on_balls], outward, atol=0.02)
+    assert np.abs(hits.normals[on_balls] - outward).max() > 0.05  # those are flat
+    floor = hits.mesh_id == 2
+    assert floor.any()
+    np.testing.assert_array_equal(seen[floor], hits.normals[floor])
+    assert np.isnan(seen[~hits.is_hit]).all()
+    assert seen.dtype == np.float32
+
+
+def test_normals_that_cancel_give_way_to_the_triangles():
+    triangle = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    for normals in (np.zeros((3, 3)), [[0, 0, 0], [1, 0, 0], [-1, 0, 0]], np.full((3, 3), np.nan)):
+        scene = rs.Scene.from_arrays(triangle, [[0, 1, 2]], normals=normals)
+        hit = rs.Tracer(scene).first_hit([0.25, 0.25, 1], [0, 0, -1])
+        hit.u[...] = hit.v[...] = 0.5
+        assert hit.shading_normals.tolist() == [0, 0, 1]
+
+
+def test_shading_normals_are_those_of_pictures(dressed):
+    """Bit for bit, but for the side: pictures turn them to the eye."""
+    camera = rs.Camera((0, 3, 12), (0, 0, 0))
+    tracer = rs.Tracer(dressed)
+    layer = rs.render(tracer, "vis", SIZE, camera=camera, layers=["normal"]).layers["normal"]
+    hits = tracer.first_hit(*camera.rays(*SIZE))
+    smooth = hits.mesh_id < 2
+    seen = hits.shading_normals
+    # Where one points away from the eye, pictures take the triangle's.
+    faces_eye = np.einsum("hwk,hwk->hw", seen, camera.rays(*SIZE)[1]) < 0
+    compared = hits.is_hit & smooth & faces_eye
+    assert compared.sum() > 300
+    np.testing.assert_array_equal(layer[compared], seen[compared])
+
+
+def test_attributes_of_many_hits_and_of_picked_ones(dressed):
+    tracer = rs.Tracer(dressed)
+    rays = rays_at(dressed)
+    many, first = tracer.multi_hit(*rays), tracer.first_hit(*rays)
+    rows = many.ray_splits[:-1][first.is_hit]
+    for name in ("material_id", "texcoords", "shading_normals"):
+        expected = getattr(first, name)[first.is_hit]
+        np.testing.assert_array_equal(getattr(many, name)[rows], expected)
+        np.testing.assert_array_equal(getattr(first[3], name), getattr(first, name)[3])
+        assert getattr(first[:0], name).shape[0] == 0
+
+
+def test_hits_know_attributes_wherever_the_structure_comes_from(dressed, tmp_path):
+    rays = rays_at(dressed)
+    expected = rs.Tracer(dressed).first_hit(*rays)
+    tracer = rs.Tracer(dressed)
+    tracer.save(tmp_path / "built.npz")
+    loaded = rs.Tracer.load(tmp_path / "built.npz", dressed).first_hit(*rays)
+    tracer.update(dressed.replace(background=(1, 0, 0)))
+    for hits in (loaded, tracer.first_hit(*rays)):
+        np.testing.assert_array_equal(hits.material_id, expected.material_id)
+        np.testing.assert_array_equal(hits.texcoords, expected.texcoords)
+    bare = rs.Tracer.load(tmp_path / "built.npz")
+    for hits in (bare.first_hit(*rays), rs.Tracer(bare.scene).first_hit(*rays)):
+        np.testing.assert_array_equal(hits.material_id, np.where(hits.is_hit, 0, -1))
+        assert np.isnan(hits.texcoords).all()
+        np.testing.assert_array_equal(hits.shading_normals, hits.normals)
+
+
+def test_hits_of_before_an_update_keep_their_attributes(dressed):
+    tracer = rs.Tracer(dressed)
+    before = tracer.first_hit(*rays_at(dressed))
+    turned = [
+        mesh.moved(mesh.vertices, -np.ones((len(mesh.vertices), 3))) for mesh in dressed.meshes
+    ]
+    tracer.update(dressed.replace(meshes=turned))
+    after = tracer.first_hit(*rays_at(dressed))
+    smooth = before.mesh_id == 0
+    assert (np.ptp(np.abs(after.shading_normals[smooth]), axis=1) < 1e-6).all()
+    assert (np.ptp(np.abs(before.shading_normals[smooth]), axis=1) > 1e-6).any()
+
+
+def test_an_empty_scene_has_no_attributes():
+    hits = rs.Tracer(rs.Scene()).first_hit([[0, 0, 0]], [0, 0, 1])
+    assert hits.material_id.tolist() == [-1]
+    assert np.isnan(hits.texcoords).all()
+    assert np.isnan(hits.shading_normals).all()

@@ -23,7 +23,7 @@ COLUMNS = ("t", "u", "v", "prim_id", "status")
 def fold(hit, payload):
     payload.hits += 1
     payload.depth += hit.t * payload.hits
-    return rs.STOP if payload.hits == 10 else rs.CONTINUE
+    return rs.Decision.STOP if payload.hits == 10 else rs.Decision.CONTINUE
 
 
 def add_up(hit, payload):

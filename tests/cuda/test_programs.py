@@ -31,7 +31,7 @@ def fold(hit, payload):
     payload.hits += 1
     payload.depth += hit.t * payload.hits
     payload.ids = 7 * payload.ids + hit.prim_id
-    return rs.STOP if payload.hits == 10 else rs.CONTINUE
+    return rs.Decision.STOP if payload.hits == 10 else rs.Decision.CONTINUE
 
 
 def nest(hit, payload):
@@ -57,7 +57,7 @@ def turn(hit, payload):
 
 
 def look(hit, payload):
-    return rs.STOP if hit.prim_id == 7 else rs.IGNORE
+    return rs.Decision.STOP if hit.prim_id == 7 else rs.Decision.IGNORE
 
 
 def one_in_five(hit):
@@ -65,7 +65,7 @@ def one_in_five(hit):
 
 
 def until_one_in_five(hit):
-    return rs.STOP if hit.prim_id % 5 == 0 else rs.IGNORE
+    return rs.Decision.STOP if hit.prim_id % 5 == 0 else rs.Decision.IGNORE
 
 
 def is_other(hit, constants):

@@ -123,13 +123,13 @@ def test_arrays_on_the_device_are_traced_where_they_are(dtype):
 
 
 def is_odd(hit):
-    return rs.CONTINUE if hit.prim_id % 2 else rs.IGNORE
+    return rs.Decision.CONTINUE if hit.prim_id % 2 else rs.Decision.IGNORE
 
 
 def add_up(hit, payload):
     payload[0] += hit.t
     payload[1] = hit.prim_id
-    return rs.STOP if hit.t > 1.0 else rs.CONTINUE
+    return rs.Decision.STOP if hit.t > 1.0 else rs.Decision.CONTINUE
 
 
 @pytest.mark.exhaustive

@@ -299,7 +299,7 @@ def test_passes_have_no_order(gpu):
 
 
 def is_odd(hit):
-    return rs.CONTINUE if hit.prim_id % 2 else rs.IGNORE
+    return rs.Decision.CONTINUE if hit.prim_id % 2 else rs.Decision.IGNORE
 
 
 def test_programs_at_the_hits_of_sorted_rays(gpu, simple_sort, rays):

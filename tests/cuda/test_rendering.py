@@ -17,12 +17,12 @@ from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
 from raystream.lab.asked import AskedTracer
-from raystream.render.picture import RENDERERS
-from raystream.render.sampled import make_setting
-from raystream.render.sampling.sampler import Sampler
-from raystream.render.shading.kept import kept_arrays
-from raystream.render.shading.light_tables import LightTables, lights_of
-from raystream.render.shading.tables import SceneTables, tables_of
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.sampled import make_setting
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.shading.kept import kept_arrays
+from raystream.rendering.shading.light_tables import LightTables, lights_of
+from raystream.rendering.shading.tables import SceneTables, tables_of
 
 #: Pictures of sines, powers and exponentials in float64, which a GPU may round in another way.
 ROUNDED = () if is_simulated() else ("image", "raycast", "shadow")

@@ -26,11 +26,10 @@ MODULES = (
     "physics.attenuation",
     "physics.lidar",
     "programs",
-    "render",
-    "render.compare",
-    "render.denoise",
-    "render.frames",
-    "render.heatmap",
+    "rendering.picture",
+    "rendering.compare",
+    "rendering.frames",
+    "rendering.heatmap",
     "scene.animation",
     "scene.textures",
     "streams",
@@ -39,8 +38,17 @@ MODULES = (
 #: Names of those modules that the package's own rooms share.
 FOR_ROOMS = {
     "machines": {"Branching", "Observer", "make_machine", "own_options"},
-    "render.frames": {"split_options", "timeline_of"},
+    "rendering.compare": {"compare", "draw_difference"},  # methods of Image
+    "rendering.frames": {"split_options", "timeline_of"},
 }
+
+#: All that is at the top; what else a module offers is imported from there.
+NAMES = """
+    Animation Camera CameraTrack Decision DirectionalLight EnvironmentLight FileFormatError Hits
+    Image MODES Material Mesh MultiHits PointLight RayStatus RaystreamError RaystreamWarning Scene
+    Texture Tracer __version__ attenuation cluster heatmap lidar_returns load query_zarr render
+    render_frames set_thread_count streams textures thickness thread_count view write_video
+"""
 
 
 def documented() -> set[str]:
@@ -48,6 +56,13 @@ def documented() -> set[str]:
     found = re.findall(r"^\.\. (?:auto\w+|data):: (\S+)((?:\n {10,}\S+)*)", PAGE, re.MULTILINE)
     names = [name for first, more in found for name in (first, *more.split())]
     return {name.rpartition(".")[2] for name in names}
+
+
+def test_the_package_has_these_names_and_no_others():
+    assert sorted(raystream.__all__) == sorted(NAMES.split())
+    assert dir(raystream) == sorted(raystream.__all__)
+    for name in set(raystream.__all__) - {"cluster"}:  # an extra
+        assert getattr(raystream, name) is not None
 
 
 @pytest.mark.parametrize("name", sorted(set(raystream.__all__) - {"__version__"}))

@@ -26,7 +26,7 @@ from numba.core.dispatcher import Dispatcher
 from raystream.jit.cache import KERNELS
 from raystream.jit.fingerprint import fingerprint
 
-for room in ("kernels", "structures", "render", "physics", "machines"):
+for room in ("kernels", "structures", "rendering", "physics", "machines"):
     for found in pkgutil.walk_packages([f"{raystream.__path__[0]}/{room}"], f"raystream.{room}."):
         importlib.import_module(found.name)
 

@@ -3,7 +3,7 @@ import importlib
 import math
 import pkgutil
 from collections import namedtuple
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numba
 import numpy as np
@@ -154,6 +154,23 @@ def test_what_is_read_of_our_modules_counts(monkeypatch):
     assert None not in found
 
 
+def test_names_of_modules_are_those_that_the_code_reads():
+    """Not those that happen to be imported already, nor fields of the same name."""
+    inner = ModuleType("raystream.late.inner")
+    inner.LIMIT = 1
+    package = ModuleType("raystream.late")
+    package.__getattr__ = SimpleNamespace(Late=7, inner=inner).__getattribute__
+    text = "def f(x):\n    return x.thickness + late.Late + late.inner.LIMIT"
+    function = define(text, late=package)
+    before = fingerprint(function)
+    package.Late, package.thickness = 7, object()
+    assert fingerprint(define(text, late=package)) == before is not None
+    inner.LIMIT = 2
+    assert fingerprint(define(text, late=package)) != before
+    assert fingerprint(define("def f(x):\n    return late", late=package)) is None
+    assert fingerprint(define("def f(x):\n    return late.none", late=package)) is None
+
+
 def test_types_of_named_tuples_have_their_fields():
     """Two classes of one name, with the same types in another order: Numba names them alike."""
     made = [namedtuple("Found", fields)(1, 2) for fields in (("t", "count"), ("count", "t"))]
@@ -172,7 +189,7 @@ def test_types_of_functions_say_what_these_do():
 
 def test_every_kernel_of_ours_has_a_fingerprint():
     """Else it would be compiled in every process."""
-    rooms = ("kernels", "structures", "machines", "render", "physics", "programs", "jit", "lab")
+    rooms = ("kernels", "structures", "machines", "rendering", "physics", "programs", "jit", "lab")
     kernels = set()
     for found in pkgutil.walk_packages(raystream.__path__, "raystream."):
         if found.name.split(".")[1] in rooms and not found.name.startswith("raystream.jit.cuda"):

@@ -8,9 +8,9 @@ import pytest
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import f32x16, f64x16, lane_count, load, single_lane, store
 from raystream.jit.simd.types import VECTORS
-from raystream.render.sampling import warp
-from raystream.render.shading import rows, shares
-from raystream.render.shading.shares import chosen_lanes
+from raystream.rendering.sampling import warp
+from raystream.rendering.shading import rows, shares
+from raystream.rendering.shading.shares import chosen_lanes
 
 LANES = 16
 RANDOM = np.random.default_rng(3)

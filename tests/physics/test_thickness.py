@@ -11,6 +11,7 @@ import raystream as rs
 from conftest import EVERY_TRACER, TRACERS, assert_same_bits
 from meshes import cube, dented_sphere, icosphere
 from raystream.physics import segments
+from raystream.physics.thickness import UnpairedKind
 from solid_meshes import (
     box_chords,
     box_mesh,
@@ -28,7 +29,7 @@ COLUMNS = (
 )  # fmt: skip
 
 X = [1.0, 0.0, 0.0]
-ENTRY, EXIT = rs.UnpairedKind.ENTRY, rs.UnpairedKind.EXIT
+ENTRY, EXIT = UnpairedKind.ENTRY, UnpairedKind.EXIT
 
 
 def spans(found):

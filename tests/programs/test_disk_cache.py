@@ -21,10 +21,10 @@ def add_up(hit, payload):
     payload.hits += 1
     payload.depth += STEP * hit.t
     if payload.hits == 2:
-        return rs.STOP
+        return rs.Decision.STOP
 
 def not_the_first(hit):
-    return hit.prim_id > 0 or rs.IGNORE == 0
+    return hit.prim_id > 0 or rs.Decision.IGNORE == 0
 
 STEP = 1.0
 vertices = np.array([[x, y, z] for z in (1, 2, 3) for x, y in ((0, 0), (4, 0), (0, 4))], float)

@@ -40,7 +40,7 @@ def number(hit):
 def mixed(hit):
     if hit.t > 1:
         return True
-    return rs.IGNORE
+    return rs.Decision.IGNORE
 
 
 def one_argument(hit):

@@ -17,7 +17,7 @@ def most_are_ignored(hit):
 
 def few_are_ignored(hit):
     if hit.prim_id % 11 == 3:
-        return rs.IGNORE
+        return rs.Decision.IGNORE
     return None
 
 
@@ -26,7 +26,7 @@ def entering(hit):
 
 
 def of_one_mesh(hit):
-    return rs.CONTINUE if hit.mesh_id == 2 else rs.IGNORE
+    return rs.Decision.CONTINUE if hit.mesh_id == 2 else rs.Decision.IGNORE
 
 
 def odd_rays(hit):
@@ -35,8 +35,8 @@ def odd_rays(hit):
 
 def until_even(hit):
     if hit.prim_id % 2 == 0:
-        return rs.STOP
-    return rs.CONTINUE
+        return rs.Decision.STOP
+    return rs.Decision.CONTINUE
 
 
 @pytest.fixture(params=["large pieces", "small pieces"])

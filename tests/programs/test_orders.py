@@ -42,7 +42,7 @@ def is_odd(hit):
 
 
 def until_third(hit):
-    return rs.STOP if hit.prim_id % 3 == 0 else rs.CONTINUE
+    return rs.Decision.STOP if hit.prim_id % 3 == 0 else rs.Decision.CONTINUE
 
 
 def picture(kind):

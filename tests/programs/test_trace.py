@@ -38,20 +38,20 @@ def third(hit, payload):
     payload.ray += 1
     if payload.ray == 3:
         payload.ray = hit.ray
-        return rs.STOP
-    return rs.IGNORE
+        return rs.Decision.STOP
+    return rs.Decision.IGNORE
 
 
 def up_to(hit, payload):
     payload[0] += 1
     payload[1] = payload[1] * 7 + hit.prim_id
     if payload[0] == payload[2]:
-        return rs.STOP
+        return rs.Decision.STOP
     return None
 
 
 def nothing(hit, payload):
-    return rs.CONTINUE
+    return rs.Decision.CONTINUE
 
 
 @pytest.fixture

@@ -96,8 +96,7 @@ def test_scene_at_a_time() -> None:
     assert later.at(1.0).camera.eye == (2, 0, 9)
     assert scene.timeline().frame_count == 8
     assert scene.timeline(fps=1).frame_count == 2
-    scene.camera = camera  # stays
-    assert scene.at(1.0).camera.eye == (0, 0, 9)
+    assert scene.replace(camera=camera).at(1.0).camera.eye == (0, 0, 9)  # it stays
     with pytest.raises(ValueError, match="finite"):
         scene.at(np.nan)
     with pytest.raises(ValueError, match="nothing moves"):
@@ -108,6 +107,20 @@ def test_scene_at_a_time() -> None:
     assert still.at(1.0).triangles is store
 
 
+def test_replaced_parts_do_not_follow_the_animation() -> None:
+    scene = moving_scene()
+    lamp = rs.PointLight((9, 9, 9), (1, 1, 1))
+    lit = scene.replace(lights=[lamp]).replace(background=(0, 0, 1))
+    assert lit.at(0.5).lights == (lamp,)
+    assert lit.at(0.5).background == (0, 0, 1)
+    assert lit.at(0.5).meshes[1].vertices[0].tolist() == [0, 0.5, 1]
+    still = scene.replace(meshes=[TRIANGLE])
+    assert still.at(0.5).triangles is still.triangles
+    assert still.at(0.5).lights[0].position == (0.5, 0, 5)
+    again = lit.replace(animation=scene.animation)
+    assert again.at(0.5).lights[0].position == (0.5, 0, 5)
+
+
 def test_cameras_to_choose_from() -> None:
     front, side = rs.Camera((0, 0, 9), (0, 0, 0)), rs.Camera((9, 0, 0), (0, 0, 0))
     track = rs.CameraTrack(side, [[0, 9, 0, 0], [1, 9, 1, 0]])
@@ -115,15 +128,15 @@ def test_cameras_to_choose_from() -> None:
     assert scene.camera is front
     assert scene.cameras == {"front": front, "side": side}
     for which in ("side", 1):
-        scene.use_camera(0)
-        assert scene.camera_track is None
-        scene.use_camera(which)
-        assert (scene.camera, scene.camera_track) == (side, track)
+        moving = scene.replace(camera=which)
+        assert (moving.camera, moving.camera_track) == (side, track)
+        still = moving.replace(camera=0)
+        assert (still.camera, still.camera_track) == (front, None)
     for which in ("top", 2, -1):
         with pytest.raises(ValueError, match=r"no camera .*'front' \(0\), 'side' \(1\)"):
-            scene.use_camera(which)
+            scene.replace(camera=which)
     with pytest.raises(ValueError, match="none to choose from"):
-        rs.Scene().use_camera(0)
+        rs.Scene(camera="front")
 
 
 def test_tracer_takes_the_scene_of_another_time(rng) -> None:

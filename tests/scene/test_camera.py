@@ -78,5 +78,5 @@ def test_the_given_camera_wins():
     assert scene.has_own_camera
     plain = rs.Scene()
     assert not plain.has_own_camera
-    plain.camera = camera
-    assert plain.has_own_camera
+    assert plain.replace(camera=camera).has_own_camera
+    assert not scene.replace(camera=None).has_own_camera

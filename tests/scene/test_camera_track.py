@@ -134,6 +134,9 @@ def test_a_scene_shows_its_track_until_it_is_given_another_camera():
     assert scene.camera_at(1.0).eye == (2, 0, 5)
     other = rs.Camera((1, 1, 1), (0, 0, 0))
     assert rs.Scene(camera=other, camera_track=track).camera is other
-    scene.camera = other
-    assert scene.camera_track is None
-    assert scene.camera_at(1.0) is other
+    seen = scene.replace(camera=other)
+    assert seen.camera_track is None
+    assert seen.camera_at(1.0) is other
+    assert scene.replace(lights=[]).camera_at(1.0).eye == (2, 0, 5)
+    assert seen.replace(camera_track=track).camera is STILL
+    assert scene.replace(camera_track=None).camera_at(1.0) is STILL

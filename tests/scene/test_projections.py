@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import raystream as rs
-from raystream.render.sampled import eye_paths
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.sampled import eye_paths
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.lens import disk_points
 
 # Looks along +x with z up, so that right is -y: no axis is where it is by default.

@@ -160,3 +160,50 @@ def test_up_is_a_direction():
         rs.Scene(up=(0, 0, 0))
     cameras = {rs.Camera.framing((0, 0, 0), (1, 2, 3), up=(0, k, 0)).eye for k in (1.0, 0.25, 64.0)}
     assert len(cameras) == 1
+
+
+def test_a_scene_does_not_change():
+    scene = rs.Scene.from_arrays(TRIANGLE, [[0, 1, 2]])
+    for name in ("meshes", "lights", "camera", "animation", "background"):
+        with pytest.raises(AttributeError, match=rf"scene\.replace\({name}=\.\.\.\)"):
+            setattr(scene, name, None)
+    with pytest.raises(AttributeError, match=r"does not change$"):
+        scene.bounds = np.zeros((2, 3))
+    with pytest.raises(ValueError, match="read-only"):
+        scene.up[0] = 1.0
+    scene.cameras["front"] = rs.Camera((0, 0, 9), (0, 0, 0))
+    assert not scene.cameras
+
+
+def test_replace_shares_what_does_not_change():
+    mesh = rs.Mesh(TRIANGLE, [[0, 1, 2]], material_ids=1)
+    materials = [rs.Material(), rs.Material(name="red")]
+    camera = rs.Camera((0, 0, 9), (0, 0, 0))
+    scene = rs.Scene(
+        [mesh], materials=materials, camera=camera, up=(1, 2, 3), background=(1, 0, 0), name="one"
+    )
+    light = rs.PointLight((0, 0, 5), (1, 1, 1))
+    lit = scene.replace(lights=[light])
+    assert (scene.lights, lit.lights) == ((), (light,))
+    assert lit.meshes == (mesh,)
+    assert lit.materials is scene.materials
+    assert lit.camera is camera
+    assert lit.up is scene.up
+    assert (lit.background, lit.name) == ((1, 0, 0), "one")
+    # Made when first asked for, by either of them.
+    assert scene.triangles is lit.triangles
+    assert scene.replace(meshes=[mesh]).triangles is scene.triangles
+    assert scene.replace(meshes=[mesh, mesh]).triangle_count == 2
+    assert scene.replace(up=(0, 0, 2)).up.tolist() == [0, 0, 1]
+    with pytest.raises(ValueError, match="uses material 1"):
+        scene.replace(materials=[])
+    with pytest.raises(TypeError, match="sky"):
+        scene.replace(sky=light)
+
+
+def test_a_tracer_takes_a_replaced_scene_without_building():
+    tracer = rs.Tracer(rs.load("cornell"))
+    structure = tracer.structure
+    tracer.update(tracer.scene.replace(background=(0, 1, 0)))
+    assert tracer.structure is structure
+    assert tracer.scene.background == (0, 1, 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.render.color import decode_srgb
+from raystream.rendering.color import decode_srgb
 
 
 def at(texture, u, v):

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 import raystream as rs
-from raystream.render.color import encode_srgb
-from raystream.render.false_colors import color_ramp
+from raystream.rendering.color import encode_srgb
+from raystream.rendering.false_colors import color_ramp
 from viewer.browser import PHONE, Viewer, chromium, serving  # noqa: F401  a fixture
 
 PAGE = Path(rs.__file__).parent / "viewer" / "page"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.render.picture import RENDERERS
-from raystream.render.sampled import make_setting
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.sampled import make_setting
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.viewer.heat import HeatPicture, ramp
 from raystream.viewer.pacing import Cost
 from raystream.viewer.pictures import (
@@ -88,7 +88,7 @@ def test_a_heat_map_is_the_one_that_heatmap_makes(scene, setting, what):
     cost.note(SIZE[0], 1.0)
     picture = HeatPicture(centered(replace(setting, tracer=tracer)), what, cost)
     assert finish(picture, 5.0) > 1
-    expected = rs.render.heatmap.heatmap(tracer, what, SIZE)
+    expected = rs.heatmap(tracer, what, SIZE)
     whole = picture.draw_whole(LOOK)().pixels
     assert whole.tobytes() == expected.image.pixels.tobytes()
     assert picture.draw(LOOK)().pixels.tobytes() == whole[: SIZE[1]].tobytes()

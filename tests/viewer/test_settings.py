@@ -7,7 +7,7 @@ import pytest
 import raystream as rs
 from extras import need
 from raystream.machines.devices import device_of
-from raystream.render.picture import RENDERERS
+from raystream.rendering.picture import RENDERERS
 from raystream.structures import STRUCTURES as ALL_STRUCTURES
 from raystream.viewer.messages import MessageError
 from raystream.viewer.settings import MACHINES, STRUCTURES, TRAVERSALS, Settings

@@ -14,7 +14,7 @@ from raystream.cli.messages import BadInputError, refuse
 if TYPE_CHECKING:
     from distributed import Client
 
-    from raystream.render.image import Image
+    from raystream.rendering.image import Image
     from raystream.tracer import Tracer
 
 __all__ = ["Cluster", "Rendering", "check_cluster", "joined"]
@@ -103,11 +103,11 @@ class Rendering:
         return (self.structure or "bvh") if self.builds_elsewhere else tracer.structure.name
 
     def __call__(self, tracer: Tracer, mode: str, **arguments: Any) -> Image:
-        """Render, as `raystream.render.render` with these arguments."""
+        """Render, as `raystream.render` with these arguments."""
         if self.client is None:
-            import raystream.render as renderers
+            from raystream.rendering.picture import render
 
-            return renderers.render(tracer, mode, **arguments)
+            return render(tracer, mode, **arguments)
         import raystream.cluster as room
 
         if not self.builds_elsewhere:

@@ -15,7 +15,7 @@ from raystream.cli.messages import BadInputError, mute, refuse, write_json, writ
 from raystream.cli.tables import set_table
 
 if TYPE_CHECKING:
-    from raystream.render.compare import Comparison
+    from raystream.rendering.compare import Comparison
 
 __all__ = ["compare"]
 
@@ -60,17 +60,15 @@ def compare(
         raise BadInputError("--maximum: only with --output")
     for path in (image, reference):
         options.check_suffix(path, SUFFIXES, "reading")
-    from raystream.render.compare import compare as measure
-    from raystream.render.compare import draw_difference
-    from raystream.render.image import Image
+    from raystream.rendering.image import Image
 
     with Bars() as bars, bars.step("comparing"):
         with mute():  # OpenEXR, which prints a line for each damaged block
             found, wanted = Image.load(image), Image.load(reference)
         with refuse(ValueError, where=f"{image}, {reference}"):
-            comparison = measure(found, wanted)
+            comparison = found.compare(wanted)
         if output is not None:
-            drawn = draw_difference(found, wanted, maximum)
+            drawn = found.draw_difference(wanted, maximum)
             with refuse(OSError, where=str(output)):
                 drawn.save(output)
     width, height = found.size

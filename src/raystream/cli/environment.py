@@ -20,7 +20,7 @@ __all__ = [
     "Rotation",
     "check_environment",
     "tell_added_light",
-    "use_environment",
+    "with_environment",
 ]
 
 #: The library's, for help; a test compares them.
@@ -68,8 +68,8 @@ def check_environment(path: Path | None, rotation: float | None) -> None:
         options.check_suffix(path, SUFFIXES, "reading")
 
 
-def use_environment(scene: Scene, path: Path, rotation: float) -> None:
-    """Put a map in the place of a scene's environment lights and background, and read it.
+def with_environment(scene: Scene, path: Path, rotation: float) -> Scene:
+    """Read a map, and put it in the place of a scene's environment lights and background.
 
     In all frames of a scene that moves.
 
@@ -80,7 +80,7 @@ def use_environment(scene: Scene, path: Path, rotation: float) -> None:
     MemoryError
         If it does not fit into memory.
     """
-    from raystream.render.environment import texels_of
+    from raystream.rendering.environment import texels_of
     from raystream.scene.lights import EnvironmentLight
 
     light = EnvironmentLight(image=path, up=tuple(scene.up), rotation=rotation)
@@ -88,19 +88,18 @@ def use_environment(scene: Scene, path: Path, rotation: float) -> None:
 
     def light_up(scene: Scene) -> Scene:
         others = [other for other in scene.lights if not isinstance(other, EnvironmentLight)]
-        scene.lights = (*others, light)
-        scene.background = (0.0, 0.0, 0.0)
-        return scene
+        return scene.replace(lights=(*others, light), background=(0.0, 0.0, 0.0))
 
-    light_up(scene)
-    if scene.animation is not None:
-        posed = scene.animation.at
-        scene.animation = replace(scene.animation, at=lambda time: light_up(posed(time)))
+    lit = light_up(scene)
+    if scene.animation is None:
+        return lit
+    pose = scene.animation.at
+    return lit.replace(animation=replace(scene.animation, at=lambda time: light_up(pose(time))))
 
 
 def tell_added_light(scene: Scene, mode: str, lights: str) -> None:
     """Say on stderr if a light is added to a scene's own; see `lighting.needs_light`."""
-    from raystream.render.lighting import added_light
+    from raystream.rendering.lighting import added_light
 
     added = added_light(scene, mode, lights)
     if added:

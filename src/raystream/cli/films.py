@@ -15,7 +15,7 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.clusters import joined
-from raystream.cli.environment import tell_added_light, use_environment
+from raystream.cli.environment import tell_added_light, with_environment
 from raystream.cli.keywords import blame_options, machine_figures
 from raystream.cli.layers import Kept
 from raystream.cli.messages import (
@@ -206,7 +206,7 @@ class _Files:
 
     def is_whole(self, number: int, size: tuple[int, int]) -> bool:
         """Whether a frame is there, can be read, and has the size."""
-        from raystream.render.image import Image
+        from raystream.rendering.image import Image
 
         path = self.path(number)
         if not path.is_file():
@@ -244,7 +244,7 @@ def render_film(asked: FilmAsked, json: bool) -> None:
         except ValueError as error:  # its name is that of the option
             raise BadInputError(f"--{error}") from error
         if files.video is not None:
-            from raystream.render.video import check_video
+            from raystream.rendering.video import check_video
 
             check_video(files.video, asked.size, len(numbers))
         files.prepare(asked.resume)
@@ -295,12 +295,12 @@ def _opened(asked: FilmAsked) -> tuple[Scene, Camera | CameraMotion | None, Time
     with refuse(*kinds):
         scene = load(asked.scene, triangles=asked.triangles)
     if asked.environment is not None:
-        use_environment(scene, asked.environment, asked.environment_rotation)
+        scene = with_environment(scene, asked.environment, asked.environment_rotation)
     parts = dict(asked.camera)
     which = parts.pop("which", None)
     with refuse(ValueError, where="--camera"):
         if which is not None:
-            scene.use_camera(which)
+            scene = scene.replace(camera=which)
         camera: Camera | CameraMotion | None = None
         if parts:
             still = dataclasses.replace(scene.camera_for(asked.size[0] / asked.size[1]), **parts)
@@ -348,7 +348,7 @@ def _render(
         blame_options(asked.chosen),
     ):
         if client is None:
-            from raystream.render.frames import render_frames
+            from raystream.rendering.frames import render_frames
         else:
             from functools import partial
 
@@ -391,8 +391,8 @@ def _counting(files: _Files, numbers: tuple[int, ...], missing: tuple[int, ...])
 
 
 def _write_video(files: _Files, numbers: tuple[int, ...], fps: float) -> None:
-    from raystream.render.image import Image
-    from raystream.render.video import write_video
+    from raystream.rendering.image import Image
+    from raystream.rendering.video import write_video
 
     assert files.video is not None
     pictures = (Image.load(files.path(number)) for number in numbers)

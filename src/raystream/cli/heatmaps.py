@@ -12,7 +12,7 @@ from raystream.cli import options
 from raystream.cli.messages import BadInputError
 
 if TYPE_CHECKING:
-    from raystream.render.heatmap import Heatmap
+    from raystream.rendering.heatmap import Heatmap
 
 __all__ = ["Maximum", "What", "check_heatmap", "heatmap_figures"]
 

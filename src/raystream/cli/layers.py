@@ -11,13 +11,13 @@ import typer
 from raystream.cli.messages import BadInputError
 
 if TYPE_CHECKING:
-    from raystream.render.image import Image
+    from raystream.rendering.image import Image
 
 __all__ = ["Denoise", "Kept", "Layers"]
 
 NAMES = ("depth", "normal", "albedo", "prim_id", "emission")
 
-#: What `raystream.render.denoise.denoise` makes use of.
+#: What `Image.denoise` uses.
 GUIDES = ("depth", "normal", "albedo", "emission")
 
 Layers = Annotated[
@@ -77,10 +77,9 @@ class Kept:
 
     def denoised(self, image: Image) -> Image:
         """The picture without noise, and without layers that were only to guide the filter."""
-        from raystream.render.denoise import denoise
-        from raystream.render.image import Image
+        from raystream.rendering.image import Image
 
-        smooth = denoise(image)
+        smooth = image.denoise()
         layers = {
             name: layer
             for name, layer in smooth.layers.items()

@@ -19,7 +19,7 @@ from raystream.cli.environment import (
     Rotation,
     check_environment,
     tell_added_light,
-    use_environment,
+    with_environment,
 )
 from raystream.cli.films import (
     FilmAsked,
@@ -47,8 +47,8 @@ from raystream.cli.sampling import (
 )
 
 if TYPE_CHECKING:
-    from raystream.render.heatmap import Heatmap
-    from raystream.render.image import Image
+    from raystream.rendering.heatmap import Heatmap
+    from raystream.rendering.image import Image
 
 __all__ = ["DEFAULT_SCENE", "render"]
 
@@ -166,8 +166,8 @@ def render(
     mode = mode or options.MODES[0]
     check_cluster(cluster, threads)
     choose_threads(threads)
-    from raystream.render.arguments import MAX_PIXELS
-    from raystream.render.heatmap import heatmap as draw_heatmap
+    from raystream.rendering.arguments import MAX_PIXELS
+    from raystream.rendering.heatmap import heatmap as draw_heatmap
 
     if width * height > MAX_PIXELS:
         raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
@@ -222,12 +222,13 @@ def render(
         tracer = open_tracer(source, bars, watch)
         if environment is not None:
             with watch.measure("environment"), bars.step("reading environment"):
-                use_environment(tracer.scene, environment, environment_rotation or 0.0)
+                tracer.update(
+                    with_environment(tracer.scene, environment, environment_rotation or 0.0)
+                )
         view = tracer.scene.camera_for(width / height)
         with refuse(ValueError, where="--camera"):
             if which is not None:
-                tracer.scene.use_camera(which)
-                view = tracer.scene.camera
+                view = tracer.scene.replace(camera=which).camera
             view = dataclasses.replace(view, **parts)
         arguments |= {"size": (width, height), "camera": view}
         unit = "paths" if heatmap is None else "rays"

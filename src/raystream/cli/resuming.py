@@ -15,8 +15,8 @@ from raystream.cli.messages import BadInputError, BrokenOffError, refuse, write_
 from raystream.core.errors import FileFormatError
 
 if TYPE_CHECKING:
-    from raystream.render.image import Image
-    from raystream.render.sample_file import SampleFile
+    from raystream.rendering.image import Image
+    from raystream.rendering.sample_file import SampleFile
 
 __all__ = ["Paths", "Resume", "checkpoint_beside", "keeping_samples"]
 
@@ -38,7 +38,7 @@ def checkpoint_beside(output: Path, resume: bool) -> Path:
         If it is there already, and not to be used: it may hold the work of hours. Also if
         ``RAYSTREAM_CHECKPOINT_SECONDS`` is bad.
     """
-    from raystream.render.progressive import checkpoint_seconds
+    from raystream.rendering.progressive import checkpoint_seconds
 
     with refuse(ValueError):
         checkpoint_seconds()
@@ -78,7 +78,7 @@ def keeping_samples(checkpoint: Path | None) -> Iterator[SampleFile | None]:
     if checkpoint is None:
         yield None
         return
-    from raystream.render.sample_file import SampleFile
+    from raystream.rendering.sample_file import SampleFile
 
     samples = SampleFile(checkpoint, at_end=False)
     try:

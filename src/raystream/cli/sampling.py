@@ -13,7 +13,7 @@ from raystream.cli import options
 from raystream.cli.messages import BadInputError
 
 if TYPE_CHECKING:
-    from raystream.render.sampled import SampledRenderer
+    from raystream.rendering.sampled import SampledRenderer
 
 __all__ = [
     "Asked",
@@ -124,7 +124,7 @@ class Asked:
 
 
 def mode_arguments(mode: str, asked: Asked, chosen: dict[str, Any]) -> dict[str, Any]:
-    """What `raystream.render.render` is to be given for a mode.
+    """What `raystream.render` is to be given for a mode.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def mode_arguments(mode: str, asked: Asked, chosen: dict[str, Any]) -> dict[str,
     BadInputError
         If the mode has no use for something that was given, or it is out of range.
     """
-    from raystream.render.picture import RENDERERS
+    from raystream.rendering.picture import RENDERERS
 
     given = _own_options(mode, asked, chosen, RENDERERS)
     _check_own(RENDERERS[mode], given, asked)
@@ -205,7 +205,7 @@ def _check_own(renderer: SampledRenderer, given: Mapping[str, Any], asked: Asked
 
 
 def _sample_arguments(asked: Asked) -> dict[str, Any]:
-    from raystream.render.sampling.sampler import Sampler
+    from raystream.rendering.sampling.sampler import Sampler
 
     is_limited = asked.noise is not None or asked.time_limit is not None
     sampler = asked.sampler or options.SAMPLERS[0]

@@ -139,12 +139,13 @@ def view(
 
 def _set_camera(tracer: Tracer, parts: dict[str, Any]) -> None:
     """Begin with the view that was asked for."""
-    which = parts.pop("which", None)
+    scene, which = tracer.scene, parts.pop("which", None)
     with refuse(ValueError, where="--camera"):
         if which is not None:
-            tracer.scene.use_camera(which)
+            scene = scene.replace(camera=which)
         if parts:
-            tracer.scene.camera = dataclasses.replace(tracer.scene.camera, **parts)
+            scene = scene.replace(camera=dataclasses.replace(scene.camera, **parts))
+    tracer.update(scene)
 
 
 def _announce(server: ViewServer, browser: bool | None) -> None:

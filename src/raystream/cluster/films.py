@@ -24,10 +24,10 @@ from raystream.cluster.tracers import (
     unpack_tracer,
 )
 from raystream.jit.threads import Progress
-from raystream.render.arguments import check_samples, check_size
-from raystream.render.frames import frame_seed, split_options, timeline_of
-from raystream.render.image import Image
-from raystream.render.picture import render
+from raystream.rendering.arguments import check_samples, check_size
+from raystream.rendering.frames import frame_seed, split_options, timeline_of
+from raystream.rendering.image import Image
+from raystream.rendering.picture import render
 from raystream.scene.animation import Timeline
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion

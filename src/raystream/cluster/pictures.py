@@ -13,14 +13,14 @@ from raystream.cluster.post import post_of
 from raystream.cluster.samples import Samples, picture_text
 from raystream.cluster.tracers import pack_tracer
 from raystream.jit.threads import Progress
-from raystream.render.arguments import check_camera, check_samples, check_size
-from raystream.render.image import Image
-from raystream.render.layers import choose_layers
-from raystream.render.lighting import check_lights
-from raystream.render.picture import RENDERERS
-from raystream.render.progressive import Limits, render_samples
-from raystream.render.sampled import make_setting
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.arguments import check_camera, check_samples, check_size
+from raystream.rendering.image import Image
+from raystream.rendering.layers import choose_layers
+from raystream.rendering.lighting import check_lights
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.progressive import Limits, render_samples
+from raystream.rendering.sampled import make_setting
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer

@@ -19,11 +19,11 @@ from raystream.cluster.shares import own_share
 from raystream.cluster.tasks import OrderedTasks
 from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
-from raystream.render.picture import RENDERERS
-from raystream.render.progressive import Sampled, trace_sample
-from raystream.render.sampled import Setting, make_setting
-from raystream.render.sampling.sampler import Sampler
-from raystream.render.shading.seen import SeenSurfaces
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.progressive import Sampled, trace_sample
+from raystream.rendering.sampled import Setting, make_setting
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.shading.seen import SeenSurfaces
 from raystream.scene.camera import Camera
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
-from raystream.render.environment import texels_of
+from raystream.rendering.environment import texels_of
 from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
 from raystream.scene.material import Material
 from raystream.scene.mesh import Mesh

@@ -59,6 +59,60 @@ class _HitColumns:
         """
         return self._local_normals().astype(np.float32)
 
+    @cached_property
+    def material_id(self) -> NDArray[np.int32]:
+        """Material of the triangle in `Scene.materials`, int32, of the hits' shape; a miss has -1.
+
+        0 where the tracer's structure was loaded without a scene.
+        """
+        attributes = self._triangles.attributes
+        is_hit = self.prim_id >= 0
+        materials = np.full(self.prim_id.shape, -1, np.int32)
+        known = 0 if attributes is None else attributes.material_ids[self.prim_id[is_hit]]
+        materials[is_hit] = known
+        return materials
+
+    @cached_property
+    def texcoords(self) -> NDArray[np.float32]:
+        """Texture coordinates, shape (..., 2), float32; (0, 0) is an image's lower left corner.
+
+        Interpolated from the vertices. NaN for a miss, and where a mesh has none.
+        """
+        attributes = self._triangles.attributes
+        table = None if attributes is None else attributes.texcoords
+        return self._interpolated(table, 2).astype(np.float32)
+
+    @cached_property
+    def shading_normals(self) -> NDArray[np.float32]:
+        """Unit normals for shading, shape (..., 3), float32; a miss has NaN.
+
+        Interpolated from the vertices' normals, on the side of `normals`: a mesh whose vertex
+        normals contradict the winding of its faces has them turned. Where a mesh has none, or
+        they cancel, they are `normals`. Without the relief of normal and bump maps.
+        """
+        attributes = self._triangles.attributes
+        plane = self._local_normals()
+        smooth = self._interpolated(None if attributes is None else attributes.normals, 3)
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            (x, y, z), (gx, gy, gz) = np.moveaxis(smooth, -1, 0), np.moveaxis(plane, -1, 0)
+            length = np.sqrt(x * x + y * y + z * z)
+            is_sound = (length > 0.0) & (length < np.inf)
+            scale = 1.0 / np.where(x * gx + y * gy + z * gz < 0.0, -length, length)
+            smooth = smooth * scale[..., None]
+        return np.where(is_sound[..., None], smooth, plane).astype(np.float32)
+
+    def _interpolated(self, table: NDArray[np.float32] | None, width: int) -> NDArray[np.float64]:
+        """Rows of vertices between them, shape (..., width), float64; NaN for misses."""
+        values = np.full((*self.prim_id.shape, width), np.nan)
+        attributes, is_hit = self._triangles.attributes, self.prim_id >= 0
+        if table is None or attributes is None:
+            return values
+        vertices = attributes.faces[self.prim_id[is_hit]]
+        u, v = (weight[is_hit].astype(np.float64)[:, None] for weight in (self.u, self.v))
+        a, b, c = (table[vertices[:, k]] for k in range(3))
+        values[is_hit] = (1.0 - u - v) * a + u * b + v * c
+        return values
+
     def _corners(self) -> NDArray[np.float64]:
         """Shape (..., 3, 3), float64, local frame; NaN for misses."""
         if len(self._triangles) == 0:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.attributes import Attributes
+
 __all__ = ["MAX_COORDINATE", "MAX_TRIANGLES", "Triangles"]
 
 #: Coordinates beyond this count as non-finite: products of three would leave float64.
@@ -57,6 +59,8 @@ class Triangles:
     degenerate_count, nonfinite_count : int
         Triangles left out: without area, or with a vertex that is NaN, infinite or beyond
         `MAX_COORDINATE`.
+    attributes : Attributes or None
+        Those of the meshes, if a scene has said so: queries have no use for them, hits do.
     """
 
     corners: NDArray[np.float32]
@@ -68,6 +72,7 @@ class Triangles:
     extreme: np.float32
     degenerate_count: int
     nonfinite_count: int
+    attributes: Attributes | None = None
 
     def __init__(self, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]) -> None:
         counts = [len(faces) for _, faces in meshes]

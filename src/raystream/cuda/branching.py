@@ -28,7 +28,7 @@ from raystream.structures import Structure
 
 if TYPE_CHECKING:
     from raystream.cuda.rendering import CudaBands
-    from raystream.render.sampled import Setting
+    from raystream.rendering.sampled import Setting
 
 __all__ = ["Branching"]
 

@@ -24,9 +24,9 @@ from raystream.graphics.source import shader_source
 from raystream.graphics.surfaces import SurfaceArrays, check_surfaces
 from raystream.graphics.textures import FLOATS, WORDS, Texture, sampled
 from raystream.graphics.views import check_pinhole, packed_view
-from raystream.render.arguments import check_camera, check_size, make_tracer
-from raystream.render.image import Image
-from raystream.render.picture import RENDERERS
+from raystream.rendering.arguments import check_camera, check_size, make_tracer
+from raystream.rendering.image import Image
+from raystream.rendering.picture import RENDERERS
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures import Structure

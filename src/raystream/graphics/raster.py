@@ -22,7 +22,7 @@ from raystream.graphics.pipelines import Program, bind, fragment_pipeline
 from raystream.graphics.source import shader_source
 from raystream.graphics.textures import IDS, WORDS, Texture, new_texture, sampled
 from raystream.graphics.views import check_pinhole, packed_view
-from raystream.render.arguments import check_camera, check_size
+from raystream.rendering.arguments import check_camera, check_size
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from raystream.core.hits import Hits
 from raystream.graphics.raster import Visibility, visibility
-from raystream.render.arguments import check_camera, check_size, make_tracer
-from raystream.render.image import Image
-from raystream.render.picture import RENDERERS
-from raystream.render.sampled import Band, PathStream, Setting, eye_paths, make_setting
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.arguments import check_camera, check_size, make_tracer
+from raystream.rendering.image import Image
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.sampled import Band, PathStream, Setting, eye_paths, make_setting
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, upload
 from raystream.graphics.forms.base import numbers
-from raystream.render.attributes import VertexAttributes, material_ids_of
-from raystream.render.environment import image_light
-from raystream.render.shading.classic import light_rows
-from raystream.render.shading.tables import material_rows
-from raystream.render.shading.textures import ROLES, texture_arrays
+from raystream.rendering.attributes import VertexAttributes
+from raystream.rendering.environment import image_light
+from raystream.rendering.shading.classic import light_rows
+from raystream.rendering.shading.tables import material_rows
+from raystream.rendering.shading.textures import ROLES, texture_arrays
 from raystream.scene.camera import Camera
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
@@ -38,7 +38,7 @@ _UNSUPPORTED = {
 
 def check_surfaces(scene: Scene) -> None:
     """Raise ValueError if fragment programs cannot draw some of a scene's surfaces or lights."""
-    used = np.unique(material_ids_of(scene))
+    used = np.unique(scene.attributes.material_ids)
     for index in used.tolist():
         material: Material = scene.materials[index]
         for what, holds in _UNSUPPORTED.items():
@@ -84,7 +84,7 @@ class SurfaceArrays:
                 ("the corners of triangles", self._triangles.corners),
                 ("the vertices of triangles", vertices.faces.astype(np.uint32)),
                 ("the attributes of vertices", _vertex_rows(vertices)),
-                ("the materials of triangles", material_ids_of(scene).astype(np.uint32)),
+                ("the materials of triangles", scene.attributes.material_ids.astype(np.uint32)),
                 ("materials", material_rows(scene.materials)),
                 ("textures", _texels(scene.materials)),
                 ("lights", lights.astype(np.float32)),

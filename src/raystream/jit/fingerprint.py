@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import ast
 import builtins
+import dis
 import enum
 import hashlib
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from opcode import opmap
 from pathlib import Path
@@ -54,6 +55,7 @@ _HASH = re.compile("[0-9a-f]{32}")
 
 _LOAD_GLOBAL, _LOAD_CONST = opmap["LOAD_GLOBAL"], opmap["LOAD_CONST"]
 _EXTENDED_ARG = opmap["EXTENDED_ARG"]
+_LOAD_ATTRIBUTE = ("LOAD_ATTR", "LOAD_METHOD")
 
 #: In `co_flags` since Python 3.13; before, a function's first constant is its docstring or None.
 _HAS_DOCSTRING = 0x4000000
@@ -321,12 +323,32 @@ class _Reader:
                 used.append(f"{name} built-in")
                 continue
             value = function.__globals__[name]
-            used.append(f"{name} {self.describe(value)}")
             if isinstance(value, ModuleType) and _is_ours(value):
-                # Which of its attributes are read, the names alone do not tell: all that may be.
-                attributes = sorted(_all_names(function.__code__) & vars(value).keys())
-                used += [f"{name}.{a} {self.describe(vars(value)[a])}" for a in attributes]
+                used += sorted(set(self._read_of(function.__code__, name, value)))
+            else:
+                used.append(f"{name} {self.describe(value)}")
         return used
+
+    def _read_of(self, code: CodeType, name: str, module: ModuleType) -> Iterator[str]:
+        """Describe what the code, and code inside it, reads of a module of ours.
+
+        By the code and not by what the module has: the package imports names when they are read.
+        """
+        steps = [step for step in dis.get_instructions(code) if step.opname != "EXTENDED_ARG"]
+        for place, step in enumerate(steps):
+            if step.opname != "LOAD_GLOBAL" or step.argval != name:
+                continue
+            path = name
+            value: Any = module
+            for after in steps[place + 1 :]:
+                if not (isinstance(value, ModuleType) and _is_ours(value)):
+                    break
+                if after.opname not in _LOAD_ATTRIBUTE or not hasattr(value, after.argval):
+                    raise _UnknownError  # the module itself is handed on
+                path, value = f"{path}.{after.argval}", getattr(value, after.argval)
+            yield f"{path} {self.describe(value)}"
+        for inner in _inner(code):
+            yield from self._read_of(inner, name, module)
 
     def _code(self, code: CodeType) -> str:
         constants = [self.describe(constant) for constant in _constants(code)]
@@ -385,11 +407,6 @@ def _global_names(code: CodeType) -> set[str]:
     """Global names that the code, and code inside it, reads."""
     names = {code.co_names[operand >> 1] for operand in _operands(code, _LOAD_GLOBAL)}
     return names.union(*map(_global_names, _inner(code)))
-
-
-def _all_names(code: CodeType) -> set[str]:
-    """Names of globals and attributes in the code, and in code inside it."""
-    return set(code.co_names).union(*map(_all_names, _inner(code)))
 
 
 def _inner(code: CodeType) -> list[CodeType]:

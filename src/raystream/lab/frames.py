@@ -8,10 +8,10 @@ from typing import Any
 
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.results import Picture
-from raystream.render.picture import RENDERERS, render
-from raystream.render.progressive import trace_sample
-from raystream.render.sampled import Setting, make_setting
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.picture import RENDERERS, render
+from raystream.rendering.progressive import trace_sample
+from raystream.rendering.sampled import Setting, make_setting
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 

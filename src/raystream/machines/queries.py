@@ -343,11 +343,11 @@ class Queries:
 
         Parameters
         ----------
-        setting : render.sampled.Setting
+        setting : rendering.sampled.Setting
 
         Returns
         -------
-        render.device_bands.DeviceBands or None
+        rendering.device_bands.DeviceBands or None
         """
         own = type(self)
         is_usual = own.first_hit is Queries.first_hit and own.any_hit is Queries.any_hit

@@ -163,10 +163,9 @@ def lidar_returns(
     transmissions = number_table(
         "transmission", transmission, names, "material", high=1.0, default=0.0
     )
-    ids = [mesh.material_ids for mesh in scene.meshes]
     surfaces = Surfaces(
         tracer.structure.triangles.corners,
-        np.concatenate([np.zeros(0, np.int32), *ids]),
+        scene.attributes.material_ids,
         reflectances,
         transmissions,
         _check("threshold", threshold, 0.0, 1.0),

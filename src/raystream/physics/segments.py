@@ -126,8 +126,7 @@ class _Worker:
         self._triangles = tracer.structure.triangles
         self._frame = SceneFrame.of(self._triangles)
         self.solids: Solids = solids_of(self._triangles)
-        ids = [mesh.material_ids for mesh in tracer.scene.meshes]
-        self._material_ids = np.concatenate([np.zeros(0, np.int32), *ids])
+        self._material_ids = tracer.scene.attributes.material_ids
 
     def blocks(self, progress: Progress | None) -> Iterator[tuple[slice, MultiHits]]:
         """The crossings of some rays at a time; at least one block, if without rays."""

@@ -4,8 +4,8 @@ They run on the rows that a tracer's queries give, a bounded number of them at a
 structure and machine alike.
 """
 
-from raystream.programs.decisions import CONTINUE, IGNORE, STOP, Decision
+from raystream.programs.decisions import Decision
 from raystream.programs.filters import Bound
 from raystream.programs.hits import Hit
 
-__all__ = ["CONTINUE", "IGNORE", "STOP", "Bound", "Decision", "Hit"]
+__all__ = ["Bound", "Decision", "Hit"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 
-__all__ = ["CONTINUE", "IGNORE", "STOP", "Decision"]
+__all__ = ["Decision"]
 
 
 class Decision(enum.IntEnum):
@@ -23,8 +23,3 @@ class Decision(enum.IntEnum):
     CONTINUE = 0
     STOP = 1
     IGNORE = 2
-
-
-CONTINUE = Decision.CONTINUE
-STOP = Decision.STOP
-IGNORE = Decision.IGNORE

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from raystream.jit.programs import accept_decision, row_of
-from raystream.programs.decisions import IGNORE, STOP, Decision
+from raystream.programs.decisions import Decision
 from raystream.programs.hits import (
     close_ray,
     hit_at,
@@ -124,7 +124,7 @@ def names_of(goal: Goal) -> dict[str, Any]:
         "add_one": add_one,
         "close_ray": close_ray,
         "hit_at": hit_at,
-        "ignore": np.int64(IGNORE),
+        "ignore": np.int64(Decision.IGNORE),
         "is_open": is_open,
         "is_skipped": is_skipped,
         "keep_row": keep_row,
@@ -135,7 +135,7 @@ def names_of(goal: Goal) -> dict[str, Any]:
         "ray_at": ray_at,
         "row_of": row_of,
         "row_range": row_range,
-        "stop": np.int64(STOP),
+        "stop": np.int64(Decision.STOP),
         "unsigned": np.uint64,
         "zero": np.uint64(0),
     }

@@ -110,7 +110,7 @@ def _load_name(source: str, time: float, triangles: int | None) -> Scene:
         scene = read_model(samples.fetch(source), time=time)
         view = samples.camera(source)
         if view is not None and not scene.has_own_camera:
-            scene.camera = view
+            scene = scene.replace(camera=view)
         return scene
     if os.path.isdir(source):
         raise FileFormatError(source, FOLDER)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+import operator
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raystream.core.attributes import Attributes
 from raystream.core.triangles import Triangles
 from raystream.notebook import html_table
 from raystream.scene.animation import FPS, Animation, Timeline
@@ -18,29 +22,69 @@ from raystream.scene.camera_track import CameraMotion
 from raystream.scene.lights import AreaLight, Light
 from raystream.scene.material import Color, Material
 from raystream.scene.mesh import Mesh
+from raystream.scene.views import Views
 
 __all__ = ["Scene"]
+
+#: What an animation gives for each time.
+_ANIMATED = ("meshes", "materials", "lights")
+
+
+class _Geometry:
+    """Meshes, and the triangles made of them: once, for all scenes that share the meshes."""
+
+    def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
+        self.meshes = tuple(meshes)
+        self.attributes = Attributes(self.meshes)
+        if triangles is not None:
+            self.triangles = self._described(triangles)
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        return self._described(Triangles([(mesh.vertices, mesh.faces) for mesh in self.meshes]))
+
+    def _described(self, triangles: Triangles) -> Triangles:
+        if triangles.attributes is None:  # else hits that refer to them would change
+            triangles.attributes = self.attributes
+        return triangles
+
+
+class _Parts(TypedDict, total=False):
+    """What `Scene.replace` takes: the parameters of `Scene`."""
+
+    meshes: Sequence[Mesh]
+    materials: Sequence[Material]
+    lights: Sequence[Light]
+    camera: Camera | str | int | None
+    camera_track: CameraMotion | None
+    cameras: Mapping[str, Camera | CameraMotion]
+    animation: Animation | None
+    up: ArrayLike
+    background: Color
+    name: str
 
 
 class Scene:
     """What rays are traced against, and what a picture of it needs.
+
+    A scene does not change: `replace` makes another one, which shares the rest.
 
     Parameters
     ----------
     meshes : sequence of Mesh
         Their triangles are numbered one mesh after another: `prim_id` counts over them all.
     materials : sequence of Material, optional
-        What each mesh's ``material_ids`` refer to; without any, one grey material.
+        What each mesh's ``material_ids`` refer to [default: one grey material].
     lights : sequence of PointLight, DirectionalLight or EnvironmentLight, optional
         Area lights are not listed: they follow from emissive materials.
-    camera : Camera, optional
-        The view to use when a caller names none; without it, that of the track while it
-        stands still, else one that frames the scene.
+    camera : Camera, str or int, optional
+        The view to use when a caller names none, or the name or number of one of `cameras`
+        [default: that of `camera_track` while it stands still, else the first of `cameras`,
+        else one that frames the scene].
     camera_track : CameraTrack, optional
         How the camera moves; see `camera_at`.
     cameras : mapping of str to Camera or CameraTrack, optional
-        All views that it has, by name; see `use_camera`. The first is `camera` and
-        `camera_track`, if neither is given.
+        All views to choose from, by name.
     animation : Animation, optional
         How meshes and lights move; see `at`.
     up : array_like of shape (3,), optional
@@ -53,7 +97,8 @@ class Scene:
     Raises
     ------
     ValueError
-        If a mesh refers to a material that is not there, or `up` is zero.
+        If a mesh refers to a material that is not there, `cameras` has no such camera, or `up`
+        is zero.
     """
 
     def __init__(
@@ -62,7 +107,7 @@ class Scene:
         *,
         materials: Sequence[Material] = (),
         lights: Sequence[Light] = (),
-        camera: Camera | None = None,
+        camera: Camera | str | int | None = None,
         camera_track: CameraMotion | None = None,
         cameras: Mapping[str, Camera | CameraMotion] | None = None,
         animation: Animation | None = None,
@@ -70,25 +115,28 @@ class Scene:
         background: Color = (0.0, 0.0, 0.0),
         name: str = "",
     ) -> None:
-        self.meshes = tuple(meshes)
-        self.materials = tuple(materials) or (Material(),)
-        self.lights = tuple(lights)
-        self.name = str(name)
-        self.up = unit_vector("up", up)
-        self.background = background
-        self._camera = camera_track.still if camera is None and camera_track else camera
-        self._camera_track = camera_track
-        self._cameras = dict(cameras or {})
+        self._geometry = _Geometry(meshes)
+        self._materials = tuple(materials) or (Material(),)
+        self._lights = tuple(lights)
+        self._name = str(name)
+        self._up = unit_vector("up", up)
+        self._up.flags.writeable = False
+        self._background = background
+        self._views = Views.of(camera, camera_track, cameras)
         self._animation = animation
-        if self._camera is None and self._cameras:
-            self.use_camera(0)
-        self._triangles: Triangles | None = None
         for index, mesh in enumerate(self.meshes):
             if len(mesh.faces) and int(mesh.material_ids.max()) >= len(self.materials):
                 raise ValueError(
                     f"mesh {index} ({mesh.name!r}) uses material {int(mesh.material_ids.max())}, "
                     f"but the scene has {len(self.materials)}"
                 )
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_"):
+            is_part = name in _Parts.__annotations__
+            how = f"; scene.replace({name}=...) makes another" if is_part else ""
+            raise AttributeError(f"{name}: a scene does not change{how}")
+        super().__setattr__(name, value)
 
     @classmethod
     def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike, **attributes: Any) -> Scene:
@@ -129,8 +177,63 @@ class Scene:
         for first, end in itertools.pairwise(triangles.mesh_splits):
             faces = np.arange(3 * (end - first), dtype=np.int32).reshape(-1, 3)
             meshes.append(Mesh(corners[first:end].reshape(-1, 3), faces))
-        scene = cls(meshes)
-        scene._triangles = triangles
+        return cls().moved(meshes, triangles)
+
+    def replace(self, **changes: Unpack[_Parts]) -> Scene:
+        """Make the same scene with other parts; what does not change is shared.
+
+        Parameters
+        ----------
+        **changes
+            Parameters of `Scene`. A `camera` ends the track of the one before.
+
+        Returns
+        -------
+        Scene
+            With the same meshes it has the same triangles, which are not made again, and
+            `Tracer.update` takes it without rebuilding anything.
+
+        Raises
+        ------
+        ValueError, TypeError
+            As `Scene`.
+
+        Notes
+        -----
+        Meshes, materials and lights that are replaced stay as they are at all times; those that
+        are not follow the animation.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> scene = rs.load("cornell")
+        >>> sunny = scene.replace(lights=[rs.DirectionalLight((0, -1, 1), (3, 3, 3))])
+        >>> len(scene.lights), len(sunny.lights), sunny.triangles is scene.triangles
+        (0, 1, True)
+        """
+        views, animation = self._views, self._animation
+        given: dict[str, Any] = dict(changes)
+        held = {name: given[name] for name in _ANIMATED if name in given}
+        if animation is not None and held:
+            pose = animation.at
+            animation = replace(animation, at=lambda time: pose(time).replace(**held))
+        parts: dict[str, Any] = {
+            "meshes": self.meshes,
+            "materials": self.materials,
+            "lights": self.lights,
+            "camera": None if given.get("camera_track") else views.camera,
+            "camera_track": None if "camera" in given else views.track,
+            "cameras": views.named,
+            "animation": animation,
+            "up": self.up,
+            "background": self.background,
+            "name": self.name,
+        }
+        scene = Scene(**(parts | given))
+        if "up" not in given:
+            scene._up = self._up  # a unit vector that is normalised again may lose a bit
+        if _are_same(scene.meshes, self.meshes):
+            scene._geometry = self._geometry
         return scene
 
     def moved(self, meshes: Sequence[Mesh], triangles: Triangles) -> Scene:
@@ -143,17 +246,52 @@ class Scene:
         triangles : Triangles
             Theirs.
         """
+        return self._with(_geometry=_Geometry(meshes, triangles))
+
+    def _with(self, **fields: Any) -> Scene:
         scene = Scene.__new__(Scene)
-        scene.__dict__.update(self.__dict__)
-        scene.meshes, scene._triangles = tuple(meshes), triangles
+        vars(scene).update(vars(self), **fields)
         return scene
+
+    @property
+    def meshes(self) -> tuple[Mesh, ...]:
+        """The meshes, in the order that numbers their triangles."""
+        return self._geometry.meshes
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """The materials, at least one."""
+        return self._materials
+
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        """The lights, without area lights."""
+        return self._lights
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """The world's up direction: a unit vector of shape (3,), float64, read-only."""
+        return self._up
+
+    @property
+    def background(self) -> Color:
+        """What rays that miss see, linear RGB."""
+        return self._background
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return self._name
 
     @property
     def triangles(self) -> Triangles:
         """The triangles of all meshes in the form that structures are built from; made once."""
-        if self._triangles is None:
-            self._triangles = Triangles([(mesh.vertices, mesh.faces) for mesh in self.meshes])
-        return self._triangles
+        return self._geometry.triangles
+
+    @property
+    def attributes(self) -> Attributes:
+        """What the meshes say of their triangles and vertices, one mesh after another."""
+        return self._geometry.attributes
 
     @property
     def triangle_count(self) -> int:
@@ -182,14 +320,10 @@ class Scene:
         """The scene's own camera, else one that frames its bounds in a picture of 4:3."""
         return self.camera_for(4.0 / 3.0)
 
-    @camera.setter
-    def camera(self, camera: Camera) -> None:
-        self._camera, self._camera_track = camera, None
-
     @property
     def has_own_camera(self) -> bool:
         """Whether the camera was given, and does not just frame the bounds."""
-        return self._camera is not None
+        return self._views.camera is not None
 
     def camera_for(self, aspect: float) -> Camera:
         """The scene's own camera, else one that frames its bounds in such a picture.
@@ -199,8 +333,8 @@ class Scene:
         aspect : float
             Width of the picture over its height.
         """
-        if self._camera is not None:
-            return self._camera
+        if self._views.camera is not None:
+            return self._views.camera
         low, high = self.bounds
         return Camera.framing(low, high, up=self.up, aspect=aspect)
 
@@ -209,39 +343,13 @@ class Scene:
         """The views that the scene came with, by name, while they stand still."""
         return {
             name: one if isinstance(one, Camera) else one.still
-            for name, one in self._cameras.items()
+            for name, one in self._views.named.items()
         }
-
-    def use_camera(self, which: str | int) -> None:
-        """Look from one of `cameras` from now on; it may move.
-
-        Parameters
-        ----------
-        which : str or int
-            Its name, or its number from 0.
-
-        Raises
-        ------
-        ValueError
-            If there is none of that name or number.
-        """
-        names = list(self._cameras)
-        if isinstance(which, int) and 0 <= which < len(names):
-            which = names[which]
-        if which not in self._cameras:
-            shown = ", ".join(f"{name[:40]!r} ({i})" for i, name in enumerate(names[:10]))
-            there = f"the scene has {shown}" if names else "the scene has none to choose from"
-            raise ValueError(f"there is no camera {which!r:.60}; {there}")
-        one = self._cameras[which]
-        if isinstance(one, Camera):
-            self._camera, self._camera_track = one, None
-        else:
-            self._camera, self._camera_track = one.still, one
 
     @property
     def camera_track(self) -> CameraMotion | None:
-        """How the camera moves, or None where it does not; setting a `camera` ends it."""
-        return self._camera_track
+        """How the camera moves, or None where it does not."""
+        return self._views.track
 
     def camera_at(self, time: float) -> Camera:
         """The camera at a time; see `at` for the rest.
@@ -263,16 +371,13 @@ class Scene:
         """
         if not math.isfinite(time):
             raise ValueError(f"time: expected a finite number, got {time}")
-        return self.camera if self._camera_track is None else self._camera_track.at(time)
+        track = self.camera_track
+        return self.camera if track is None else track.at(time)
 
     @property
     def animation(self) -> Animation | None:
         """How meshes and lights move, or None where they do not."""
         return self._animation
-
-    @animation.setter
-    def animation(self, animation: Animation | None) -> None:
-        self._animation = animation
 
     def at(self, time: float) -> Scene:
         """The scene at a time.
@@ -302,16 +407,12 @@ class Scene:
         """
         if not math.isfinite(time):
             raise ValueError(f"time: expected a finite number, got {time}")
-        scene = Scene.__new__(Scene)
-        scene.__dict__.update(self.__dict__)
+        scene = self._with(_views=self._views.at(time))
         if self._animation is not None:
             posed = self._animation.at(time)
-            scene.meshes, scene.materials = posed.meshes, posed.materials
-            scene.lights = posed.lights
-            is_still = list(map(id, scene.meshes)) == list(map(id, self.meshes))
-            scene._triangles = self._triangles if is_still else posed._triangles
-        if self._camera_track is not None:
-            scene._camera = self._camera_track.at(time)
+            scene._materials, scene._lights = posed.materials, posed.lights
+            if not _are_same(posed.meshes, self.meshes):
+                scene._geometry = posed._geometry
         return scene
 
     def timeline(self, fps: float | None = None) -> Timeline:
@@ -329,9 +430,9 @@ class Scene:
         """
         if self._animation is not None:
             return self._animation.timeline(fps)
-        if self._camera_track is None:
+        if self.camera_track is None:
             raise ValueError("scene: nothing moves in it, neither meshes nor the camera")
-        return Timeline(*self._camera_track.times, FPS if fps is None else fps)
+        return Timeline(*self.camera_track.times, FPS if fps is None else fps)
 
     @property
     def area_lights(self) -> list[AreaLight]:
@@ -376,3 +477,8 @@ class Scene:
             ("high corner", corners[1]),
         ]
         return html_table(f"Scene {self.name}".strip(), rows)
+
+
+def _are_same(meshes: Sequence[Mesh], others: Sequence[Mesh]) -> bool:
+    """Whether they are the same objects."""
+    return len(meshes) == len(others) and all(map(operator.is_, meshes, others))

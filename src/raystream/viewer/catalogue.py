@@ -7,9 +7,9 @@ from functools import cache
 from raystream._version import __version__
 from raystream.core.errors import RaystreamError
 from raystream.machines.schedulers import SCHEDULERS
-from raystream.render.heatmap import HEATMAPS
-from raystream.render.picture import RENDERERS
-from raystream.render.tone import TONES
+from raystream.rendering.heatmap import HEATMAPS
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.tone import TONES
 from raystream.viewer.heat import ramp
 from raystream.viewer.messages import Message, error_text
 from raystream.viewer.settings import MACHINES, MAX_SAMPLES, STRUCTURES, TRAVERSALS

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from raystream.render.image import Image
-from raystream.render.png import write_png
+from raystream.rendering.image import Image
+from raystream.rendering.png import write_png
 from raystream.viewer.messages import Frame, Message
 from raystream.viewer.settings import Look
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress
 from raystream.kernels.tally import COLUMNS
-from raystream.render.color import encode_srgb
-from raystream.render.false_colors import color_ramp, draw_counts
-from raystream.render.heatmap import Heatmap, RayCost
-from raystream.render.sampled import Setting, eye_paths
+from raystream.rendering.color import encode_srgb
+from raystream.rendering.false_colors import color_ramp, draw_counts
+from raystream.rendering.heatmap import Heatmap, RayCost
+from raystream.rendering.sampled import Setting, eye_paths
 from raystream.viewer.messages import Message
 from raystream.viewer.pacing import Cost
 from raystream.viewer.pictures import Drawing, Picture

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress
-from raystream.render.accumulation import Accumulation
-from raystream.render.progressive import trace_sample
-from raystream.render.sampled import SampledRenderer, Setting
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.progressive import trace_sample
+from raystream.rendering.sampled import SampledRenderer, Setting
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.viewer.messages import Message
 from raystream.viewer.pacing import Cost, rows_of_slice
 from raystream.viewer.settings import Look

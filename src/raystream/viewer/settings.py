@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 from raystream.machines.schedulers import SCHEDULERS
-from raystream.render.heatmap import HEATMAPS
-from raystream.render.picture import RENDERERS
-from raystream.render.sampled import MAX_BOUNCES
-from raystream.render.tone import TONES
+from raystream.rendering.heatmap import HEATMAPS
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.sampled import MAX_BOUNCES
+from raystream.rendering.tone import TONES
 from raystream.viewer.messages import (
     Message,
     MessageError,

@@ -9,11 +9,11 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
-from raystream.render.accumulation import Accumulation
-from raystream.render.color import encode_srgb
-from raystream.render.picture import RENDERERS
-from raystream.render.sampled import Setting, make_setting
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.color import encode_srgb
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.sampled import Setting, make_setting
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 from raystream.viewer.jobs import Job, Jobs

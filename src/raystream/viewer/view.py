@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from raystream.render.picture import RENDERERS
+from raystream.rendering.picture import RENDERERS
 from raystream.scene.camera import Camera
 from raystream.viewer.heat import HeatPicture
 from raystream.viewer.messages import Message

@@ -108,7 +108,7 @@ def test_cameras_have_names_and_move(tmp_path: Path) -> None:
     assert scene.camera_at(1.0).eye == (2, 0, 5)
     assert scene.camera_track.times == (0.0, 2.5)
     assert scene.at(1.0).camera.height == 3.0
-    scene.use_camera("above")
+    scene = scene.replace(camera="above")
     assert scene.camera_track is None
     assert scene.at(1.0).camera.eye == (0, 7, 0)
 

@@ -14,7 +14,7 @@ from raystream.jit.cuda import RangeKernel
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
-from raystream.programs.decisions import CONTINUE, STOP
+from raystream.programs.decisions import Decision
 from raystream.programs.texts import Goal
 
 __all__ = ["program_catalogue"]
@@ -31,7 +31,7 @@ def _add_up(hit: Any, payload: Any) -> Any:
         payload.inside -= hit.t
     else:
         payload.inside += hit.t
-    return STOP if payload.crossings == 8 else CONTINUE
+    return Decision.STOP if payload.crossings == 8 else Decision.CONTINUE
 
 
 def _is_solid(hit: Any) -> Any:

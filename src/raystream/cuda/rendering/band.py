@@ -18,8 +18,8 @@ from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.render.sampled import Setting, eye_paths
-from raystream.render.shading.eyes import view_of
+from raystream.rendering.sampled import Setting, eye_paths
+from raystream.rendering.shading.eyes import view_of
 
 if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStream
@@ -90,7 +90,7 @@ class DeviceScene:
 
 @dataclass(frozen=True)
 class DeviceStream:
-    """Paths on their way; see `render.sampled.PathStream`.
+    """Paths on their way; see `rendering.sampled.PathStream`.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ class DeviceBand:
         self._staging.finish()
 
     def eye_paths(self) -> DeviceStream:
-        """Begin a path at each pixel; see `render.sampled.eye_paths`."""
+        """Begin a path at each pixel; see `rendering.sampled.eye_paths`."""
         scene, setting = self.scene, self.scene.setting
         if scene.view is None:
             size = setting.width, setting.height

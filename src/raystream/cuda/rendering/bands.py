@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from raystream.cuda.rendering.band import DeviceBand, DeviceScene
 from raystream.cuda.rendering.stages import STAGES
 from raystream.jit.cuda import Gpu
-from raystream.render.whitted import ask_every_light
+from raystream.rendering.whitted import ask_every_light
 
 if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStreams
     from raystream.cuda.structures import Resident
     from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.local_ray import SceneFrame
-    from raystream.render.sampled import PathStage, Setting
+    from raystream.rendering.sampled import PathStage, Setting
 
 __all__ = ["CudaBands"]
 
@@ -28,7 +28,7 @@ MOST_PIXELS = 1 << 20
 
 
 class CudaBands:
-    """Takes samples on a device; see `render.device_bands.DeviceBands`.
+    """Takes samples on a device; see `rendering.device_bands.DeviceBands`.
 
     Parameters
     ----------

@@ -19,13 +19,13 @@ from raystream.cuda.rendering.kernels import (
 from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.collect import HitAddresses
-from raystream.render.sampling.sampler import Sampler
-from raystream.render.shading.classic import classic_lights_of
-from raystream.render.shading.eyes import view_of
-from raystream.render.shading.light_tables import lights_of
-from raystream.render.shading.paths import PathRules
-from raystream.render.shading.streams import StreamAddresses
-from raystream.render.shading.tables import tables_of
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.shading.classic import classic_lights_of
+from raystream.rendering.shading.eyes import view_of
+from raystream.rendering.shading.light_tables import lights_of
+from raystream.rendering.shading.paths import PathRules
+from raystream.rendering.shading.streams import StreamAddresses
+from raystream.rendering.shading.tables import tables_of
 from raystream.scene.scene import Scene
 
 __all__ = ["rendering_catalogue"]

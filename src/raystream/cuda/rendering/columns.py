@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.jit.cuda import DeviceArray
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.ray_source import RaySource
-from raystream.render.shading.streams import StreamAddresses
+from raystream.rendering.shading.streams import StreamAddresses
 
 __all__ = ["HitColumns", "StreamColumns"]
 
@@ -23,7 +23,7 @@ _ORIGIN, _DIRECTION, _NUMBER = np.uint64(24), np.uint64(12), np.uint64(4)
 
 
 class StreamColumns:
-    """Room for a stream of either kind, see `render.shading.streams`.
+    """Room for a stream of either kind, see `rendering.shading.streams`.
 
     Parameters
     ----------

@@ -11,13 +11,13 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, single_lane, store
-from raystream.render.shading.around import look_from
-from raystream.render.shading.eyes import begin_block
-from raystream.render.shading.first import light_block, view_block
-from raystream.render.shading.paths import follow_block
-from raystream.render.shading.rows import SINGLE_ROWS
-from raystream.render.shading.streams import add_if_unblocked
-from raystream.render.shading.whitted import light_surface
+from raystream.rendering.shading.around import look_from
+from raystream.rendering.shading.eyes import begin_block
+from raystream.rendering.shading.first import light_block, view_block
+from raystream.rendering.shading.paths import follow_block
+from raystream.rendering.shading.rows import SINGLE_ROWS
+from raystream.rendering.shading.streams import add_if_unblocked
+from raystream.rendering.shading.whitted import light_surface
 
 __all__ = ["ADD", "ASK_LIGHTS", "BEGIN", "FOLLOW", "KEEP", "LIGHT", "LOOK_AROUND", "VIEW"]
 

@@ -11,7 +11,7 @@ from raystream.cuda.rendering.columns import StreamColumns
 from raystream.cuda.rendering.kernels import KEEP
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.cuda.scan import Scan
-from raystream.render.shading.streams import StreamAddresses
+from raystream.rendering.shading.streams import StreamAddresses
 
 if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStream

@@ -1,4 +1,4 @@
-"""The stages of renderers on a device: as `render.sampled` has them, over streams that stay there.
+"""Stages of renderers on a device: as in `rendering.sampled`, over streams that stay there.
 
 The host learns after each surface how many paths go on, and how many rays to lights there are, two
 numbers; and in the end the radiance.
@@ -17,12 +17,12 @@ from raystream.cuda.rendering.band import DeviceBand, DeviceStream
 from raystream.cuda.rendering.kernels import ADD, ASK_LIGHTS, FOLLOW, LIGHT, LOOK_AROUND, VIEW
 from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
-from raystream.render.ao import ask_around, distance_of, sampler_of
-from raystream.render.path import meet_surfaces
-from raystream.render.raycast import shade_by_lights
-from raystream.render.sampled import PathStage, find_surfaces, reach_lights
-from raystream.render.vis import show_facing
-from raystream.render.whitted import ask_every_light, lights_per_pixel
+from raystream.rendering.ao import ask_around, distance_of, sampler_of
+from raystream.rendering.path import meet_surfaces
+from raystream.rendering.raycast import shade_by_lights
+from raystream.rendering.sampled import PathStage, find_surfaces, reach_lights
+from raystream.rendering.vis import show_facing
+from raystream.rendering.whitted import ask_every_light, lights_per_pixel
 
 __all__ = ["STAGES"]
 

@@ -12,8 +12,8 @@ from raystream.lab.asked import AskedTracer
 from raystream.lab.frames import setting_of
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
-from raystream.render.picture import RENDERERS
-from raystream.render.sampled import Band, PathStream, Setting, eye_paths
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.sampled import Band, PathStream, Setting, eye_paths
 from raystream.scene.load import load
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer

@@ -15,7 +15,7 @@ from raystream.lab.frames import affordable, picture, setting_of
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
-from raystream.render.sampled import Setting
+from raystream.rendering.sampled import Setting
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 

@@ -22,9 +22,9 @@ from raystream.lab.purcell.pictures import SIZE
 from raystream.lab.results import Cell, Claim, Result, Table, comparison
 from raystream.lab.views import View
 from raystream.machines import RayCounters
-from raystream.render.picture import RENDERERS, render
-from raystream.render.sampled import SampledRenderer, make_setting
-from raystream.render.sampling.sampler import Sampler
+from raystream.rendering.picture import RENDERERS, render
+from raystream.rendering.sampled import SampledRenderer, make_setting
+from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 

@@ -14,8 +14,8 @@ from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
-from raystream.render.ao import REACH
-from raystream.render.sampled import Setting
+from raystream.rendering.ao import REACH
+from raystream.rendering.sampled import Setting
 from raystream.scene.scene import Scene
 
 __all__ = ["MODES", "modes"]

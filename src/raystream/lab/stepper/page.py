@@ -18,8 +18,8 @@ from raystream.lab.stepper.rays import FAN_ORIGIN, NamedRay, fan, teaching_rays
 from raystream.lab.stepper.sentences import sentence, source
 from raystream.lab.stepper.walk import Spot, walk
 from raystream.machines.records import RayState
-from raystream.render.color import encode_srgb
-from raystream.render.false_colors import color_ramp
+from raystream.rendering.color import encode_srgb
+from raystream.rendering.false_colors import color_ramp
 
 __all__ = ["page", "write_page"]
 

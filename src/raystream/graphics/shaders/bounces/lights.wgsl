@@ -1,4 +1,4 @@
-// What a light sends to a point. As raystream/render/shading/classic.py: each in one place.
+// What a light sends to a point. As raystream/rendering/shading/classic.py: each in one place.
 
 //! include "bounces/lobes.wgsl"
 

@@ -1,10 +1,10 @@
-// What surfaces do with light. As raystream/render/shading/bsdf.py, but for glass, and for what
+// What surfaces do with light. As raystream/rendering/shading/bsdf.py, but for glass, and for what
 // is rough.
 
 //! include "bounces/surface.wgsl"
 //! include "bounces/textures.wgsl"
 
-// Columns of a material; see raystream/render/shading/tables.py.
+// Columns of a material; see raystream/rendering/shading/tables.py.
 const DIFFUSE: u32 = 0u;
 const SPECULAR: u32 = 3u;
 const REFLECTION: u32 = 6u;

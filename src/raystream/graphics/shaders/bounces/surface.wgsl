@@ -1,4 +1,4 @@
-// Points on surfaces, where rays hit. As raystream/render/shading/points.py; what is float64 there
+// Points on surfaces, where rays hit. As raystream/rendering/shading/points.py; what is float64 there
 // is a Wide here where it matters: on a triangle, and off it.
 
 @group(1) @binding(0) var<storage, read> corners: array<f32>;

@@ -1,4 +1,4 @@
-// Bitmaps, looked up bilinearly and decoded from sRGB. As raystream/render/shading/textures.py.
+// Bitmaps, looked up bilinearly and decoded from sRGB. As raystream/rendering/shading/textures.py.
 
 // Of each material: first texel, width, height, and 1 if it is clamped; all zero for none. Then the
 // texels: sRGB and a byte without meaning.

@@ -1,0 +1,1 @@
+"""Renderers: lists of stages over streams of paths; sums of samples, colour encoding, images."""

@@ -1,0 +1,297 @@
+"""Accumulation: sums over the samples of each pixel, and how far to trust their mean."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.core.memory import check_memory
+from raystream.core.npz import read_npz, write_npz
+from raystream.rendering.arguments import check_size
+from raystream.rendering.checkpoints import Checkpoint, identity_bytes
+from raystream.rendering.image import Image
+from raystream.rendering.layers import LAYERS, LayerKind
+from raystream.rendering.sums import add_light
+
+__all__ = ["Accumulation"]
+
+#: Of the checkpoints; a file of another version is refused.
+_VERSION = 1
+
+#: Two sums of three float64, and a count.
+_BYTES_PER_PIXEL = 56
+
+#: What a checkpoint's arrays are called, beside those of layers.
+_SUM, _SQUARES, _COUNTS = "sum", "squares", "counts"
+
+
+class Accumulation:
+    """Sums of samples by pixel, from which come the mean, its variance, and layers.
+
+    Threads may add to it at the same time if no two add to one pixel; everything else is for
+    one thread, while none adds. A pixel's sums depend on the order of its own samples only.
+
+    Parameters
+    ----------
+    width, height : int
+        In pixels.
+
+    Attributes
+    ----------
+    width, height : int
+    counts : ndarray of shape (H * W,), int64
+        Samples of each pixel.
+    dropped : int
+        Samples that were not finite; they count as black.
+
+    Raises
+    ------
+    ValueError
+        If a length is below 1, or the picture too large.
+    MemoryError
+        If the sums do not fit into memory.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self.width, self.height = check_size((width, height))
+        pixel_count = self.width * self.height
+        check_memory(pixel_count * _BYTES_PER_PIXEL, f"sums of {width}x{height} pixels would")
+        self._sum = np.zeros((pixel_count, 3))
+        self._squares = np.zeros((pixel_count, 3))
+        self.counts: NDArray[np.int64] = np.zeros(pixel_count, np.int64)
+        self.dropped = 0
+        self._layers: dict[str, _Layer] = {}
+        self._lock = threading.Lock()
+
+    def add_samples(self, first_pixel: int, radiance: NDArray[Any]) -> None:
+        """Add one sample to each pixel of a row of them.
+
+        Parameters
+        ----------
+        first_pixel : int
+            Row times width plus column. The pixels are this one and the next, also over the
+            ends of rows of the picture.
+        radiance : ndarray of shape (N, 3), float32
+            Linear RGB. A sample that is not finite in all channels counts as black.
+
+        Raises
+        ------
+        ValueError
+            If the shape is another, or there are no such pixels.
+        """
+        if radiance.ndim != 2 or radiance.shape[1] != 3:
+            raise ValueError(f"radiance: expected shape (N, 3), got {radiance.shape}")
+        pixels = self._pixels(first_pixel, len(radiance))
+        light = np.ascontiguousarray(radiance, np.float32)
+        dropped = add_light(light, self._sum[pixels], self._squares[pixels], self.counts[pixels])
+        if dropped:
+            with self._lock:
+                self.dropped += dropped
+
+    def set_layer(self, name: str, first_pixel: int, values: NDArray[Any]) -> None:
+        """Add one sample of a layer to each pixel of a row of them.
+
+        Parameters
+        ----------
+        name : {"depth", "normal", "albedo", "prim_id", "emission"}
+        first_pixel : int
+            As in `add_samples`.
+        values : ndarray of shape (N,) or, of normals, albedo and emission, (N, 3)
+            The layer is their mean over samples; of prim_id, the first. Other values that are
+            not finite (nothing was seen) are left out.
+
+        Raises
+        ------
+        ValueError
+            If the name is unknown, the shape is another, or there are no such pixels.
+        """
+        if name not in LAYERS:
+            known = ", ".join(repr(known) for known in LAYERS)
+            raise ValueError(f"layer: expected one of {known}, got {name!r}")
+        kind = LAYERS[name]
+        if values.ndim < 1 or values.shape[1:] != kind.shape:
+            expected = "(N,)" if kind.width == 1 else "(N, 3)"
+            raise ValueError(f"{name}: expected shape {expected}, got {values.shape}")
+        pixels = self._pixels(first_pixel, len(values))
+        with self._lock:
+            if name not in self._layers:
+                self._layers[name] = _Layer(kind, len(self.counts))
+        self._layers[name].add(pixels, values)
+
+    def mean(self) -> NDArray[np.float32]:
+        """The picture: shape (H, W, 3), float32; black where there is no sample."""
+        mean = self._sum / np.maximum(self.counts, 1)[:, None]
+        return mean.astype(np.float32).reshape(self.height, self.width, 3)
+
+    def variance(self) -> NDArray[np.float32]:
+        """Variance of the mean of each pixel, estimated without bias.
+
+        Returns
+        -------
+        ndarray of shape (H, W, 3), float32
+            By channel: (Σx² - (Σx)² / n) / (n (n - 1)). Infinite for pixels of 0 or 1
+            samples, which tell nothing of their spread; never NaN.
+        """
+        with np.errstate(over="ignore"):
+            variance = self._variance().astype(np.float32)
+        return variance.reshape(self.height, self.width, 3)
+
+    def _variance(self) -> NDArray[np.float64]:
+        if not (self.counts > 1).any():
+            return np.full(self._sum.shape, np.inf)
+        n = np.maximum(self.counts, 2)[:, None].astype(np.float64)
+        variance = (self._squares - self._sum * self._sum / n) / (n * (n - 1.0))
+        np.maximum(variance, 0.0, out=variance)  # rounding
+        variance[self.counts < 2] = np.inf
+        return variance
+
+    def error(self) -> float:
+        """The picture's relative error, estimated.
+
+        Returns
+        -------
+        float
+            The root of the mean of `variance` over all pixels and channels, divided by the
+            mean of the picture: about the RMSE that the picture has against the truth, as a
+            part of its brightness. Four times the samples halve it. Infinite while a pixel
+            has fewer than 2 samples, or where a picture that is black on the whole has spread;
+            0 where nothing has any.
+        """
+        spread = math.sqrt(float(self._variance().mean()))
+        if not 0.0 < spread < math.inf:
+            return spread
+        brightness = float((self._sum / np.maximum(self.counts, 1)[:, None]).mean())
+        return spread / brightness if brightness > 0.0 else math.inf
+
+    def layers(self) -> dict[str, NDArray[Any]]:
+        """The layers set, by name, and ``"variance"`` and ``"samples"``, each as a picture."""
+        size = (self.height, self.width)
+        layers = {}
+        for name, layer in self._layers.items():
+            values = layer.values()
+            layers[name] = values.reshape(*size, *values.shape[1:])
+        layers["variance"] = self.variance()
+        layers["samples"] = self.counts.astype(np.int32).reshape(size)
+        return layers
+
+    def image(self, figures: Mapping[str, Any] | None = None) -> Image:
+        """The picture with its layers; see `mean` and `layers`."""
+        return Image(self.mean(), self.layers(), figures)
+
+    def save(self, path: str | PathLike[str], identity: str) -> None:
+        """Write all sums to a checkpoint, which appears, or is replaced, as a whole.
+
+        Parameters
+        ----------
+        path : str or path
+            Ends in ``.npz``.
+        identity : str
+            What is rendered, as text or as a JSON object: all on which samples depend.
+
+        Raises
+        ------
+        ValueError
+            If the file's name ends in something else, or the identity is too long.
+        OSError
+            If the file cannot be written; an old one is then kept.
+        """
+        arrays: dict[str, NDArray[Any]] = {
+            "version": np.array([_VERSION]),
+            "identity": identity_bytes(identity),
+            "size": np.array([self.width, self.height]),
+            "dropped": np.array([self.dropped]),
+            _SUM: self._sum,
+            _SQUARES: self._squares,
+            _COUNTS: self.counts,
+        }
+        for name, layer in self._layers.items():
+            arrays[f"{name}_{_SUM}"] = layer.sum
+            arrays[f"{name}_{_COUNTS}"] = layer.counts
+        write_npz(path, arrays)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], identity: str) -> Accumulation:
+        """Read a checkpoint; sums go on from it to the same bits as without a break.
+
+        Parameters
+        ----------
+        path : str or path
+        identity : str
+            As it was saved with.
+
+        Raises
+        ------
+        FileFormatError
+            If there is no such file, it is no checkpoint, is damaged, or is of another
+            picture.
+        MemoryError
+            If the sums do not fit into memory.
+        """
+        file = Checkpoint(path, read_npz(path))
+        if file.take("version", (1,), np.int64).item() != _VERSION:
+            raise FileFormatError(path, "is a checkpoint of another version of raystream")
+        file.check_identity(identity)
+        width, height = file.take("size", (2,), np.int64, least=1).tolist()
+        pixel_count = width * height
+        counts = file.take(_COUNTS, (pixel_count,), np.int64, least=0)
+        sums = cls(width, height)
+        sums.counts = counts
+        sums._sum = file.take(_SUM, (pixel_count, 3), np.float64)
+        sums._squares = file.take(_SQUARES, (pixel_count, 3), np.float64, least=0)
+        sums.dropped = int(file.take("dropped", (1,), np.int64, least=0).item())
+        for name, kind in LAYERS.items():
+            if f"{name}_{_SUM}" in file.arrays:
+                layer = sums._layers[name] = _Layer(kind, pixel_count)
+                layer.sum = file.take(f"{name}_{_SUM}", layer.sum.shape, layer.sum.dtype.type)
+                layer.counts = file.take(f"{name}_{_COUNTS}", (pixel_count,), np.int64, least=0)
+        return sums
+
+    def _pixels(self, first: int, count: int) -> slice:
+        if first < 0 or first + count > len(self.counts):
+            total = len(self.counts)
+            raise ValueError(f"first_pixel: {first} to {first + count} is outside 0 to {total}")
+        return slice(first, first + count)
+
+    def __repr__(self) -> str:
+        fewest, most = int(self.counts.min()), int(self.counts.max())
+        samples = f"{fewest}" if fewest == most else f"{fewest} to {most}"
+        return f"Accumulation({self.width}x{self.height}, {samples} samples)"
+
+
+class _Layer:
+    """Sums of a layer's samples, or the first ones."""
+
+    def __init__(self, kind: LayerKind, pixel_count: int) -> None:
+        self.kind = kind
+        shape = (pixel_count, *kind.shape)
+        is_mean = kind.fold == "mean"
+        check_memory(pixel_count * (8 * kind.width + 8), f"a layer of {pixel_count:,} pixels would")
+        self.sum: NDArray[Any] = (
+            np.zeros(shape) if is_mean else np.full(shape, kind.empty, kind.dtype)
+        )
+        self.counts = np.zeros(pixel_count, np.int64)
+
+    def add(self, pixels: slice, values: NDArray[Any]) -> None:
+        sums, counts = self.sum[pixels], self.counts[pixels]
+        if self.kind.fold == "first":
+            sums[counts == 0] = values[counts == 0]
+            counts += 1
+            return
+        is_known = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+        np.add(sums, values, out=sums, where=is_known if values.ndim == 1 else is_known[:, None])
+        counts += is_known
+
+    def values(self) -> NDArray[Any]:
+        """The layer, flat."""
+        if self.kind.fold == "first":
+            return self.sum.copy()
+        counts = self.counts if self.sum.ndim == 1 else self.counts[:, None]
+        mean = self.sum / np.maximum(counts, 1)
+        return np.where(counts > 0, mean, self.kind.empty).astype(self.kind.dtype)

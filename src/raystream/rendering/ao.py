@@ -1,0 +1,94 @@
+"""ao: ambient occlusion, what part of a white sky each surface sees (Rayforce 2013).
+
+The first surface, and 32 rays from it into the directions that it faces: white where they meet
+nothing within `distance`, so that rooms are not black for having walls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from raystream.rendering.arguments import check_number, check_whole
+from raystream.rendering.sampled import (
+    Band,
+    PathStream,
+    SampledRenderer,
+    Setting,
+    find_surfaces,
+    reach_lights,
+)
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.shading.around import look_around
+from raystream.rendering.shading.streams import LightRays
+
+__all__ = ["AO", "REACH", "ask_around", "distance_of", "sampler_of"]
+
+#: Most rays from a point.
+MAX_RAYS = 4096
+
+#: Length of the rays [default], as a share of the diagonal of the scene's box.
+REACH = 0.1
+
+
+def ask_around(stream: PathStream, band: Band) -> PathStream:
+    """Stage: send rays from the surfaces; the paths end."""
+    assert stream.hits is not None
+    setting, hits = band.setting, stream.hits
+    count = setting.options["rays"]
+    rays = LightRays.empty(len(stream) * count)
+    sampler = sampler_of(setting)
+    ray_count = look_around(
+        stream.paths,
+        (hits.t, hits.u, hits.v, hits.prim_id),
+        setting.tables,
+        sampler,
+        band.sample,
+        count,
+        distance_of(setting),
+        band.first_pixel,
+        band.radiance,
+        rays,
+    )
+    return PathStream(stream.paths.first(0), rays=rays.first(ray_count))
+
+
+def sampler_of(setting: Setting) -> Sampler:
+    """The setting's sampler, for all rays of a sample."""
+    count = setting.sampler.sample_count * setting.options["rays"]
+    return setting.sampler._replace(sample_count=count)
+
+
+def distance_of(setting: Setting) -> float:
+    """Length of the setting's rays, world space."""
+    distance = setting.options["distance"]
+    if distance is not None:
+        return float(distance)
+    low, high = setting.tracer.scene.bounds
+    return REACH * float(np.linalg.norm(high - low))
+
+
+def _rays_per_pixel(setting: Setting) -> int:
+    return int(setting.options["rays"])
+
+
+def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    rays = check_whole("rays", options["rays"], 1, MAX_RAYS)
+    if options["distance"] is None:
+        return {"rays": rays, "distance": None}
+    distance = check_number("distance", options["distance"])
+    if distance <= 0.0:
+        raise ValueError(f"distance: expected a number above 0, or inf, got {distance}")
+    return {"rays": rays, "distance": distance}
+
+
+AO = SampledRenderer(
+    "ao",
+    "ambient occlusion: 32 rays from the first surface (Rayforce 2013)",
+    (find_surfaces, ask_around, reach_lights),
+    {"rays": 32, "distance": None},
+    _check,
+    _rays_per_pixel,
+)

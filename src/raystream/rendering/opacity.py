@@ -1,0 +1,150 @@
+"""Cut-outs and clear surfaces: what of a scene is not there for every ray.
+
+All rays of a renderer ask the tracer with `Opacity.filter`, so that they pass through in the
+tracer's queries themselves. A scene of opaque materials has none.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError, RaystreamWarning
+from raystream.programs.filters import Bound
+from raystream.rendering.attributes import VertexAttributes
+from raystream.rendering.color import LUMINANCE
+from raystream.rendering.shading.opacity import (
+    MASKED,
+    OPAQUE,
+    PARTIAL,
+    OpacityTables,
+    RaysThrough,
+    is_there,
+)
+from raystream.rendering.shading.textures import MAX_TEXELS, TextureTables, place_of
+from raystream.scene.material import Material
+from raystream.scene.scene import Scene
+from raystream.scene.texture import Texture
+
+__all__ = ["Opacity", "filter_of"]
+
+
+class Opacity:
+    """The filter of a scene that is not opaque; `of` makes it.
+
+    Parameters
+    ----------
+    tables : OpacityTables
+    seed : int
+        Of the numbers that decide where a surface is partly clear.
+    kept : object
+        What lies at the tables' addresses.
+    """
+
+    def __init__(self, tables: OpacityTables, seed: int, kept: object) -> None:
+        self._tables = tables
+        self._seed = np.uint32(seed & 0xFFFFFFFF)
+        self._kept = kept
+
+    @classmethod
+    def of(cls, scene: Scene, seed: int) -> Opacity | None:
+        """That of a scene; None if all that rays may meet is opaque.
+
+        Warns
+        -----
+        RaystreamWarning
+            For each texture that cannot be read; the material's number is then used.
+        """
+        if all(material.is_opaque for material in scene.materials):
+            return None
+        material_ids = scene.attributes.material_ids
+        used = np.unique(material_ids)
+        textures, kinds, kept = _pack(scene.materials, used)
+        if not kinds[used].any():
+            return None
+        cutoffs = [material.alpha_cutoff or 0.0 for material in scene.materials]
+        numbers = np.array([[m.opacity for m in scene.materials], cutoffs], np.float32)
+        numbers = np.ascontiguousarray(numbers.T)
+        vertices = VertexAttributes.of(scene)
+        tables = OpacityTables(
+            place_of(material_ids),
+            place_of(vertices.faces),
+            place_of(vertices.texcoords),
+            place_of(kinds),
+            place_of(numbers),
+            textures,
+        )
+        return cls(tables, seed, (material_ids, vertices, kinds, numbers, kept))
+
+    def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound:
+        """What a tracer's queries take as ``on_hit`` for these rays, each of shape (N, 3)."""
+        origins = np.ascontiguousarray(origins, np.float64)
+        directions = np.ascontiguousarray(directions, np.float32)
+        places = place_of(origins), place_of(directions)
+        rays = RaysThrough(self._tables, self._seed, *places)
+        return Bound(is_there, rays, (self, origins, directions))
+
+
+def filter_of(
+    opacity: Opacity | None, origins: NDArray[np.float64], directions: NDArray[np.float32]
+) -> Bound | None:
+    """`Opacity.filter`, or None where all is opaque."""
+    return None if opacity is None else opacity.filter(origins, directions)
+
+
+def _pack(
+    materials: Sequence[Material], used: NDArray[np.int32]
+) -> tuple[TextureTables, NDArray[np.int32], object]:
+    """Textures for opacity, kinds of materials, and what must be kept; see `pack_textures`."""
+    kinds = np.full(len(materials), OPAQUE, np.int32)
+    of_material = np.full(len(materials), -1, np.int32)
+    known: dict[int, int] = {}
+    parts: list[NDArray[np.uint8]] = []
+    places: list[tuple[int, int, int, int]] = []
+    first = 0
+    for index in used:
+        material = materials[index]
+        texture = material.textures.get("opacity")
+        if texture is not None and id(texture) not in known:
+            known[id(texture)] = -1
+            grey = _opacity_of(texture)
+            if grey is not None and not (grey == 255).all():
+                if first + grey.size > MAX_TEXELS:
+                    raise MemoryError(f"textures: more than {MAX_TEXELS:,} texels in one scene")
+                known[id(texture)] = len(places)
+                height, width = grey.shape
+                places.append((first, width, height, int(texture.wrap == "clamp")))
+                parts.append(np.repeat(grey.reshape(-1, 1), 4, axis=1))
+                first += grey.size
+        of_material[index] = -1 if texture is None else known[id(texture)]
+        least = 1.0 if material.alpha_cutoff is None else material.alpha_cutoff
+        if material.opacity < least or (of_material[index] >= 0 and least > 0.0):
+            kinds[index] = PARTIAL if material.alpha_cutoff is None else MASKED
+    kept: tuple[NDArray[Any], ...] = (
+        np.concatenate(parts) if parts else np.empty((0, 4), np.uint8),
+        np.array(places, np.int32).reshape(-1, 4),
+        of_material,
+        np.arange(256, dtype=np.uint8) / np.float32(255.0),
+    )
+    texels, rows, roles, plain = map(place_of, kept)
+    none = np.uint64(0)
+    return TextureTables(texels, rows, roles, none, none, plain, none), kinds, kept
+
+
+def _opacity_of(texture: Texture) -> NDArray[np.uint8] | None:
+    """Opacity of texels, shape (H, W); None, with a warning, if they cannot be read."""
+    try:
+        pixels = texture.pixels()
+    except FileFormatError as error:
+        warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=5)
+        return None
+    if pixels.shape[2] == 1:
+        return pixels[:, :, 0]
+    if pixels.shape[2] == 4 and not (pixels[:, :, 3] == 255).all():
+        return pixels[:, :, 3]
+    grey: NDArray[np.uint8] = np.rint(pixels[:, :, :3] @ np.array(LUMINANCE)).astype(np.uint8)
+    return grey

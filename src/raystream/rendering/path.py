@@ -1,0 +1,77 @@
+"""path: paths of light from surface to surface, one for each sample (Purcell 2002, 3.2).
+
+With two bounces it is Purcell's path tracer ("one path per sample"); with many it is the
+rendering equation's (Kajiya 1986), with samples of the lights at each surface.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from raystream.rendering.arguments import check_number, check_whole
+from raystream.rendering.sampled import (
+    MAX_BOUNCES,
+    Band,
+    PathStream,
+    SampledRenderer,
+    find_surfaces,
+    reach_lights,
+)
+from raystream.rendering.shading.paths import PathRules, follow_paths
+from raystream.rendering.shading.streams import LightRays
+
+__all__ = ["PATH", "PATH_STAGES", "check_path", "meet_surfaces"]
+
+#: From so many bounces on, dim paths end by chance: before, nearly all of the light comes.
+ROULETTE_BOUNCE = 3
+
+
+def meet_surfaces(stream: PathStream, band: Band) -> PathStream:
+    """Stage: add light that surfaces emit, ask for that of lights, and scatter the paths."""
+    assert stream.hits is not None
+    setting, paths, hits = band.setting, stream.paths, stream.hits
+    rays = LightRays.empty(len(stream))
+    path_count, ray_count = follow_paths(
+        paths,
+        (hits.t, hits.u, hits.v, hits.prim_id),
+        setting.tables,
+        setting.lights,
+        setting.sampler,
+        band.sample,
+        stream.bounce,
+        setting.options["rules"],
+        band.first_pixel,
+        band.radiance,
+        paths,
+        rays,
+    )
+    return PathStream(paths.first(path_count), stream.bounce + 1, rays=rays.first(ray_count))
+
+
+def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The rules of paths, of their options; ``light_samples`` need not be there."""
+    bounces = check_whole("max_bounces", options["max_bounces"], 0, MAX_BOUNCES)
+    samples_lights = options.get("light_samples", True)
+    if not isinstance(samples_lights, bool):
+        raise ValueError(f"light_samples: expected True or False, got {samples_lights!r:.40}")
+    clamp = check_number("clamp", options["clamp"])
+    if not clamp > 0.0:
+        raise ValueError(f"clamp: expected a number above 0, got {clamp}")
+    with np.errstate(over="ignore", under="ignore"):
+        most = np.float32(clamp)
+    return {"rules": PathRules(bounces, samples_lights, ROULETTE_BOUNCE, most)}
+
+
+PATH_STAGES = (find_surfaces, meet_surfaces, reach_lights)
+
+PATH = SampledRenderer(
+    "path",
+    "light by any way, one path for each sample (Kajiya 1986, Purcell 2002)",
+    PATH_STAGES,
+    {"max_bounces": 8, "light_samples": True, "clamp": math.inf},
+    check_path,
+)

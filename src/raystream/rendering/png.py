@@ -1,0 +1,74 @@
+"""PNG files: pictures as sRGB bytes."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.core.memory import check_memory
+from raystream.rendering.arguments import MAX_PIXELS
+from raystream.rendering.color import decode_srgb
+
+__all__ = ["read_png", "write_png"]
+
+#: Bytes as decoded, and as linear float32.
+_BYTES_PER_PIXEL = 20
+
+
+def write_png(target: Any, encoded: NDArray[np.uint8]) -> None:
+    """Write bytes of shape (H, W, 3), sRGB, to a file's name or a stream."""
+    from PIL import Image
+
+    # Level 3 is twice as fast as the default 6, for files a tenth larger.
+    Image.fromarray(encoded).save(target, format="PNG", compress_level=3)
+
+
+def read_png(path: str) -> NDArray[np.float32]:
+    """Read a picture, and decode it from sRGB.
+
+    Parameters
+    ----------
+    path : str
+        Greys become RGB; 16 bits are rounded to 8; opacity is left out.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 3), float32
+        Linear RGB in [0, 1].
+
+    Raises
+    ------
+    FileFormatError
+        If there is no such file, it is no PNG, is damaged or too large.
+    MemoryError
+        If it does not fit into memory.
+    """
+    from PIL import Image
+
+    if not os.path.isfile(path):
+        raise FileFormatError(path, "is a folder" if os.path.isdir(path) else "no such file")
+    try:
+        with warnings.catch_warnings():
+            # Sizes are checked here, and the limit of Pillow's own error is not ours.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path, formats=["PNG"]) as image:
+                width, height = image.size
+                if width * height > MAX_PIXELS:
+                    raise FileFormatError(path, f"image of {width}x{height} is too large")
+                byte_count = width * height * _BYTES_PER_PIXEL
+                check_memory(byte_count, f"{path}: a picture of {width}x{height} would")
+                if image.mode.startswith("I"):
+                    grey = np.rint(np.asarray(image) / 257.0).astype(np.uint8)
+                    encoded = np.repeat(grey[:, :, None], 3, axis=2)
+                else:
+                    encoded = np.asarray(image.convert("RGB"), np.uint8)
+    except (FileFormatError, MemoryError):
+        raise
+    except Exception as error:  # Pillow raises many kinds for damaged files
+        raise FileFormatError(path, f"is not a whole .png file ({error})") from error
+    return decode_srgb(encoded)

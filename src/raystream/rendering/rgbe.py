@@ -1,0 +1,113 @@
+"""Radiance's pictures (``.hdr``): three mantissas of 8 bits that share an exponent.
+
+References
+----------
+Ward, "Real Pixels", Graphics Gems II, 1991; "Radiance File Formats" of the Radiance manual.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.core.memory import check_memory
+from raystream.rendering.rgbe_rows import BAD_RUN, BAD_WIDTH, TRUNCATED, WHOLE, unpack_rows
+
+__all__ = ["read_rgbe"]
+
+_MAX_PIXELS = 1 << 28
+_BYTES_PER_PIXEL = 32  # as bytes, and as float32 with what its making takes
+
+#: A header that is longer is none.
+_MAX_HEADER = 1 << 16
+
+_FAULTS = {
+    TRUNCATED: "is truncated",
+    BAD_RUN: "is damaged: a run does not fit its row",
+    BAD_WIDTH: "is damaged: a row is not as wide as the picture",
+}
+
+
+def read_rgbe(path: str) -> NDArray[np.float32]:
+    """Read a picture.
+
+    Parameters
+    ----------
+    path : str
+        Rows may be flat, or packed as old or new writers do. Exposures that the header says were
+        applied are taken back.
+
+    Returns
+    -------
+    ndarray of shape (H, W, 3), float32
+        Linear RGB, top row first: mantissa times 2**(exponent - 136).
+
+    Raises
+    ------
+    FileFormatError
+        If there is no such file, or it is damaged, too large, in XYZ, or stored by columns.
+    MemoryError
+        If it does not fit into memory.
+    """
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_MAX_HEADER)
+            content = head
+            if head.startswith(b"#?"):
+                file.seek(0)
+                content = file.read(_MAX_HEADER + 4 * _MAX_PIXELS)
+    except OSError as error:
+        reason = (error.strerror or type(error).__name__).lower()
+        raise FileFormatError(path, f"cannot be read ({reason})") from error
+    header, end, rest = head.partition(b"\n\n")
+    if not (header.startswith(b"#?") and end):
+        raise FileFormatError(path, "is not a Radiance picture: its header has no beginning or end")
+    exposure = _exposure_of(path, header)
+    line = rest.partition(b"\n")[0]
+    found = re.fullmatch(rb"([-+])Y (\d{1,9}) ([-+])X (\d{1,9})\s*", line)
+    if found is None:
+        shown = line[:40].decode("ascii", "replace")
+        raise FileFormatError(path, f"expected a size such as -Y 512 +X 1024, got {shown!r}")
+    height, width = int(found[2]), int(found[4])
+    if not 0 < width * height <= _MAX_PIXELS:
+        raise FileFormatError(path, f"image of {width}x{height} is empty or too large")
+    check_memory(width * height * _BYTES_PER_PIXEL, f"{path}: {width}x{height} pixels would")
+    pixels = np.empty((height, width, 4), np.uint8)
+    start = len(header) + len(end) + len(line) + 1
+    fault = unpack_rows(np.frombuffer(content, np.uint8), start, pixels)
+    if fault != WHOLE:
+        raise FileFormatError(path, _FAULTS[fault])
+    # Shares of 2**-136 are below float32's numbers where exponents are; products are not.
+    factor = np.ldexp(1.0 / exposure, np.arange(256) - 136)
+    factor[0] = 0.0
+    with np.errstate(over="ignore", under="ignore"):
+        colors = pixels[:, :, :3] * factor[pixels[:, :, 3:]]
+        colors = colors.astype(np.float32)
+    if found[1] == b"+":
+        colors = colors[::-1]
+    if found[3] == b"-":
+        colors = colors[:, ::-1]
+    result: NDArray[np.float32] = np.ascontiguousarray(colors)
+    return result
+
+
+def _exposure_of(path: str, header: bytes) -> float:
+    """The product of all exposures in a header, which is checked for its format."""
+    exposure = 1.0
+    for line in header.split(b"\n"):
+        name, _, value = line.partition(b"=")
+        if name == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
+            shown = value.strip()[:40].decode("ascii", "replace")
+            raise FileFormatError(path, f"expected the format 32-bit_rle_rgbe, got {shown!r}")
+        if name == b"EXPOSURE":
+            try:
+                exposure *= float(value)
+            except ValueError:
+                exposure = math.nan
+            if not 0.0 < exposure < math.inf:
+                raise FileFormatError(path, "has an exposure that is no number above 0")
+    return exposure

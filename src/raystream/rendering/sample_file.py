@@ -1,0 +1,142 @@
+"""SampleFile: the file that keeps a picture's samples, and by what it knows the picture."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import cache
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from raystream._version import __version__
+from raystream.core.errors import FileFormatError
+from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.environment import image_light, texels_of
+from raystream.rendering.sampled import SampledRenderer, Setting
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.scene.scene import Scene
+
+__all__ = ["SampleFile", "identity"]
+
+
+class SampleFile(PathLike[str]):
+    """A picture's checkpoint, which `render` takes in place of a path.
+
+    The whole scene is read to know the picture again, and only when the file is first read or
+    written: a picture that does neither is not kept waiting.
+
+    Parameters
+    ----------
+    path : str or path
+        Ends in ``.npz``.
+    at_end : bool
+        Write the samples of every complete picture. Without it, those of a picture that is
+        complete before a checkpoint was due are held, for `save_held`.
+    """
+
+    def __init__(self, path: str | PathLike[str], at_end: bool = True) -> None:
+        self._path = fspath(path)
+        self._at_end = at_end
+        self._identity: Callable[[], str] | None = None
+        self._held: Accumulation | None = None
+
+    def __fspath__(self) -> str:
+        return self._path
+
+    def open(self, renderer: SampledRenderer, setting: Setting) -> Accumulation | None:
+        """Begin a picture: with the samples that are there, or None.
+
+        Raises
+        ------
+        FileFormatError
+            If the file is damaged, or of another picture.
+        """
+        self._identity = cache(lambda: identity(renderer, setting))
+        if not Path(self._path).exists():
+            return None
+        return Accumulation.load(self._path, self._identity())
+
+    def save(self, sums: Accumulation) -> None:
+        """Write samples; raises OSError if that fails."""
+        assert self._identity is not None, "open comes first"
+        sums.save(self._path, self._identity())
+
+    def finish(self, sums: Accumulation, is_due: bool) -> None:
+        """Take the samples of a complete picture.
+
+        Parameters
+        ----------
+        sums : Accumulation
+        is_due : bool
+            Whether it is time for a checkpoint.
+        """
+        if self._at_end or is_due or Path(self._path).exists():
+            self.save(sums)
+        else:
+            self._held = sums
+
+    def save_held(self) -> None:
+        """Write the samples that `finish` held, if any: the picture could not be saved, say."""
+        if self._held is not None:
+            self.save(self._held)
+
+
+def identity(renderer: SampledRenderer, setting: Setting) -> str:
+    """All on which samples depend, as JSON: pictures that agree in it can be continued."""
+    sampler = setting.sampler
+    # One sample goes through the pixels' centres. Of samples that do not depend on how many
+    # there will be, a picture may have more later.
+    depends = sampler == Sampler.of("stratified", sampler.seed, sampler.sample_count)
+    counts = sampler.sample_count if depends else min(sampler.sample_count, 2)
+    return json.dumps(
+        {
+            "raystream": __version__,
+            "mode": renderer.name,
+            "options": {name: str(value) for name, value in setting.options.items()},
+            "size": [setting.width, setting.height],
+            "sampler": [sampler.kind, sampler.seed, counts],
+            "camera": str(asdict(setting.camera)),
+            "layers": list(setting.layers),
+            "lights": setting.chosen_lights,
+            "scene": _digest(setting.tracer.scene),
+        },
+        sort_keys=True,
+    )
+
+
+def _digest(scene: Scene) -> str:
+    """What a picture shows of a scene, in short."""
+    digest = hashlib.sha256()
+
+    def add(value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype}{value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).view(np.uint8).data)
+        else:
+            digest.update(repr(value).encode())
+
+    add(scene.triangles.corners)
+    add((scene.triangles.center.tolist(), float(scene.triangles.scale)))
+    for mesh in scene.meshes:
+        for array in (mesh.normals, mesh.texcoords, mesh.colors, mesh.material_ids):
+            add(array)
+    for material in scene.materials:
+        plain = {**vars(material), "textures": sorted(material.textures)}
+        add(plain)
+        for _, texture in sorted(material.textures.items()):
+            add(texture.wrap)
+            try:
+                add(texture.pixels())
+            except FileFormatError:  # left out of the picture, too
+                add(None)
+    add(scene.lights)
+    environment = image_light(scene.lights)
+    if environment is not None:
+        add(texels_of(environment))
+    add(scene.background)
+    return digest.hexdigest()

@@ -1,0 +1,335 @@
+"""Sampled renderers: stages over streams of paths, one sample of every pixel after the other.
+
+A renderer is a list of stages. Each takes a stream of paths and returns one, as the boxes of
+Purcell 2002, Figure 3 do; what the last stage returns (reflected rays, say) goes back to the
+first, until no path is left. So there is no recursion: what a path contributes to its pixel is
+in its weight (Christen 2005, chapter 5). A stage is a query, or a compiled kernel over the whole
+stream; numbers come from a sampler, and a sample's light is gathered for the pixels of a band
+before it goes to the sums.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.hits import Hits
+from raystream.programs.filters import Bound
+from raystream.rendering.device_bands import DeviceBands
+from raystream.rendering.opacity import Opacity, filter_of
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.shading.classic import ClassicLights, classic_lights_of
+from raystream.rendering.shading.eyes import begin_paths, view_of
+from raystream.rendering.shading.light_tables import LightTables, lights_of
+from raystream.rendering.shading.seen import SeenSurfaces, see_surfaces
+from raystream.rendering.shading.streams import LightRays, Paths, add_unblocked
+from raystream.rendering.shading.tables import SceneTables, tables_of
+from raystream.scene.camera import Camera
+from raystream.tracer import Tracer
+
+__all__ = [
+    "MAX_BOUNCES",
+    "Band",
+    "PathStage",
+    "PathStream",
+    "SampledRenderer",
+    "Setting",
+    "eye_paths",
+    "find_surfaces",
+    "make_setting",
+    "reach_lights",
+    "take_no_options",
+]
+
+#: Most surfaces on a path, for options `max_bounces`.
+MAX_BOUNCES = 1000
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the stages of one picture share.
+
+    Attributes
+    ----------
+    tracer : Tracer
+    camera : Camera
+    width, height : int
+    tables : SceneTables
+    lights : LightTables
+    classic : ClassicLights
+        The same for modes that take each as one place.
+    sampler : Sampler
+    opacity : Opacity, optional
+        What of the scene is not there for every ray.
+    options : mapping
+        The renderer's own, such as ``max_bounces``.
+    kept : object
+        What lies at the tables' addresses.
+    layers : sequence of str
+        Those of `LAYERS` that are asked for.
+    chosen_lights : {"auto", "file"}
+        See `lighting.needs_light`.
+    bands : DeviceBands, optional
+        What takes samples where the tracer's rays are, if that is not the host.
+    """
+
+    tracer: Tracer
+    camera: Camera
+    width: int
+    height: int
+    tables: SceneTables
+    lights: LightTables
+    classic: ClassicLights
+    sampler: Sampler
+    opacity: Opacity | None
+    options: Mapping[str, Any]
+    kept: tuple[object, object, object]
+    layers: Sequence[str] = ()
+    chosen_lights: str = "auto"
+    bands: DeviceBands | None = None
+
+    def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
+        """What the tracer's queries take as ``on_hit`` for rays of shape (N, 3)."""
+        return filter_of(self.opacity, origins, directions)
+
+    def seen_by(self, camera: Camera, size: tuple[int, int] | None = None) -> Setting:
+        """The same scene from another camera, or in another size.
+
+        What of it does not depend on them is shared, which makes this much quicker than
+        `make_setting`: for a picture that follows a camera.
+        """
+        scene, chosen = self.tracer.scene, self.chosen_lights
+        classic, kept_classic = classic_lights_of(scene, camera, chosen)
+        width, height = size or (self.width, self.height)
+        made = replace(
+            self,
+            camera=camera,
+            width=width,
+            height=height,
+            classic=classic,
+            kept=(self.kept[0], self.kept[1], kept_classic),
+        )
+        return replace(made, bands=self.tracer.bands_on_device(made))
+
+
+def make_setting(
+    tracer: Tracer,
+    camera: Camera,
+    size: tuple[int, int],
+    sampler: Sampler,
+    options: Mapping[str, Any],
+    layers: Sequence[str] = (),
+    chosen_lights: str = "auto",
+) -> Setting:
+    """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
+    tables, kept_tables = tables_of(tracer.scene)
+    lights, kept_lights = lights_of(tracer.scene, chosen_lights)
+    classic, kept_classic = classic_lights_of(tracer.scene, camera, chosen_lights)
+    kept = kept_tables, kept_lights, kept_classic
+    opacity = Opacity.of(tracer.scene, sampler.seed)
+    made = Setting(
+        tracer,
+        camera,
+        *size,
+        tables,
+        lights,
+        classic,
+        sampler,
+        opacity,
+        options,
+        kept,
+        layers,
+        chosen_lights,
+    )
+    return replace(made, bands=tracer.bands_on_device(made))
+
+
+@dataclass(frozen=True)
+class Band:
+    """Rows of the picture, in one sample.
+
+    Attributes
+    ----------
+    setting : Setting
+    sample : int
+    first_pixel : int
+    radiance : ndarray of shape (P, 3), float32
+        Linear RGB of its pixels; stages add to it.
+    """
+
+    setting: Setting
+    sample: int
+    first_pixel: int
+    radiance: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PathStream:
+    """Paths on their way.
+
+    Attributes
+    ----------
+    paths : Paths
+    bounce : int
+        Surfaces that have scattered them.
+    hits : Hits, optional
+        Where they meet surfaces, once it is known.
+    rays : LightRays, optional
+        Rays to lights that are to be tested.
+    """
+
+    paths: Paths
+    bounce: int = 0
+    hits: Hits | None = None
+    rays: LightRays | None = None
+
+    def __len__(self) -> int:
+        return len(self.paths.pixels)
+
+
+PathStage = Callable[[PathStream, Band], PathStream]
+
+
+@dataclass(frozen=True)
+class SampledRenderer:
+    """A mode of rendering by samples.
+
+    Attributes
+    ----------
+    name : str
+    description : str
+        One line, with the source.
+    stages : tuple of PathStage
+    options : mapping
+        What a caller may set, and what holds without; checked by `check`.
+    check : callable
+        Returns the options as stages take them; raises ValueError for bad ones.
+    rays_per_pixel : callable
+        Rays of a pixel, with a setting, that a stage makes at once: bands have fewer pixels for
+        more of them.
+    """
+
+    name: str
+    description: str
+    stages: Sequence[PathStage]
+    options: Mapping[str, Any]
+    check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
+    rays_per_pixel: Callable[[Setting], int] = lambda _: 1
+
+    def bands_of(self, setting: Setting) -> DeviceBands | None:
+        """What takes its samples on a device; None if the host does, as for layers."""
+        bands = setting.bands
+        return bands if bands and not setting.layers and bands.takes(self.stages) else None
+
+    def trace(
+        self, setting: Setting, rows: range, sample: int, seen: SeenSurfaces | None = None
+    ) -> NDArray[np.float32]:
+        """Take one sample of each pixel of some rows.
+
+        Parameters
+        ----------
+        setting : Setting
+        rows : range
+        sample : int
+        seen : SeenSurfaces, optional
+            Gets what the sample sees first, if layers are wanted.
+
+        Returns
+        -------
+        ndarray of shape (rows * width, 3), float32
+            Linear RGB.
+        """
+        bands = self.bands_of(setting)
+        if bands is not None and seen is None:
+            return bands.trace(self.stages, rows, sample)
+        count = len(rows) * setting.width
+        radiance = np.zeros((count, 3), np.float32)
+        band = Band(setting, sample, rows.start * setting.width, radiance)
+        size = setting.width, setting.height
+        stream = PathStream(eye_paths(setting.camera, size, setting.sampler, rows, sample))
+        if seen is not None:
+            stream = find_surfaces(stream, band)
+            note_surfaces(stream, band, seen)
+        while len(stream):
+            for stage in self.stages:
+                stream = stage(stream, band)
+                if seen is not None and stage is not find_surfaces:
+                    seen.emission[:] = radiance  # without any further ray
+                    seen = None
+        return radiance
+
+
+def take_no_options(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """For `SampledRenderer.check` of modes that have none."""
+    return options
+
+
+def eye_paths(
+    camera: Camera, size: tuple[int, int], sampler: Sampler, rows: range, sample: int
+) -> Paths:
+    """Begin a path at each pixel of some rows of a picture (Purcell 2002, 3.1.1).
+
+    Parameters
+    ----------
+    camera : Camera
+    size : (int, int)
+        Width and height of the whole picture.
+    sampler : Sampler
+        A single sample goes through the pixels' centres, and the middle of a lens; many are
+        spread over each pixel and over the lens, by the numbers 0 to 3.
+    rows : range
+    sample : int
+    """
+    width, _ = size
+    count = len(rows) * width
+    if camera.projection == "perspective":
+        paths = Paths.empty(count)
+        begin_paths(view_of(camera, *size), rows.start, len(rows), sampler, sample, paths)
+        return paths
+    pixels = np.arange(rows.start * width, rows.start * width + count)
+    x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
+    if sampler.sample_count == 1:
+        x, y = x + 0.5, y + 0.5
+    else:
+        numbers = sampler.numbers(pixels, sample, 0, 2)
+        x, y = x + numbers[:, 0], y + numbers[:, 1]
+    shape = len(rows), width
+    places = x.reshape(shape), y.reshape(shape)
+    origins, directions = camera.rays(*size, *places)
+    paths = Paths.empty(count)
+    paths.pixels[:], paths.weights[:], paths.pdfs[:] = pixels, 1.0, np.inf
+    paths.origins[:] = np.reshape(origins, (-1, 3))
+    paths.directions[:] = np.reshape(directions, (-1, 3))
+    return paths
+
+
+def find_surfaces(stream: PathStream, band: Band) -> PathStream:
+    """Stage: trace the paths' rays, unless what they meet is known."""
+    if stream.hits is not None:
+        return stream
+    setting, rays = band.setting, (stream.paths.origins, stream.paths.directions)
+    hits = setting.tracer.first_hit(*rays, on_hit=setting.filter(*rays))
+    return replace(stream, hits=hits)
+
+
+def note_surfaces(stream: PathStream, band: Band, seen: SeenSurfaces) -> None:
+    """Write down what the paths meet, for layers."""
+    assert stream.hits is not None
+    hits, tables = stream.hits, band.setting.tables
+    rows = hits.t, hits.u, hits.v, hits.prim_id
+    see_surfaces(stream.paths, rows, tables, band.first_pixel, seen)
+
+
+def reach_lights(stream: PathStream, band: Band) -> PathStream:
+    """Stage: add what the lights send where nothing is in the way."""
+    rays = stream.rays
+    assert rays is not None
+    if len(rays.pixels):
+        setting, asked = band.setting, (rays.origins, rays.directions)
+        blocked = setting.tracer.any_hit(*asked, t_max=rays.t_max, on_hit=setting.filter(*asked))
+        add_unblocked(rays, blocked, band.first_pixel, band.radiance)
+    return replace(stream, rays=None)

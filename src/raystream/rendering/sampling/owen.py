@@ -1,0 +1,159 @@
+"""Sobol numbers, scrambled after Owen by hashing: even samples that need no memory.
+
+Four dimensions make a group, and each group has a sequence of its own. A group is two pairs.
+The first pair is Sobol's first two dimensions, a (0, 2)-sequence. The second pair is the same
+sequence at another index, `quad_matrix` times the first's. That only moves indices about within
+blocks of 2**k, so this pair is a (0, 2)-sequence, too; and the four are even together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import address, as_uint32, gather
+from raystream.rendering.sampling.mixing import as_float, mix, stream_key
+from raystream.rendering.sampling.quad_matrix import byte_tables, quad_matrix
+
+__all__ = ["sample_number", "sample_pair"]
+
+_SECOND_PAIR = byte_tables(quad_matrix())
+_256, _512, _768 = np.uint32(256), np.uint32(512), np.uint32(768)
+
+_1, _2, _3, _4 = np.uint32(1), np.uint32(2), np.uint32(3), np.uint32(4)
+_8, _16, _24, _BYTE = np.uint32(8), np.uint32(16), np.uint32(24), np.uint32(0xFF)
+
+#: Of each step of a bit reversal or a Pascal matrix, the lower of each two blocks of bits.
+_BY_8, _BY_4 = np.uint32(0x00FF00FF), np.uint32(0x0F0F0F0F)
+_BY_2, _BY_1 = np.uint32(0x33333333), np.uint32(0x55555555)
+
+#: Of a group's keys: one for the order of its samples, and one for each of its dimensions.
+_ORDER = np.uint32(0xB5297A4D)
+
+# Any even factors give a scramble, but with some the flips of a bit are alike for different
+# higher bits. With these and the keyed product the correlation of any two flips of the upper
+# nine bits is below 0.02 over 65,536 keys, which is chance; with the four factors of Laine and
+# Karras it is up to 0.6. They are Vegdahl's ("Building a Better LK Hash", 2021).
+_LK_1, _LK_2, _LK_3 = np.uint32(0x3D20ADEA), np.uint32(0x05526C56), np.uint32(0x53A22864)
+
+
+@device
+def _reverse(x):
+    """The bits of an uint32 in reverse order."""
+    x = as_uint32((x >> _16) | (x << _16))
+    x = as_uint32(((x >> _8) & _BY_8) | ((x & _BY_8) << _8))
+    x = as_uint32(((x >> _4) & _BY_4) | ((x & _BY_4) << _4))
+    x = as_uint32(((x >> _2) & _BY_2) | ((x & _BY_2) << _2))
+    return as_uint32(((x >> _1) & _BY_1) | ((x & _BY_1) << _1))
+
+
+@device
+def _pascal(x):
+    """Sobol's second matrix, Pascal's triangle modulo 2, times a vector of bits.
+
+    Bit i of the product is the sum of those bits whose index has all the ones of i, so five
+    steps do it, one for each bit of an index.
+    """
+    x = as_uint32(x ^ (x >> _16))
+    x = as_uint32(x ^ ((x >> _8) & _BY_8))
+    x = as_uint32(x ^ ((x >> _4) & _BY_4))
+    x = as_uint32(x ^ ((x >> _2) & _BY_2))
+    return as_uint32(x ^ ((x >> _1) & _BY_1))
+
+
+@device
+def _flips(tables, place):
+    return gather(np.uint32, tables, as_uint32(place))
+
+
+@device
+def _second_pair(x):
+    """The index at which the second pair of a group has its sample: the matrix times x."""
+    tables = address(_SECOND_PAIR)
+    low = _flips(tables, x & _BYTE) ^ _flips(tables, ((x >> _8) & _BYTE) + _256)
+    high = _flips(tables, ((x >> _16) & _BYTE) + _512) ^ _flips(tables, (x >> _24) + _768)
+    return as_uint32(low ^ high)
+
+
+@device
+def _scramble(x, key):
+    """Flip each bit by a hash of the bits below it and of the key.
+
+    Of a reversed fraction that is Owen's scramble: whether a bit flips depends on those of
+    higher value. Sums, products with odd and xor with products with even numbers all carry
+    upwards only (Laine and Karras 2011).
+    """
+    x = as_uint32(x ^ as_uint32(x * _LK_1))
+    x = as_uint32(x + key)
+    x = as_uint32(x * ((key >> _16) | _1))
+    x = as_uint32(x ^ as_uint32(x * _LK_2))
+    return as_uint32(x ^ as_uint32(x * _LK_3))
+
+
+@device
+def _index(sample, dimension, key):
+    """Where in the (0, 2)-sequence a group's pair has this sample.
+
+    The order of samples is scrambled, too, by which groups become independent. As it is
+    scrambled from the highest bit down, the first 2**k stay one block of 2**k.
+    """
+    index = _reverse(_scramble(_reverse(as_uint32(sample)), mix(key ^ _ORDER)))
+    return _second_pair(index) if as_uint32(dimension) & _2 else index
+
+
+@device
+def sample_number(seed, pixel, sample, dimension):
+    """One number of one sample.
+
+    Parameters
+    ----------
+    seed, pixel, sample, dimension : int
+        0 to 2**32 - 1. The number depends on nothing else.
+
+    Returns
+    -------
+    float32
+        In [0, 1). Of the numbers of the first 2**k samples, 24 at most being k, each interval
+        of length 2**-k gets one.
+
+    References
+    ----------
+    .. [1] Burley, "Practical Hash-based Owen Scrambling", Journal of Computer Graphics
+       Techniques 9(4), 2020.
+    .. [2] Laine and Karras, "Stratified Sampling for Stochastic Transparency", Eurographics
+       Symposium on Rendering 2011.
+    """
+    dimension = as_uint32(dimension)
+    key = stream_key(seed, pixel, dimension >> _2)
+    index = _index(sample, dimension, key)
+    matrix = _pascal(index) if dimension & _1 else index
+    return as_float(_reverse(_scramble(matrix, mix(as_uint32(key + as_uint32(dimension & _3))))))
+
+
+@device
+def sample_pair(seed, pixel, sample, dimension):
+    """The numbers of a dimension and of the next.
+
+    Parameters
+    ----------
+    seed, pixel, sample, dimension : int
+        As of `sample_number`. Let the dimension be even: only then are the two even together.
+
+    Returns
+    -------
+    x, y : float32
+        In [0, 1). In an even dimension the first 2**k samples are a (0, k, 2)-net: each
+        rectangle of 2**-i by 2**-(k - i) gets one.
+    """
+    dimension = as_uint32(dimension)
+    if dimension & _1:
+        return (
+            sample_number(seed, pixel, sample, dimension),
+            sample_number(seed, pixel, sample, as_uint32(dimension + _1)),
+        )
+    key = stream_key(seed, pixel, dimension >> _2)
+    index = _index(sample, dimension, key)
+    in_group = as_uint32(dimension & _2)
+    x = _scramble(index, mix(as_uint32(key + in_group)))
+    y = _scramble(_pascal(index), mix(as_uint32(key + in_group + _1)))
+    return as_float(_reverse(x)), as_float(_reverse(y))

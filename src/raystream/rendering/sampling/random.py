@@ -1,0 +1,44 @@
+"""Independent numbers by hashing: what the even ones are compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import as_uint32
+from raystream.rendering.sampling.mixing import as_float, mix, stream_key
+
+__all__ = ["sample_number", "sample_pair"]
+
+_OF_SAMPLE = np.uint32(0xBB67AE85)
+_1 = np.uint32(1)
+
+
+@device
+def sample_number(seed, pixel, sample, dimension):
+    """One number of one sample.
+
+    Parameters
+    ----------
+    seed, pixel, sample, dimension : int
+        0 to 2**32 - 1. The number depends on nothing else.
+
+    Returns
+    -------
+    float32
+        In [0, 1).
+    """
+    # The sample's own hash: with the bare number, two keys that differ in low bits only would
+    # give the same numbers in another order.
+    key = stream_key(seed, pixel, dimension)
+    return as_float(mix(key ^ mix(as_uint32(sample) + _OF_SAMPLE)))
+
+
+@device
+def sample_pair(seed, pixel, sample, dimension):
+    """The numbers of a dimension and of the next, two float32; see `sample_number`."""
+    following = as_uint32(as_uint32(dimension) + _1)
+    return (
+        sample_number(seed, pixel, sample, dimension),
+        sample_number(seed, pixel, sample, following),
+    )

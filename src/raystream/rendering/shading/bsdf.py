@@ -1,0 +1,312 @@
+"""How a surface scatters light: matte, glossy, mirror and glass, added up.
+
+A surface may do several of these at once, as MTL and BART materials do. Matte and glossy
+reflection spread light; mirrors and glass send it one way each, and are only ever sampled.
+Directions are unit vectors that point away from the surface; `back` is to where the ray came
+from.
+
+References
+----------
+Lafortune and Willems, "Using the Modified Phong Reflectance Model for Physically Based
+Rendering", 1994. Whitted, "An Improved Illumination Model for Shaded Display", 1980.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import any_lane, maximum, minimum, power, select, square_root
+from raystream.rendering.shading.microfacet import LEAST_ALPHA, PLASTIC, rough_reflected
+from raystream.rendering.shading.points import material_color, material_number
+from raystream.rendering.shading.tables import (
+    COLUMNS,
+    EMITS,
+    HAS_REFLECTION,
+    HAS_SPECULAR,
+    HAS_TRANSMISSION,
+    IS_ROUGH,
+    IS_TEXTURED,
+)
+from raystream.rendering.shading.textures import ROLES, texture_color, texture_of
+from raystream.rendering.shading.vectors import chosen, dot, largest, mirrored, scaled, times
+
+__all__ = [
+    "Bounce",
+    "Lobes",
+    "emitted",
+    "fresnel",
+    "lobes_at",
+    "reflected",
+    "refracted",
+]
+
+_NULL, _WHOLE, _TWO, _HALF = map(np.float32, (0.0, 1.0, 2.0, 0.5))
+_LEAST_IOR = np.float32(1e-3)
+_INV_PI, _INV_TWO_PI = np.float32(1.0 / math.pi), np.float32(0.5 / math.pi)
+_0 = np.int32(0)
+
+_DIFFUSE = np.int32(COLUMNS.diffuse)
+_SPECULAR = np.int32(COLUMNS.specular)
+_REFLECTION = np.int32(COLUMNS.reflection)
+_TRANSMISSION = np.int32(COLUMNS.transmission)
+_SHININESS = np.int32(COLUMNS.shininess)
+_IOR = np.int32(COLUMNS.ior)
+_ROUGHNESS = np.int32(COLUMNS.roughness)
+_METALLIC = np.int32(COLUMNS.metallic)
+_EMISSION = np.int32(COLUMNS.emission)
+_EMISSION_TEXTURE = np.int32(ROLES.index("emission"))
+_DIFFUSE_TEXTURE = np.int32(ROLES.index("diffuse"))
+_ROUGHNESS_TEXTURE = np.int32(ROLES.index("metallic_roughness"))
+_SPECULAR_TEXTURE = np.int32(ROLES.index("specular"))
+
+Vector = tuple[float, float, float]
+
+
+class Lobes(NamedTuple):
+    """What a surface does at a point.
+
+    Attributes
+    ----------
+    diffuse, specular, reflection, transmission : tuple of three float64
+        Shares of the light that are scattered evenly, around the mirrored direction, to it,
+        and through the surface; together at most 1 in each colour.
+    shininess : float64
+        Phong exponent.
+    ior : float64
+        Index of refraction of what the ray enters over that of what it leaves.
+    alpha : float64
+        GGX's roughness of a surface of glTF's kind, see `microfacet`: `specular` is then what it
+        mirrors squarely. 0 for Phong's lobe.
+    """
+
+    diffuse: Vector
+    specular: Vector
+    reflection: Vector
+    transmission: Vector
+    shininess: float
+    ior: float
+    alpha: float
+
+
+class Bounce(NamedTuple):
+    """A direction that a surface sends a ray.
+
+    Attributes
+    ----------
+    direction : tuple of three float64
+    weight : tuple of three float64
+        Scattered light over the direction's probability.
+    pdf : float64
+        Probability density over solid angle; inf for mirrors and glass.
+    is_valid : bool
+        Whether the ray goes on at all.
+    """
+
+    direction: Vector
+    weight: Vector
+    pdf: float
+    is_valid: bool
+
+
+@device
+def _looked_up(tables, point, role, values):
+    """A texture's RGB at a point; white without one."""
+    white = point.nx * _NULL + _WHOLE
+    color = white, white, white
+    if tables.kinds & IS_TEXTURED:
+        texture = texture_of(tables.textures, point.material, role)
+        is_there = texture >= _0
+        if any_lane(is_there):
+            place = maximum(texture, _0)
+            found = texture_color(tables.textures, place, point.u, point.v, values)
+            color = chosen(is_there, found, color)
+    return color
+
+
+@device
+def _tinted(color, tables, point, role):
+    """A colour of a material times its texture."""
+    return times(color, _looked_up(tables, point, role, tables.textures.linear))
+
+
+@device
+def _color_if(tables, kind, point, column):
+    """A colour of a material, where any material of the scene has one; else black."""
+    nothing = point.nx * _NULL
+    color = nothing, nothing, nothing
+    if tables.kinds & kind:
+        color = material_color(tables, point.material, column)
+    return color
+
+
+@device
+def emitted(tables, point):
+    """What the front of a surface emits."""
+    color = _color_if(tables, EMITS, point, _EMISSION)
+    return _tinted(color, tables, point, _EMISSION_TEXTURE)
+
+
+@device
+def _metal_or_plastic(tables, point, roughness, base):
+    """GGX's roughness of glTF's materials, and what they scatter evenly and mirror squarely."""
+    metallic = maximum(material_number(tables, point.material, _METALLIC), _NULL)
+    numbers = _looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
+    roughness, metallic = roughness * numbers[1], minimum(metallic * numbers[2], _WHOLE)
+    plastic = _WHOLE - metallic
+    mirror = (
+        PLASTIC * plastic + base[0] * metallic,
+        PLASTIC * plastic + base[1] * metallic,
+        PLASTIC * plastic + base[2] * metallic,
+    )
+    alpha = minimum(maximum(roughness * roughness, LEAST_ALPHA), _WHOLE)
+    return alpha, scaled(base, plastic), mirror
+
+
+@device_call
+def lobes_at(tables, point):
+    """What a surface does at a point.
+
+    Where a material's shares add up to more than 1, as files allow, all are made less, so
+    that no light is made.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    point : Point
+    """
+    material = point.material
+    diffuse = material_color(tables, material, _DIFFUSE)
+    diffuse = times(diffuse, (point.red, point.green, point.blue))
+    diffuse = _tinted(diffuse, tables, point, _DIFFUSE_TEXTURE)
+    specular = _color_if(tables, HAS_SPECULAR, point, _SPECULAR)
+    specular = _tinted(specular, tables, point, _SPECULAR_TEXTURE)
+    roughness = point.nx * _NULL - _WHOLE
+    if tables.kinds & IS_ROUGH:
+        roughness = material_number(tables, material, _ROUGHNESS)
+    is_rough = roughness >= _NULL
+    alpha = roughness * _NULL
+    if any_lane(is_rough):
+        rough, base, mirror = _metal_or_plastic(tables, point, roughness, diffuse)
+        alpha = select(is_rough, rough, alpha)
+        diffuse, specular = chosen(is_rough, base, diffuse), chosen(is_rough, mirror, specular)
+    reflection = _color_if(tables, HAS_REFLECTION, point, _REFLECTION)
+    transmission = _color_if(tables, HAS_TRANSMISSION, point, _TRANSMISSION)
+    share = _WHOLE / maximum(
+        largest(
+            _sum(diffuse[0], specular[0], is_rough) + reflection[0] + transmission[0],
+            _sum(diffuse[1], specular[1], is_rough) + reflection[1] + transmission[1],
+            _sum(diffuse[2], specular[2], is_rough) + reflection[2] + transmission[2],
+        ),
+        _WHOLE,
+    )
+    ior, shininess = point.nx * _NULL + _WHOLE, point.nx * _NULL + _WHOLE
+    if tables.kinds & HAS_TRANSMISSION:
+        ior = maximum(material_number(tables, material, _IOR), _LEAST_IOR)
+    if tables.kinds & HAS_SPECULAR:
+        shininess = material_number(tables, material, _SHININESS)
+    return Lobes(
+        scaled(diffuse, share),
+        scaled(specular, share),
+        scaled(reflection, share),
+        scaled(transmission, share),
+        shininess,
+        select(point.is_front, ior, _WHOLE / ior),
+        alpha,
+    )
+
+
+@device
+def _sum(diffuse, specular, is_rough):
+    """What two lobes scatter at most; small faces take their share of what the rest would."""
+    return select(is_rough, maximum(diffuse, specular), diffuse + specular)
+
+
+@device
+def fresnel(cosine, ior):
+    """Share of unpolarised light that a clear surface reflects.
+
+    Parameters
+    ----------
+    cosine : float64
+        Between the direction that light comes from and the normal; not negative.
+    ior : float64
+        Index of refraction behind the surface over that before it.
+
+    Returns
+    -------
+    float64
+        1 beyond the angle of total reflection.
+    """
+    square = _WHOLE - (_WHOLE - cosine * cosine) / (ior * ior)
+    behind = square_root(maximum(square, _NULL))
+    across = (cosine - ior * behind) / (cosine + ior * behind)
+    along = (ior * cosine - behind) / (ior * cosine + behind)
+    share = _HALF * (across * across + along * along)
+    return select(square > _NULL, share, _WHOLE)
+
+
+@device
+def refracted(back, normal, ior):
+    """The direction in which a ray goes on behind a clear surface (Snell's law).
+
+    Only where `fresnel` is below 1.
+    """
+    cosine = dot(back, normal)
+    behind = square_root(maximum(_WHOLE - (_WHOLE - cosine * cosine) / (ior * ior), _NULL))
+    along = cosine / ior - behind
+    x = along * normal[0] - back[0] / ior
+    y = along * normal[1] - back[1] / ior
+    z = along * normal[2] - back[2] / ior
+    length = square_root(x * x + y * y + z * z)
+    return x / length, y / length, z / length
+
+
+@device_call
+def reflected(lobes, point, back, toward):
+    """Light that matte and glossy reflection send back, and how likely they are to look there.
+
+    Parameters
+    ----------
+    lobes : Lobes
+    point : Point
+    back : tuple of three float64
+        To where the light goes.
+    toward : tuple of three float64
+        To where it comes from.
+
+    Returns
+    -------
+    color : tuple of three float64
+        Reflected radiance for an irradiance of 1 on a surface that faces the light: BRDF times
+        cosine.
+    diffuse_pdf, specular_pdf : float64
+        Densities over solid angle of the two lobes.
+    """
+    normal = point.nx, point.ny, point.nz
+    cosine = dot(normal, toward)
+    is_lit = (cosine > _NULL) & (dot((point.gx, point.gy, point.gz), toward) > _NULL)
+    cosine = select(is_lit, cosine, _NULL)
+    diffuse_pdf = cosine * _INV_PI
+    color, specular_pdf = scaled(lobes.diffuse, diffuse_pdf), cosine * _NULL
+    is_rough = lobes.alpha > _NULL
+    if any_lane(is_rough & is_lit):
+        rough, pdf = rough_reflected(
+            lobes.diffuse, lobes.specular, lobes.alpha, normal, back, toward
+        )
+        is_rough &= is_lit
+        color = chosen(is_rough, rough, color)
+        specular_pdf = select(is_rough, pdf, specular_pdf)
+    gloss = lobes.specular
+    is_glossy = is_lit & (lobes.alpha <= _NULL) & (gloss[0] + gloss[1] + gloss[2] > _NULL)
+    if any_lane(is_glossy):  # a power takes as long as all the rest
+        highlight = power(maximum(dot(mirrored(back, normal), toward), _NULL), lobes.shininess)
+        highlight = select(is_glossy, highlight * _INV_TWO_PI, _NULL)
+        shining = scaled(gloss, highlight * (lobes.shininess + _TWO) * cosine)
+        color = color[0] + shining[0], color[1] + shining[1], color[2] + shining[2]
+        glossy_pdf = highlight * (lobes.shininess + _WHOLE)
+        specular_pdf = select(is_glossy, glossy_pdf, specular_pdf)
+    return color, diffuse_pdf, specular_pdf

@@ -1,0 +1,219 @@
+"""The classic lights: each sends light from one place, as the standard graphics pipeline has it.
+
+Area lights count as one place each, see `rendering.lighting`: a flat patch, or a bulb.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.spawn import UNIT
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import load, maximum, minimum, narrow_lanes, select, square_root
+from raystream.rendering.lighting import PatchLight, area_patches, classic_lights
+from raystream.rendering.shading.lights import LightSample
+from raystream.rendering.shading.points import offset_at
+from raystream.rendering.shading.sky import Sky, background_of
+from raystream.rendering.shading.textures import place_of
+from raystream.rendering.shading.vectors import added, dot, scaled
+from raystream.scene.camera import Camera
+from raystream.scene.lights import DirectionalLight, EnvironmentLight
+from raystream.scene.scene import Scene
+
+__all__ = ["ClassicLights", "arriving", "classic_lights_of", "light_rows"]
+
+# Kinds of lights: a point whose light falls with the square of the distance, one whose light
+# does not, a sun, a flat patch, a bulb.
+_POINT, _STEADY, _SUN, _PATCH, _BULB = range(5)
+
+# Columns of a row: place or direction, colour, kind, normal, radius of a disc of as large an
+# area, and how far the light's own triangles reach from the place.
+_KIND, _NORMAL, _RADIUS, _CLEARANCE = 6, 7, 10, 11
+_COLUMNS = 12
+_ROW = np.uint64(8 * _COLUMNS)
+_LONG = np.uint64(8)
+
+Vector = tuple[float, float, float]
+
+
+class ClassicLights(NamedTuple):
+    """Lights of a scene, by address; lengths and places in the local frame.
+
+    Attributes
+    ----------
+    rows : uint64
+        Of shape (light_count, 12), float64.
+    light_count : uint64
+    ambient : tuple of three float
+        Radiance from everywhere, that nothing blocks.
+    sky : Sky
+        What rays that miss see: the background, and the image of an environment light.
+    """
+
+    rows: np.uint64
+    light_count: np.uint64
+    ambient: Vector
+    sky: Sky
+
+
+def classic_lights_of(
+    scene: Scene, camera: Camera, chosen: str = "auto"
+) -> tuple[ClassicLights, object]:
+    """The lights of a scene, and what must be kept; see `lighting.classic_lights`."""
+    table, ambient = light_rows(scene, camera, chosen)
+    sky, kept_sky = background_of(scene)
+    lights = ClassicLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
+    return lights, (table, kept_sky)
+
+
+def light_rows(
+    scene: Scene, camera: Camera, chosen: str = "auto"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of `ClassicLights`, shape (L, 12), and the ambient radiance, shape (3,)."""
+    frame = scene.triangles
+    scale = float(frame.scale)
+    patches = area_patches(scene)
+    ambient = np.zeros(3)
+    rows: list[list[float]] = []
+    for light in classic_lights(scene, camera, patches, chosen):
+        row = [0.0] * _COLUMNS
+        if isinstance(light, EnvironmentLight):
+            ambient += light.radiance
+            continue
+        if isinstance(light, DirectionalLight):
+            row[:3] = -np.array(light.direction) / np.linalg.norm(light.direction)
+            row[3:6], row[_KIND] = light.irradiance, _SUN
+        else:
+            falls = light.falloff == "inverse_square"
+            row[:3] = (np.array(light.position) - frame.center) * scale
+            row[3:6] = np.array(light.intensity) * (scale * scale if falls else math.pi)
+            row[_KIND] = _POINT if falls else _STEADY
+        rows.append(row)
+    rows += _patch_rows(scene, patches)
+    return np.array(rows, np.float64).reshape(-1, _COLUMNS), ambient
+
+
+def _vector(values: NDArray[np.float64] | Sequence[float]) -> Vector:
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
+
+
+def _patch_rows(scene: Scene, patches: Sequence[PatchLight]) -> list[list[float]]:
+    """Rows of area lights."""
+    frame, rows = scene.triangles, []
+    for patch in patches:
+        row = [0.0] * _COLUMNS
+        place = (patch.position - frame.center) * float(frame.scale)
+        spread = frame.corners[patch.prim_ids].reshape(-1, 3).astype(np.float64) - place
+        row[:3], row[3:6] = place, math.pi * patch.radiance
+        row[_RADIUS] = math.sqrt(patch.area / math.pi) * float(frame.scale)
+        if patch.normal is None:
+            row[_KIND], row[_CLEARANCE] = _BULB, float(np.linalg.norm(spread, axis=1).max())
+        else:
+            row[_KIND], row[_NORMAL:_RADIUS] = _PATCH, patch.normal
+            row[_CLEARANCE] = max(float((spread @ patch.normal).max()), 0.0)
+        rows.append(row)
+    return rows
+
+
+@device
+def _double(row, k):
+    return load(np.float64, row + np.uint64(k) * _LONG)
+
+
+@device
+def _three(row, k):
+    return _double(row, k), _double(row, k + 1), _double(row, k + 2)
+
+
+@device
+def _lanes(of, place):
+    """A vector that is the same in all lanes of a point: numbers as `of`, float64 or f64x16."""
+    zero = of * 0.0
+    return zero + place[0], zero + place[1], zero + place[2]
+
+
+@device
+def _narrowed(a):
+    return narrow_lanes(a[0]), narrow_lanes(a[1]), narrow_lanes(a[2])
+
+
+@device_call
+def arriving(tables, lights, number, point):
+    """What a light sends to a point, or to 16, if nothing is in its way.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    lights : ClassicLights
+    number : uint64
+    point : Point
+
+    Returns
+    -------
+    LightSample
+        Its density means nothing.
+    """
+    row = lights.rows + number * _ROW
+    kind, place, color = np.int64(_double(row, _KIND)), _three(row, 0), _three(row, 3)
+    # All lanes have the same light, so these are branches; what differs is chosen.
+    x, y, z = _lanes(point.x, place)
+    target = x, y, z
+    factor = point.x * 0.0 + 1.0
+    is_far = factor < 0.0
+    is_valid = factor > 0.0
+    if kind == _SUN:
+        is_far = is_valid
+    else:
+        x, y, z = x - point.x, y - point.y, z - point.z
+        distance = square_root(x * x + y * y + z * z)
+        is_valid = distance > 0.0
+        distance = select(is_valid, distance, factor)
+        x, y, z = x / distance, y / distance, z / distance
+        if kind == _POINT:
+            factor = 1.0 / (distance * distance)
+        elif kind != _STEADY:
+            factor, away = _of_area(tables, row, kind, place, (x, y, z), distance)
+            is_valid &= factor > 0.0
+            if kind == _PATCH:
+                normal = _three(row, _NORMAL)
+                target = added(target, normal, away)
+            else:
+                target = added(target, (x, y, z), -away)
+    return LightSample(
+        _narrowed((x, y, z)),
+        target,
+        is_far,
+        _narrowed(scaled(color, factor)),
+        np.inf,
+        is_valid,
+    )
+
+
+@device
+def _of_area(tables, row, kind, place, toward, distance):
+    """The share of a patch's or a bulb's light that arrives, and where rays to it end.
+
+    Returns
+    -------
+    factor : float64
+        0 behind a patch.
+    away : float64
+        How far before the light's place: along a patch's normal, or along the ray.
+    """
+    radius, clearance = _double(row, _RADIUS), _double(row, _CLEARANCE)
+    # As a disc seen from its axis, finite everywhere; a sphere shows a quarter of its area.
+    ratio = distance / radius
+    factor = 1.0 / (ratio * ratio + 1.0)
+    reach = max(abs(place[0]), abs(place[1]), abs(place[2])) + radius + clearance
+    away = clearance + offset_at(tables, 4.0 * (radius + clearance), reach)
+    away = distance * (2.0 * UNIT) + away
+    if kind == _PATCH:
+        cosine = -dot(toward, _three(row, _NORMAL))
+        return factor * maximum(cosine, 0.0), away
+    return factor * 0.25, minimum(away, distance * 0.999)

@@ -1,0 +1,95 @@
+"""Slopes of bump maps: how a bilinear height changes across two texels.
+
+A height one texel further is between the next two centres in the same proportion, so the four
+heights around a place have twelve texels in all, and each is looked up once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import absolute, as_int32, gather, maximum, minimum, select
+from raystream.rendering.shading.textures import nearest_texels, wrapped
+
+__all__ = ["texture_slopes"]
+
+_0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
+_NULL, _HALF, _WHOLE, _INF = map(np.float32, (0.0, 0.5, 1.0, np.inf))
+
+
+@device
+def _four(index, size, is_clamped):
+    """The texels at an index less 1 and plus 0, 1 and 2."""
+    here = wrapped(index, size, is_clamped)
+    last = as_int32(size - _1)
+    before = wrapped(as_int32(here - _1), size, is_clamped)
+    after = wrapped(as_int32(here + _1), size, is_clamped)
+    behind = wrapped(as_int32(after + _1), size, is_clamped)
+    # Of an index beyond a clamped texture, those beside it may be beyond as well.
+    return (
+        select(is_clamped, _within(as_int32(index - _1), last), before),
+        here,
+        select(is_clamped, _within(as_int32(index + _1), last), after),
+        select(is_clamped, _within(as_int32(index + _2), last), behind),
+    )
+
+
+@device
+def _within(index, last):
+    return minimum(maximum(index, _0), last)
+
+
+@device
+def _between(a, b, share):
+    return a * (_WHOLE - share) + b * share
+
+
+@device
+def _height(tables, first, width, column, row):
+    return gather(np.float32, tables.texels, as_int32(first + row * width + column))
+
+
+@device_call
+def texture_slopes(tables, texture, u, v):
+    """How much lower a bump map is one texel on than one texel back, along u and v.
+
+    Parameters
+    ----------
+    tables : TextureTables
+    texture : int32, or i32x16
+        Its row of `places`: one that holds heights.
+    u, v : float64, or f32x16
+        Texture coordinates; v points up.
+
+    Returns
+    -------
+    tuple of two float32, or f32x16
+        0 where u or v is not finite.
+    """
+    is_known = (absolute(u) < _INF) & (absolute(v) < _INF)
+    first, width, height, is_clamped, left, top, across, down = nearest_texels(
+        tables, texture, select(is_known, u, _HALF), select(is_known, v, _HALF), _WHOLE
+    )
+    x0, x1, x2, x3 = _four(left, width, is_clamped)
+    y0, y1, y2, y3 = _four(top, height, is_clamped)
+    a1 = _height(tables, first, width, x1, y0)
+    a2 = _height(tables, first, width, x2, y0)
+    b0 = _height(tables, first, width, x0, y1)
+    b1 = _height(tables, first, width, x1, y1)
+    b2 = _height(tables, first, width, x2, y1)
+    b3 = _height(tables, first, width, x3, y1)
+    c0 = _height(tables, first, width, x0, y2)
+    c1 = _height(tables, first, width, x1, y2)
+    c2 = _height(tables, first, width, x2, y2)
+    c3 = _height(tables, first, width, x3, y2)
+    d1 = _height(tables, first, width, x1, y3)
+    d2 = _height(tables, first, width, x2, y3)
+    upper = _between(b0, b1, across) - _between(b2, b3, across)
+    lower = _between(c0, c1, across) - _between(c2, c3, across)
+    at_left = _between(c1, d1, down) - _between(a1, b1, down)
+    at_right = _between(c2, d2, down) - _between(a2, b2, down)
+    return (
+        select(is_known, _between(upper, lower, down), _NULL),
+        select(is_known, _between(at_left, at_right, across), _NULL),
+    )

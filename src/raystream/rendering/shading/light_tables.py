@@ -1,0 +1,191 @@
+"""A scene's lights as tables, and how often each is sampled.
+
+Points, suns and the sky by what they bring to the scene's middle, area lights together by what
+they would bring there, and among those a triangle by its power.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.rendering.attributes import check_rows
+from raystream.rendering.color import LUMINANCE
+from raystream.rendering.environment import image_light
+from raystream.rendering.lighting import needs_light
+from raystream.rendering.shading.shares import running_sums
+from raystream.rendering.shading.sky import Sky, sky_of
+from raystream.rendering.shading.textures import place_of
+from raystream.scene.lights import DirectionalLight, EnvironmentLight
+from raystream.scene.scene import Scene
+
+__all__ = ["LightTables", "lights_of"]
+
+
+class LightTables(NamedTuple):
+    """A scene's lights, by address; lengths and places in the local frame.
+
+    `lights_of` makes it, with the arrays that its caller keeps.
+
+    Attributes
+    ----------
+    point_count, sun_count, prim_count : uint64
+    points : uint64
+        Of shape (P, 7), float64: place; what a facing surface receives at a local distance of
+        1; 1 if that falls with the square of the distance, 0 if it does not.
+    suns : uint64
+        Of shape (S, 6), float64: unit vector to the light; what a facing surface receives.
+    sky : Sky
+        What rays see that miss: the environment lights and the background.
+    sky_density : float
+        Mean density over solid angle with which the sky is sampled; see `sky.sky_pdf`.
+    patches : uint64
+        Of shape (A, 17), float32: the area lights' triangles. Corner 0, the edges from there
+        to the others, unit normal, emitted radiance, density of samples over its area,
+        longest side along an axis.
+    prim_ends : uint64
+        Of shape (A,), float64: running sums of their shares of the area lights' power; the
+        last is 1.
+    density : uint64
+        Of shape (M,), float64: density of samples on an emitting triangle over its area, by
+        material; 0 where none of it is an area light.
+    ends : uint64
+        Of shape (P + S + 2,), float64: running sums of the shares of points, suns, sky and
+        area lights; the last is 1.
+    is_dark : bool
+        Whether there is no light at all.
+    """
+
+    point_count: np.uint64
+    sun_count: np.uint64
+    prim_count: np.uint64
+    points: np.uint64
+    suns: np.uint64
+    sky: Sky
+    sky_density: float
+    patches: np.uint64
+    prim_ends: np.uint64
+    density: np.uint64
+    ends: np.uint64
+    is_dark: bool
+
+
+def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
+    """The lights of a scene, and what must be kept; one that needs light gets a white sky.
+
+    Parameters
+    ----------
+    scene : Scene
+    chosen : {"auto", "file"}
+        See `lighting.needs_light`.
+
+    Raises
+    ------
+    ValueError, FileFormatError, ImportError
+        See `environment.image_light`, `environment.texels_of` and `check_rows`.
+    """
+    points, suns, color = _far_lights(scene)
+    prims = np.concatenate(
+        [light.prim_ids for light in scene.area_lights] or [np.empty(0, np.int32)]
+    )
+    prims = np.unique(prims).astype(np.int32)  # intersect1d would sort the scene's, too
+    prims = prims[np.isin(prims, scene.triangles.prim_ids)]
+    check_rows(len(prims), 17, "triangles that emit light")
+    if needs_light(scene, chosen, background=scene.background):
+        color = color + 1.0
+    sky, sky_luminance, kept_sky = sky_of(color, image_light(scene.lights))
+    patches, powers, density = _area_patches(scene, prims)
+
+    bounds = scene.triangles.bounds.astype(np.float64)
+    radius = max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2.0, 1e-30)
+    far = np.maximum(np.linalg.norm(points[:, :3] - bounds.mean(axis=0), axis=1), radius / 2.0)
+    far[points[:, 6] == 0.0] = 1.0
+    shares = np.concatenate(
+        [
+            np.abs(points[:, 3:6]) @ LUMINANCE / far**2,
+            np.abs(suns[:, 3:6]) @ LUMINANCE,
+            [math.pi * sky_luminance, math.pi * float(powers.sum()) / radius**2],
+        ]
+    )
+    # Without signs: a light may take light away, as some formats allow, but no share may.
+    total = float(shares.sum())
+    if total > 0.0:
+        shares /= total
+    density *= shares[-1]
+    patches[:, 15] *= shares[-1]
+    rows = patches.astype(np.float32)
+    kept = points, suns, rows, running_sums(powers), density, running_sums(shares)
+    point_rows, sun_rows, patch_rows, prim_ends, densities, ends = (
+        place_of(array) for array in kept
+    )
+    tables = LightTables(
+        np.uint64(len(points)),
+        np.uint64(len(suns)),
+        np.uint64(len(prims)),
+        point_rows,
+        sun_rows,
+        sky,
+        float(shares[-2]) / (4.0 * math.pi),
+        patch_rows,
+        prim_ends,
+        densities,
+        ends,
+        not total > 0.0,
+    )
+    return tables, (kept, kept_sky)
+
+
+def _far_lights(
+    scene: Scene,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of points and of suns, and the sky's radiance without an image."""
+    frame = scene.triangles
+    scale = float(frame.scale)
+    points, suns, sky = np.empty((0, 7)), np.empty((0, 6)), np.array(scene.background, np.float64)
+    for light in scene.lights:
+        if isinstance(light, EnvironmentLight):
+            sky = sky + light.radiance if light.image is None else sky
+        elif isinstance(light, DirectionalLight):
+            against = -np.array(light.direction) / np.linalg.norm(light.direction)
+            suns = np.vstack([suns, [*against, *light.irradiance]])
+        else:
+            place = (np.array(light.position) - frame.center) * scale
+            falls = light.falloff == "inverse_square"
+            received = np.array(light.intensity) * (scale * scale if falls else math.pi)
+            points = np.vstack([points, [*place, *received, float(falls)]])
+    return points, suns, sky
+
+
+def _area_patches(
+    scene: Scene, prims: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of `LightTables.patches`, their powers, and the density of samples by material.
+
+    Powers without a factor, densities as if there were no other lights.
+    """
+    corners = scene.triangles.corners[prims].astype(np.float64)
+    emission = np.array([material.emission for material in scene.materials]).reshape(-1, 3)
+    materials = scene.attributes.material_ids[prims]
+    edges = corners[:, 1:] - corners[:, :1]
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    lengths = np.linalg.norm(normals, axis=1)
+    luminance = emission @ LUMINANCE
+    powers = lengths / 2.0 * luminance[materials]
+    density = np.zeros(len(scene.materials))
+    if powers.sum() > 0.0:
+        listed = np.unique(materials)
+        density[listed] = luminance[listed] / powers.sum()
+    patches = np.column_stack(
+        [
+            corners[:, 0],
+            edges.reshape(-1, 6),
+            normals / np.maximum(lengths, 1e-300)[:, None],
+            emission[materials],
+            density[materials],
+            np.ptp(corners, axis=1).max(axis=1, initial=0.0),
+        ]
+    )
+    return patches, powers, density

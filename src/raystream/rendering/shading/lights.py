@@ -1,0 +1,250 @@
+"""Samples of the light that reaches points.
+
+A sample chooses one light: points, suns and the sky by what they bring to the scene's middle,
+area lights together, and among those a triangle by its power. Its density is known for every
+direction, so that light found by chance, by a scattered ray, can be weighed against it (Veach
+1997, section 9.2).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.core.spawn import UNIT
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import (
+    absolute,
+    any_lane,
+    as_int32,
+    f64x16,
+    gather,
+    maximum,
+    minimum,
+    narrow,
+    select,
+    square_root,
+    widen,
+)
+from raystream.rendering.sampling.warp import sphere, triangle
+from raystream.rendering.shading.points import offset_at
+from raystream.rendering.shading.shares import chosen_lanes
+from raystream.rendering.shading.sky_lanes import map_sample_lanes, sky_toward_lanes
+from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
+
+__all__ = ["LightSample", "sample_light", "triangle_pdf"]
+
+_NONE = np.uint64(0)
+
+_0, _1, _2, _3, _6, _9, _12, _15, _16 = (np.int32(k) for k in (0, 1, 2, 3, 6, 9, 12, 15, 16))
+_NULL, _WHOLE, _INF, _TINY = map(np.float32, (0.0, 1.0, np.inf, 1e-37))
+_INV_FOUR_PI = 0.25 / math.pi
+
+# Numbers in a row of points, of suns, and of patches.
+_POINT, _SUN, _PATCH = np.int32(7), np.int32(6), np.int32(17)
+
+Vector = tuple[float, float, float]
+
+
+class LightSample(NamedTuple):
+    """Light from one direction, for a point or for 16 of them.
+
+    For one, numbers are float64; for 16, vectors of float32, but `target` of float64.
+
+    Attributes
+    ----------
+    toward : tuple of three float64
+        Unit vector.
+    target : tuple of three float64
+        Where it comes from, local frame, off the light's own surface.
+    is_far : bool
+        Whether it comes from beyond the scene, and `target` means nothing.
+    color : tuple of three float64
+        What a facing surface receives, over the probability of the sample.
+    pdf : float64
+        Density over solid angle; inf for points and suns, which no ray finds by chance.
+    is_valid : bool
+        Whether there is any light.
+    """
+
+    toward: Vector
+    target: Vector
+    is_far: bool
+    color: Vector
+    pdf: float
+    is_valid: bool
+
+
+@device
+def _doubles(row, k):
+    """Three float64 of a table from a place on."""
+    return (
+        gather(np.float64, row, k),
+        gather(np.float64, row, k + _1),
+        gather(np.float64, row, k + _2),
+    )
+
+
+@device
+def _floats(row, k):
+    """Three float32 of a table from a place on."""
+    return (
+        gather(np.float32, row, k),
+        gather(np.float32, row, k + _1),
+        gather(np.float32, row, k + _2),
+    )
+
+
+@device
+def _narrowed(a):
+    return narrow(a[0]), narrow(a[1]), narrow(a[2])
+
+
+@device
+def _toward(x, y, z):
+    """Unit vectors of float64 vectors, and their lengths, in float32."""
+    x, y, z = narrow(x), narrow(y), narrow(z)
+    length = square_root(x * x + y * y + z * z)
+    return scaled((x, y, z), _WHOLE / length), length
+
+
+@device
+def _from_sky(lights, is_sky, share, u, v):
+    """The sky's share of samples: directions, densities, and what comes from there."""
+    toward, pdf = sphere(u, v), narrow(share * _INV_FOUR_PI)
+    if lights.sky.image != _NONE:
+        toward, relative = map_sample_lanes(lights.sky, u, v, is_sky)
+        pdf = pdf * relative
+    color = sky_toward_lanes(lights, toward, is_sky)
+    return toward, pdf, scaled(color, _WHOLE / pdf)
+
+
+@device_call
+def _from_points(lights, number, point, share, found):
+    """Point lights' share of samples."""
+    is_point = number < as_int32(lights.point_count)
+    row = minimum(number, as_int32(as_int32(lights.point_count) - _1)) * _POINT
+    target = _doubles(lights.points, row)
+    toward, distance = _toward(target[0] - point.x, target[1] - point.y, target[2] - point.z)
+    falls = gather(np.float64, lights.points, row + _6) != 0.0
+    square = widen(distance) * widen(distance)
+    factor = 1.0 / (share * select(falls, square, 1.0))
+    return LightSample(
+        chosen(is_point, toward, found.toward),
+        chosen(is_point, target, found.target),
+        found.is_far & ~is_point,
+        chosen(is_point, _narrowed(scaled(_doubles(lights.points, row + _3), factor)), found.color),
+        select(is_point, _INF, found.pdf),
+        found.is_valid | (is_point & (distance > _NULL)),
+    )
+
+
+@device_call
+def _from_suns(lights, number, share, found):
+    """Suns' share of samples."""
+    number = number - as_int32(lights.point_count)
+    is_sun = (number >= _0) & (number < as_int32(lights.sun_count))
+    row = minimum(maximum(number, _0), as_int32(as_int32(lights.sun_count) - _1)) * _SUN
+    toward = _narrowed(_doubles(lights.suns, row))
+    color = _narrowed(scaled(_doubles(lights.suns, row + _3), 1.0 / share))
+    return LightSample(
+        chosen(is_sun, toward, found.toward),
+        found.target,
+        found.is_far,
+        chosen(is_sun, color, found.color),
+        select(is_sun, _INF, found.pdf),
+        found.is_valid | is_sun,
+    )
+
+
+@device_call
+def _from_triangles(tables, lights, is_area, point, within, u, v, found):
+    """Area lights' share of samples: points spread evenly over triangles."""
+    number, _, _ = chosen_lanes(lights.prim_ends, lights.prim_count, widen(within))
+    row = number * _PATCH
+    corner, normal = _floats(lights.patches, row), _floats(lights.patches, row + _9)
+    first, second = triangle(u, v)
+    along, across = _floats(lights.patches, row + _3), _floats(lights.patches, row + _6)
+    px = widen(corner[0]) + widen(first * along[0] + second * across[0])
+    py = widen(corner[1]) + widen(first * along[1] + second * across[1])
+    pz = widen(corner[2]) + widen(first * along[2] + second * across[2])
+    toward, distance = _toward(px - point.x, py - point.y, pz - point.z)
+    cosine = -dot(toward, normal)
+    density = gather(np.float32, lights.patches, row + _15)
+    pdf = density * distance * distance / maximum(cosine, _TINY)
+    # Off the light's own triangle, so that it does not block its light; also when the ray's
+    # direction is rounded to float32. Twice the extent: for the edges' own rounding.
+    extent = widen(gather(np.float32, lights.patches, row + _16))
+    reach = largest(absolute(px), absolute(py), absolute(pz))
+    away = offset_at(tables, 2.0 * extent, reach) + 2.0 * UNIT * widen(distance)
+    target = (
+        px + away * widen(normal[0]),
+        py + away * widen(normal[1]),
+        pz + away * widen(normal[2]),
+    )
+    is_lit = is_area & (distance > _NULL) & (cosine > _NULL) & (pdf > _NULL) & (pdf < _INF)
+    color = scaled(_floats(lights.patches, row + _12), _WHOLE / pdf)
+    return LightSample(
+        chosen(is_area, toward, found.toward),
+        chosen(is_area, target, found.target),
+        found.is_far & ~is_area,
+        chosen(is_area, color, found.color),
+        select(is_area, pdf, found.pdf),
+        (found.is_valid & ~is_area) | is_lit,
+    )
+
+
+@device_call
+def sample_light(tables, lights, point, choice, u, v):
+    """Light that reaches points from one of the lights each, if nothing is in its way.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    lights : LightTables
+    point : Point
+        Of 16.
+    choice, u, v : f32x16
+        Random numbers in [0, 1).
+
+    Returns
+    -------
+    LightSample
+        Of vectors.
+    """
+    count = lights.point_count + lights.sun_count + np.uint64(2)
+    number, share, within = chosen_lanes(lights.ends, count, widen(choice))
+    is_sky = number == as_int32(lights.point_count + lights.sun_count)
+    toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
+    nowhere = f64x16(0.0)
+    is_found = is_sky & (pdf > _NULL)
+    found = LightSample(toward, (nowhere, nowhere, nowhere), is_sky | ~is_sky, color, pdf, is_found)
+    if lights.point_count != _NONE:
+        found = _from_points(lights, number, point, share, found)
+    if lights.sun_count != _NONE:
+        found = _from_suns(lights, number, share, found)
+    if lights.prim_count != _NONE:
+        is_area = number > as_int32(lights.point_count + lights.sun_count)
+        if any_lane(is_area):
+            found = _from_triangles(tables, lights, is_area, point, within, u, v, found)
+    return found
+
+
+@device
+def triangle_pdf(lights, point, distance, cosine):
+    """Density over solid angle with which points of area lights are sampled.
+
+    Parameters
+    ----------
+    lights : LightTables
+    point : Point
+        16 on lights.
+    distance : f64x16
+        From where each is seen, local.
+    cosine : f32x16
+        Between the rays and the lights' normals.
+    """
+    square = distance * distance / widen(maximum(absolute(cosine), _TINY))
+    return narrow(gather(np.float64, lights.density, point.material) * square)

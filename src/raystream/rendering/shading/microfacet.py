@@ -1,0 +1,115 @@
+"""Rough metal and plastic: glTF's metallic-roughness reflection, by small mirrors (GGX).
+
+A share of the light, by Fresnel (Schlick's approximation), is mirrored by small faces whose
+normals spread around the surface's; the rest is scattered evenly, but not by metals.
+
+References
+----------
+Khronos, "glTF 2.0 Specification", appendix B. Walter et al., "Microfacet Models for Refraction
+through Rough Surfaces", 2007. Heitz, "Understanding the Masking-Shadowing Function in
+Microfacet-Based BRDFs", 2014 (the height-correlated form).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import as_float32, maximum, minimum, select, square_root
+from raystream.rendering.sampling.ggx import visible_normal
+from raystream.rendering.sampling.warp import basis
+from raystream.rendering.shading.vectors import dot, mirrored
+
+__all__ = ["LEAST_ALPHA", "PLASTIC", "mirrored_share", "rough_direction", "rough_reflected"]
+
+#: What a surface that is no metal mirrors of light that meets it squarely (an index of 1.5).
+PLASTIC = np.float32(0.04)
+
+#: Smoothest surface, as GGX's parameter; smoother ones would need mirrors.
+LEAST_ALPHA = np.float32(1e-3)
+
+_LEAST_COSINE = np.float32(1e-4)
+_NULL, _WHOLE, _HALF = map(np.float32, (0.0, 1.0, 0.5))
+_PI, _INV_PI = np.float32(math.pi), np.float32(1.0 / math.pi)
+
+
+@device
+def mirrored_share(color, cosine):
+    """What small faces mirror at an angle, by what they mirror squarely (Schlick)."""
+    rest = _WHOLE - minimum(maximum(cosine, _NULL), _WHOLE)
+    grazing = rest * rest * rest * rest * rest
+    return (
+        color[0] + (_WHOLE - color[0]) * grazing,
+        color[1] + (_WHOLE - color[1]) * grazing,
+        color[2] + (_WHOLE - color[2]) * grazing,
+    )
+
+
+@device_call
+def rough_reflected(diffuse, mirror, alpha, normal, back, toward):
+    """Light sent back, and the density of `rough_direction` there.
+
+    Parameters
+    ----------
+    diffuse, mirror : tuple of three float64
+        What is scattered evenly of what is not mirrored; what is mirrored squarely.
+    alpha : float64
+        GGX's roughness.
+    normal, back, toward : tuple of three float64
+        Unit vectors; `toward` is on the normal's side.
+
+    Returns
+    -------
+    color : tuple of three float64
+        BRDF times cosine.
+    pdf : float64
+        Over solid angle.
+    """
+    x, y, z = back[0] + toward[0], back[1] + toward[1], back[2] + toward[2]
+    length = square_root(x * x + y * y + z * z)
+    is_sound = length > _NULL
+    length = select(is_sound, length, _WHOLE)
+    cosine = maximum(dot(normal, toward), _NULL)
+    half = x / length, y / length, z / length
+    view = maximum(dot(normal, back), _LEAST_COSINE)
+    height = dot(normal, half)
+    square = alpha * alpha
+    spread = height * height * (square - _WHOLE) + _WHOLE
+    density = select(is_sound, square / (_PI * spread * spread), _NULL)
+    view_length = square_root(view * view * (_WHOLE - square) + square)
+    light_length = square_root(cosine * cosine * (_WHOLE - square) + square)
+    faces = density * cosine * _HALF / (view * light_length + cosine * view_length)
+    share = mirrored_share(mirror, dot(back, half))
+    even = select(is_sound, cosine * _INV_PI, _NULL)
+    color = (
+        share[0] * faces + (_WHOLE - share[0]) * diffuse[0] * even,
+        share[1] * faces + (_WHOLE - share[1]) * diffuse[1] * even,
+        share[2] * faces + (_WHOLE - share[2]) * diffuse[2] * even,
+    )
+    return color, density * _HALF / (view + view_length)
+
+
+@device_call
+def rough_direction(alpha, normal, back, u, v):
+    """A direction into which a small face mirrors, of those that are seen from `back`."""
+    tx, ty, tz, bx, by, bz = basis(
+        as_float32(normal[0]), as_float32(normal[1]), as_float32(normal[2])
+    )
+    across, up = (tx, ty, tz), (bx, by, bz)
+    x, y, z = visible_normal(
+        u,
+        v,
+        as_float32(dot(across, back)),
+        as_float32(dot(up, back)),
+        as_float32(maximum(dot(normal, back), _LEAST_COSINE)),
+        as_float32(alpha),
+        as_float32(alpha),
+    )
+    half = (
+        x * across[0] + y * up[0] + z * normal[0],
+        x * across[1] + y * up[1] + z * normal[1],
+        x * across[2] + y * up[2] + z * normal[2],
+    )
+    return mirrored(back, half)

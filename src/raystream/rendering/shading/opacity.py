@@ -1,0 +1,126 @@
+"""Whether there is a surface where a ray hits a triangle: a filter for a tracer's queries.
+
+References
+----------
+Enderton, Sintorn, Shirley and Luebke, "Stochastic Transparency", 2010: of a surface that is partly
+clear, a share of the samples sees it and the rest does not.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from raystream.jit.cpu import device_call
+from raystream.jit.simd import as_int32, as_uint32, float_as_bits, gather, load
+from raystream.rendering.sampling.mixing import as_float, mix
+from raystream.rendering.shading.points import material_of
+from raystream.rendering.shading.textures import TextureTables, texture_color
+from raystream.rendering.shading.vertices import attribute_number, vertices_of
+
+__all__ = ["MASKED", "OPAQUE", "PARTIAL", "OpacityTables", "RaysThrough", "is_there"]
+
+#: Kinds of materials: always there, where the opacity reaches the cut-off, by chance.
+OPAQUE, MASKED, PARTIAL = np.int32(0), np.int32(1), np.int32(2)
+
+_0, _1, _2, _3 = (np.int32(k) for k in range(4))
+_NONE, _WORD, _LONG, _32 = np.uint64(0), np.uint64(4), np.uint64(8), np.uint64(32)
+
+#: The sum of four texels' shares, in float32, may be so much less than 1.
+_ROUNDING = 2.0**-22
+
+#: So that a seed of 0 is not the hash's fixed point.
+_OF_OPACITY = np.uint32(0xBB67AE85)
+
+
+class OpacityTables(NamedTuple):
+    """What is known of a scene's opacity, by address.
+
+    Attributes
+    ----------
+    material_ids, faces, texcoords
+        See `SceneTables`; faces and texcoords are 0 if there are none.
+    kinds : uint64
+        Of shape (M,), int32: `OPAQUE`, `MASKED` or `PARTIAL`.
+    numbers : uint64
+        Of shape (M, 2), float32: opacity and cut-off.
+    textures : TextureTables
+        Of the role ``"opacity"``, in all colours.
+    """
+
+    material_ids: np.uint64
+    faces: np.uint64
+    texcoords: np.uint64
+    kinds: np.uint64
+    numbers: np.uint64
+    textures: TextureTables
+
+
+class RaysThrough(NamedTuple):
+    """Constants of the filter.
+
+    Attributes
+    ----------
+    tables : OpacityTables
+    seed : uint32
+    origins : uint64
+        Address of rows of three float64.
+    directions : uint64
+        Address of rows of three float32.
+    """
+
+    tables: OpacityTables
+    seed: np.uint32
+    origins: np.uint64
+    directions: np.uint64
+
+
+def is_there(hit: Any, rays: Any) -> bool:
+    """Filter: whether there is a surface at a `Hit`."""
+    kind = gather(np.int32, rays.tables.kinds, material_of(rays.tables, hit.prim_id))
+    if kind == OPAQUE:
+        return True
+    result: bool = _is_there(hit.prim_id, hit.u, hit.v, hit.ray, kind, rays)
+    return result
+
+
+@device_call
+def _is_there(prim_id, u, v, ray, kind, rays):
+    tables = rays.tables
+    material = material_of(tables, prim_id)
+    alpha = _alpha(tables, prim_id, material, np.float64(u), np.float64(v))
+    if kind == MASKED:
+        cutoff = gather(np.float32, tables.numbers, as_int32(material * _2 + _1))
+        return alpha >= cutoff - _ROUNDING
+    if alpha >= 1.0 - _ROUNDING:
+        return True
+    return _number(rays, np.uint64(ray), prim_id) < alpha
+
+
+@device_call
+def _alpha(tables, prim, material, u, v):
+    """Opacity at a point of a triangle, float64."""
+    alpha = np.float64(gather(np.float32, tables.numbers, as_int32(material * _2)))
+    texture = gather(np.int32, tables.textures.of_material, material)
+    if texture < _0 or tables.texcoords == _NONE:
+        return alpha
+    vertices = vertices_of(tables, prim)
+    s = attribute_number(tables.texcoords, _2, _0, vertices, u, v)
+    t = attribute_number(tables.texcoords, _2, _1, vertices, u, v)
+    grey, _, _ = texture_color(tables.textures, texture, s, t, tables.textures.plain)
+    return alpha * grey
+
+
+@device_call
+def _number(rays, ray, prim_id):
+    """A number from 0 to 1 that follows from the ray's bits, the triangle and the seed."""
+    key = mix(rays.seed ^ _OF_OPACITY)
+    at = rays.origins + ray * np.uint64(24)
+    for k in range(np.uint64(3)):
+        bits = np.uint64(float_as_bits(load(np.float64, at + k * _LONG)))
+        key = mix(mix(key ^ as_uint32(bits)) ^ as_uint32(bits >> _32))
+    at = rays.directions + ray * np.uint64(12)
+    for k in range(np.uint64(3)):
+        key = mix(key ^ as_uint32(float_as_bits(load(np.float32, at + k * _WORD))))
+    return as_float(mix(key ^ as_uint32(prim_id)))

@@ -1,0 +1,334 @@
+"""Points on surfaces, where rays hit, as shading kernels see them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from raystream.core.spawn import EXTENT_UNITS, MOST_UNITS, REACH_UNITS, UNIT, WORLD_UNIT
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import (
+    absolute,
+    any_lane,
+    as_int32,
+    gather,
+    minimum,
+    narrow_lanes,
+    select,
+    square_root,
+    widen,
+    widen_number,
+)
+from raystream.rendering.shading.relief import has_relief, relief_normal
+from raystream.rendering.shading.tables import WIDTH
+from raystream.rendering.shading.vectors import largest
+from raystream.rendering.shading.vertices import (
+    attribute_number,
+    attribute_vector,
+    corner_of,
+    vertices_of,
+)
+
+__all__ = [
+    "Point",
+    "material_color",
+    "material_number",
+    "material_of",
+    "offset_at",
+    "spawned",
+    "surface_point",
+    "surface_points",
+    "world_place",
+]
+
+_NONE = np.uint64(0)
+_0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
+_COLUMN_COUNT = np.int32(WIDTH)
+_NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
+_INF, _NAN = np.float32(np.inf), np.float32(np.nan)
+
+
+class Point(NamedTuple):
+    """A point where a ray meets a surface, or 16 of them.
+
+    For one, numbers are float64. For 16 they are vectors: of float32, but `x`, `y`, `z` and
+    `offset` of float64; `is_front` is then a mask.
+
+    Attributes
+    ----------
+    x, y, z : float64
+        Local frame, on the triangle.
+    gx, gy, gz : float64
+        Unit normal of the triangle, on the side that the ray came from.
+    nx, ny, nz : float64
+        Unit shading normal, likewise; where it would face away from the ray, the triangle's.
+        With the relief of normal and bump maps; it then always faces the ray's origin.
+    offset : float64
+        How far from the triangle a ray must start that leaves it, see `core.spawn`.
+    is_front : bool
+        Whether the ray came from the side where vertices run counter-clockwise.
+    u, v : float64
+        Texture coordinates; NaN where there are none.
+    red, green, blue : float64
+        Colour of the vertices.
+    material : int32
+    """
+
+    x: float
+    y: float
+    z: float
+    gx: float
+    gy: float
+    gz: float
+    nx: float
+    ny: float
+    nz: float
+    offset: float
+    is_front: bool
+    u: float
+    v: float
+    red: float
+    green: float
+    blue: float
+    material: np.int32
+
+
+@device
+def material_of(tables, prim):
+    """The material of a triangle, int32; or of 16."""
+    return gather(np.int32, tables.material_ids, prim)
+
+
+@device
+def material_number(tables, material, column):
+    """A number of a material, by its place in `Column`."""
+    at = as_int32(material * _COLUMN_COUNT + column)
+    return widen_number(gather(np.float32, tables.materials, at))
+
+
+@device
+def material_color(tables, material, column):
+    """A colour of a material, by its place in `Column`."""
+    return (
+        material_number(tables, material, column),
+        material_number(tables, material, as_int32(column + _1)),
+        material_number(tables, material, as_int32(column + _2)),
+    )
+
+
+@device
+def offset_at(tables, extent, reach):
+    """How far from a triangle a ray must start or end that is not to hit it; see `core.spawn`.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    extent : float64
+        The triangle's longest side along an axis, or more.
+    reach : float64
+        Largest coordinate of the point.
+    """
+    offset = UNIT * minimum(
+        EXTENT_UNITS * extent + REACH_UNITS * reach, MOST_UNITS * (tables.extreme + reach)
+    )
+    return offset + WORLD_UNIT * tables.world_reach
+
+
+@device
+def _extent(a, b, c):
+    return largest(a, b, c) - minimum(minimum(a, b), c)
+
+
+@device
+def _smooth_normal(tables, vertices, u, v, gx, gy, gz):
+    """The vertices' normals between them, on the side of the triangle's, or that."""
+    if tables.normals == _NONE:
+        return gx, gy, gz
+    x, y, z = attribute_vector(tables.normals, vertices, u, v)
+    length = square_root(x * x + y * y + z * z)
+    is_sound = (length > _NULL) & (length < _INF)
+    scale = _WHOLE / select(x * gx + y * gy + z * gz < _NULL, -length, length)
+    return (
+        select(is_sound, x * scale, gx),
+        select(is_sound, y * scale, gy),
+        select(is_sound, z * scale, gz),
+    )
+
+
+@device
+def _seen_point(tables, prim, u, v, dx, dy, dz):
+    """The point of a hit, or of 16, and its smooth normal, before any relief."""
+    ax, ay, az = corner_of(tables, prim, _0)
+    bx, by, bz = corner_of(tables, prim, _1)
+    cx, cy, cz = corner_of(tables, prim, _2)
+    extent = largest(_extent(ax, bx, cx), _extent(ay, by, cy), _extent(az, bz, cz))
+    bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    first, second = widen(u), widen(v)
+    x = ax + first * bx + second * cx
+    y = ay + first * by + second * cy
+    z = az + first * bz + second * cz
+    gx, gy, gz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    # Scaled before it is measured: the square of a small area would vanish.
+    most = largest(absolute(gx), absolute(gy), absolute(gz))
+    scale = 1.0 / most
+    gx, gy, gz = narrow_lanes(gx * scale), narrow_lanes(gy * scale), narrow_lanes(gz * scale)
+    length = square_root(gx * gx + gy * gy + gz * gz)
+    is_front = gx * dx + gy * dy + gz * dz <= _NULL
+    scale = _WHOLE / select(is_front, length, -length)
+    gx, gy, gz = gx * scale, gy * scale, gz * scale
+
+    u, v = widen_number(u), widen_number(v)
+    vertices = vertices_of(tables, prim) if tables.faces != _NONE else (prim, prim, prim)
+    nx, ny, nz = _smooth_normal(tables, vertices, u, v, gx, gy, gz)
+    s, t = u * _NAN, v * _NAN
+    if tables.texcoords != _NONE:
+        s = attribute_number(tables.texcoords, _2, _0, vertices, u, v)
+        t = attribute_number(tables.texcoords, _2, _1, vertices, u, v)
+    red, green, blue = u * _NULL + _WHOLE, u * _NULL + _WHOLE, u * _NULL + _WHOLE
+    if tables.colors != _NONE:
+        red, green, blue = attribute_vector(tables.colors, vertices, u, v)
+    offset = offset_at(tables, extent, largest(absolute(x), absolute(y), absolute(z)))
+    # Away from the ray, as near an outline, nothing sensible is reflected.
+    is_away = nx * dx + ny * dy + nz * dz >= _NULL
+    point = Point(
+        x,
+        y,
+        z,
+        gx,
+        gy,
+        gz,
+        select(is_away, gx, nx),
+        select(is_away, gy, ny),
+        select(is_away, gz, nz),
+        offset,
+        is_front,
+        s,
+        t,
+        red,
+        green,
+        blue,
+        material_of(tables, prim),
+    )
+    return point, (nx, ny, nz)
+
+
+@device
+def _with_normal(point, x, y, z):
+    """The same point with another shading normal."""
+    return Point(
+        point.x,
+        point.y,
+        point.z,
+        point.gx,
+        point.gy,
+        point.gz,
+        x,
+        y,
+        z,
+        point.offset,
+        point.is_front,
+        point.u,
+        point.v,
+        point.red,
+        point.green,
+        point.blue,
+        point.material,
+    )
+
+
+@device_call
+def surface_point(tables, prim_id, u, v, dx, dy, dz):
+    """The point of a hit.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    prim_id : int
+    u, v : float
+        Weights of vertices 1 and 2.
+    dx, dy, dz : float
+        The ray's direction.
+
+    Returns
+    -------
+    Point
+    """
+    prim = as_int32(prim_id)
+    point, smooth = _seen_point(tables, prim, u, v, dx, dy, dz)
+    if tables.tangents == _NONE or not has_relief(tables, point.material):
+        return point
+    return _with_relief(tables, prim, (u, v), point, smooth, (dx, dy, dz))
+
+
+@device
+def _with_relief(tables, prim, weights, point, smooth, direction):
+    """The same points as if all had relief."""
+    dx, dy, dz = direction
+    scale = -_WHOLE / square_root(dx * dx + dy * dy + dz * dz)
+    x, y, z = relief_normal(
+        tables,
+        prim,
+        point.material,
+        (widen_number(weights[0]), widen_number(weights[1])),
+        (point.u, point.v),
+        (point.gx, point.gy, point.gz),
+        smooth,
+        point.is_front,
+        (dx * scale, dy * scale, dz * scale),
+    )
+    return _with_normal(point, x, y, z)
+
+
+@device_call
+def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
+    """The points of 16 hits.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    prim_ids : i32x16
+        Triangles of the scene in all lanes, also where nothing is hit.
+    u, v, dx, dy, dz : f32x16
+        As of `surface_point`.
+    is_hit : mask16
+        Lanes that matter.
+
+    Returns
+    -------
+    Point
+        Of vectors.
+    """
+    point, smooth = _seen_point(tables, prim_ids, u, v, dx, dy, dz)
+    if tables.tangents == _NONE:
+        return point
+    is_bent = has_relief(tables, point.material) & is_hit
+    if not any_lane(is_bent):
+        return point
+    bent = _with_relief(tables, prim_ids, (u, v), point, smooth, (dx, dy, dz))
+    return _with_normal(
+        point,
+        select(is_bent, bent.nx, point.nx),
+        select(is_bent, bent.ny, point.ny),
+        select(is_bent, bent.nz, point.nz),
+    )
+
+
+@device
+def world_place(tables, x, y, z):
+    """A point of the local frame in world space."""
+    scale, center = tables.inverse_scale, tables.center
+    return x * scale + center[0], y * scale + center[1], z * scale + center[2]
+
+
+@device
+def spawned(tables, point, toward):
+    """The origin of a ray that leaves a point in a direction, world space; see `Hits.spawn`."""
+    is_below = point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < _NULL
+    away = select(is_below, -point.offset, point.offset)
+    return world_place(
+        tables,
+        point.x + away * widen(point.gx),
+        point.y + away * widen(point.gy),
+        point.z + away * widen(point.gz),
+    )

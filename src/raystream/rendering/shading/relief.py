@@ -1,0 +1,175 @@
+"""Relief of surfaces, by normal maps and bump maps: another normal for the light that they scatter.
+
+A bitmap tells a normal in the surface's own frame: x along the texture's u, y along its v, z
+along the smooth normal. Bump maps are heights; their slope across two texels makes the normal.
+
+References
+----------
+Blinn, "Simulation of Wrinkled Surfaces", 1978. Khronos, "glTF 2.0 Specification", section
+3.9.3. Keller et al., "The Iray Light Transport Simulation and Rendering System", 2017 (where a
+mirror would look into the surface).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import (
+    absolute,
+    any_lane,
+    as_int32,
+    gather,
+    maximum,
+    select,
+    square_root,
+    widen_number,
+)
+from raystream.rendering.shading.heights import texture_slopes
+from raystream.rendering.shading.textures import ROLES, texture_color, texture_of
+from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
+from raystream.rendering.shading.vertices import attribute_pair, attribute_vector, vertices_of
+
+__all__ = ["LEAST_COSINE", "has_relief", "relief_normal"]
+
+#: Between a normal and the view, or the triangle's normal: less would put it on the other side
+#: within float32's rounding.
+LEAST_COSINE = np.float32(1e-3)
+
+_NORMAL = np.int32(ROLES.index("normal"))
+_BUMP = np.int32(ROLES.index("bump"))
+
+_NULL, _HALF, _WHOLE = map(np.float32, (0.0, 0.5, 1.0))
+_INF = np.float32(np.inf)
+_0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
+
+#: Numbers in a row of `TextureTables.reliefs`; bytes of a row of tangents.
+_RELIEF, _TANGENT = np.int32(3), np.uint64(12)
+
+
+@device
+def has_relief(tables, material):
+    """Whether a material, or each of 16, has a normal map or a bump map."""
+    textures = tables.textures
+    normal, bump = texture_of(textures, material, _NORMAL), texture_of(textures, material, _BUMP)
+    return maximum(normal, bump) >= _0
+
+
+@device
+def _unit(a):
+    return scaled(a, _WHOLE / square_root(dot(a, a)))
+
+
+@device
+def _is_unit(a):
+    """Whether `_unit` gave a direction: not of nothing, and not of what is too long."""
+    return absolute(dot(a, a) - _WHOLE) < _HALF
+
+
+@device
+def _scale(textures, material, column):
+    at = as_int32(material * _RELIEF + column)
+    return widen_number(gather(np.float32, textures.reliefs, at))
+
+
+@device_call
+def _mapped(textures, material, s, t):
+    """The normal in the surface's frame, of any length."""
+    texture = texture_of(textures, material, _NORMAL)
+    is_mapped = texture >= _0
+    x, y, z = s * _NULL, s * _NULL, s * _NULL + _WHOLE
+    if any_lane(is_mapped):
+        scale = _scale(textures, material, _0)
+        found = texture_color(textures, maximum(texture, _0), s, t, textures.signed)
+        x, y, z = chosen(is_mapped, (scale * found[0], scale * found[1], found[2]), (x, y, z))
+    texture = texture_of(textures, material, _BUMP)
+    is_bumpy = texture >= _0
+    if any_lane(is_bumpy):
+        scale = _HALF * _scale(textures, material, _1)
+        dx, dy = texture_slopes(textures, maximum(texture, _0), s, t)
+        x, y = select(is_bumpy, scale * dx, x), select(is_bumpy, scale * dy, y)
+    return x, y, z
+
+
+@device
+def _is_mirrored(tables, vertices):
+    """Whether the texture covers the triangle's front as if seen in a mirror."""
+    s, t = attribute_pair(tables.texcoords, vertices[0])
+    s1, t1 = attribute_pair(tables.texcoords, vertices[1])
+    s2, t2 = attribute_pair(tables.texcoords, vertices[2])
+    return (s1 - s) * (t2 - t) - (s2 - s) * (t1 - t) < _NULL
+
+
+@device
+def _at_least(cosine, normal, toward):
+    """Normals turned toward a direction, where their cosine to it is too small."""
+    turned = _unit(added(normal, toward, LEAST_COSINE - cosine))
+    return chosen(cosine < LEAST_COSINE, turned, normal)
+
+
+@device
+def _turned(normal, geometric, back, is_mirror):
+    """The nearest normal that does not face away from the view, nor from the triangle.
+
+    That of mirrors and gloss is turned until what they mirror is not below the triangle: there
+    it would be lost, and the surface black.
+    """
+    normal = _at_least(dot(normal, geometric), normal, geometric)
+    normal = _at_least(dot(normal, back), normal, back)
+    toward = mirrored(back, normal)
+    cosine = dot(toward, geometric)
+    toward = _unit(added(toward, geometric, LEAST_COSINE - cosine))
+    is_lost = is_mirror & (cosine < LEAST_COSINE)
+    return chosen(is_lost, _unit(added(back, toward, _WHOLE)), normal)
+
+
+@device_call
+def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, is_front, back):
+    """The shading normal of a surface with relief, or of 16.
+
+    Parameters
+    ----------
+    tables : SceneTables
+    prim, material : int32
+    weights, texcoord : tuple of two float64
+        Of vertices 1 and 2; texture coordinates.
+    geometric, normal : tuple of three float64
+        Unit normals of the triangle and between its vertices, on the side of the view.
+    is_front : bool
+        Whether that is the triangle's front.
+    back : tuple of three float64
+        Unit vector to where the ray came from.
+
+    Returns
+    -------
+    tuple of three float64
+        Unit vector that faces the view, on the side of the triangle's normal. Without relief
+        where there are no texture coordinates, or none that span a surface.
+    """
+    s, t = texcoord
+    vertices = vertices_of(tables, prim)
+    is_mirrored = _is_mirrored(tables, vertices)
+    # Tangents of the two kinds follow each other in memory.
+    count = as_int32((tables.mirrored_tangents - tables.tangents) // _TANGENT)
+    first = select(is_mirrored, count, as_int32(vertices[0] * _0))
+    rows = (
+        as_int32(vertices[0] + first),
+        as_int32(vertices[1] + first),
+        as_int32(vertices[2] + first),
+    )
+    across = attribute_vector(tables.tangents, rows, weights[0], weights[1])
+    across = _unit(added(across, normal, -dot(across, normal)))
+    is_mapped = _is_unit(across) & (absolute(s) < _INF) & (absolute(t) < _INF)
+    # The frame is the front's; its back has the opposite normal, as bumps are dents there.
+    side = select(is_front, _WHOLE, s * _NULL - _WHOLE)
+    hand = select(is_mirrored, -side, side)
+    up = (
+        hand * (normal[1] * across[2] - normal[2] * across[1]),
+        hand * (normal[2] * across[0] - normal[0] * across[2]),
+        hand * (normal[0] * across[1] - normal[1] * across[0]),
+    )
+    x, y, z = _mapped(tables.textures, material, s, t)
+    x, y = side * x, side * y
+    bent = _unit(added(added(scaled(normal, z), across, x), up, y))
+    normal = chosen(is_mapped & _is_unit(bent), bent, normal)
+    return _turned(normal, geometric, back, _scale(tables.textures, material, _2) > _NULL)

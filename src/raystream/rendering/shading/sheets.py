@@ -1,0 +1,51 @@
+"""Surfaces as thin clear sheets, seen one behind the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import kernel
+from raystream.jit.simd import address
+from raystream.rendering.shading.bsdf import lobes_at
+from raystream.rendering.shading.points import surface_point
+from raystream.rendering.shading.sky import sky_toward
+from raystream.rendering.shading.streams import add_light, addresses_of, direction_of, weights_of
+
+__all__ = ["look_through"]
+
+_ONE = np.uint64(1)
+
+
+@kernel
+def look_through(paths, splits, rows, tables, opacity, lights, first_pixel, radiance):
+    """Add what rays see through all surfaces on their way, front to back.
+
+    Parameters
+    ----------
+    paths, tables, first_pixel, radiance
+        See `paths.follow_paths`.
+    splits, rows : ndarray of shape (N + 1,), int64, and tuple of u, v, prim_id
+        All hits of the rays, as in `MultiHits`.
+    opacity : float
+        Of a sheet that is looked at squarely, 0 to 1; at a slant there is more of it.
+    lights : ClassicLights
+        Their sky is behind the last sheet.
+    """
+    us, vs, prim_ids = rows
+    clear, places, base = 1.0 - opacity, addresses_of(paths), address(radiance)
+    for i in range(np.uint64(len(paths.pixels))):
+        pixel = np.uint64(paths.pixels[i] - first_pixel)
+        dx, dy, dz, length = direction_of(places, i)
+        weights = weights_of(places, i)
+        passed = 1.0
+        for row in range(np.uint64(splits[i]), np.uint64(splits[i + _ONE])):
+            point = surface_point(tables, prim_ids[row], us[row], vs[row], dx, dy, dz)
+            cosine = abs(point.gx * dx + point.gy * dy + point.gz * dz) / length
+            facing = abs(point.nx * dx + point.ny * dy + point.nz * dz) / length
+            here = clear ** (1.0 / cosine) if cosine > 0.0 else 0.0
+            color = lobes_at(tables, point).diffuse
+            shade = passed * (1.0 - here) * facing
+            add_light(base, pixel, weights, color, shade)
+            passed *= here
+        behind = sky_toward(lights, dx, dy, dz)
+        add_light(base, pixel, weights, behind, passed)

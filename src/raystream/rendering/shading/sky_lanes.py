@@ -1,0 +1,108 @@
+"""The sky in 16 directions at a time.
+
+An image's texels lie far from each other, and what is computed between takes no longer than to
+fetch them, so each lane is done by itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import (
+    f32x16,
+    first_bit,
+    lane,
+    lane_bits,
+    load,
+    scratch,
+    store,
+    widen,
+)
+from raystream.rendering.shading.sky import map_color, map_sample, relative_pdf
+
+__all__ = ["map_sample_lanes", "sky_pdf_lanes", "sky_toward_lanes"]
+
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+
+# Bytes: of a number, of a vector of 16, and of three.
+_WORD, _ROW, _ROWS = np.uint64(4), np.uint64(64), 192
+
+
+@device
+def _colors(color):
+    """The same colour in all lanes."""
+    red, green, blue = color
+    return f32x16(np.float32(red)), f32x16(np.float32(green)), f32x16(np.float32(blue))
+
+
+@device
+def _wide(toward, i):
+    return widen(lane(toward[0], i)), widen(lane(toward[1], i)), widen(lane(toward[2], i))
+
+
+@device
+def _put(rows, i, vector):
+    """Write a vector's numbers to lane i of three rows in memory."""
+    at = rows + i * _WORD
+    store(at, np.float32(vector[0]))
+    store(at + _ROW, np.float32(vector[1]))
+    store(at + _ROW + _ROW, np.float32(vector[2]))
+
+
+@device
+def _rows(rows):
+    return load(f32x16, rows), load(f32x16, rows + _ROW), load(f32x16, rows + _ROW + _ROW)
+
+
+@device
+def sky_toward_lanes(lights, toward, mask):
+    """`sky_toward` for 16 directions, of `f32x16`; where a mask is not set, any colour."""
+    if lights.sky.image == _NONE:
+        return _colors(lights.sky.color)
+    return _map_colors(lights.sky, toward, mask)
+
+
+@device_call
+def _map_colors(sky, toward, mask):
+    rows, bits = scratch(_ROWS), lane_bits(mask)
+    while bits != _NONE:
+        i = first_bit(bits)
+        bits &= bits - _ONE
+        x, y, z = _wide(toward, i)
+        _put(rows, i, map_color(sky, x, y, z))
+    return _rows(rows)
+
+
+@device
+def sky_pdf_lanes(lights, toward, mask):
+    """`sky_pdf` for 16 directions, of `f32x16`; where a mask is not set, any number."""
+    density = f32x16(np.float32(lights.sky_density))
+    if lights.sky.image == _NONE:
+        return density
+    return density * _relative_pdfs(lights.sky, toward, mask)
+
+
+@device_call
+def _relative_pdfs(sky, toward, mask):
+    row, bits = scratch(_ROWS), lane_bits(mask)
+    while bits != _NONE:
+        i = first_bit(bits)
+        bits &= bits - _ONE
+        x, y, z = _wide(toward, i)
+        store(row + i * _WORD, np.float32(relative_pdf(sky, x, y, z)))
+    return load(f32x16, row)
+
+
+@device_call
+def map_sample_lanes(sky, u, v, mask):
+    """`map_sample` for 16 pairs of numbers, `f32x16`; where a mask is not set, anything."""
+    rows, densities, bits = scratch(_ROWS), scratch(_ROWS), lane_bits(mask)
+    while bits != _NONE:
+        i = first_bit(bits)
+        bits &= bits - _ONE
+        toward, density = map_sample(sky, widen(lane(u, i)), widen(lane(v, i)))
+        _put(rows, i, toward)
+        store(densities + i * _WORD, np.float32(density))
+    return _rows(rows), load(f32x16, densities)

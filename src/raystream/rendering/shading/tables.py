@@ -1,0 +1,194 @@
+"""Tables: a scene's triangles, vertex attributes and materials, as shading kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.rendering.attributes import VertexAttributes, check_rows
+from raystream.rendering.shading.tangents import vertex_tangents
+from raystream.rendering.shading.textures import TextureTables, pack_textures, place_of
+from raystream.scene.material import Material
+from raystream.scene.scene import Scene
+
+__all__ = [
+    "ABSORBS",
+    "COLUMNS",
+    "EMITS",
+    "HAS_REFLECTION",
+    "HAS_SPECULAR",
+    "HAS_TRANSMISSION",
+    "IS_ROUGH",
+    "IS_TEXTURED",
+    "WIDTH",
+    "Column",
+    "SceneTables",
+    "material_rows",
+    "tables_of",
+]
+
+
+class Column(NamedTuple):
+    """Where a material's numbers are in a row of `SceneTables.materials`."""
+
+    diffuse: int
+    specular: int
+    reflection: int
+    transmission: int
+    emission: int
+    shininess: int
+    ior: int
+    roughness: int
+    metallic: int
+    absorption: int
+
+
+COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18, 19)
+WIDTH = 22
+
+
+#: Bits of `SceneTables.kinds`: what some material does. What none does is not looked up.
+HAS_SPECULAR, HAS_REFLECTION, HAS_TRANSMISSION, IS_ROUGH, EMITS, IS_TEXTURED, ABSORBS = (
+    1 << k for k in range(7)
+)
+
+
+class SceneTables(NamedTuple):
+    """What shading reads of a scene, by address: to hand on an array costs atomic operations.
+
+    `tables_of` makes it, with the arrays that its caller keeps.
+
+    Attributes
+    ----------
+    corners : uint64
+        Address of triangles, shape (F, 3, 3), float32, local frame.
+    center : tuple of three float
+        The local frame's origin, world space.
+    inverse_scale : float
+        World lengths in a local length.
+    extreme, world_reach : float
+        Largest coordinate of a corner, local; of the frame's origin, in local lengths.
+    faces : uint64
+        Address of rows of the vertex attributes, shape (F, 3), int32; 0 if no mesh has any.
+    normals : uint64
+        Address of shape (V, 3), float32, NaN where a mesh has none; 0 if none has any, and
+        likewise the next two.
+    texcoords : uint64
+        Of shape (V, 2), float32.
+    tangents, mirrored_tangents : uint64
+        Of shape (V, 3), float32, see `vertex_tangents`; 0 if no material has relief.
+    colors : uint64
+        Of shape (V, 3), float32: linear RGB, 1 where a mesh has none.
+    material_ids : uint64
+        Of shape (F,), int32.
+    materials : uint64
+        Of shape (M, 22), float32. See `Column`; colours are three numbers. Roughness and
+        metallic are -1 where a material has none.
+    kinds : int
+        Bits: what some material does.
+    textures : TextureTables
+    """
+
+    corners: np.uint64
+    center: tuple[float, float, float]
+    inverse_scale: float
+    extreme: float
+    world_reach: float
+    faces: np.uint64
+    normals: np.uint64
+    texcoords: np.uint64
+    tangents: np.uint64
+    mirrored_tangents: np.uint64
+    colors: np.uint64
+    material_ids: np.uint64
+    materials: np.uint64
+    kinds: int
+    textures: TextureTables
+
+
+def tables_of(scene: Scene) -> tuple[SceneTables, object]:
+    """The tables of a scene, and what must be kept as long as they are used.
+
+    Warns
+    -----
+    RaystreamWarning
+        See `pack_textures`.
+
+    Raises
+    ------
+    ValueError
+        If kernels cannot count the scene's triangles or vertices, see `check_rows`.
+    """
+    triangles = scene.triangles
+    check_rows(len(triangles.corners), 9, "triangles")
+    vertices = VertexAttributes.of(scene)
+    material_ids = scene.attributes.material_ids
+    materials = material_rows(scene.materials)
+    textures, kept_textures = pack_textures(scene.materials)
+    corners = np.ascontiguousarray(triangles.corners)
+    tangents = _tangents(scene, corners, vertices, material_ids)
+    upright, mirrored = (None, None) if tangents is None else tangents
+    x, y, z = (float(c) for c in triangles.center)
+    tables = SceneTables(
+        place_of(corners),
+        (x, y, z),
+        1.0 / float(triangles.scale),
+        float(triangles.extreme),
+        float(np.abs(triangles.center).max()) * float(triangles.scale),
+        place_of(vertices.faces),
+        place_of(vertices.normals),
+        place_of(vertices.texcoords),
+        place_of(upright),
+        place_of(mirrored),
+        place_of(vertices.colors),
+        place_of(material_ids),
+        place_of(materials),
+        _kinds_of(scene.materials),
+        textures,
+    )
+    return tables, (corners, vertices, tangents, material_ids, materials, kept_textures)
+
+
+def _kinds_of(materials: Sequence[Material]) -> int:
+    """Bits of what materials do."""
+    return sum(
+        bit
+        for bit, does in (
+            (HAS_SPECULAR, any(any(m.specular) or m.roughness is not None for m in materials)),
+            (HAS_REFLECTION, any(any(m.reflection) for m in materials)),
+            (HAS_TRANSMISSION, any(any(m.transmission) for m in materials)),
+            (IS_ROUGH, any(m.roughness is not None for m in materials)),
+            (EMITS, any(m.emits for m in materials)),
+            (IS_TEXTURED, any(m.textures for m in materials)),
+            (ABSORBS, any(any(m.absorption) for m in materials)),
+        )
+        if does
+    )
+
+
+def _tangents(
+    scene: Scene,
+    corners: NDArray[np.float32],
+    vertices: VertexAttributes,
+    material_ids: NDArray[np.int32],
+) -> NDArray[np.float32] | None:
+    """Tangents where materials have relief; None if none has, or there is no texture."""
+    has_relief = np.array([not {"normal", "bump"}.isdisjoint(m.textures) for m in scene.materials])
+    if vertices.texcoords is None or not has_relief[material_ids].any():
+        return None
+    check_rows(len(vertices.texcoords), 6, "vertices with relief")
+    return vertex_tangents(corners, vertices, has_relief[material_ids])
+
+
+def material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:
+    """Rows of `SceneTables.materials`."""
+    rows = np.zeros((len(materials), WIDTH), np.float32)
+    for row, material in zip(rows, materials, strict=True):
+        for name, at in COLUMNS._asdict().items():
+            value = getattr(material, name)
+            row[at : at + np.size(value)] = -1.0 if value is None else value
+    rows[:, COLUMNS.shininess] = np.maximum(rows[:, COLUMNS.shininess], 1.0)
+    return rows

@@ -1,0 +1,338 @@
+"""Bitmaps in one piece of memory, looked up bilinearly and decoded from sRGB."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError, RaystreamWarning
+from raystream.jit.cpu import device, device_call
+from raystream.jit.simd import (
+    absolute,
+    as_float32,
+    as_int32,
+    gather,
+    maximum,
+    minimum,
+    round_down,
+    select,
+)
+from raystream.rendering.color import LUMINANCE, decode_srgb
+from raystream.scene.material import Material
+from raystream.scene.texture import Texture
+
+__all__ = [
+    "MAX_TEXELS",
+    "ROLES",
+    "TextureTables",
+    "nearest_texels",
+    "pack_textures",
+    "place_of",
+    "texture_arrays",
+    "texture_color",
+    "texture_of",
+    "texture_size",
+    "wrapped",
+]
+
+#: What of a material a texture may multiply, or make, in the order of
+#: `TextureTables.of_material`.
+ROLES = ("diffuse", "specular", "emission", "metallic_roughness", "normal", "bump")
+
+_NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
+
+_NULL, _HALF, _WHOLE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_INF = np.float32(np.inf)
+_ROLES = np.int32(len(ROLES))
+
+_0, _1, _2, _3, _PLACE = (np.int32(k) for k in range(5))
+_BYTE, _8, _16 = np.uint32(0xFF), np.uint32(8), np.uint32(16)
+
+#: Of all bitmaps of a scene together: kernels count them in int32.
+MAX_TEXELS = 2**31 - 1
+
+
+class TextureTables(NamedTuple):
+    """All bitmaps of a scene, by address.
+
+    Attributes
+    ----------
+    texels : uint64
+        Of shape (K, 4), uint8: sRGB and a byte without meaning, row after row, the top one first.
+        Of bump maps the same bytes are float32: heights.
+    places : uint64
+        Of shape (T, 4), int32: first texel, width, height, and 1 for a texture that is clamped,
+        0 if it repeats.
+    of_material : uint64
+        Of shape (M, 6), int32: each material's texture by role; -1 for none.
+    reliefs : uint64
+        Of shape (M, 3), float32: factors of normals' x and y and of heights, and 1 for
+        materials that mirror or have a gloss, 0 for matte ones.
+    linear, plain, signed : uint64
+        Of shape (256,), float32: values of bytes, of colours, of numbers in [0, 1], and of
+        normals' components in [-1, 1]: 128 is 0, so that a flat normal map is flat.
+    """
+
+    texels: np.uint64
+    places: np.uint64
+    of_material: np.uint64
+    reliefs: np.uint64
+    linear: np.uint64
+    plain: np.uint64
+    signed: np.uint64
+
+
+def place_of(array: NDArray[Any] | None) -> np.uint64:
+    """The address of a contiguous array's first number; 0 if it has none, or is none."""
+    return np.uint64(0 if array is None or not array.size else array.ctypes.data)
+
+
+def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]:
+    """The textures of materials, and what must be kept; see `texture_arrays`."""
+    kept = texture_arrays(materials)
+    return TextureTables(*map(place_of, kept)), kept
+
+
+def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
+    """Decode the textures of materials: the arrays of `TextureTables`; shared ones are kept once.
+
+    Warns
+    -----
+    RaystreamWarning
+        For each texture that cannot be read; the plain colour is then used.
+    """
+    of_material = np.full((len(materials), len(ROLES)), -1, np.int32)
+    reliefs = np.array([_relief_of(material) for material in materials], np.float32)
+    atlas = _Atlas()
+    for row, material, relief in zip(of_material, materials, reliefs, strict=True):
+        for column, role in enumerate(ROLES):
+            texture = material.textures.get(role)
+            if texture is None or not _is_seen(material, role):
+                continue
+            if column != _BUMP:
+                row[column] = atlas.place(texture)
+            elif row[_NORMAL] < 0 and atlas.holds_normals(texture):
+                row[_NORMAL], relief[0] = atlas.place(texture), material.bump_scale
+            elif row[_NORMAL] < 0:  # a normal map says more
+                row[_BUMP] = atlas.place(texture, are_heights=True)
+    bytes_ = np.arange(256, dtype=np.uint8)
+    return (
+        *atlas.arrays(),
+        of_material,
+        reliefs,
+        decode_srgb(bytes_),
+        bytes_ / np.float32(255.0),
+        np.maximum((bytes_ - np.float32(128.0)) / np.float32(127.0), np.float32(-1.0)),
+    )
+
+
+def _is_seen(material: Material, role: str) -> bool:
+    """Whether it matters what a texture multiplies."""
+    if role == "metallic_roughness":
+        return bool(material.roughness or material.metallic)
+    if role in ("normal", "bump"):
+        return bool(getattr(material, f"{role}_scale"))
+    return any(getattr(material, role))
+
+
+def _relief_of(material: Material) -> tuple[float, float, float]:
+    shines = material.roughness is not None or any(
+        (*material.specular, *material.reflection, *material.transmission)
+    )
+    return material.normal_scale, material.bump_scale, float(shines)
+
+
+def _holds_normals(texels: NDArray[np.uint8]) -> bool:
+    """Whether a bitmap for bumps holds normals: MTL files of some programs name them so.
+
+    Normals are unit vectors, most of them nearly upright: none of a photograph's colours, and
+    of greys only one.
+    """
+    some = texels[:: max(1, len(texels) // 4096), :3] / 127.5 - 1.0
+    is_normal = (some[:, 2] > 0.0) & (abs(np.linalg.norm(some, axis=1) - 1.0) < 0.1)
+    x, y, z = some.mean(axis=0)
+    return bool(is_normal.mean() > 0.9 and max(abs(x), abs(y)) < 0.25 < 0.5 < z)
+
+
+class _Atlas:
+    """Bitmaps one behind the other, each once."""
+
+    def __init__(self) -> None:
+        self._pixels: dict[int, NDArray[np.uint8] | None] = {}
+        self._numbers: dict[tuple[int, bool], int] = {}
+        self._parts: list[NDArray[np.uint8]] = []
+        self._places: list[tuple[int, int, int, int]] = []
+        self._count = 0
+
+    def place(self, texture: Texture, are_heights: bool = False) -> int:
+        """The number of a texture, in colours or as heights; -1 if it cannot be read."""
+        key = id(texture), are_heights
+        if key not in self._numbers:
+            pixels = self._rgb_of(texture)
+            self._numbers[key] = -1
+            if pixels is not None:
+                self._numbers[key] = self._add(pixels, are_heights, texture.wrap)
+        return self._numbers[key]
+
+    def holds_normals(self, texture: Texture) -> bool:
+        """See `_holds_normals`."""
+        pixels = self._rgb_of(texture)
+        return pixels is not None and _holds_normals(pixels.reshape(-1, 4))
+
+    def arrays(self) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+        """Texels and places of `TextureTables`."""
+        texels = np.concatenate(self._parts) if self._parts else np.empty((0, 4), np.uint8)
+        return texels, np.array(self._places, np.int32).reshape(-1, 4)
+
+    def _add(self, pixels: NDArray[np.uint8], are_heights: bool, wrap: str) -> int:
+        height, width = pixels.shape[:2]
+        if self._count + height * width > MAX_TEXELS:
+            raise MemoryError(f"textures: more than {MAX_TEXELS:,} texels in one scene")
+        texels = pixels.reshape(-1, 4)
+        self._places.append((self._count, width, height, int(wrap == "clamp")))
+        self._parts.append(_heights_of(texels) if are_heights else texels)
+        self._count += height * width
+        return len(self._places) - 1
+
+    def _rgb_of(self, texture: Texture) -> NDArray[np.uint8] | None:
+        if id(texture) not in self._pixels:
+            self._pixels[id(texture)] = _rgb_of(texture)
+        return self._pixels[id(texture)]
+
+
+def _heights_of(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The luminance of texels, in [0, 1]: the four bytes of each a float32."""
+    linear = texels[:, :3] @ (np.array(LUMINANCE, np.float32) / np.float32(255.0))
+    heights: NDArray[np.uint8] = linear.astype(np.float32).view(np.uint8).reshape(-1, 4)
+    return heights
+
+
+def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
+    """Texels of shape (H, W, 4); None, with a warning, if they cannot be read."""
+    try:
+        pixels = texture.pixels()
+    except FileFormatError as error:
+        warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=7)
+        return None
+    padded: NDArray[np.uint8] = np.zeros((*pixels.shape[:2], 4), np.uint8)
+    padded[:, :, :3] = pixels[:, :, :3]  # one channel is grey
+    return padded
+
+
+@device
+def texture_of(tables, material, role):
+    """A material's texture by its position in `ROLES`, int32; -1 for none."""
+    return gather(np.int32, tables.of_material, as_int32(material * _ROLES + role))
+
+
+@device
+def texture_size(tables, texture):
+    """Width and height of a texture, in texels."""
+    row = texture * _PLACE
+    return (
+        gather(np.int32, tables.places, as_int32(row + _1)),
+        gather(np.int32, tables.places, as_int32(row + _2)),
+    )
+
+
+@device
+def wrapped(index, size, is_clamped):
+    """The texel at an index of -1 to `size`, or any if the texture is clamped."""
+    last = as_int32(size - _1)
+    around = select(index < _0, last, select(index > last, _0, index))
+    return select(is_clamped, minimum(maximum(index, _0), last), around)
+
+
+@device
+def _texel(tables, values, first, width, column, row):
+    texel = gather(np.uint32, tables.texels, as_int32(first + row * width + column))
+    return (
+        gather(np.float32, values, as_int32(texel & _BYTE)),
+        gather(np.float32, values, as_int32((texel >> _8) & _BYTE)),
+        gather(np.float32, values, as_int32((texel >> _16) & _BYTE)),
+    )
+
+
+@device
+def _mixed(a, b, share):
+    rest = _WHOLE - share
+    return a[0] * rest + b[0] * share, a[1] * rest + b[1] * share, a[2] * rest + b[2] * share
+
+
+@device
+def nearest_texels(tables, texture, u, v, beyond):
+    """The four texels whose centres are around a place.
+
+    Parameters
+    ----------
+    tables, texture, u, v
+        See `texture_color`; finite.
+    beyond : float32
+        How many widths beyond a clamped texture a place may be; those further are moved there.
+
+    Returns
+    -------
+    first, width, height, is_clamped
+        The texture's row of `places`.
+    left, top : int32
+        The texel at the upper left; from -1 on, unless the texture is clamped.
+    across, down : float32
+        The place between it and the next.
+    """
+    first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
+    width, height = texture_size(tables, texture)
+    is_clamped = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3)) != _0
+    most = _WHOLE + beyond
+    u = select(is_clamped, minimum(maximum(u, -beyond), most), u - round_down(u))
+    v = select(is_clamped, minimum(maximum(v, -beyond), most), v - round_down(v))
+    x, y = u * as_float32(width) - _HALF, (_WHOLE - v) * as_float32(height) - _HALF
+    left, top = round_down(x), round_down(y)
+    across, down = as_float32(x - left), as_float32(y - top)
+    return first, width, height, is_clamped, as_int32(left), as_int32(top), across, down
+
+
+@device_call
+def texture_color(tables, texture, u, v, values):
+    """RGB between the four nearest texels' centres; white where u or v is NaN.
+
+    Parameters
+    ----------
+    tables : TextureTables
+    texture : int32, or i32x16
+        Its row of `places`.
+    u, v : float64, or f32x16
+        Texture coordinates; v points up.
+    values : uint64
+        `TextureTables.linear` of colours, ``plain`` of numbers, ``signed`` of normals.
+
+    Returns
+    -------
+    tuple of three float32, or f32x16
+    """
+    is_known = (absolute(u) < _INF) & (absolute(v) < _INF)
+    first, width, height, is_clamped, left, top, across, down = nearest_texels(
+        tables, texture, select(is_known, u, _HALF), select(is_known, v, _HALF), _NULL
+    )
+    right = wrapped(as_int32(left + _1), width, is_clamped)
+    bottom = wrapped(as_int32(top + _1), height, is_clamped)
+    left, top = wrapped(left, width, is_clamped), wrapped(top, height, is_clamped)
+    upper = _mixed(
+        _texel(tables, values, first, width, left, top),
+        _texel(tables, values, first, width, right, top),
+        across,
+    )
+    lower = _mixed(
+        _texel(tables, values, first, width, left, bottom),
+        _texel(tables, values, first, width, right, bottom),
+        across,
+    )
+    red, green, blue = _mixed(upper, lower, down)
+    return (
+        select(is_known, red, _WHOLE),
+        select(is_known, green, _WHOLE),
+        select(is_known, blue, _WHOLE),
+    )

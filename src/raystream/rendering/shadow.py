@@ -1,0 +1,21 @@
+"""shadow: the shadow caster (Purcell 2002, 3.2).
+
+The first visible surface, and one shadow ray for each light, whose light is added where nothing
+is in the way: `whitted` without mirrors and glass.
+"""
+
+from __future__ import annotations
+
+from raystream.rendering.sampled import SampledRenderer
+from raystream.rendering.whitted import WHITTED_STAGES, check_whitted, lights_per_pixel
+
+__all__ = ["SHADOW"]
+
+SHADOW = SampledRenderer(
+    "shadow",
+    "the nearest surface under the lights, with shadows (Purcell 2002)",
+    WHITTED_STAGES,
+    {},
+    check_whitted,
+    lights_per_pixel,
+)

@@ -1,0 +1,91 @@
+"""Tone curves: from light of any strength to what a screen can show.
+
+All are monotone and leave black as it is. They give linear values, which are encoded
+afterwards; what is above 1 then is drawn as 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.rendering.color import luminance
+
+__all__ = ["TONES", "apply_tone", "check_tone"]
+
+
+def apply_tone(pixels: NDArray[Any], tone: str) -> NDArray[np.float32]:
+    """Apply a curve.
+
+    Parameters
+    ----------
+    pixels : ndarray of shape (..., 3), float
+        Linear RGB. NaN and what is below 0 are taken as 0, infinity as the largest float32.
+    tone : str
+        A name in `TONES`.
+
+    Returns
+    -------
+    ndarray of the same shape, float32
+        Linear RGB, finite and not negative.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown.
+    """
+    check_tone(tone)
+    most = float(np.finfo(np.float32).max)
+    light = np.nan_to_num(np.asarray(pixels, np.float64), nan=0.0, posinf=most, neginf=0.0)
+    np.clip(light, 0.0, most, out=light)
+    return TONES[tone](light).astype(np.float32)
+
+
+def check_tone(tone: str) -> None:
+    """Raise ValueError if there is no such curve."""
+    if tone not in TONES:
+        known = ", ".join(repr(known) for known in TONES)
+        raise ValueError(f"tone: expected one of {known}, got {tone!r}")
+
+
+def _linear(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Light as it is."""
+    return light
+
+
+def _reinhard(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The extended curve of Reinhard et al. [1]_, equation 4, on luminance; hues stay.
+
+    White is the picture's largest luminance, and at least 1: so the brightest pixel just
+    reaches white, and a picture that a screen can show is left as it is.
+
+    References
+    ----------
+    .. [1] Reinhard, Stark, Shirley and Ferwerda, "Photographic Tone Reproduction for Digital
+       Images", SIGGRAPH 2002.
+    """
+    bright = luminance(light)
+    white = max(float(bright.max(initial=0.0)), 1.0)
+    return light * ((1.0 + bright / white**2) / (1.0 + bright))[..., None]
+
+
+def _aces(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Narkowicz's fit [1]_ of the ACES curve for film-like contrast, on each channel.
+
+    References
+    ----------
+    .. [1] Narkowicz, "ACES Filmic Tone Mapping Curve", 2015.
+    """
+    curve = light * (2.51 * light + 0.03) / (light * (2.43 * light + 0.59) + 0.14)
+    return np.minimum(curve, 1.0)
+
+
+#: Curves by name.
+TONES: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
+    "linear": _linear,
+    "reinhard": _reinhard,
+    "aces": _aces,
+}

@@ -1,0 +1,74 @@
+"""whitted: light from every light, mirrors and glass (Whitted 1980; Purcell 2002, 3.2).
+
+Each surface sends a ray to each of L lights, one to where it mirrors and one through it: L + 2
+rays (Purcell 2002, Figure 3). No samples are drawn but for the places in the pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from raystream.rendering.arguments import check_number, check_whole
+from raystream.rendering.sampled import (
+    MAX_BOUNCES,
+    Band,
+    PathStream,
+    SampledRenderer,
+    Setting,
+    find_surfaces,
+    reach_lights,
+)
+from raystream.rendering.shading.streams import LightRays, Paths
+from raystream.rendering.shading.whitted import light_surfaces
+
+__all__ = ["WHITTED", "WHITTED_STAGES", "ask_every_light", "check_whitted", "lights_per_pixel"]
+
+
+def ask_every_light(stream: PathStream, band: Band) -> PathStream:
+    """Stage: light the surfaces, by rays that are to be tested, and reflect and refract."""
+    assert stream.hits is not None
+    setting, hits, count = band.setting, stream.hits, len(stream)
+    goes_on = stream.bounce < setting.options["max_bounces"]
+    rays = LightRays.empty(count * lights_per_pixel(setting))
+    onward = Paths.empty(2 * count if goes_on else 0)
+    path_count, ray_count = light_surfaces(
+        stream.paths,
+        (hits.t, hits.u, hits.v, hits.prim_id),
+        setting.tables,
+        setting.classic,
+        goes_on,
+        setting.options["min_weight"],
+        band.first_pixel,
+        band.radiance,
+        onward,
+        rays,
+    )
+    return PathStream(onward.first(path_count), stream.bounce + 1, rays=rays.first(ray_count))
+
+
+def lights_per_pixel(setting: Setting) -> int:
+    """Rays that a pixel's first surface sends to lights."""
+    return int(setting.classic.light_count)
+
+
+def check_whitted(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The options ``max_bounces``, 0 without it, and ``min_weight``."""
+    bounces = check_whole("max_bounces", options.get("max_bounces", 0), 0, MAX_BOUNCES)
+    weight = check_number("min_weight", options.get("min_weight", 0.0))
+    if not (math.isfinite(weight) and weight >= 0.0):
+        raise ValueError(f"min_weight: expected a number of at least 0, got {weight}")
+    return {"max_bounces": bounces, "min_weight": weight}
+
+
+WHITTED_STAGES = (find_surfaces, ask_every_light, reach_lights)
+
+WHITTED = SampledRenderer(
+    "whitted",
+    "shadows, mirrors and glass, without recursion (Whitted 1980, Christen 2005)",
+    WHITTED_STAGES,
+    {"max_bounces": 8, "min_weight": 1.0 / 512.0},
+    check_whitted,
+    lights_per_pixel,
+)

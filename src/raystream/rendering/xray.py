@@ -1,0 +1,68 @@
+"""xray: all surfaces along each ray at once (Rayforce 2013), as sheets or as solids.
+
+As sheets, each surface covers part of what is behind it. As solids, with `absorption`, the
+picture is what an X-ray camera sees: white light, less what closed meshes absorb on its way
+(law of Beer and Lambert); crossings that have no partner count for nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from raystream.physics.attenuation import attenuation
+from raystream.physics.segments import thickness
+from raystream.rendering.arguments import check_number
+from raystream.rendering.sampled import Band, PathStream, SampledRenderer
+from raystream.rendering.shading.sheets import look_through
+
+__all__ = ["XRAY"]
+
+
+def look_along(stream: PathStream, band: Band) -> PathStream:
+    """Stage: find all surfaces, and add what is seen through them; the rays end."""
+    setting, paths = band.setting, stream.paths
+    if setting.options["absorption"] is None:
+        # At an edge a surface is met once, not once for each of its triangles.
+        rays = paths.origins, paths.directions
+        hits = setting.tracer.multi_hit(*rays, crossings="surfaces", on_hit=setting.filter(*rays))
+        look_through(
+            paths,
+            hits.ray_splits,
+            (hits.u, hits.v, hits.prim_id),
+            setting.tables,
+            setting.options["opacity"],
+            setting.classic,
+            band.first_pixel,
+            band.radiance,
+        )
+    else:
+        directions = paths.directions.astype(np.float64)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        found = thickness(setting.tracer, paths.origins, directions)
+        passed = attenuation(found, setting.options["absorption"], incomplete="ignore")
+        band.radiance[paths.pixels - band.first_pixel] += passed[:, None].astype(np.float32)
+    return PathStream(paths.first(0))
+
+
+def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    opacity, absorption = check_number("opacity", options["opacity"]), options["absorption"]
+    if not 0.0 <= opacity <= 1.0:
+        raise ValueError(f"opacity: expected 0 to 1, got {opacity}")
+    if absorption is not None:
+        absorption = check_number("absorption", absorption)
+        if not (math.isfinite(absorption) and absorption >= 0.0):
+            raise ValueError(f"absorption: expected a number of at least 0, got {absorption}")
+    return {"opacity": opacity, "absorption": absorption}
+
+
+XRAY = SampledRenderer(
+    "xray",
+    "all surfaces along each ray, front to back (Rayforce 2013)",
+    (look_along,),
+    {"opacity": 0.2, "absorption": None},
+    _check,
+)

@@ -1,0 +1,185 @@
+"""The denoiser: less noise, and the edges of the guides stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import raystream as rs
+
+HEIGHT, WIDTH = 64, 96
+ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+
+
+def rmse(pixels, truth):
+    return float(np.sqrt(np.mean((pixels - truth) ** 2)))
+
+
+def two_walls():
+    """A known picture: two walls with a curved edge, a texture, and soft light on them."""
+    on_left = WIDTH / 2 + 8 * np.sin(ROWS / 9) > COLUMNS
+    checks = (ROWS // 4 + COLUMNS // 4) % 2 == 0
+    layers = {
+        "normal": np.where(on_left[..., None], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]),
+        "depth": np.where(on_left, 5 + 0.01 * COLUMNS, 8 + 0.02 * ROWS),
+        "albedo": np.where(checks[..., None], [0.8, 0.3, 0.1], [0.1, 0.4, 0.9]),
+    }
+    soft = np.where(on_left, 1 + 0.5 * np.sin(COLUMNS / 30), 0.3 + 0.2 * np.cos(ROWS / 25))
+    return soft[..., None] * layers["albedo"], layers
+
+
+def noisy(truth, count, seed=1):
+    """The mean of samples with the spread of their values, and its variance."""
+    rng = np.random.default_rng(seed)
+    samples = rng.exponential(1.0, (count, HEIGHT, WIDTH, 1)) * truth
+    variance = samples.var(axis=0, ddof=1) / count if count > 1 else np.full(truth.shape, np.inf)
+    known = {"variance": variance, "samples": np.full((HEIGHT, WIDTH), count)}
+    return samples.mean(axis=0), known
+
+
+@pytest.mark.parametrize("count", [1, 4, 16])
+@pytest.mark.parametrize("with_variance", [True, False])
+def test_error_falls_to_a_fifth(count, with_variance):
+    truth, layers = two_walls()
+    pixels, known = noisy(truth, count)
+    image = rs.Image(pixels, layers | known if with_variance else layers)
+    smooth = image.denoise().pixels
+    assert rmse(smooth, truth) < rmse(pixels, truth) / 5
+
+
+def test_more_samples_are_still_better():
+    truth, layers = two_walls()
+    errors = []
+    for count in (4, 64):
+        pixels, known = noisy(truth, count)
+        errors.append(rmse(rs.Image(pixels, layers | known).denoise().pixels, truth))
+    assert errors[1] < errors[0] / 2
+
+
+def test_texture_stays_sharp():
+    """Light is filtered without albedo: its mean over a large wall is right on each check."""
+    truth, layers = two_walls()
+    pixels, known = noisy(truth, 16)
+    with_albedo = rs.Image(pixels, layers | known).denoise().pixels
+    layers.pop("albedo")
+    without = rs.Image(pixels, layers | known).denoise().pixels
+    assert rmse(with_albedo, truth) < rmse(without, truth) / 3
+
+
+@pytest.mark.parametrize("guide", ["normal", "depth", "albedo", "sky"])
+def test_step_of_one_guide_does_not_blur(guide):
+    """Dark and bright halves, with variance that would let light mix: one guide parts them."""
+    right = COLUMNS >= WIDTH / 2
+    pixels = np.where(right[..., None], 1.0, 0.5) * np.ones(3)
+    layers = {"variance": np.full((HEIGHT, WIDTH, 3), 1.0)}
+    edges = {
+        "normal": np.where(right[..., None], [0.0, 0.6, 0.8], [0.0, -0.6, 0.8]),
+        "depth": np.where(right, 3.0, 2.0),
+        "sky": np.where(right, np.inf, 2.0),
+        "albedo": np.where(right[..., None], [1.0, 0.01, 1.0], [0.01, 1.0, 0.01]),
+    }
+    blurred = rs.Image(pixels, layers).denoise().pixels
+    assert np.abs(blurred - pixels).max() > 0.1
+    layers["depth" if guide == "sky" else guide] = edges[guide]
+    if guide == "albedo":  # light is what is left without it: unlike, and not mixed
+        pixels = edges["albedo"]
+    kept = rs.Image(pixels, layers).denoise().pixels
+    np.testing.assert_allclose(kept, pixels, atol=2e-3)
+
+
+def test_rim_of_a_lamp_is_left_as_it_is():
+    """Pixels that a lamp covers in part differ from sample to sample, but not by noise."""
+    rng = np.random.default_rng(5)
+    rim = rng.uniform(40, 41, (HEIGHT, 1))
+    covered = np.clip(COLUMNS - rim, 0, 1)[..., None] * np.array([20.0, 18.0, 15.0])
+    light = rng.exponential(0.5, (HEIGHT, WIDTH, 3))
+    pixels = (covered + light).astype(np.float32)
+    variance = np.full(pixels.shape, 0.25) + 0.2 * covered * (20.0 - covered).clip(0)
+    known = {"variance": variance, "samples": np.full((HEIGHT, WIDTH), 8)}
+    smooth = rs.Image(pixels, {**known, "emission": covered}).denoise().pixels - covered
+    assert rmse(smooth[:, 41], 0.5) < 0.1
+    blurred = rs.Image(pixels, known).denoise().pixels - covered
+    assert rmse(blurred[:, 41], 0.5) > 1
+
+
+def test_slope_of_depth_is_no_edge():
+    """A floor seen at a grazing angle is one surface."""
+    rng = np.random.default_rng(5)
+    truth = np.full((HEIGHT, WIDTH, 3), 0.5)
+    pixels = truth + rng.normal(0, 0.1, (HEIGHT, WIDTH, 1))
+    layers = {"variance": np.full(truth.shape, 0.01)}
+    flat = rmse(rs.Image(pixels, layers).denoise().pixels, truth)
+    layers["depth"] = 10 + 2.0 * ROWS
+    steep = rmse(rs.Image(pixels, layers).denoise().pixels, truth)
+    assert steep < 1.5 * flat < 0.1 / 5
+
+
+def test_light_with_little_variance_is_kept():
+    """A shadow's edge, which no guide knows, stays where samples agree on it."""
+    pixels = np.where((COLUMNS > 40)[..., None], 1.0, 0.1) * np.ones(3)
+    layers = {"variance": np.full((HEIGHT, WIDTH, 3), 1e-6)}
+    np.testing.assert_allclose(rs.Image(pixels, layers).denoise().pixels, pixels, atol=1e-6)
+
+
+@pytest.mark.parametrize("variance", [None, 0.0, 0.3, np.inf])
+def test_constant_picture_is_unchanged(variance):
+    """Bit for bit, of many colours: dividing by albedo and multiplying again would round."""
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        pixels = np.full((5, 7, 3), rng.exponential(1.0, 3), np.float32)
+        layers = {} if variance is None else {"variance": np.full(pixels.shape, variance)}
+        layers["albedo"] = np.full(pixels.shape, rng.random(3))
+        assert rs.Image(pixels, layers).denoise().pixels.tobytes() == pixels.tobytes()
+
+
+def test_mirrored_picture_gives_the_mirrored_answer():
+    truth, layers = two_walls()
+    pixels, known = noisy(truth, 8)
+    flipped = {name: layer[:, ::-1] for name, layer in (layers | known).items()}
+    once = rs.Image(pixels, layers | known).denoise().pixels
+    mirrored = rs.Image(pixels[:, ::-1], flipped).denoise().pixels[:, ::-1]
+    np.testing.assert_allclose(once, mirrored, rtol=1e-3, atol=1e-4)
+
+
+def test_hostile_numbers_leave_nothing_that_is_not_finite():
+    rng = np.random.default_rng(6)
+    hard = np.array([np.nan, np.inf, -np.inf, 0.0, -1.0, 3e38, 1e-40, 1.0], np.float32)
+
+    def any_of(*shape):
+        return rng.choice(hard, shape)
+
+    size = (24, 31)
+    layers = {name: any_of(*size, 3) for name in ("normal", "albedo", "variance")}
+    layers |= {"depth": any_of(*size), "samples": rng.integers(0, 9, size)}
+    for chosen in (layers, {}, {"depth": layers["depth"]}):
+        assert np.isfinite(rs.Image(any_of(*size, 3), chosen).denoise().pixels).all()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (3, 2)])
+def test_small_pictures(size):
+    pixels = np.random.default_rng(7).random((*size, 3)).astype(np.float32)
+    smooth = rs.Image(pixels).denoise(passes=10, strength=1e6).pixels
+    assert smooth.min() >= pixels.min() - 1e-6
+    assert smooth.max() <= pixels.max() + 1e-6
+
+
+def test_layers_and_figures_go_on():
+    truth, layers = two_walls()
+    pixels, known = noisy(truth, 4)
+    image = rs.Image(pixels, layers | known, {"rays": 5})
+    smooth = image.denoise(passes=1)
+    assert set(smooth.layers) == {"normal", "depth", "albedo", "samples"}
+    assert smooth.figures == {"rays": 5}
+    np.testing.assert_array_equal(image.pixels, pixels.astype(np.float32))
+
+
+def test_bad_arguments_are_refused():
+    image = rs.Image(np.zeros((4, 5, 3)), {"depth": np.zeros((4, 5, 3))})
+    for passes in (0, 11):
+        with pytest.raises(ValueError, match="passes"):
+            image.denoise(passes=passes)
+    for strength in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="strength"):
+            image.denoise(strength=strength)
+    with pytest.raises(ValueError, match="'depth' of shape"):
+        image.denoise()

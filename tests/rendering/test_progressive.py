@@ -1,0 +1,159 @@
+"""Rendering sample by sample: progress, checkpoints, and interrupts."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import raystream as rs
+from raystream.jit.threads import set_thread_count
+from raystream.rendering import sample_file
+from raystream.rendering.accumulation import Accumulation
+from raystream.structures.bvh import engine
+
+PIXELS = 16 * 12
+PICTURE = {"mode": "path", "size": (16, 12)}
+
+
+@pytest.fixture(scope="module")
+def tracer():
+    return rs.Tracer(rs.load("cornell"))
+
+
+def test_progress_begins_with_what_is_there_and_ends_with_what_was_taken(tracer, tmp_path):
+    kept = tmp_path / "a.npz"
+    for samples, before in ((3, 0), (7, 3)):
+        seen = []
+        rs.render(
+            tracer,
+            **PICTURE,
+            samples=samples,
+            checkpoint=kept,
+            progress=lambda *report: seen.append(report),  # noqa: B023
+        )
+        assert seen[0] == (before * PIXELS, samples * PIXELS)
+        assert seen[-1] == (samples * PIXELS, samples * PIXELS)
+        assert seen == sorted(seen)
+
+
+MOST = 100_000
+
+
+def limited(tracer, **limit):
+    """Samples taken until a limit, and the reports of progress."""
+    seen = []
+    report = lambda *numbers: seen.append(numbers)  # noqa: E731
+    image = rs.render(tracer, **PICTURE, samples=MOST, **limit, progress=report)
+    taken = image.figures["samples"]
+    assert seen[-1] == (taken * PIXELS, taken * PIXELS)
+    return taken, seen
+
+
+def test_progress_foretells_the_samples_for_a_noise(tracer):
+    """From the middle on, the number is right within a factor of two."""
+    taken, seen = limited(tracer, noise=0.7)
+    assert 16 <= taken < MOST
+    later = [total / PIXELS for done, total in seen if done > taken * PIXELS / 2]
+    assert all(taken / 2 < total < taken * 2 for total in later)
+
+
+def test_progress_counts_towards_a_time(tracer):
+    """Any number of samples may fit: of the second one on, it is not all that were allowed."""
+    rs.render(tracer, **PICTURE, samples=2)  # compiles
+    taken, seen = limited(tracer, time_limit=0.2)
+    assert taken < MOST
+    assert all(total < MOST * PIXELS for done, total in seen if done > PIXELS)
+
+
+def test_interrupt_waits_for_a_sample_that_is_being_added(tracer, tmp_path, monkeypatch):
+    """Sums with half of a sample would make another picture."""
+    add_samples = Accumulation.add_samples
+
+    def interrupt_and_add(*arguments):
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        time.sleep(0.05)
+        add_samples(*arguments)
+
+    if not hasattr(signal, "pthread_kill"):
+        pytest.skip("needs POSIX signals")
+    kept = tmp_path / "a.npz"
+    with monkeypatch.context() as patch:
+        patch.setattr(Accumulation, "add_samples", interrupt_and_add)
+        with pytest.raises(KeyboardInterrupt):
+            rs.render(tracer, **PICTURE, samples=4, checkpoint=kept)
+    with np.load(kept) as file:
+        assert (file["counts"] == 1).all()
+    image = rs.render(tracer, **PICTURE, samples=4, checkpoint=kept)
+    whole = rs.render(tracer, **PICTURE, samples=4)
+    np.testing.assert_array_equal(image.pixels, whole.pixels)
+    np.testing.assert_array_equal(image.layers["variance"], whole.layers["variance"])
+
+
+def test_interrupt_before_the_first_sample_leaves_no_checkpoint(tracer, tmp_path):
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rs.render(tracer, **PICTURE, samples=4, checkpoint=tmp_path / "a.npz", progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_passes_come_as_often_as_asked_for(tracer, monkeypatch):
+    for seconds, count in (("0", 4), ("1e9", 0), ("", 0)):
+        monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", seconds)
+        passes = []
+        rs.render(tracer, **PICTURE, samples=5, on_pass=passes.append)
+        assert [int(image.layers["samples"].max()) for image in passes] == [*range(1, count + 1)]
+
+
+@pytest.mark.parametrize("seconds", ["often", "-1", "nan", "inf"])
+def test_bad_interval_is_refused(tracer, monkeypatch, seconds):
+    monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", seconds)
+    with pytest.raises(ValueError, match=r"^RAYSTREAM_CHECKPOINT_SECONDS: "):
+        rs.render(tracer, **PICTURE)
+
+
+def test_scene_is_read_for_a_checkpoint_only(tracer, tmp_path, monkeypatch):
+    asked = []
+    identity = sample_file.identity
+    monkeypatch.setattr(
+        sample_file, "identity", lambda *picture: asked.append(picture) or identity(*picture)
+    )
+    rs.render(tracer, **PICTURE, samples=3)
+    assert len(asked) == 0
+    for runs in (1, 2):  # written, then read and written
+        rs.render(tracer, **PICTURE, samples=3, checkpoint=tmp_path / "a.npz")
+        assert len(asked) == runs
+
+
+@pytest.fixture
+def batches(monkeypatch):
+    """The rays that each call of the kernel for small batches gets."""
+    seen = []
+    trace = engine.trace_wavefront
+
+    def note(begin, end, *arguments):
+        seen.append(end - begin)
+        trace(begin, end, *arguments)
+
+    monkeypatch.setattr(engine, "trace_wavefront", note)
+    yield seen
+    set_thread_count(None)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 14])
+@pytest.mark.parametrize("size", [(1024, 65), (1024, 96), (1023, 48), (1025, 48), (512, 9)])
+def test_picture_of_large_batches_asks_for_no_kernel_for_small_ones(batches, size, threads):
+    """It would be compiled for one row of a thousand pixels, the first or the last of them."""
+    set_thread_count(threads)
+    rs.render(rs.Tracer(rs.load("spheres")), "vis", size)
+    assert batches == []
+
+
+def test_small_picture_asks_for_it(batches):
+    rs.render(rs.Tracer(rs.load("spheres")), "vis", (32, 24))
+    assert sum(batches) >= 32 * 24
