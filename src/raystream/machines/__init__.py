@@ -41,12 +41,12 @@ MULTIPASS_OPTIONS = ("scheduler", "threshold", "traversal_steps", "intersections
 # Imported when they are first used: branching costs neither the streams nor their kernels.
 _HOMES = {
     "Multipass": "multipass",
-    "Observer": "observing",
+    "Observer": "pass_snapshot",
     "Passes": "passes",
     "Queues": "schedulers",
     "RayCounters": "counters",
     "Scheduler": "schedulers",
-    "PassSnapshot": "observing",
+    "PassSnapshot": "pass_snapshot",
 }
 
 
