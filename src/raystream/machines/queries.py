@@ -60,8 +60,8 @@ class Queries:
             Closed search interval, in direction lengths.
         on_hit : callable, optional
             A filter: ``on_hit(hit)`` gets a `Hit` and returns whether it exists, as a boolean
-            or as `CONTINUE` or `IGNORE`; `STOP` means that it does, and no later one. See
-            `trace` for what it may do. A `Bound` hands it constants.
+            or as `Decision.CONTINUE` or `Decision.IGNORE`; `Decision.STOP` means that it does,
+            and no later one. See `trace` for what it may do. A `Bound` hands it constants.
         skip_prim_ids : array_like of shape S or S + (k,), int, optional
             Triangles that do not exist for each ray, such as those that it starts on; -1 for
             none. The filter is not asked about them. With rays in arrays on a GPU, it may be
@@ -263,9 +263,9 @@ class Queries:
             See `first_hit`.
         on_hit : callable
             ``on_hit(hit, payload)``, a Python function that Numba compiles. It gets a `Hit`
-            and its own ray's payload, which it changes in place, and returns `CONTINUE`,
-            `STOP` (no more hits of this ray) or `IGNORE` (here the same as `CONTINUE`);
-            nothing means `CONTINUE`.
+            and its own ray's payload, which it changes in place, and returns `Decision.CONTINUE`,
+            `Decision.STOP` (no more hits of this ray) or `Decision.IGNORE` (here the same);
+            nothing means to continue.
         payload : ndarray or dtype, optional
             A writable array of the rays' shape S, which is changed in place; a dtype makes
             one of zeros. With a structured dtype a function gets its ray's record, as in
