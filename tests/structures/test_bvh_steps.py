@@ -134,7 +134,7 @@ def run_pass(
             count, to = states.count[i], rows_of(out)
             search = Search(t_min, t_far, count, capacity, to, first, surfaces, met, False, tally)
             search = intersect_block(block, frame, search, lanes)
-            states.count[i], states.t_far[i] = search.count, search.t_far
+            states.count[i], states.t_far[i] = search.hit_count, search.t_far
             states.block[i] = block + BLOCK
             if search.has_overflowed:
                 states.count[i] = _OVERFLOWED
@@ -160,7 +160,7 @@ def fused(tree, extreme, rays, surfaces, slots, out, seen, counts, tallies):
         t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(tallies, i)
         search = begin_search(t_min, t_max, capacity, rows_of(out), first, surfaces, met, tally)
         search = traverse(tree, ray, search, stack)
-        counts[i] = _OVERFLOWED if search.has_overflowed else search.count
+        counts[i] = _OVERFLOWED if search.has_overflowed else search.hit_count
 
 
 @kernel

@@ -114,8 +114,8 @@ def thread_queries(
         hits = HitAddresses(out.t, out.u, out.v, out.prim_id)
         scene = RayScene(source, frame, tree, stack, out.status)
         search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, None, tally))
-        add_to(tally, SHADINGS, search.count)
-        finish_first(out, i, search.count, ray)
+        add_to(tally, SHADINGS, search.hit_count)
+        finish_first(out, i, search.hit_count, ray)
 
     @kernel
     def any_hit(i, source, frame, tree, tallies, out):
@@ -124,8 +124,8 @@ def thread_queries(
         tally = _tally_at(tallies, i)
         scene = RayScene(source, frame, tree, stack, out.status)
         search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, None, tally))
-        add_to(tally, SHADINGS, search.count)
-        store(out.seen + i, np.uint8(search.count != _NONE))
+        add_to(tally, SHADINGS, search.hit_count)
+        store(out.seen + i, np.uint8(search.hit_count != _NONE))
 
     @kernel
     def count_hits(i, source, frame, tree, tallies, tables, surfaces, limit, status, counts):
@@ -134,7 +134,7 @@ def thread_queries(
         scene = RayScene(source, frame, tree, stack, status)
         goal = Goal(limit, None, _NONE, surfaces, seen_of(tables, i), _tally_at(tallies, i))
         search, _ = search_ray(i, scene, goal)
-        count = np.int64(RETRY) if search.has_overflowed else np.int64(search.count)
+        count = np.int64(RETRY) if search.has_overflowed else np.int64(search.hit_count)
         store(counts + (i << _LONG), count)
 
     @kernel
@@ -153,9 +153,9 @@ def thread_queries(
         if search.has_overflowed:
             store(found + (i << _LONG), np.int64(RETRY))
             return
-        store(found + (i << _LONG), np.int64(search.count))
-        add_to(tally, SHADINGS, search.count)
-        finish_rows(out, first, search.count, ray, True)
+        store(found + (i << _LONG), np.int64(search.hit_count))
+        add_to(tally, SHADINGS, search.hit_count)
+        finish_rows(out, first, search.hit_count, ray, True)
 
     return ThreadQueries(
         launcher(first_hit), launcher(any_hit), launcher(count_hits), launcher(multi_hit)

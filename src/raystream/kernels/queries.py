@@ -139,8 +139,8 @@ def ray_queries(
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
             search, ray = search_ray(i, scene, Goal(_ONE, hits, i, False, None, tally))
-            add_to(tally, SHADINGS, search.count)
-            finish_first(out, i, search.count, ray)
+            add_to(tally, SHADINGS, search.hit_count)
+            finish_first(out, i, search.hit_count, ray)
 
     @kernel
     def any_hit(begin, end, source, frame, arrays, tallies, out):
@@ -150,8 +150,8 @@ def ray_queries(
         for i in range(np.uint64(begin), np.uint64(end)):
             tally = tally_of(tallies, i)
             search, _ = search_ray(i, scene, Goal(_ONE, None, _NONE, False, None, tally))
-            add_to(tally, SHADINGS, search.count)
-            store(out.seen + i, np.uint8(search.count != _NONE))
+            add_to(tally, SHADINGS, search.hit_count)
+            store(out.seen + i, np.uint8(search.hit_count != _NONE))
 
     @kernel
     def count_hits(begin, end, source, frame, arrays, tallies, status, wanted, counts):
@@ -170,7 +170,7 @@ def ray_queries(
                     break
                 table = _larger_table(table)
                 restore_counts(tally, saved)
-            counts[i] = search.count
+            counts[i] = search.hit_count
             if repeats:
                 table = _new_table(True)
 
@@ -195,8 +195,8 @@ def ray_queries(
                     break
                 table = _larger_table(table)
                 restore_counts(tally, saved)
-            add_to(tally, SHADINGS, search.count)
-            finish_rows(to, first, search.count, ray, True)
+            add_to(tally, SHADINGS, search.hit_count)
+            finish_rows(to, first, search.hit_count, ray, True)
             if repeats:
                 table = _new_table(True)
 
@@ -219,12 +219,12 @@ def ray_queries(
                 if not search.has_overflowed:
                     break
                 table = _larger_table(table)
-            if search.count == capacity and capacity != most:
+            if search.hit_count == capacity and capacity != most:
                 return np.int64(i)
             if repeats:
                 table = _new_table(True)
-            finish_rows(to, row, search.count, ray, wanted.sorts)
-            row += search.count
+            finish_rows(to, row, search.hit_count, ray, wanted.sorts)
+            row += search.hit_count
             splits[i + _ONE - np.uint64(begin)] = row
         return np.int64(end)
 

@@ -34,7 +34,7 @@ class Search(NamedTuple):
     ----------
     t_min, t_far : float32
         Closed interval in which a hit is wanted; t_far decreases as hits are kept.
-    count : uint64
+    hit_count : uint64
         Hits kept or counted.
     capacity : uint64
         Most hits that are wanted, at least 1.
@@ -54,7 +54,7 @@ class Search(NamedTuple):
 
     t_min: np.float32
     t_far: np.float32
-    count: np.uint64
+    hit_count: np.uint64
     capacity: np.uint64
     hits: HitAddresses | None
     first_row: np.uint64
@@ -97,11 +97,11 @@ def _mark(seen, prim_id):
 @device
 def _offer_to(hits, search, t, u, v, prim_id):
     if hits is None:
-        return _changed(search, search.count + _ONE, search.t_far, False)
+        return _changed(search, search.hit_count + _ONE, search.t_far, False)
     count, t_far = keep_hit(
         hits,
         search.first_row,
-        search.count,
+        search.hit_count,
         search.capacity,
         t,
         u,
@@ -132,7 +132,7 @@ def offer(search, t, u, v, prim_id):
     answer = _mark(search.seen, prim_id)
     if answer == NEW:
         return _offer_to(search.hits, search, t, u, v, prim_id)
-    return _changed(search, search.count, search.t_far, answer == FULL)
+    return _changed(search, search.hit_count, search.t_far, answer == FULL)
 
 
 @device
@@ -143,7 +143,7 @@ def _is_counted(hits):
 @device
 def is_full(search):
     """Whether no hit, wherever it is, can change the result: the traversal returns."""
-    is_enough = search.count == search.capacity and _is_counted(search.hits)
+    is_enough = search.hit_count == search.capacity and _is_counted(search.hits)
     return is_enough or search.has_overflowed
 
 
@@ -154,7 +154,7 @@ def is_over(search, t_out):
     For traversals that visit cells in order. A search that only counts is over when it
     `is_full`, and not before.
     """
-    return search.count == search.capacity and search.t_far < t_out
+    return search.hit_count == search.capacity and search.t_far < t_out
 
 
 @device

@@ -52,9 +52,9 @@ def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
         )
         row += _ONE
         if row == tree.length or is_full(search):
-            state = end_of(search.count, query)
+            state = end_of(search.hit_count, query)
             break
-    return (np.uint32(search.count), search.t_far), (np.uint32(row),), state
+    return (np.uint32(search.hit_count), search.t_far), (np.uint32(row),), state
 
 
 def intersect(ray, wanted, found, place, tree, query, kernel):

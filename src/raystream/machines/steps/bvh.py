@@ -98,12 +98,12 @@ def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
             state = _OVERFLOWN
             break
         if is_full(search):
-            state = end_of(search.count, query)
+            state = end_of(search.hit_count, query)
             break
         if block == place.end:
             state = _TRAVERSING
             break
-    return (np.uint32(search.count), search.t_far), (place.top, block, place.end), state
+    return (np.uint32(search.hit_count), search.t_far), (place.top, block, place.end), state
 
 
 def intersect(ray, wanted, found, place, tree, query, kernel):

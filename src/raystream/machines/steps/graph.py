@@ -51,7 +51,7 @@ def _go_on(tree, line, sector, t_end, search, wanted, query):
     way = way_out(line, sector)
     t_out = min(way.t, t_end)
     if t_out >= t_end or is_over(search, t_out):
-        return end_of(search.count, query), sector, t_out
+        return end_of(search.hit_count, query), sector, t_out
     sector, node_count = cross(tree, line, way.link, t_out)
     note(query, wanted, LINK_NODES, node_count)
     return _TRAVERSING, sector, t_out
@@ -102,13 +102,13 @@ def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
         block += BLOCK
         left -= min(left, _LANES)
         if is_full(search):
-            state = end_of(search.count, query)
+            state = end_of(search.hit_count, query)
             break
         if left == _NONE:
             state, sector, t_in = _go_on(tree, line, sector, place.t_end, search, wanted, query)
             break
     place = sector, t_in, place.t_end, block, np.uint32(left)
-    return (np.uint32(search.count), search.t_far), place, state
+    return (np.uint32(search.hit_count), search.t_far), place, state
 
 
 def intersect(ray, wanted, found, place, tree, query, kernel):

@@ -185,14 +185,14 @@ def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
         )
         row += _ONE
         if is_full(search) or (row == at.end and _is_over(at, search.t_far)):
-            state = end_of(search.count, query)
+            state = end_of(search.hit_count, query)
             break
         if row == at.end:
             at = _next_cell(tree, line, at)
             state = _TRAVERSING
             break
     place = _Place(at.walk, at.outer, at.t_in, at.t_end, row, at.end)
-    return (np.uint32(search.count), search.t_far), _record(place), state
+    return (np.uint32(search.hit_count), search.t_far), _record(place), state
 
 
 def intersect(ray, wanted, found, place, tree, query, kernel):

@@ -143,12 +143,12 @@ def _intersect(hits, ray, wanted, found, place, query, kernel):
         block += BLOCK
         left -= min(left, _LANES)
         if is_full(search):
-            status = end_of(search.count, query)
+            status = end_of(search.hit_count, query)
             break
         if left == _NONE:
             status = _LEAVING
             break
-    return (np.uint32(search.count), search.t_far), _record(state, block, left), status
+    return (np.uint32(search.hit_count), search.t_far), _record(state, block, left), status
 
 
 def intersect(ray, wanted, found, place, query, kernel):
