@@ -17,7 +17,8 @@ need("numba_cuda")
 import raystream as rs
 from cases import CASES
 from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated
-from raystream.structures.bvh.layout import BvhArrays, aligned_array, check_arrays
+from raystream.kernels.aligned import aligned_array
+from raystream.structures.bvh.layout import BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.structure import hittable_corners, trace_cost
 from test_agreement import answers_of, assert_expected, case_of, rays_of

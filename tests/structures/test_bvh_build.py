@@ -7,13 +7,9 @@ import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, grid_floor, lattice_soup, soup
 from raystream.core.triangles import Triangles
+from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.build import QUALITIES, build_arrays
-from raystream.structures.bvh.layout import (
-    MAX_DEPTH,
-    BvhArrays,
-    aligned_array,
-    check_arrays,
-)
+from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.spatial import PAD
 from raystream.structures.bvh.statistics import statistics

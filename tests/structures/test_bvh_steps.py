@@ -13,6 +13,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
+from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.local_frame import LocalRays, SceneFrame
 from raystream.kernels.ray import set_up
 from raystream.kernels.search import Search, begin_search, is_full
@@ -20,24 +21,21 @@ from raystream.kernels.seen import SeenSet, clear_seen
 from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching
-from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import (
     begin,
-    intersect_block,
     is_leaf,
     leaf_blocks,
     next_entry,
     stack_half,
-    triangle_count,
     visit,
 )
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
-from raystream.structures.bvh.wide import BLOCK
 
 _ONE = np.uint64(1)
 _NONE = np.uint64(0)
+_INF = np.float32(np.inf)
 
 #: A count that says that the set of triangles seen was too small.
 _OVERFLOWED = np.uint64(2**64 - 1)
@@ -97,7 +95,6 @@ def run_pass(
 ):
     """One step of each ray. Returns how many were not done."""
     o, d = rays.origins, rays.directions
-    lanes = scratch(64)
     room = np.uint64(seen.shape[1]) - _ONE
     half_bytes = np.uint64(half)
     active = 0
@@ -111,7 +108,7 @@ def run_pass(
         top, t_min, t_far = states.top[i], rays.t_min[i], states.t_far[i]
         first, capacity = slots.first[i], slots.capacity[i]
         tally = tally_of(tallies, i)
-        frame = lane_frame(set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme))
+        line = block_ray(set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme))
         if stage == _POP:
             found, child, top = next_entry(stack, half_bytes, top, t_far)
             states.top[i], states.child[i] = top, child
@@ -126,14 +123,14 @@ def run_pass(
         elif stage == _VISIT:
             add_to(tally, STEPS, _ONE)
             child = states.child[i]
-            states.top[i] = visit(tree, child, frame, t_min, t_far, stack, half_bytes, top)
+            states.top[i] = visit(tree, child, line, t_min, t_far, stack, half_bytes, top)
             stage = _POP
         else:
             block = states.block[i]
             add_to(tally, TESTS, triangle_count(block))
             count, to = states.count[i], rows_of(out)
             search = Search(t_min, t_far, count, capacity, to, first, surfaces, met, False, tally)
-            search = intersect_block(block, frame, search, lanes)
+            search = intersect_block(block, line, search, t_min, _INF)
             states.count[i], states.t_far[i] = search.hit_count, search.t_far
             states.block[i] = block + BLOCK
             if search.has_overflowed:

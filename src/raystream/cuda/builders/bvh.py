@@ -20,8 +20,9 @@ from raystream.cuda.builders.wide import TooDeepError, WideTree, make_wide
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
+from raystream.kernels.aligned import aligned_array
 from raystream.structures.base import Structure, UpdateReport
-from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays, aligned_array
+from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays
 from raystream.structures.bvh.steps import TreeAddresses
 from raystream.structures.bvh.structure import Bvh, hittable_corners
 

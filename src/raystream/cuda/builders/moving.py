@@ -10,7 +10,8 @@ from raystream.cuda.builders.wide import WideTree
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
-from raystream.structures.bvh.layout import BLOCK_BYTES, CHILDREN_AT, NODE_BYTES, WIDTH
+from raystream.kernels.leaf_block import BLOCK
+from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
 from raystream.structures.bvh.refit import refit_leaves, refit_node
 
 __all__ = ["KERNELS", "cost_of", "refit"]
@@ -27,7 +28,7 @@ _HIGH = np.uint64(32)
 @kernel
 def _move_leaves(row, nodes, leaves, block_count, corners):
     """Write the leaves of a node, and their boxes."""
-    last_block = leaves + block_count * np.uint64(BLOCK_BYTES)
+    last_block = leaves + block_count * BLOCK
     refit_leaves(nodes + row * np.uint64(NODE_BYTES), corners, leaves, last_block)
 
 

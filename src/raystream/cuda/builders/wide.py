@@ -16,12 +16,10 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, scratch, store
+from raystream.kernels.leaf_block import BLOCK, BLOCK_FLOATS, clear_block, write_triangle
 from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
-from raystream.structures.bvh.emit import clear_leaf_block, clear_node, set_lane
+from raystream.structures.bvh.emit import clear_node, set_lane
 from raystream.structures.bvh.layout import (
-    BLOCK_BYTES,
-    BLOCK_FLOATS,
-    IDS_AT,
     MAX_BLOCKS,
     MAX_DEPTH,
     MAX_LEAF_SIZE,
@@ -43,7 +41,6 @@ _LONG = np.uint64(3)  # one of eight
 _UPPER = np.uint64(32)
 _LOWER = np.uint64(0xFFFFFFFF)
 _IN_BLOCK = np.uint64(3)
-_TRIANGLE_BYTES = np.uint64(36)
 
 
 class TooDeepError(Exception):
@@ -123,14 +120,10 @@ def _give_rows(i, first, level_end, first_block, nodes, counts, roots, first_chi
 @device
 def _write_triangle(prim_id, place, corners, leaf):
     """Copy a triangle to a place in the blocks of a leaf."""
-    block = leaf + (place >> np.uint64(2)) * np.uint64(BLOCK_BYTES)
+    block = leaf + (place >> np.uint64(2)) * BLOCK
     if place & _IN_BLOCK == _NONE:
-        clear_leaf_block(block)
-    at = block + ((place & _IN_BLOCK) << _WORD)
-    corner = corners + np.uint64(prim_id) * _TRIANGLE_BYTES
-    for k in range(np.uint64(9)):
-        store(at + k * np.uint64(16), load(np.float32, corner + (k << _WORD)))
-    store(at + np.uint64(IDS_AT), prim_id)
+        clear_block(block)
+    write_triangle(block, place & _IN_BLOCK, prim_id, corners)
 
 
 @device
@@ -170,7 +163,7 @@ def _write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves
             own = np.int32(_block_count(nodes.boxes, np.uint64(child)))
             link = ~((np.int32(block) << np.int32(3)) | (own - np.int32(1)))
             set_lane(to, k, box, np.int32(link))
-            leaf = leaves + np.uint64(block) * np.uint64(BLOCK_BYTES)
+            leaf = leaves + np.uint64(block) * BLOCK
             _write_leaf(nodes, child, corners, leaf)
             block = np.uint32(block + np.uint32(own))
         else:

@@ -21,7 +21,8 @@ from raystream.cuda.bvh.entries import CHUNK, COUNT, LINK, list_entries
 from raystream.cuda.bvh.pairs import depth_of, write_pairs
 from raystream.cuda.bvh.triangles import TRIANGLE_FLOATS
 from raystream.jit.threads import parallel_for
-from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays, aligned_array
+from raystream.kernels.aligned import aligned_array
+from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays
 
 __all__ = ["NODE_FLOATS", "STACK_BYTES", "BinaryAddresses", "unfold"]
 

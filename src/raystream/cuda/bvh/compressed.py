@@ -28,7 +28,8 @@ from raystream.cuda.bvh.quantise import number_nodes, write_nodes
 from raystream.cuda.bvh.slots import assign_slots
 from raystream.cuda.bvh.triangles import TRIANGLE_FLOATS
 from raystream.jit.threads import parallel_for
-from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH, BvhArrays, aligned_array
+from raystream.kernels.aligned import aligned_array
+from raystream.structures.bvh.layout import MAX_DEPTH, WIDTH, BvhArrays
 
 __all__ = ["LEAF_SIZE", "NODE_WORDS", "STACK_BYTES", "CompressedAddresses", "compress"]
 

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
-from raystream.structures.bvh.layout import BLOCK_SIZE, WIDTH, BvhArrays
+from raystream.kernels.leaf_block import BLOCK_SIZE
+from raystream.structures.bvh.layout import WIDTH, BvhArrays
 
 __all__ = ["CHUNK", "COUNT", "HIGH", "LINK", "LOW", "list_entries"]
 

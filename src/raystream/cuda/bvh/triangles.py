@@ -11,11 +11,11 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
+from raystream.kernels.leaf_block import BLOCK, BLOCK_SIZE, PRIM_IDS
 from raystream.kernels.search import offer
 from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle import intersect_corners
-from raystream.structures.bvh.layout import BLOCK_SIZE
-from raystream.structures.bvh.wide import BLOCK, PRIM_IDS, leaf_address, leaf_end
+from raystream.structures.bvh.wide import leaf_address, leaf_end
 
 __all__ = ["TRIANGLE", "TRIANGLE_FLOATS", "copy_leaf", "test_triangle"]
 

@@ -128,7 +128,7 @@ class Multipass(Branching):
         # The steps are those of the CPU's own layout.
         own = {"kernel": "wide"} if structure.name == "bvh" else {}
         super().__init__(structure, gpu, rays_at_once=rays_at_once, **own)
-        self._steps = ResidentSteps(structure, gpu, self._resident)
+        self._steps = ResidentSteps(structure, self._resident)
 
     def recording(self, passes: Passes) -> Multipass:
         """The same machine, which adds its passes to a record."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from raystream.cuda.structures import Resident
-from raystream.jit.cuda import Gpu
 from raystream.machines.steps import steps_of
 from raystream.machines.steps.base import Steps
 from raystream.structures import Structure
@@ -19,34 +16,17 @@ class ResidentSteps:
     Parameters
     ----------
     structure : Structure
-    gpu : Gpu
     resident : Resident
         The structure there.
 
     Attributes
     ----------
     usual : Steps
-
-    Raises
-    ------
-    CudaError
-        If there is no memory for what is not there yet.
     """
 
-    def __init__(self, structure: Structure, gpu: Gpu, resident: Resident) -> None:
+    def __init__(self, structure: Structure, resident: Resident) -> None:
         steps = steps_of(structure)
         placed = {name: getattr(resident.tree, name) for name in structure.memory}
-        self._arrays = []
-        if structure.name == "brute":
-            # All triangles, by their numbers; the resident ones are those that can be hit.
-            triangles = structure.triangles
-            given = {"references": triangles.prim_ids, "corners": triangles.corners}
-            arrays = {
-                name: gpu.upload(f"brute, {name}", np.ascontiguousarray(one))
-                for name, one in given.items()
-            }
-            self._arrays = list(arrays.values())
-            placed = {name: one.address for name, one in arrays.items()}
         self._placed = {name: placed[name] for name in steps.tree._fields if name in placed}
         self.usual = self._there(steps)
 

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
+from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh import Bvh
-from raystream.structures.bvh.layout import BLOCK_SIZE, WIDTH, BvhArrays
+from raystream.structures.bvh.layout import WIDTH, BvhArrays
 
 __all__ = ["form"]
 

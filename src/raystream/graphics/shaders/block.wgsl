@@ -1,6 +1,6 @@
 // A leaf block of four triangles, 160 bytes: four x of the first corners, then their y and z, the
 // second corners, the third ones, and the numbers of the triangles. As
-// raystream/structures/bvh/block.py; needs `blocks`, as vectors of four words.
+// raystream/kernels/leaf_block.py; needs `blocks`, as vectors of four words.
 
 const BLOCK_ROWS: u32 = 10u;
 const BLOCK_SIZE: u32 = 4u;

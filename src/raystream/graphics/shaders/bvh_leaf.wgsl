@@ -1,5 +1,5 @@
 // The triangles of a leaf: blocks of four slots, in which the last ones may be empty. As
-// raystream/structures/bvh/block.py.
+// raystream/kernels/leaf_block.py.
 
 //! include "block.wgsl"
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, lane_bits, load
+from raystream.kernels.leaf_block import BLOCK, SECOND, THIRD
 from raystream.machines.records import RayState
 from raystream.machines.steps import Steps
-from raystream.structures.bvh.wide import BLOCK, SECOND, THIRD
 
 __all__ = ["FETCH_ONLY", "fetch_only"]
 

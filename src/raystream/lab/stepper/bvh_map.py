@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.kernels.leaf_block import BLOCK_BYTES
 from raystream.lab.stepper.chart import BlockMap, LocalSpot, Records, to_world
 from raystream.structures.bvh import Bvh
-from raystream.structures.bvh.layout import BLOCK_BYTES, WIDTH
+from raystream.structures.bvh.layout import WIDTH
 
 __all__ = ["BvhMap"]
 

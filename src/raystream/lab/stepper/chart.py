@@ -8,13 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.kernels.leaf_block import BLOCK_BYTES, BLOCK_SIZE
 from raystream.structures import Structure
 
 __all__ = ["BlockMap", "LocalSpot", "Records", "StructureMap", "to_world"]
-
-#: Bytes of a block of four triangles.
-_BLOCK_BYTES = 160
-_LANES = 4
 
 
 class LocalSpot(NamedTuple):
@@ -97,6 +94,6 @@ class BlockMap(StructureMap):
 
     def tested(self, place: Any, count: int) -> tuple[int, ...]:
         """See `StructureMap.tested`."""
-        row = (int(place["block"]) - self._blocks.ctypes.data) // _BLOCK_BYTES
-        last = row + -(-count // _LANES)
+        row = (int(place["block"]) - self._blocks.ctypes.data) // BLOCK_BYTES
+        last = row + -(-count // BLOCK_SIZE)
         return tuple(self._block_rows[row:last].ravel()[:count].tolist())

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full
 from raystream.kernels.tally import TESTS
+from raystream.kernels.triangle_list import intersect_list
 from raystream.machines.records import RayState, end_of, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.brute import Brute
-from raystream.structures.grid.traversal import intersect_list
 
 __all__ = ["steps"]
 
@@ -26,18 +24,10 @@ _ONE = np.uint64(1)
 _INF = np.float32(np.inf)
 
 
-class _Triangles(NamedTuple):
-    """All triangles: addresses of their numbers and of the scene's corners."""
-
-    references: np.uint64
-    corners: np.uint64
-    length: np.uint64
-
-
 def set_up(ray, wanted, tree, query, kernel):
     """Begin with the first triangle."""
     tick(query, wanted, kernel, TESTS, _NONE)
-    is_active = tree.length != _NONE and ray.t_min <= ray.t_max
+    is_active = tree.triangle_count != _NONE and ray.t_min <= ray.t_max
     return (np.uint32(0), ray.t_max), (np.uint32(0),), _INTERSECTING if is_active else _DONE
 
 
@@ -48,10 +38,10 @@ def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, _ONE)
         search = intersect_list(
-            tree.references, tree.corners, line, row, row + _ONE, search, search.t_min, _INF
+            tree.references, tree.corners, row, row + _ONE, line, search, search.t_min, _INF
         )
         row += _ONE
-        if row == tree.length or is_full(search):
+        if row == tree.triangle_count or is_full(search):
             state = end_of(search.hit_count, query)
             break
     return (np.uint32(search.hit_count), search.t_far), (np.uint32(row),), state
@@ -72,9 +62,4 @@ _KERNELS = with_shade(
 
 def steps(brute: Brute) -> Steps:
     """The steps of brute force."""
-    triangles = brute.triangles
-    prim_ids, corners = triangles.prim_ids, triangles.corners
-    tree = _Triangles(
-        np.uint64(prim_ids.ctypes.data), np.uint64(corners.ctypes.data), np.uint64(len(prim_ids))
-    )
-    return Steps(_KERNELS, PLACE, tree)
+    return Steps(_KERNELS, PLACE, brute.arrays)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import scratch
+from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.search import is_full
 from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
@@ -15,8 +15,6 @@ from raystream.machines.records import RayState, end_of, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.bvh import Bvh
 from raystream.structures.bvh import steps as tree_steps
-from raystream.structures.bvh.block import lane_frame
-from raystream.structures.bvh.wide import BLOCK
 
 __all__ = ["steps"]
 
@@ -30,6 +28,7 @@ _INTERSECTING = np.uint8(RayState.INTERSECTING)
 _OVERFLOWN = np.uint8(RayState.OVERFLOWN)
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
+_INF = np.float32(np.inf)
 _MORE_ROOM = np.uint64(8)
 
 
@@ -66,7 +65,7 @@ def set_up(ray, wanted, tree, query, kernel):
 
 def traverse(ray, wanted, found, place, tree, query, kernel):
     """Take a child from the stack: test the boxes of a node, or look at a leaf."""
-    frame, stack = lane_frame(ray_of(ray, query)), _stack_of(wanted, query)
+    line, stack = block_ray(ray_of(ray, query)), _stack_of(wanted, query)
     top, block, end = np.uint64(place.top), place.block, place.end
     state = _TRAVERSING
     for _ in range(query.steps):
@@ -81,18 +80,18 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
             state = _INTERSECTING
             break
         tick(query, wanted, kernel, STEPS, _ONE)
-        top = tree_steps.visit(tree, child, frame, ray.t_min, found.t_far, stack, tree.half, top)
+        top = tree_steps.visit(tree, child, line, ray.t_min, found.t_far, stack, tree.half, top)
     return (np.uint32(top), block, end), state
 
 
 @device
 def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
-    frame, lanes = lane_frame(ray_of(ray, query)), scratch(64)
+    line = block_ray(ray_of(ray, query))
     search = resumed(hits, ray, wanted, found, query, _seen_of(tree, wanted, query))
     block, state = place.block, _INTERSECTING
     for _ in range(query.tests):
-        tick(query, wanted, kernel, TESTS, tree_steps.triangle_count(block))
-        search = tree_steps.intersect_block(block, frame, search, lanes)
+        tick(query, wanted, kernel, TESTS, triangle_count(block))
+        search = intersect_block(block, line, search, search.t_min, _INF)
         block += BLOCK
         if search.has_overflowed:
             state = _OVERFLOWN

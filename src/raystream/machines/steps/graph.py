@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import scratch
+from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.bvh.block import lane_frame
-from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.graph import Graph
 from raystream.structures.graph.steps import (
     cross,
@@ -21,7 +19,6 @@ from raystream.structures.graph.steps import (
     start_sector,
     way_out,
 )
-from raystream.structures.kdtree.steps import intersect_block
 
 __all__ = ["steps"]
 
@@ -91,14 +88,14 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
 @device
 def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
     prepared = ray_of(ray, query)
-    line, frame, lanes = sector_ray(prepared), lane_frame(prepared), scratch(64)
+    line, triangle_ray = sector_ray(prepared), block_ray(prepared)
     search = resumed(hits, ray, wanted, found, query, None)
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
     t_out = min(way_out(line, sector).t, place.t_end)
     state = _INTERSECTING
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, min(left, _LANES))
-        search = intersect_block(block, frame, search, t_in, t_out, lanes)
+        search = intersect_block(block, triangle_ray, search, t_in, t_out)
         block += BLOCK
         left -= min(left, _LANES)
         if is_full(search):

@@ -9,6 +9,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
+from raystream.kernels.triangle_list import intersect_list
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.grid import Grid
@@ -28,7 +29,7 @@ from raystream.structures.grid.dda import (
     walk_from,
     walk_through,
 )
-from raystream.structures.grid.traversal import enter_grid, intersect_list
+from raystream.structures.grid.traversal import enter_grid
 
 __all__ = ["steps"]
 
@@ -181,7 +182,7 @@ def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, _ONE)
         search = intersect_list(
-            references, tree.corners, line, row, row + _ONE, search, at.t_in, t_out
+            references, tree.corners, row, row + _ONE, line, search, at.t_in, t_out
         )
         row += _ONE
         if is_full(search) or (row == at.end and _is_over(at, search.t_far)):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import scratch
+from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full
 from raystream.kernels.tally import (
     BACKTRACK_STEPS,
@@ -20,8 +20,6 @@ from raystream.kernels.tally import (
 )
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.bvh.block import lane_frame
-from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.kdtree import KdTree
 from raystream.structures.kdtree.state import (
     SHORT_STACK,
@@ -31,15 +29,7 @@ from raystream.structures.kdtree.state import (
     KdState,
     split_ray,
 )
-from raystream.structures.kdtree.steps import (
-    down,
-    intersect_block,
-    is_at_leaf,
-    leaf,
-    leave,
-    restarts,
-    up,
-)
+from raystream.structures.kdtree.steps import down, is_at_leaf, leaf, leave, restarts, up
 from raystream.structures.kdtree.steps import initialize as begin
 
 __all__ = ["steps"]
@@ -132,14 +122,14 @@ def look_at_leaf(wanted, place, tree, query, kernel):
 
 @device
 def _intersect(hits, ray, wanted, found, place, query, kernel):
-    frame, lanes = lane_frame(ray_of(ray, query)), scratch(64)
+    line = block_ray(ray_of(ray, query))
     search = resumed(hits, ray, wanted, found, query, None)
     state = _search(place)
     block, left = place.block, np.uint64(place.left)
     status = _INTERSECTING
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, min(left, _LANES))
-        search = intersect_block(block, frame, search, state.t_in, state.t_out, lanes)
+        search = intersect_block(block, line, search, state.t_in, state.t_out)
         block += BLOCK
         left -= min(left, _LANES)
         if is_full(search):

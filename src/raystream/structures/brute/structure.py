@@ -39,14 +39,11 @@ class Brute(Structure):
     def __init__(self, triangles: Triangles, *, progress: Progress | None = None) -> None:
         started = time.perf_counter()
         self.triangles = triangles
-        if len(triangles.prim_ids) == len(triangles):
-            corners = triangles.corners
-        else:
-            corners = triangles.corners[triangles.prim_ids]
-        corners = np.ascontiguousarray(corners)
-        self._memory = {"corners": corners, "prim_ids": np.ascontiguousarray(triangles.prim_ids)}
-        corners_at, ids_at = (np.uint64(one.ctypes.data) for one in self._memory.values())
-        self._addresses = BruteAddresses(corners_at, ids_at, np.uint64(len(corners)))
+        references = np.ascontiguousarray(triangles.prim_ids)
+        corners = np.ascontiguousarray(triangles.corners)
+        self._memory = {"references": references, "corners": corners}
+        references_at, corners_at = (np.uint64(one.ctypes.data) for one in self._memory.values())
+        self._addresses = BruteAddresses(references_at, corners_at, np.uint64(len(references)))
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in self._memory.values()),
@@ -56,12 +53,12 @@ class Brute(Structure):
 
     @property
     def arrays(self) -> BruteAddresses:
-        """The triangles that can be hit, in the order of their numbers."""
+        """Where the triangles are, in the order of their numbers."""
         return self._addresses
 
     @property
     def memory(self) -> dict[str, NDArray[Any]]:
-        """Corners and numbers."""
+        """Numbers and corners."""
         return self._memory
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:

@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.intrinsics import corners_at, int32_at
-from raystream.kernels.leaf import test_triangles
+from raystream.kernels.triangle_list import intersect_list
 
 __all__ = ["BruteAddresses", "traverse"]
+
+_NONE = np.uint64(0)
+_INF = np.float32(np.inf)
 
 
 class BruteAddresses(NamedTuple):
@@ -18,14 +20,15 @@ class BruteAddresses(NamedTuple):
 
     Attributes
     ----------
-    corners, prim_ids : uint64
-        Addresses of the triangles' vertices, 9 float32 each, and numbers, int32.
+    references, corners : uint64
+        Addresses of the numbers, int32, of the triangles that can be hit, and of the scene's
+        corners, 9 float32 a triangle.
     triangle_count : uint64
-        How many there are.
+        How many can be hit.
     """
 
+    references: np.uint64
     corners: np.uint64
-    prim_ids: np.uint64
     triangle_count: np.uint64
 
 
@@ -33,12 +36,14 @@ class BruteAddresses(NamedTuple):
 def traverse(tree, ray, search, stack):
     """Test every triangle; see `kernels.queries.ray_queries` for the arguments."""
     if search.t_min <= search.t_far:
-        search = test_triangles(
-            ray,
-            corners_at(tree.corners),
-            int32_at(tree.prim_ids, tree.triangle_count),
-            np.uint64(0),
+        search = intersect_list(
+            tree.references,
+            tree.corners,
+            _NONE,
             tree.triangle_count,
+            ray,
             search,
+            search.t_min,
+            _INF,
         )
     return search

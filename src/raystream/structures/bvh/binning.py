@@ -16,7 +16,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.structures.bvh.layout import BLOCK_SIZE
+from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.bvh.records import (
     RECORD_BYTES,
     half_area,

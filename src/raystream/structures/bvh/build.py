@@ -7,17 +7,11 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
+from raystream.kernels.aligned import aligned_array
+from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.bvh.emit import emit
 from raystream.structures.bvh.grow import Method, Tree, grow_tree
-from raystream.structures.bvh.layout import (
-    BLOCK_FLOATS,
-    MAX_BLOCKS,
-    MAX_DEPTH,
-    NODE_FLOATS,
-    WIDTH,
-    BvhArrays,
-    aligned_array,
-)
+from raystream.structures.bvh.layout import MAX_BLOCKS, MAX_DEPTH, NODE_FLOATS, WIDTH, BvhArrays
 from raystream.structures.bvh.tree import HALVING_LEVELS, MAX_TREE_DEPTH
 
 __all__ = ["QUALITIES", "build_arrays"]

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call, kernel
-from raystream.jit.simd import address, f32x4, f32x8, i32x8, load, prefetch, scratch, store
-from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
-from raystream.structures.bvh.layout import (
-    BLOCK_BYTES,
+from raystream.jit.simd import address, f32x8, i32x8, load, prefetch, scratch, store
+from raystream.kernels.leaf_block import (
+    BLOCK,
     BLOCK_SIZE,
-    CHILDREN_AT,
-    IDS_AT,
-    NODE_BYTES,
-    WIDTH,
+    TRIANGLE_BYTES,
+    clear_block,
+    write_triangle,
 )
+from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
+from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
 from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
 from raystream.structures.bvh.tree import LINK_BYTES, MAX_TREE_DEPTH, TOP_AT
 
-__all__ = ["READ_AHEAD", "clear_leaf_block", "clear_node", "emit", "set_lane"]
+__all__ = ["READ_AHEAD", "clear_node", "emit", "set_lane"]
 
 #: A wide node to be written: its binary node, its row, its depth (int32).
 _PENDING_BYTES = 12
@@ -27,10 +27,6 @@ _PENDING_STACK_BYTES = (WIDTH * MAX_TREE_DEPTH + 1) * _PENDING_BYTES
 _CHILDREN_BYTES = 4 * WIDTH
 
 _INF = np.float32(np.inf)
-_NAN = np.float32(np.nan)
-
-#: From the corners of one triangle to those of the next, in bytes.
-_TRIANGLE_BYTES = 36
 
 #: Records after a leaf's that are read too: their triangles will be copied soon.
 READ_AHEAD = 8
@@ -79,35 +75,22 @@ def _unique(record, count):
     return kept
 
 
-@device
-def clear_leaf_block(block):
-    """Write a block without triangles."""
-    for k in range(np.uint64(9)):
-        store(block + k * np.uint64(16), f32x4(_NAN))
-    for k in range(np.uint64(4)):
-        store(block + np.uint64(IDS_AT) + k * np.uint64(4), np.int32(-1))
-
-
 @device_call
 def _write_leaf(record, count, corners, to):
     """Write the blocks of a leaf from address `to` on."""
     for i in range(np.uint64(count)):
         lane = i & np.uint64(BLOCK_SIZE - 1)
-        block = to + (i >> np.uint64(2)) * np.uint64(BLOCK_BYTES)
+        block = to + (i >> np.uint64(2)) * BLOCK
         if lane == np.uint64(0) and np.uint64(count) - i < np.uint64(BLOCK_SIZE):
-            clear_leaf_block(block)
+            clear_block(block)
         id_at = record + i * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
         prim_id = load(np.int32, id_at)
         # Corners are far apart: ask for those of a later record, often of another leaf.
         later = load(np.int32, id_at + np.uint64(READ_AHEAD * RECORD_BYTES))
-        later_corner = corners + np.uint64(later) * np.uint64(_TRIANGLE_BYTES)
+        later_corner = corners + np.uint64(later) * TRIANGLE_BYTES
         prefetch(later_corner)
-        prefetch(later_corner + np.uint64(_TRIANGLE_BYTES - 4))
-        corner = corners + np.uint64(prim_id) * np.uint64(_TRIANGLE_BYTES)
-        at = block + lane * np.uint64(4)
-        for k in range(np.uint64(9)):
-            store(at + k * np.uint64(16), load(np.float32, corner + k * np.uint64(4)))
-        store(at + np.uint64(IDS_AT), prim_id)
+        prefetch(later_corner + (TRIANGLE_BYTES - np.uint64(4)))
+        write_triangle(block, lane, prim_id, corners)
 
 
 @kernel
@@ -217,7 +200,7 @@ def emit(
                             record,
                             count,
                             corner_at,
-                            leaf_at + np.uint64(block_end) * np.uint64(BLOCK_BYTES),
+                            leaf_at + np.uint64(block_end) * BLOCK,
                         )
                     block_end = np.int32(block_end + blocks)
                 elif defers and not is_top:

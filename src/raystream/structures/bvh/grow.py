@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
+from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.collapse import COST_FLOATS, collapse_top
 from raystream.structures.bvh.emit import READ_AHEAD
-from raystream.structures.bvh.layout import aligned_array
 from raystream.structures.bvh.records import RECORD_FLOATS, make_records
 from raystream.structures.bvh.spatial import PAD, grow_spatially, split_spatially
 from raystream.structures.bvh.subtree import grow_subtree, split_once

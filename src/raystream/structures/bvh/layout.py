@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
+from raystream.kernels.aligned import ALIGNMENT, aligned_array
+from raystream.kernels.leaf_block import BLOCK_FLOATS, BLOCK_SIZE, PRIM_IDS
 
 __all__ = [
-    "BLOCK_BYTES",
-    "BLOCK_FLOATS",
-    "BLOCK_SIZE",
     "CHILDREN_AT",
-    "IDS_AT",
     "MAX_BLOCKS",
     "MAX_DEPTH",
     "MAX_LEAF_SIZE",
@@ -24,7 +22,6 @@ __all__ = [
     "STACK_SIZE",
     "WIDTH",
     "BvhArrays",
-    "aligned_array",
     "check_arrays",
 ]
 
@@ -35,12 +32,6 @@ WIDTH = 8
 NODE_BYTES = 256
 NODE_FLOATS = NODE_BYTES // 4
 CHILDREN_AT = 192
-
-#: Triangles in a leaf block, its size, and where the 4 prim_ids are in it (bytes).
-BLOCK_SIZE = 4
-BLOCK_BYTES = 160
-BLOCK_FLOATS = BLOCK_BYTES // 4
-IDS_AT = 144
 
 #: Blocks of a leaf, so that its link has room for the count.
 MAX_LEAF_BLOCKS = 8
@@ -55,7 +46,8 @@ MAX_DEPTH = 64
 #: Each node on a path leaves at most 7 entries on the stack, and the last one 8.
 STACK_SIZE = (WIDTH - 1) * MAX_DEPTH + 1
 
-_ALIGNMENT = 64
+#: Where a block has its triangles' numbers, in words.
+_IDS_AT = int(PRIM_IDS) // 4
 
 
 class BvhArrays(NamedTuple):
@@ -71,10 +63,8 @@ class BvhArrays(NamedTuple):
         (low = inf, high = -inf), which no ray enters, and link 0; those are the last ones.
         The last eight numbers are 0.
     leaves : ndarray of shape (B, 40), float32
-        Blocks: four numbers each, one for each triangle: x, y, z of vertex 0, of vertex 1
-        and of vertex 2; then `prim_id`, as the bits of an int32. A triangle that is absent
-        has prim_id -1 and coordinates NaN; those are the last ones of their block. One that
-        moved and cannot be hit any more keeps its prim_id and has coordinates NaN.
+        Blocks, see `kernels.leaf_block`. A triangle that moved and cannot be hit any more
+        keeps its prim_id and has coordinates NaN.
 
     Notes
     -----
@@ -92,18 +82,7 @@ class BvhArrays(NamedTuple):
     @property
     def prim_ids(self) -> NDArray[np.int32]:
         """The triangles of the blocks, shape (B, 4), int32; -1 where there is none."""
-        return self.leaves.view(np.int32)[:, IDS_AT // 4 :]
-
-
-def aligned_array(row_count: int, row_floats: int) -> NDArray[np.float32]:
-    """An array of shape (row_count, row_floats), float32, that starts at a cache line.
-
-    Its content is undefined.
-    """
-    byte_count = row_count * row_floats * 4
-    memory = np.empty(byte_count + _ALIGNMENT, np.uint8)
-    skipped = -memory.ctypes.data % _ALIGNMENT
-    return memory[skipped : skipped + byte_count].view(np.float32).reshape(row_count, row_floats)
+        return self.leaves.view(np.int32)[:, _IDS_AT:]
 
 
 # Codes that `_check_tree` returns.
@@ -214,7 +193,7 @@ def _are_the_same(tree: BvhArrays, solid: NDArray[np.bool_], corners: NDArray[np
             return False
         here = ids >= 0
         here[here] = solid[ids[here]]
-        held = tree.leaves[first : first + rows, : IDS_AT // 4].reshape(-1, 3, 3, BLOCK_SIZE)
+        held = tree.leaves[first : first + rows, :_IDS_AT].reshape(-1, 3, 3, BLOCK_SIZE)
         held = held.transpose(0, 3, 1, 2)
         if not np.array_equal(held[here], corners[ids[here]]):
             return False
@@ -229,7 +208,7 @@ def _array(arrays: Mapping[str, NDArray[Any]], name: str, row_floats: int) -> ND
     array = arrays[name]
     if array.dtype != np.float32 or array.ndim != 2 or array.shape[1] != row_floats:
         raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
-    if array.flags.c_contiguous and array.ctypes.data % _ALIGNMENT == 0:
+    if array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0:
         return array
     aligned = aligned_array(len(array), row_floats)
     aligned[:] = array

@@ -36,6 +36,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.kernels.leaf_block import AXIS
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.packet_bounds import enters, packet_bounds
 from raystream.structures.bvh.packet_leaf import ANY, FIRST, group_range, visit_leaf
@@ -51,7 +52,7 @@ from raystream.structures.bvh.packet_rays import (
     T,
 )
 from raystream.structures.bvh.packet_store import store_packet
-from raystream.structures.bvh.wide import AXIS, CHILDREN, LANE, NODE
+from raystream.structures.bvh.wide import CHILDREN, LANE, NODE
 
 __all__ = ["TRACE_BYTES", "trace_packet", "trace_packets"]
 

@@ -18,6 +18,7 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.kernels.leaf_block import AXIS, BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.triangle_lanes import distance_lanes, image_lanes, same_sign, weigh_lanes
 from raystream.structures.bvh.packet_hits import collect
 from raystream.structures.bvh.packet_rays import (
@@ -35,16 +36,7 @@ from raystream.structures.bvh.packet_rays import (
     U,
     V,
 )
-from raystream.structures.bvh.wide import (
-    AXIS,
-    BLOCK,
-    LANE,
-    PRIM_IDS,
-    SECOND,
-    THIRD,
-    leaf_address,
-    leaf_end,
-)
+from raystream.structures.bvh.wide import LANE, leaf_address, leaf_end
 
 __all__ = ["ALL", "ANY", "COUNT", "FIRST", "SURFACES", "group_range", "visit_leaf"]
 

@@ -19,15 +19,8 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.threads import parallel_for
-from raystream.structures.bvh.layout import (
-    BLOCK_BYTES,
-    BLOCK_SIZE,
-    CHILDREN_AT,
-    IDS_AT,
-    NODE_BYTES,
-    WIDTH,
-    BvhArrays,
-)
+from raystream.kernels.leaf_block import BLOCK, BLOCK_SIZE, PRIM_IDS, TRIANGLE_BYTES, write_corners
+from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH, BvhArrays
 
 __all__ = ["refit", "refit_leaves", "refit_node"]
 
@@ -35,7 +28,6 @@ __all__ = ["refit", "refit_leaves", "refit_node"]
 _CHUNK = 1 << 9
 
 _INF = np.float32(np.inf)
-_TRIANGLE_BYTES = 36
 
 #: From the low planes of an axis to those of the next, and from low to high ones.
 _AXIS_BYTES = 8 * WIDTH
@@ -70,7 +62,7 @@ def refit(arrays: BvhArrays, corners: NDArray[np.float32]) -> None:
 def _refit_leaves(begin, end, corners, nodes, leaves):
     """Write the blocks of the leaves of some nodes, and their boxes into the nodes."""
     corner_at, node_at, leaf_at = address(corners), address(nodes), address(leaves)
-    last_block = leaf_at + np.uint64(len(leaves)) * np.uint64(BLOCK_BYTES)
+    last_block = leaf_at + np.uint64(len(leaves)) * BLOCK
     for row in range(np.uint64(begin), np.uint64(end)):
         refit_leaves(node_at + row * np.uint64(NODE_BYTES), corner_at, leaf_at, last_block)
 
@@ -90,15 +82,15 @@ def refit_leaves(node, corners, leaves, last_block):
         link = load(np.int32, node + np.uint64(CHILDREN_AT) + lane * np.uint64(4))
         if link >= np.int32(0):
             continue
-        block = leaves + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
-        end_block = block + np.uint64((~link & np.int32(7)) + np.int32(1)) * np.uint64(BLOCK_BYTES)
+        block = leaves + np.uint64(~link >> np.int32(3)) * BLOCK
+        end_block = block + np.uint64((~link & np.int32(7)) + np.int32(1)) * BLOCK
         while block != end_block:
             # The corners of the next leaf's triangles are far away: ask for them.
-            if block + np.uint64(2 * BLOCK_BYTES) < last_block:
-                _ask_for(block + np.uint64(2 * BLOCK_BYTES), corners)
+            if block + (BLOCK + BLOCK) < last_block:
+                _ask_for(block + (BLOCK + BLOCK), corners)
             _copy_corners(block, corners)
-            block += np.uint64(BLOCK_BYTES)
-        block = leaves + np.uint64(~link >> np.int32(3)) * np.uint64(BLOCK_BYTES)
+            block += BLOCK
+        block = leaves + np.uint64(~link >> np.int32(3)) * BLOCK
         for axis in range(np.uint64(3)):
             low, high = f32x4(_INF), f32x4(-_INF)
             at = block + axis * np.uint64(16)
@@ -107,7 +99,7 @@ def refit_leaves(node, corners, leaves, last_block):
                 for vertex in range(np.uint64(3)):
                     plane = load(f32x4, at + vertex * np.uint64(48))
                     low, high = minimum(plane, low), maximum(plane, high)
-                at += np.uint64(BLOCK_BYTES)
+                at += BLOCK
             to = node + axis * np.uint64(_AXIS_BYTES) + lane * np.uint64(4)
             store(to, reduce_min(low))
             store(to + np.uint64(_PLANE_BYTES), reduce_max(high))
@@ -116,23 +108,20 @@ def refit_leaves(node, corners, leaves, last_block):
 @device
 def _ask_for(block, corners):
     for k in range(np.uint64(BLOCK_SIZE)):
-        prim_id = load(np.int32, block + np.uint64(IDS_AT) + k * np.uint64(4))
+        prim_id = load(np.int32, block + PRIM_IDS + k * np.uint64(4))
         # An absent one has -1: the address is of nothing, which is no error.
-        at = corners + np.uint64(prim_id) * np.uint64(_TRIANGLE_BYTES)
+        at = corners + np.uint64(prim_id) * TRIANGLE_BYTES
         prefetch(at)
-        prefetch(at + np.uint64(_TRIANGLE_BYTES - 4))
+        prefetch(at + (TRIANGLE_BYTES - np.uint64(4)))
 
 
 @device
 def _copy_corners(block, corners):
     for k in range(np.uint64(BLOCK_SIZE)):
-        prim_id = load(np.int32, block + np.uint64(IDS_AT) + k * np.uint64(4))
+        prim_id = load(np.int32, block + PRIM_IDS + k * np.uint64(4))
         if prim_id < np.int32(0):
             break
-        at = corners + np.uint64(prim_id) * np.uint64(_TRIANGLE_BYTES)
-        to = block + k * np.uint64(4)
-        for i in range(np.uint64(9)):
-            store(to + i * np.uint64(16), load(np.float32, at + i * np.uint64(4)))
+        write_corners(block, k, prim_id, corners)
 
 
 @kernel

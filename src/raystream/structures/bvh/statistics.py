@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
-from raystream.structures.bvh.layout import BLOCK_SIZE, WIDTH, BvhArrays
+from raystream.kernels.leaf_block import BLOCK_SIZE
+from raystream.structures.bvh.layout import WIDTH, BvhArrays
 
 __all__ = ["statistics"]
 

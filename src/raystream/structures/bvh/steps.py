@@ -6,7 +6,7 @@ end; another may run each over many rays, with their stacks in memory in between
 A search is a stack of children, with a key each: where the ray enters the child's box, with its
 lane in the lowest three bits, so that eight keys are sorted at once. Keys and children are two
 arrays, the halves of the stack. `begin` puts the root there, `next_entry` takes a child, and
-`visit` puts the children of a node there that the ray enters, or `intersect_block` tests a block
+`visit` puts the children of a node there that the ray enters, or `kernels.leaf_block` tests a block
 of a leaf. Between these, a ray's state is how many bytes are on its stack, the child or block
 that is next, the hits counted, and the distance beyond which none is wanted.
 """
@@ -21,9 +21,7 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     count_bits,
     f32x8,
-    first_bit,
     float_as_bits,
-    i32x4,
     i32x8,
     lane_bits,
     lanes_from_bits,
@@ -35,18 +33,16 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.kernels.search import is_full, offer
 from raystream.kernels.triangle_lanes import interval_lanes
-from raystream.structures.bvh.block import test_block
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 from raystream.structures.bvh.wide import (
     BOX_FLIP,
     CHILDREN,
     LANE,
     NODE,
-    PRIM_IDS,
     leaf_address,
     leaf_end,
+    plane_offset,
     sort_keys,
     t_key,
 )
@@ -54,12 +50,10 @@ from raystream.structures.bvh.wide import (
 __all__ = [
     "TreeAddresses",
     "begin",
-    "intersect_block",
     "is_leaf",
     "leaf_blocks",
     "next_entry",
     "stack_half",
-    "triangle_count",
     "visit",
 ]
 
@@ -70,8 +64,7 @@ _ROOT = np.int32(0)
 _KEY_BITS = np.int32(~7)
 _NO_KEY = np.int32(-1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
-_U = np.uint64(16)
-_V = np.uint64(32)
+_AXIS_SHIFT = np.uint64(4)  # `kernels.leaf_block.AXIS`
 
 # The lanes whose numbers have bit 0, 1 and 2 set.
 _ODD = np.uint64(0b10101010)
@@ -171,7 +164,13 @@ def leaf_blocks(tree, child):
 
 
 @device
-def visit(tree, child, frame, t_min, t_far, stack, half, top):
+def _first_planes(at, inv):
+    """Where in a node the planes that a ray meets first are, of the axis at `at` in a block."""
+    return plane_offset(at >> _AXIS_SHIFT, inv)
+
+
+@device
+def visit(tree, child, line, t_min, t_far, stack, half, top):
     """Put the children of a node that a ray enters on the stack, the nearest on top.
 
     Parameters
@@ -179,7 +178,7 @@ def visit(tree, child, frame, t_min, t_far, stack, half, top):
     tree : TreeAddresses
     child : int32
         A node.
-    frame : LaneFrame
+    line : BlockRay
     t_min, t_far : float32
         Closed interval in which a hit is wanted.
     stack, half, top : uint64
@@ -190,7 +189,9 @@ def visit(tree, child, frame, t_min, t_far, stack, half, top):
     top : uint64
     """
     node = tree.nodes + np.uint64(child) * NODE
-    at_x, at_y, at_z = node + frame.plane[0], node + frame.plane[1], node + frame.plane[2]
+    at_x = node + _first_planes(line.axis[0], line.inv[0])
+    at_y = node + _first_planes(line.axis[1], line.inv[1])
+    at_z = node + _first_planes(line.axis[2], line.inv[2])
     t_in, t_out = interval_lanes(
         load(f32x8, at_x),
         load(f32x8, at_y),
@@ -198,9 +199,9 @@ def visit(tree, child, frame, t_min, t_far, stack, half, top):
         load(f32x8, at_x ^ BOX_FLIP),
         load(f32x8, at_y ^ BOX_FLIP),
         load(f32x8, at_z ^ BOX_FLIP),
-        frame.inv,
-        frame.near,
-        frame.far,
+        line.inv,
+        line.near,
+        line.far,
     )
     entered = maximum(t_in, t_min) <= minimum(t_out, t_far)
     # Only the order of the bits of positive numbers is that of the numbers.
@@ -209,41 +210,6 @@ def visit(tree, child, frame, t_min, t_far, stack, half, top):
     store(stack + top, key)
     store(stack + half + top, permute(load(i32x8, node + CHILDREN), key))
     return top + (count_bits(lane_bits(entered)) << _WORD)
-
-
-@device
-def intersect_block(block, frame, search, lanes):
-    """Test the triangles of a leaf block, and offer their hits to a search.
-
-    Parameters
-    ----------
-    block : uint64
-        Address.
-    frame : LaneFrame
-    search : Search
-    lanes : uint64
-        Address of 48 bytes.
-
-    Returns
-    -------
-    Search
-    """
-    bits = test_block(block, frame, search.t_min, search.t_far, search.surfaces, lanes)
-    while bits != _NONE:
-        at = first_bit(bits) << _WORD
-        bits &= bits - _ONE
-        t, u = load(np.float32, lanes + at), load(np.float32, lanes + (_U + at))
-        v = load(np.float32, lanes + (_V + at))
-        search = offer(search, t, u, v, load(np.int32, block + PRIM_IDS + at))
-        if is_full(search):
-            break
-    return search
-
-
-@device
-def triangle_count(block):
-    """Triangles in a leaf block."""
-    return count_bits(lane_bits(load(i32x4, block + PRIM_IDS) >= i32x4(np.int32(0))))
 
 
 def stack_half(tree: BvhArrays) -> int:

@@ -37,6 +37,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.kernels.leaf_block import BLOCK
 from raystream.kernels.triangle_lanes import interval_lanes
 from raystream.structures.bvh.layout import MAX_DEPTH, STACK_SIZE
 from raystream.structures.bvh.stream_leaf import test_block
@@ -56,7 +57,6 @@ from raystream.structures.bvh.stream_rays import (
     write_results,
 )
 from raystream.structures.bvh.wide import (
-    BLOCK,
     BOX_FLIP,
     CHILDREN,
     KEY_LANES,

@@ -17,6 +17,7 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.kernels.leaf_block import AXIS, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.triangle_lanes import (
     distance_lanes,
     image_lanes,
@@ -43,7 +44,7 @@ from raystream.structures.bvh.stream_rays import (
     axis_offsets,
     three,
 )
-from raystream.structures.bvh.wide import AXIS, LANE, PRIM_IDS, SECOND, THIRD
+from raystream.structures.bvh.wide import LANE
 
 __all__ = ["test_block"]
 

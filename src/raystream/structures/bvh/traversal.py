@@ -5,25 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import scratch
+from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
-from raystream.structures.bvh.block import lane_frame
 from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.steps import (
-    begin,
-    intersect_block,
-    is_leaf,
-    leaf_blocks,
-    next_entry,
-    triangle_count,
-    visit,
-)
-from raystream.structures.bvh.wide import BLOCK
+from raystream.structures.bvh.steps import begin, is_leaf, leaf_blocks, next_entry, visit
 
 __all__ = ["STACK_BYTES", "traverse"]
 
 _ONE = np.uint64(1)
+_INF = np.float32(np.inf)
 
 #: Bytes of a half of the stack, for the deepest of trees.
 _HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
@@ -35,7 +26,7 @@ STACK_BYTES = 2 * int(_HALF)
 @device
 def traverse(tree, ray, search, stack):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
-    frame, lanes = lane_frame(ray), scratch(64)
+    line = block_ray(ray)
     top = begin(tree, search.t_min, search.t_far, stack, _HALF)
     while True:
         found, child, top = next_entry(stack, _HALF, top, search.t_far)
@@ -46,10 +37,10 @@ def traverse(tree, ray, search, stack):
             block, end = leaf_blocks(tree, child)
             while block != end:
                 add_to(search.counters, TESTS, triangle_count(block))
-                search = intersect_block(block, frame, search, lanes)
+                search = intersect_block(block, line, search, search.t_min, _INF)
                 if is_full(search):
                     return search
                 block += BLOCK
         else:
             add_to(search.counters, STEPS, _ONE)
-            top = visit(tree, child, frame, search.t_min, search.t_far, stack, _HALF, top)
+            top = visit(tree, child, line, search.t_min, search.t_far, stack, _HALF, top)

@@ -31,6 +31,7 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.kernels.leaf_block import BLOCK, PRIM_IDS, SECOND, THIRD
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.triangle_lanes import (
     distance_lanes,
@@ -68,14 +69,10 @@ from raystream.structures.bvh.wavefront_rays import (
     three,
 )
 from raystream.structures.bvh.wide import (
-    BLOCK,
     BOX_FLIP,
     CHILDREN,
     LANE,
     NODE,
-    PRIM_IDS,
-    SECOND,
-    THIRD,
     leaf_address,
     leaf_end,
     sort_keys,

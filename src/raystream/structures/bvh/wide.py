@@ -14,19 +14,15 @@ from raystream.jit.simd import (
     permutation,
     select,
 )
+from raystream.kernels.leaf_block import BLOCK
 
 __all__ = [
-    "AXIS",
-    "BLOCK",
     "BOX_FLIP",
     "CHILDREN",
     "KEY_LANES",
     "LANE",
     "NODE",
     "NODE_AXIS",
-    "PRIM_IDS",
-    "SECOND",
-    "THIRD",
     "leaf_address",
     "leaf_end",
     "plane_offset",
@@ -41,14 +37,6 @@ BOX_FLIP = np.uint64(32)
 
 #: Where a node's eight child numbers begin.
 CHILDREN = np.uint64(192)
-
-#: Bytes of a leaf block; of its four coordinates of one axis; where its second and third
-#: corners and its triangles' numbers begin.
-BLOCK = np.uint64(160)
-AXIS = np.uint64(16)
-SECOND = np.uint64(48)
-THIRD = np.uint64(96)
-PRIM_IDS = np.uint64(144)
 
 #: Bytes of one lane.
 LANE = np.uint64(4)

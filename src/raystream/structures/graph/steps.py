@@ -25,6 +25,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load, next_above, store
+from raystream.kernels.leaf_block import BLOCK, blocks_end
 from raystream.kernels.ray import pick
 from raystream.kernels.slab import box_interval
 
@@ -62,8 +63,6 @@ _ABOVE = np.uint64(12)
 
 _ROW = np.uint64(4)  # a row's 16 bytes, as a shift
 _NODE_BIT = np.uint64(1 << 31)
-_BLOCK_BYTES = np.uint64(160)
-_LANES = np.uint64(4)
 _NO_LIMIT = np.uint64(2**63)
 
 
@@ -367,5 +366,5 @@ def sector_blocks(graph, sector):
     """A sector's first block, after its last one, and its number of triangles."""
     count = np.uint64(load(np.uint32, sector + _TRIANGLE_COUNT))
     first = np.uint64(load(np.uint32, sector + _FIRST_BLOCK))
-    block = graph.blocks + first * _BLOCK_BYTES
-    return block, block + ((count + _LANES - _ONE) >> np.uint64(2)) * _BLOCK_BYTES, count
+    block = graph.blocks + first * BLOCK
+    return block, blocks_end(block, count), count

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.core.whole_file import replacing
 from raystream.jit.threads import Progress
+from raystream.kernels.aligned import aligned_array
+from raystream.kernels.leaf_block import filled_blocks
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.queries import ray_queries
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.bvh.layout import aligned_array
 from raystream.structures.graph.build import Method, build_graph, graph_box
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.graphlog import dump_graph
@@ -26,7 +27,7 @@ from raystream.structures.graph.start import StartSectors, find_sectors
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
-from raystream.structures.kdtree.layout import MAX_DEPTH, filled_blocks, usual_depth
+from raystream.structures.kdtree.layout import MAX_DEPTH, usual_depth
 
 __all__ = ["Graph", "addresses_of", "chosen_options", "method_of"]
 

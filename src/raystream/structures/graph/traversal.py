@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import prefetch, scratch
+from raystream.jit.simd import prefetch
+from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS, add_to
-from raystream.structures.bvh.block import lane_frame
-from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.graph.steps import (
     cross,
     enter,
@@ -18,7 +17,6 @@ from raystream.structures.graph.steps import (
     start_sector_after,
     way_out,
 )
-from raystream.structures.kdtree.steps import intersect_block
 
 __all__ = ["STACK_BYTES", "traverse"]
 
@@ -37,7 +35,7 @@ def traverse(graph, ray, search, stack):
     is_active, t_in, t_end = enter(graph, ray, search.t_min, search.t_far)
     if not is_active:
         return search
-    line, frame, lanes = sector_ray(ray), lane_frame(ray), scratch(64)
+    line, triangle_ray = sector_ray(ray), block_ray(ray)
     sector = start_sector_after(graph, line, ray, t_in, stack)
     while True:
         add_to(search.counters, STEPS, _ONE)
@@ -58,7 +56,7 @@ def traverse(graph, ray, search, stack):
             add_to(search.counters, LEAVES, _ONE)
             while block != end:
                 add_to(search.counters, TESTS, min(left, _LANES))
-                search = intersect_block(block, frame, search, t_in, t_out, lanes)
+                search = intersect_block(block, triangle_ray, search, t_in, t_out)
                 if is_full(search):
                     return search
                 block += BLOCK

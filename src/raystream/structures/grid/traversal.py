@@ -5,23 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.jit.intrinsics import corners_at, stay_out_of_line
-from raystream.jit.simd import load
-from raystream.kernels.search import is_full, offer, wants_any
+from raystream.jit.intrinsics import stay_out_of_line
+from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.slab import box_interval
-from raystream.kernels.tally import LEAVES, STEPS, TESTS, add_to
-from raystream.kernels.triangle import intersect
+from raystream.kernels.tally import LEAVES, STEPS, add_to
+from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
 from raystream.structures.grid.dda import cell_end, set_up_walk, step_walk
 
-__all__ = ["STACK_BYTES", "enter_grid", "intersect_list", "traverse"]
+__all__ = ["STACK_BYTES", "enter_grid", "traverse"]
 
 #: A grid needs no stack.
 STACK_BYTES = 8
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _INF = np.float32(np.inf)
 
 
@@ -37,46 +35,12 @@ def enter_grid(grid, ray, t_min, t_max):
 
 
 @device
-def intersect_list(references, corners, ray, begin, end, search, t_in, t_out):
-    """Test the triangles of a cell against a ray.
-
-    Parameters
-    ----------
-    references, corners : uint64
-        See `GridAddresses`.
-    ray : Ray
-    begin, end : uint64
-        See `cells.cell_list`.
-    search : Search
-    t_in, t_out : float32
-        A hit counts where t_in <= t < t_out. Outside, it is another cell's.
-
-    Returns
-    -------
-    Search
-    """
-    at, stop = references + (begin << _WORD), references + (end << _WORD)
-    triangles = corners_at(corners)
-    while at != stop:
-        add_to(search.counters, TESTS, _ONE)
-        prim_id = load(np.int32, at)
-        at += np.uint64(4)
-        hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), search.surfaces)
-        # Written so that a NaN would fail.
-        if hit and t >= t_in and t < t_out and t <= search.t_far:
-            search = offer(search, t, u, v, prim_id)
-            if is_full(search):
-                break
-    return search
-
-
-@device
 def _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out):
     """Test the triangles of a cell; a search for any hit takes it from wherever it is."""
     if begin != end:
         add_to(search.counters, LEAVES, _ONE)
     t_out = _INF if wants_any(search) else t_out
-    return intersect_list(cells.references, grid.corners, ray, begin, end, search, t_in, t_out)
+    return intersect_list(cells.references, grid.corners, begin, end, ray, search, t_in, t_out)
 
 
 @device_call

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, load, store
-from raystream.jit.threads import parallel_for
-from raystream.structures.bvh.layout import BLOCK_FLOATS, BLOCK_SIZE, aligned_array
+from raystream.kernels.leaf_block import BLOCK_SIZE
 
 __all__ = [
     "LEAF_AXIS",
@@ -20,8 +18,6 @@ __all__ = [
     "MAX_NODES",
     "KdArrays",
     "check_arrays",
-    "fill_block",
-    "filled_blocks",
     "usual_depth",
     "walk",
 ]
@@ -34,14 +30,6 @@ MAX_NODES = 1 << 29
 
 #: What a leaf has for an axis.
 LEAF_AXIS = 3
-
-#: Blocks that one call of the kernel that fills them gets.
-_CHUNK = 1 << 14
-
-_NAN = np.float32(np.nan)
-_WORD = np.uint64(4)
-_TRIANGLE_BYTES = np.uint64(36)
-_BLOCK_BYTES = np.uint64(4 * BLOCK_FLOATS)
 
 
 class KdArrays(NamedTuple):
@@ -65,50 +53,6 @@ class KdArrays(NamedTuple):
 def usual_depth(triangle_count: int) -> int:
     """Most splits on a path if nobody says how many (Pharr and Humphreys 2004)."""
     return min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
-
-
-@device
-def fill_block(block, prim_ids, corners, blocks):
-    """Write a leaf block, given addresses; see `_fill_blocks`."""
-    to = blocks + block * _BLOCK_BYTES
-    for lane in range(np.uint64(4)):
-        at = lane * _WORD
-        prim_id = load(np.int32, prim_ids + block * np.uint64(16) + at)
-        for k in range(np.uint64(9)):
-            number = _NAN
-            if prim_id >= np.int32(0):
-                source = corners + np.uint64(prim_id) * _TRIANGLE_BYTES + k * _WORD
-                number = load(np.float32, source)
-            store(to + k * np.uint64(16) + at, number)
-        store(to + np.uint64(144) + at, prim_id)
-
-
-@kernel
-def _fill_blocks(begin, end, prim_ids, corners, blocks):
-    """Write the corners of triangles to blocks begin to end, NaN where there is none.
-
-    Parameters
-    ----------
-    begin, end : int
-    prim_ids : ndarray of shape (B, 4), int32
-    corners : ndarray of shape (F, 3, 3), float32
-    blocks : ndarray of shape (B, 40), float32
-        See `bvh.layout.BvhArrays.leaves`.
-    """
-    id_at, corner_at, block_at = address(prim_ids), address(corners), address(blocks)
-    for block in range(np.uint64(begin), np.uint64(end)):
-        fill_block(block, id_at, corner_at, block_at)
-
-
-def filled_blocks(prim_ids: NDArray[np.int32], corners: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The leaf blocks of triangles, on all threads; see `_fill_blocks`."""
-    blocks = aligned_array(len(prim_ids), BLOCK_FLOATS)
-
-    def fill(begin: int, end: int) -> None:
-        _fill_blocks(begin, end, prim_ids, corners, blocks)
-
-    parallel_for(fill, len(prim_ids), _CHUNK)
-    return blocks
 
 
 class Walk(NamedTuple):

@@ -29,17 +29,15 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import first_bit, fma, load, next_above, store
+from raystream.jit.simd import fma, load, next_above, store
+from raystream.kernels.leaf_block import BLOCK, blocks_end
 from raystream.kernels.ray import pick
-from raystream.kernels.search import is_full, offer
 from raystream.kernels.slab import box_interval
-from raystream.structures.bvh.block import test_block
-from raystream.structures.bvh.wide import BLOCK, PRIM_IDS
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.short_stack import has_forgotten, pop, push
 from raystream.structures.kdtree.state import RESTART, SHORT_STACK, STACK, KdLeaf, KdState
 
-__all__ = ["down", "initialize", "intersect_block", "is_at_leaf", "leaf", "leave", "restarts", "up"]
+__all__ = ["down", "initialize", "is_at_leaf", "leaf", "leave", "restarts", "up"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -61,11 +59,6 @@ _RECORD = np.uint64(12)
 _EXTENDED = np.uint64(32)
 _HIGH = np.uint64(12)
 _LINK = np.uint64(24)
-
-# Leaf blocks, and where `test_block` leaves u and v.
-_LANES = np.uint64(4)
-_U = np.uint64(16)
-_V = np.uint64(32)
 
 
 @device
@@ -174,40 +167,7 @@ def leaf(tree, state):
         first = np.uint64(load(np.uint32, at))
         count = np.uint64(load(np.uint32, at + _WORD)) >> _TWO
     block = tree.blocks + first * BLOCK
-    return KdLeaf(block, block + ((count + _LANES - _ONE) >> _TWO) * BLOCK, count)
-
-
-@device
-def intersect_block(block, frame, search, t_in, t_out, lanes):
-    """Test four triangles of a leaf, and offer their hits in it to a search (Foley's Intersect).
-
-    Parameters
-    ----------
-    block : uint64
-        Address.
-    frame : LaneFrame
-        Of `bvh.block.lane_frame`.
-    search : Search
-    t_in, t_out : float32
-        A hit counts where t_in <= t < t_out: the part of the ray in the leaf.
-    lanes : uint64
-        Address of 48 bytes.
-
-    Returns
-    -------
-    Search
-    """
-    bits = test_block(block, frame, t_in, min(search.t_far, t_out), search.surfaces, lanes)
-    while bits != _NONE:
-        at = first_bit(bits) << _TWO
-        bits &= bits - _ONE
-        t = load(np.float32, lanes + at)
-        if t < t_out:  # else the next leaf's
-            u, v = load(np.float32, lanes + (_U + at)), load(np.float32, lanes + (_V + at))
-            search = offer(search, t, u, v, load(np.int32, block + (PRIM_IDS + at)))
-            if is_full(search):
-                break
-    return search
+    return KdLeaf(block, blocks_end(block, count), count)
 
 
 @device

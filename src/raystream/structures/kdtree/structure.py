@@ -12,17 +12,11 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
+from raystream.kernels.leaf_block import filled_blocks
 from raystream.kernels.queries import ray_queries
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.kdtree.build import Method, build_arrays
-from raystream.structures.kdtree.layout import (
-    MAX_DEPTH,
-    KdArrays,
-    check_arrays,
-    filled_blocks,
-    usual_depth,
-    walk,
-)
+from raystream.structures.kdtree.layout import MAX_DEPTH, KdArrays, check_arrays, usual_depth, walk
 from raystream.structures.kdtree.packed import LEAF_BIT, PackedArrays, extend, pack
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.state import STACK_BYTES, KdAddresses
@@ -72,7 +66,7 @@ class KdTree(Structure):
     ----------
     tree : KdArrays
     blocks : ndarray of shape (B, 40), float32
-        The leaves' triangles; see `bvh.layout.BvhArrays.leaves`.
+        The leaves' triangles; see `kernels.leaf_block`.
     packed : PackedArrays or None
         The tree in Foley's layout; None for nodes of 8 bytes, or without nodes.
     extended : ndarray of shape (S, 8), float32, or None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import scratch
+from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import (
     BACKTRACK_STEPS,
@@ -16,13 +16,10 @@ from raystream.kernels.tally import (
     TESTS,
     add_to,
 )
-from raystream.structures.bvh.block import lane_frame
-from raystream.structures.bvh.wide import BLOCK
 from raystream.structures.kdtree.state import split_ray
 from raystream.structures.kdtree.steps import (
     down,
     initialize,
-    intersect_block,
     is_at_leaf,
     leaf,
     leave,
@@ -42,7 +39,7 @@ def traverse(tree, ray, search, stack):
     is_active, state = initialize(tree, ray, search.t_min, search.t_far)
     if not is_active:
         return search
-    line, frame, lanes = split_ray(ray), lane_frame(ray), scratch(64)
+    line, triangle_ray = split_ray(ray), block_ray(ray)
     while True:
         while not is_at_leaf(tree, state):
             state = down(tree, line, state, stack)
@@ -51,7 +48,7 @@ def traverse(tree, ray, search, stack):
         add_to(search.counters, LEAVES, _ONE)
         block, left = triangles.block, triangles.triangle_count
         while block != triangles.end:
-            search = intersect_block(block, frame, search, state.t_in, state.t_out, lanes)
+            search = intersect_block(block, triangle_ray, search, state.t_in, state.t_out)
             add_to(search.counters, TESTS, min(left, _LANES))
             block, left = block + BLOCK, left - _LANES
             if is_full(search):

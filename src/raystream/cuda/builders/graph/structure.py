@@ -21,8 +21,8 @@ from raystream.cuda.builders.kdtree.grow import GrownTree, grow_tree
 from raystream.cuda.builders.kdtree.rows import number_nodes
 from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
+from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.base import Structure
-from raystream.structures.bvh.layout import BLOCK_FLOATS
 from raystream.structures.graph.bins import bin_corners, choose_bin_counts
 from raystream.structures.graph.build import graph_box, tree_method_of
 from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import RangeKernel
-from raystream.structures.kdtree.layout import fill_block
+from raystream.kernels.leaf_block import AXIS, BLOCK, write_block
 
 __all__ = ["FILL_BLOCK"]
 
 
 @kernel
 def _fill_block(block, prim_ids, corners, blocks):
-    fill_block(block, prim_ids, corners, blocks)
+    write_block(blocks + block * BLOCK, prim_ids + block * AXIS, corners)
 
 
-#: Write a block of `kdtree.layout.filled_blocks`, given addresses.
+#: Write a block of `kernels.leaf_block.filled_blocks`, given addresses.
 FILL_BLOCK = RangeKernel(_fill_block)

@@ -12,7 +12,7 @@ from raystream.cuda.builders.kdtree.rows import Numbers, split_at
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
-from raystream.structures.bvh.layout import BLOCK_FLOATS
+from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.clip import HIGH, WORD
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
@@ -36,7 +36,7 @@ class WrittenTree(NamedTuple):
     ----------
     nodes : DeviceArray of shape (M, 2), int32
     blocks : DeviceArray of shape (B, 40), float32
-        The leaves' triangles; see `bvh.layout.BvhArrays.leaves`.
+        The leaves' triangles; see `kernels.leaf_block`.
     extended : DeviceArray of shape (S, 8), float32, or None
         See `kdtree.packed.extend`.
     """

@@ -1,0 +1,22 @@
+"""Arrays that begin at a cache line."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["ALIGNMENT", "aligned_array"]
+
+#: Bytes of a cache line.
+ALIGNMENT = 64
+
+
+def aligned_array(row_count: int, row_floats: int) -> NDArray[np.float32]:
+    """An array of shape (row_count, row_floats), float32, that starts at a cache line.
+
+    Its content is undefined.
+    """
+    byte_count = row_count * row_floats * 4
+    memory = np.empty(byte_count + ALIGNMENT, np.uint8)
+    skipped = -memory.ctypes.data % ALIGNMENT
+    return memory[skipped : skipped + byte_count].view(np.float32).reshape(row_count, row_floats)

@@ -1,0 +1,52 @@
+"""A list of triangles, tested one after another: a cell of a grid, or a whole scene."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.intrinsics import corners_at
+from raystream.jit.simd import load
+from raystream.kernels.search import is_full, offer
+from raystream.kernels.tally import TESTS, add_to
+from raystream.kernels.triangle import intersect
+
+__all__ = ["intersect_list"]
+
+_ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+
+
+@device
+def intersect_list(references, corners, begin, end, ray, search, t_in, t_out):
+    """Test the triangles of a list against a ray, and offer their hits to a search.
+
+    Parameters
+    ----------
+    references, corners : uint64
+        Addresses of the lists' triangles (their `prim_id`, int32), and of the corners of all
+        triangles of the scene (9 float32 each).
+    begin, end : uint64
+        The list's references.
+    ray : Ray
+    search : Search
+    t_in, t_out : float32
+        A hit counts where t_in <= t < t_out: the part of the ray in the cell.
+
+    Returns
+    -------
+    Search
+    """
+    at, stop = references + (begin << _WORD), references + (end << _WORD)
+    triangles = corners_at(corners)
+    while at != stop:
+        add_to(search.counters, TESTS, _ONE)
+        prim_id = load(np.int32, at)
+        at += np.uint64(4)
+        hit, t, u, v = intersect(ray, triangles, np.uint64(prim_id), search.surfaces)
+        # Written so that a NaN would fail.
+        if hit and t >= t_in and t < t_out and t <= search.t_far:
+            search = offer(search, t, u, v, prim_id)
+            if is_full(search):
+                break
+    return search
