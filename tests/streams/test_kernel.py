@@ -384,6 +384,55 @@ def test_constants_change_without_a_new_compilation():
         kernel.constants["step"] = 1
 
 
+class Line(NamedTuple):
+    """A slope, and an offset or None."""
+
+    slope: float
+    offset: float | None
+
+
+@device
+def _plus(number, more):
+    return number if more is None else number + more
+
+
+def test_none_in_a_constant_is_left_out():
+    for offset, expected in ((None, [0, 2]), (1.0, [1, 3])):
+        stream = Stream(np.arange(2.0))
+        kernel = Kernel(
+            lambda x, line: _plus(x * line.slope, line.offset),
+            inputs={"x": stream},
+            outputs=stream,
+            constants={"line": Line(2.0, offset)},
+        )
+        kernel.execute()
+        assert stream.array.tolist() == expected
+    kernel.set_constants(line=(3.0, 0.0))
+    with pytest.raises(TypeError):
+        kernel.set_constants(line=(3.0, None))
+    with pytest.raises(TypeError, match="expected a number"):
+        Kernel(
+            lambda x, more: x,
+            inputs={"x": stream},
+            outputs=stream,
+            constants={"more": None},
+        )
+
+
+def test_a_number_cannot_take_the_place_of_none():
+    stream = Stream.zeros(1)
+    line = Line(2.0, None)
+    kernel = Kernel(
+        lambda x, line: x * line.slope,
+        inputs={"x": stream},
+        outputs=stream,
+        constants={"line": line},
+    )
+    kernel.set_constants(line=Line(3.0, None))
+    with pytest.raises(TypeError, match="place of None"):
+        kernel.set_constants(line=Line(3.0, 1.0))
+
+
 STEP = 1
 
 

@@ -16,7 +16,14 @@ from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import set_up
 from raystream.machines import Branching
 from raystream.structures.kdtree.state import STACK_BYTES, split_ray
-from raystream.structures.kdtree.steps import down, initialize, is_at_leaf, leaf, leave, up
+from raystream.structures.kdtree.steps import (
+    backtrack,
+    continue_search,
+    descend,
+    initialize,
+    is_at_leaf,
+    leaf,
+)
 from raystream.structures.kdtree.structure import LAYOUTS, TRAVERSALS, KdTree
 from test_agreement import assert_same_answers, rays_of
 
@@ -88,7 +95,7 @@ def record_leaves(begin, end, tree, extreme, rays, leaves, counts):
         line = split_ray(ray)
         while True:
             while not is_at_leaf(tree, state):
-                state = down(tree, line, state, stack)
+                state = descend(tree, line, state, stack)
                 counts[i, 0] += 1
             row = counts[i, 1]
             counts[i, 1] += 1
@@ -100,10 +107,10 @@ def record_leaves(begin, end, tree, extreme, rays, leaves, counts):
             leaves[i, row, 3] = np.float64(triangles.triangle_count)
             if state.t_out >= state.t_end:
                 break
-            state = leave(tree, state, stack)
+            state = continue_search(tree, state, stack)
             counts[i, 3] += 1
-            while state.is_climbing:
-                state = up(tree, line, state)
+            while state.is_backtracking:
+                state = backtrack(tree, line, state)
                 counts[i, 2] += 1
 
 

@@ -17,7 +17,9 @@ def as_constant(label: str, value: Any) -> Any:
     label : str
         For errors.
     value : number or tuple
-        NumPy's scalars keep their type; Python's are bool, int64, float64 or complex128.
+        NumPy's scalars keep their type; Python's are bool, int64, float64 or complex128. A
+        tuple's part may be None, which is a type of its own: what a function does with it is
+        left out when it is compiled.
 
     Raises
     ------
@@ -25,7 +27,7 @@ def as_constant(label: str, value: Any) -> Any:
         If it is neither a number nor a tuple of constants.
     """
     if isinstance(value, tuple):
-        parts = [as_constant(label, part) for part in value]
+        parts: list[Any] = [None if part is None else as_constant(label, part) for part in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     if isinstance(value, bool | int | float | complex):
         return value
@@ -47,6 +49,10 @@ def changed_constant(label: str, old: Any, new: Any) -> Any:
     TypeError
         If that type cannot hold it.
     """
+    if old is None:
+        if new is not None:
+            raise TypeError(f"{label}: {new!r} cannot take the place of None")
+        return None
     if isinstance(old, tuple):
         if not isinstance(new, tuple | list) or len(new) != len(old):
             raise TypeError(f"{label}: expected a tuple of {len(old)}")

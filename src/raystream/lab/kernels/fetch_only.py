@@ -123,34 +123,41 @@ def _same_search(place, node, t_in, t_out, left):
 
 
 @device
-def kdtree_down(ray, place, tree):
-    """For `machines.steps.kdtree.go_down`."""
-    node = np.uint64(place.node)
-    if tree.leaves != _NONE:
+def _split(leaves, tree, node):
+    """Position of a split, and what its children say."""
+    if leaves is not None:
         at = tree.nodes + node * _RECORD
-        position, node = load(np.float32, at), _word(at + _WORD) ^ _word(at + _NODE)
-    else:
-        at = tree.nodes + node * _NODE
-        child = _word(at + _WORD) >> _TWO
-        position, node = load(np.float32, at), _word(tree.nodes + child * _NODE + _WORD)
+        return load(np.float32, at), _word(at + _WORD) ^ _word(at + _NODE)
+    at = tree.nodes + node * _NODE
+    child = _word(at + _WORD) >> _TWO
+    return load(np.float32, at), _word(tree.nodes + child * _NODE + _WORD)
+
+
+@device
+def _parent(leaves, tree, node):
+    """The node above, and its extended record."""
+    if leaves is not None:
+        leaf = leaves + (node & _ROW) * _RECORD + _NODE
+        node = _word(leaf if node >= _LEAF else tree.extended + node * _EXTENDED + _LINK)
+        return node, tree.extended + node * _EXTENDED
+    row = tree.extended + ((node - _ONE) >> _ONE) * _EXTENDED
+    node = _word(row + _LINK)
+    return node ^ _word(tree.nodes + node * _NODE + _WORD), row
+
+
+@device
+def kdtree_down(ray, place, tree):
+    """For `machines.steps.kdtree.descend`."""
+    position, node = _split(tree.leaves, tree, np.uint64(place.node))
     total = _sum_of_ray(ray) + position
     return _same_search(place, node, place.t_in, place.t_out + total, 0), _TRAVERSING
 
 
 @device
 def kdtree_up(ray, place, tree):
-    """For `machines.steps.kdtree.climb`."""
-    node = np.uint64(place.node)
+    """For `machines.steps.kdtree.backtrack`."""
     o, d = ray.origin, ray.direction
-    if tree.leaves != _NONE:
-        is_leaf = node >= _LEAF
-        leaf = tree.leaves + (node & _ROW) * _RECORD + _NODE
-        node = _word(leaf if is_leaf else tree.extended + node * _EXTENDED + _LINK)
-        row = tree.extended + node * _EXTENDED
-    else:
-        row = tree.extended + ((node - _ONE) >> _ONE) * _EXTENDED
-        node = _word(row + _LINK)
-        node ^= _word(tree.nodes + node * _NODE + _WORD)
+    node, row = _parent(tree.leaves, tree, np.uint64(place.node))
     high = row + _HIGH
     x = load(np.float32, high if d[0] > _ZERO else row)
     y = load(np.float32, (high if d[1] > _ZERO else row) + _WORD)

@@ -18,7 +18,7 @@ from raystream.structures.grid import Grid
 from raystream.structures.kdtree import KdTree
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.packed import LEAF_BIT
-from raystream.structures.kdtree.short_stack import kept_entries
+from raystream.structures.kdtree.traversals.short_stack import kept_entries
 
 __all__ = ["GraphMap", "GridMap", "KdMap", "map_of"]
 

@@ -6,7 +6,7 @@ from raystream.lab.stepper.chart import StructureMap
 from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap
 from raystream.lab.stepper.walk import Step, Walk
 from raystream.machines.records import RayState
-from raystream.structures.kdtree.short_stack import PLACES
+from raystream.structures.kdtree.traversals.short_stack import PLACES
 
 __all__ = ["sentence", "source"]
 

@@ -21,6 +21,7 @@ from raystream.kernels.tally import (
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree import steps as tree_steps
 from raystream.structures.kdtree.state import (
     SHORT_STACK,
     SHORT_STACK_BYTES,
@@ -29,8 +30,6 @@ from raystream.structures.kdtree.state import (
     KdState,
     split_ray,
 )
-from raystream.structures.kdtree.steps import down, is_at_leaf, leaf, leave, restarts, up
-from raystream.structures.kdtree.steps import initialize as begin
 
 __all__ = ["steps"]
 
@@ -84,27 +83,27 @@ def _stack_of(wanted, query):
 @device
 def _downward(tree, state):
     """What a ray does next at a node."""
-    return _AT_LEAF if is_at_leaf(tree, state) else _TRAVERSING
+    return _AT_LEAF if tree_steps.is_at_leaf(tree, state) else _TRAVERSING
 
 
 def initialize(ray, wanted, tree, query, kernel):
     """Begin at the root."""
     tick(query, wanted, kernel, STEPS, _NONE)
-    is_active, state = begin(tree, ray_of(ray, query), ray.t_min, ray.t_max)
+    is_active, state = tree_steps.initialize(tree, ray_of(ray, query), ray.t_min, ray.t_max)
     status = _DONE
     if is_active:
         status = _downward(tree, state)
     return (np.uint32(0), ray.t_max), _record(state, _NONE, _NONE), status
 
 
-def go_down(ray, wanted, place, tree, query, kernel):
+def descend(ray, wanted, place, tree, query, kernel):
     """Go to a child."""
     line, stack = split_ray(ray_of(ray, query)), _stack_of(wanted, query)
     state = _search(place)
     status = _TRAVERSING
     for _ in range(query.steps):
         tick(query, wanted, kernel, STEPS, _ONE)
-        state = down(tree, line, state, stack)
+        state = tree_steps.descend(tree, line, state, stack)
         status = _downward(tree, state)
         if status != _TRAVERSING:
             break
@@ -115,7 +114,7 @@ def look_at_leaf(wanted, place, tree, query, kernel):
     """Find the triangles of a leaf."""
     tick(query, wanted, kernel, LEAVES, _ONE)
     state = _search(place)
-    triangles = leaf(tree, state)
+    triangles = tree_steps.leaf(tree, state)
     status = _LEAVING if triangles.triangle_count == _NONE else _INTERSECTING
     return _record(state, triangles.block, triangles.triangle_count), status
 
@@ -148,7 +147,7 @@ def intersect(ray, wanted, found, place, query, kernel):
     return _intersect(None, ray, wanted, found, place, query, kernel)
 
 
-def go_on(wanted, found, place, tree, query, kernel):
+def continue_search(wanted, found, place, tree, query, kernel):
     """Go on after a leaf, unless nothing more is wanted."""
     tick(query, wanted, kernel, STEPS, _NONE)
     state = _search(place)
@@ -156,10 +155,10 @@ def go_on(wanted, found, place, tree, query, kernel):
     status = end_of(count, query)
     is_over = count == wanted.capacity and found.t_far < state.t_out
     if not (is_over or state.t_out >= state.t_end):
-        if restarts(tree, state):
+        if tree_steps.restarts(tree, state):
             note(query, wanted, RESTARTS, _ONE)
-        state = leave(tree, state, _stack_of(wanted, query))
-        if state.is_climbing:
+        state = tree_steps.continue_search(tree, state, _stack_of(wanted, query))
+        if state.is_backtracking:
             note(query, wanted, BACKTRACKS, _ONE)
             status = _CLIMBING
         else:
@@ -167,15 +166,15 @@ def go_on(wanted, found, place, tree, query, kernel):
     return _record(state, _NONE, _NONE), status
 
 
-def climb(ray, wanted, place, tree, query, kernel):
+def backtrack(ray, wanted, place, tree, query, kernel):
     """Go to the parent."""
     line = split_ray(ray_of(ray, query))
     state = _search(place)
     status = _CLIMBING
     for _ in range(query.steps):
         tick(query, wanted, kernel, BACKTRACK_STEPS, _ONE)
-        state = up(tree, line, state)
-        if not state.is_climbing:
+        state = tree_steps.backtrack(tree, line, state)
+        if not state.is_backtracking:
             status = _downward(tree, state)
             break
     return _record(state, _NONE, _NONE), status
@@ -183,11 +182,11 @@ def climb(ray, wanted, place, tree, query, kernel):
 
 _KERNELS = with_shade(
     StepKernel("initialize", RayState.STARTING, device(initialize), ("found", "place")),
-    StepKernel("down", RayState.TRAVERSING, device(go_down), ("place",), "steps"),
+    StepKernel("down", RayState.TRAVERSING, device(descend), ("place",), "steps"),
     StepKernel("leaf", RayState.AT_LEAF, device(look_at_leaf), ("place",)),
     StepKernel("intersect", RayState.INTERSECTING, device(intersect), ("found", "place"), "tests"),
-    StepKernel("continue", RayState.LEAVING, device(go_on), ("place",)),
-    StepKernel("up", RayState.CLIMBING, device(climb), ("place",), "steps"),
+    StepKernel("continue", RayState.LEAVING, device(continue_search), ("place",)),
+    StepKernel("up", RayState.CLIMBING, device(backtrack), ("place",), "steps"),
 )
 
 

@@ -11,6 +11,8 @@ from raystream.structures.kdtree.layout import MAX_DEPTH
 
 __all__ = [
     "BACKTRACK",
+    "EXTENDED",
+    "EXTENDED_LINK",
     "RESTART",
     "SHORT_STACK",
     "SHORT_STACK_BYTES",
@@ -18,6 +20,7 @@ __all__ = [
     "STACK_BYTES",
     "KdAddresses",
     "KdLeaf",
+    "KdSplit",
     "KdState",
     "SplitRay",
     "split_ray",
@@ -29,8 +32,11 @@ STACK, RESTART, BACKTRACK, SHORT_STACK = np.arange(4, dtype=np.uint64)
 #: Bytes of the stack: a node and the end of its interval for each split on a path.
 STACK_BYTES = 8 * (MAX_DEPTH + 1)
 
-#: Bytes of a short one: a node to begin again at, and a ring of `short_stack.PLACES`.
+#: Bytes of a short one: a node to begin again at, and a ring of `traversals.short_stack.PLACES`.
 SHORT_STACK_BYTES = 40
+
+#: Bytes of an extended record of `packed.extend`, and where its link is.
+EXTENDED, EXTENDED_LINK = np.uint64(32), np.uint64(24)
 
 _HALF = np.float32(0.5)
 
@@ -43,8 +49,8 @@ class KdAddresses(NamedTuple):
     nodes : uint64
         Address of `layout.KdArrays.nodes`, or of `packed.PackedArrays.splits`; 0 for an empty
         tree.
-    leaves : uint64
-        Address of `packed.PackedArrays.leaves`; 0 for nodes of 8 bytes.
+    leaves : uint64 or None
+        Address of `packed.PackedArrays.leaves`; None for nodes of 8 bytes.
     extended : uint64
         Address of what `packed.extend` gives; only for `BACKTRACK`.
     blocks : uint64
@@ -57,7 +63,7 @@ class KdAddresses(NamedTuple):
     """
 
     nodes: np.uint64
-    leaves: np.uint64
+    leaves: np.uint64 | None
     extended: np.uint64
     blocks: np.uint64
     root: np.uint64
@@ -94,9 +100,9 @@ class KdState(NamedTuple):
     t_end : float32
         Where the search ends: just after the last t that is wanted.
     top : uint64
-        Bytes on the stack; of a short one see `short_stack`.
-    is_climbing : bool
-        The search goes on above the node: `up` is next.
+        Bytes on the stack; of a short one see `traversals.short_stack`.
+    is_backtracking : bool
+        The search goes on above the node: `backtrack` is next.
     """
 
     node: np.uint64
@@ -104,7 +110,24 @@ class KdState(NamedTuple):
     t_out: np.float32
     t_end: np.float32
     top: np.uint64
-    is_climbing: bool
+    is_backtracking: bool
+
+
+class KdSplit(NamedTuple):
+    """A node with a plane.
+
+    Attributes
+    ----------
+    position : float32
+    axis : uint64
+    below, above : uint64
+        Its children.
+    """
+
+    position: np.float32
+    axis: np.uint64
+    below: np.uint64
+    above: np.uint64
 
 
 class KdLeaf(NamedTuple):

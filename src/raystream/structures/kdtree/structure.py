@@ -131,7 +131,7 @@ class KdTree(Structure):
         (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
         self._addresses = KdAddresses(
             self._address_of("nodes"),
-            self._address_of("leaves"),
+            None if self.packed is None else self._address_of("leaves"),
             self._address_of("extended"),
             self._address_of("blocks"),
             np.uint64(root),

@@ -18,13 +18,13 @@ from raystream.kernels.tally import (
 )
 from raystream.structures.kdtree.state import split_ray
 from raystream.structures.kdtree.steps import (
-    down,
+    backtrack,
+    continue_search,
+    descend,
     initialize,
     is_at_leaf,
     leaf,
-    leave,
     restarts,
-    up,
 )
 
 __all__ = ["traverse"]
@@ -42,7 +42,7 @@ def traverse(tree, ray, search, stack):
     line, triangle_ray = split_ray(ray), block_ray(ray)
     while True:
         while not is_at_leaf(tree, state):
-            state = down(tree, line, state, stack)
+            state = descend(tree, line, state, stack)
             add_to(search.counters, STEPS, _ONE)
         triangles = leaf(tree, state)
         add_to(search.counters, LEAVES, _ONE)
@@ -57,9 +57,9 @@ def traverse(tree, ray, search, stack):
             return search
         if restarts(tree, state):
             add_to(search.counters, RESTARTS, _ONE)
-        state = leave(tree, state, stack)
-        if state.is_climbing:
+        state = continue_search(tree, state, stack)
+        if state.is_backtracking:
             add_to(search.counters, BACKTRACKS, _ONE)
-        while state.is_climbing:
-            state = up(tree, line, state)
+        while state.is_backtracking:
+            state = backtrack(tree, line, state)
             add_to(search.counters, BACKTRACK_STEPS, _ONE)

@@ -57,7 +57,7 @@ class DeviceKdTree(RebuiltOnDevice, KdTree):
         (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
         tree = KdAddresses(
             written.nodes.address,
-            _NOWHERE,
+            None,
             extended.address if extended is not None else _NOWHERE,
             written.blocks.address,
             np.uint64(0),

@@ -1,5 +1,5 @@
 // Going on after a leaf with the nodes that were left last; where they are forgotten, from the lowest
-// node that holds the rest of the ray. As raystream/structures/kdtree/short_stack.py.
+// node that holds the rest of the ray. As raystream/structures/kdtree/traversals/short_stack.py.
 //
 // Horn and others, "Interactive k-D Tree GPU Raytracing", Interactive 3D Graphics 2007.
 

@@ -3,7 +3,7 @@
 A whole stack has room for every split on a path, and each of many thousand rays in flight needs
 one. A short stack keeps the few nodes that were left last. When it is asked for one that it has
 forgotten, the search begins again: not at the root but at the lowest node that holds all that is
-left of the ray. `down` comes to that node whenever a state's t_out is its t_end, so it is noted
+left of the ray. `descend` comes to that node whenever a state's t_out is its t_end, so it is noted
 there when the first node is put on an empty stack.
 
 Horn and others, "Interactive k-D Tree GPU Raytracing", Interactive 3D Graphics 2007 ("push-down"
@@ -22,7 +22,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.kdtree.state import KdState
 
-__all__ = ["PLACES", "has_forgotten", "kept_entries", "pop", "push"]
+__all__ = ["PLACES", "continue_search", "has_forgotten", "kept_entries", "push"]
 
 #: Nodes that are kept; a power of two.
 PLACES = 4
@@ -38,7 +38,7 @@ _ENTRY = np.uint64(8)
 
 @device
 def has_forgotten(state):
-    """Whether `pop` has nothing to give: what comes next was forgotten."""
+    """Whether the stack has nothing to give: what comes next was forgotten."""
     return state.top >> _COUNT_SHIFT == _NONE
 
 
@@ -70,14 +70,14 @@ def push(stack, state, node):
 
 
 @device
-def pop(stack, state):
-    """Go on after a leaf: at the node that was kept last, or where to begin again.
+def continue_search(state, stack):
+    """Go on at the node that was kept last, or where to begin again.
 
     Parameters
     ----------
-    stack : uint64
     state : KdState
         At the leaf; its t_out must be before t_end, so something was put on the stack once.
+    stack : uint64
 
     Returns
     -------

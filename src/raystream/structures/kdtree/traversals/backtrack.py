@@ -1,0 +1,61 @@
+"""Going up to where the rest of the ray begins: kd-backtrack (Foley 2005, Figure 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device
+from raystream.jit.simd import fma, load
+from raystream.structures.kdtree.layouts import parent_of
+from raystream.structures.kdtree.state import KdState
+
+__all__ = ["backtrack", "continue_search"]
+
+_NONE = np.uint64(0)
+_ZERO = np.float32(0.0)
+
+# Where an extended record has its corners' second and third coordinates, and its high corner.
+_Y = np.uint64(4)
+_Z = np.uint64(8)
+_HIGH = np.uint64(12)
+
+
+@device
+def continue_search(state):
+    """Go on above the leaf: `backtrack` is next."""
+    return KdState(state.node, state.t_out, state.t_end, state.t_end, _NONE, True)
+
+
+@device
+def backtrack(tree, line, state):
+    """Go to the parent of a node; stay there if it holds t_in (Foley's Up).
+
+    Parameters
+    ----------
+    tree : KdAddresses
+    line : SplitRay
+    state : KdState
+        Backtracking.
+
+    Returns
+    -------
+    KdState
+
+    Notes
+    -----
+    Nodes above hold all that was searched, so only where the ray leaves one is in question:
+    at the first of the planes that the ray goes towards. The root has none.
+    """
+    node, low = parent_of(tree, state.node)
+    high = low + _HIGH
+    x = load(np.float32, high if line.inv_x > _ZERO else low)
+    y = load(np.float32, (high if line.inv_y > _ZERO else low) + _Y)
+    z = load(np.float32, (high if line.inv_z > _ZERO else low) + _Z)
+    t_out = min(
+        fma(x, line.inv_x, line.middle_x),
+        fma(y, line.inv_y, line.middle_y),
+        fma(z, line.inv_z, line.middle_z),
+    )
+    is_backtracking = not state.t_in < t_out
+    t_out = min(t_out, state.t_end)
+    return KdState(node, state.t_in, t_out, state.t_end, state.top, is_backtracking)
