@@ -227,7 +227,7 @@ def small(tiny):
     import numpy as np
 
     import raystream as rs
-    from raystream.cuda.structures import STRUCTURES
+    from raystream.structures import STRUCTURES
 
     scene = rs.load("cornell")
     side = 3 if tiny else 24

@@ -21,7 +21,7 @@ from raystream.bench.contenders.base import Rays
 from raystream.bench.ray_sets import make_ray_sets
 from raystream.graphics.adapters import ADAPTER_VARIABLE, open_device
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import FORMS
+from raystream.structures import names_with
 
 SCENES = ("cornell", "spheres", "robots", "building")
 RAY_SETS = ("primary", "bounce")
@@ -99,7 +99,7 @@ def measure(name, arguments):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--scenes", nargs="+", default=SCENES)
-    parser.add_argument("--structures", nargs="+", default=list(FORMS))
+    parser.add_argument("--structures", nargs="+", default=names_with("graphics"))
     parser.add_argument("--machines", nargs="+", default=MACHINES)
     parser.add_argument("--size", type=int, default=256, help="pixels along a side")
     parser.add_argument("--rounds", type=int, default=5)

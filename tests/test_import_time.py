@@ -36,9 +36,10 @@ def modules_after(statement: str) -> set[str]:
     [
         "import raystream",
         "import raystream as rs; rs.Scene.from_arrays([[0, 0, 0]], [[0, 0, 0]])",
+        "import raystream as rs; rs.Bvh(), rs.Cuda(gpu=1), rs.Multipass(scheduler='naive')",
         "import raystream as rs; rs.Camera(eye=(0, 0, 1), look_at=(0, 0, 0)).rays(4, 3)",
     ],
-    ids=["package", "scene", "camera"],
+    ids=["package", "scene", "options", "camera"],
 )
 def test_import_brings_in_only_what_it_needs(statement: str) -> None:
     packages = {name.partition(".")[0] for name in modules_after(statement)}

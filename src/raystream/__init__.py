@@ -17,6 +17,7 @@ from raystream._version import __version__
 
 if TYPE_CHECKING:
     from raystream import cluster, streams
+    from raystream.core.choices import Branching, Compute, Cpu, Cuda, Graphics, Multipass
     from raystream.core.errors import FileFormatError, RaystreamError, RaystreamWarning
     from raystream.core.hits import Hits, MultiHits
     from raystream.core.rays import RayStatus
@@ -40,6 +41,12 @@ if TYPE_CHECKING:
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
     from raystream.scene.texture import Texture
+    from raystream.structures.brute.options import Brute
+    from raystream.structures.bvh.options import Bvh
+    from raystream.structures.graph.options import Graph
+    from raystream.structures.grid.options import Grid
+    from raystream.structures.kdtree.options import KdTree
+    from raystream.structures.registry import StructureOptions, register_structure
     from raystream.tracer import Tracer
     from raystream.viewer.notebook import view
     from raystream.zarr_queries.query import query_zarr
@@ -56,22 +63,34 @@ _MODULES = {
 _HOMES = {
     "MODES": "rendering.picture",
     "Animation": "scene.animation",
+    "Branching": "core.choices",
+    "Brute": "structures.brute.options",
+    "Bvh": "structures.bvh.options",
     "Camera": "scene.camera",
     "CameraTrack": "scene.camera_track",
+    "Compute": "core.choices",
+    "Cpu": "core.choices",
+    "Cuda": "core.choices",
     "Decision": "programs.decisions",
     "DirectionalLight": "scene.lights",
     "EnvironmentLight": "scene.lights",
     "FileFormatError": "core.errors",
+    "Graph": "structures.graph.options",
+    "Graphics": "core.choices",
+    "Grid": "structures.grid.options",
     "Hits": "core.hits",
     "Image": "rendering.image",
+    "KdTree": "structures.kdtree.options",
     "Material": "scene.material",
     "Mesh": "scene.mesh",
     "MultiHits": "core.hits",
+    "Multipass": "core.choices",
     "PointLight": "scene.lights",
     "RayStatus": "core.rays",
     "RaystreamError": "core.errors",
     "RaystreamWarning": "core.errors",
     "Scene": "scene.scene",
+    "StructureOptions": "structures.registry",
     "Texture": "scene.texture",
     "Tracer": "tracer",
     "attenuation": "physics.attenuation",
@@ -79,6 +98,7 @@ _HOMES = {
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
     "query_zarr": "zarr_queries.query",
+    "register_structure": "structures.registry",
     "render": "rendering.picture",
     "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",
@@ -91,22 +111,34 @@ _HOMES = {
 __all__ = [
     "MODES",
     "Animation",
+    "Branching",
+    "Brute",
+    "Bvh",
     "Camera",
     "CameraTrack",
+    "Compute",
+    "Cpu",
+    "Cuda",
     "Decision",
     "DirectionalLight",
     "EnvironmentLight",
     "FileFormatError",
+    "Graph",
+    "Graphics",
+    "Grid",
     "Hits",
     "Image",
+    "KdTree",
     "Material",
     "Mesh",
     "MultiHits",
+    "Multipass",
     "PointLight",
     "RayStatus",
     "RaystreamError",
     "RaystreamWarning",
     "Scene",
+    "StructureOptions",
     "Texture",
     "Tracer",
     "__version__",
@@ -116,6 +148,7 @@ __all__ = [
     "lidar_returns",
     "load",
     "query_zarr",
+    "register_structure",
     "render",
     "render_frames",
     "set_thread_count",

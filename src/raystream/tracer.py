@@ -8,16 +8,18 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.core.query import Crossings
 from raystream.jit.threads import Progress
 from raystream.kernels.moving import move_triangles
+from raystream.machines.chosen import Chosen, choose
 from raystream.machines.devices import device_of
 from raystream.machines.queries import Queries
 from raystream.notebook import html_table, in_bytes
 from raystream.scene.mesh import Mesh
 from raystream.scene.moving import moved_meshes, same_faces
 from raystream.scene.scene import Scene
-from raystream.structures import Structure
+from raystream.structures import Structure, StructureOptions
 from raystream.structures.base import UpdateReport
 from raystream.structures.storage import load_structure, save_structure
 
@@ -34,26 +36,29 @@ class Tracer(Queries):
     ----------
     scene : Scene
         Its triangles are copied: later changes of the scene's arrays have no effect.
-    structure : {"bvh", "kdtree", "graph", "grid", "brute"}
-        Acceleration structure. All return the same bits; ``"brute"`` tests every triangle.
-    device : {"cpu", "cuda", "graphics"}
-        Where rays are traced: on the processor's cores; on an NVIDIA GPU (``pip install
-        raystream[cuda]``), of several on that with the number ``gpu=``; or on a GPU by way of
-        Vulkan, Metal or Direct3D 12 (``pip install raystream[graphics]``).
-    machine : {"branching", "multipass", "compute"}, optional
-        How the structure is traversed: one ray from start to end on each thread; or all rays
-        step by step, in passes (Purcell 2002, section 2.2). All return the same bits on one
-        device; ``"multipass"`` is slower, and says how many passes it took. On ``"graphics"``
-        these two are fragment programs, and ``"compute"``, its usual one, is faster. On the
-        CPU, ``"branching"`` is.
+    structure : {"bvh", "kdtree", "graph", "grid", "brute"} or StructureOptions
+        Acceleration structure, by its name or as `Bvh`, `KdTree`, `Graph`, `Grid` or `Brute`
+        with its options. All return the same bits; ``"brute"`` tests every triangle.
+    device : {"cpu", "cuda", "graphics"} or DeviceOptions
+        Where rays are traced, by its name or as `Cpu`, `Cuda` or `Graphics` with its options: on
+        the processor's cores; on an NVIDIA GPU (``pip install raystream[cuda]``), of several on
+        that with the number ``gpu=``; or on a GPU through Vulkan, Metal or Direct3D 12 (``pip
+        install raystream[graphics]``).
+    machine : {"branching", "multipass", "compute"} or MachineOptions, optional
+        How the structure is traversed, by its name or as `Branching`, `Multipass` or `Compute`
+        with its options: one ray from start to end on each thread; or all rays step by step, in
+        passes (Purcell 2002, section 2.2). All return the same bits on one device;
+        ``"multipass"`` is slower, and says how many passes it took. On ``"graphics"`` these two
+        are fragment programs, and ``"compute"``, its default, is faster. On the CPU,
+        ``"branching"`` is the default.
     counters : bool
         Count what each ray meets: see `counters`. Rays are then traced one by one, without
         the kernels for many rays that ``"bvh"`` has. Not counting costs nothing.
     progress : callable, optional
         Called with (triangles done, triangles) during a long build.
     **options
-        Build options of the structure, such as ``max_leaf_size`` of ``"bvh"``; and those of the
-        machine: see `raystream.machines.Multipass`.
+        Options of what is given by name: ``Tracer(scene, "bvh", quality="high")`` is
+        ``Tracer(scene, Bvh(quality="high"))``.
 
     Raises
     ------
@@ -105,31 +110,36 @@ class Tracer(Queries):
     def __init__(
         self,
         scene: Scene,
-        structure: str = "bvh",
-        device: str = "cpu",
+        structure: str | StructureOptions = "bvh",
+        device: str | DeviceOptions = "cpu",
         *,
-        machine: str | None = None,
+        machine: str | MachineOptions | None = None,
         counters: bool = False,
         progress: Progress | None = None,
         **options: Any,
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
-        own = self._set_machine(device, machine, counters, options)
-        build, _, shared = device_of(device)
-        rest = {name: value for name, value in options.items() if name not in own or name in shared}
-        self._set(scene, build(structure, scene.triangles, progress=progress, **rest))
+        chosen = self._choose(structure, device, machine, counters, options)
+        built = device_of(self.device).build(
+            chosen.structure, scene.triangles, progress=progress, device=chosen.device_options
+        )
+        self._set(scene, built)
 
-    def _set_machine(
-        self, device: str, machine: str | None, counters: bool, options: Mapping[str, Any]
-    ) -> Mapping[str, Any]:
-        machines = device_of(device).machines
-        self.device = device
-        self.machine = machines.names[0] if machine is None else machine
-        own = machines.own_options(self.machine, options)
+    def _choose(
+        self,
+        structure: str | StructureOptions | None,
+        device: str | DeviceOptions,
+        machine: str | MachineOptions | None,
+        counters: bool,
+        options: Mapping[str, Any],
+    ) -> Chosen:
+        """Note all but the structure, which the caller builds or has."""
+        chosen = choose(structure, device, machine, options)
+        self.device, self.machine = chosen.device, chosen.machine
+        self._machine_options = chosen.options
         self._counts = bool(counters)
-        self._machine_options = own
-        return own
+        return chosen
 
     def _set(self, scene: Scene | None, structure: Structure) -> None:
         self._scene = scene
@@ -146,7 +156,7 @@ class Tracer(Queries):
 
     @property
     def machine_options(self) -> Mapping[str, Any]:
-        """The options that are the machine's, such as ``scheduler``, as they were given."""
+        """The options of the device and the machine, such as ``scheduler``, that were given."""
         return self._machine_options
 
     @property
@@ -270,9 +280,9 @@ class Tracer(Queries):
         cls,
         path: str | PathLike[str],
         scene: Scene | None = None,
-        device: str = "cpu",
+        device: str | DeviceOptions = "cpu",
         *,
-        machine: str | None = None,
+        machine: str | MachineOptions | None = None,
         counters: bool = False,
         **options: Any,
     ) -> Tracer:
@@ -285,7 +295,7 @@ class Tracer(Queries):
             The scene it was built of, for its materials, lights and camera. Without it, the
             tracer has a scene of bare triangles.
         device, machine, counters, **options
-            As for a new tracer; the options are the machine's.
+            As for a new tracer; the options are the device's and the machine's.
 
         Returns
         -------
@@ -299,7 +309,8 @@ class Tracer(Queries):
         """
         if scene is not None and not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
-        tracer = cls._unset(device, machine, counters, options)
+        tracer = cls.__new__(cls)
+        tracer._choose(None, device, machine, counters, options)
         structure = load_structure(path, None if scene is None else scene.triangles)
         tracer._set(scene, structure)
         return tracer
@@ -309,9 +320,9 @@ class Tracer(Queries):
         cls,
         structure: Structure,
         scene: Scene | None = None,
-        device: str = "cpu",
+        device: str | DeviceOptions = "cpu",
         *,
-        machine: str | None = None,
+        machine: str | MachineOptions | None = None,
         counters: bool = False,
         **options: Any,
     ) -> Tracer:
@@ -323,7 +334,7 @@ class Tracer(Queries):
         scene : Scene, optional
             The scene that its triangles are of, for materials, lights and camera.
         device, machine, counters, **options
-            As for a new tracer; the options are the machine's.
+            As for a new tracer; the options are the device's and the machine's.
 
         Returns
         -------
@@ -334,20 +345,9 @@ class Tracer(Queries):
         ValueError, TypeError
             If a name is unknown, or the machine has no such option.
         """
-        tracer = cls._unset(device, machine, counters, options)
-        tracer._set(scene, structure)
-        return tracer
-
-    @classmethod
-    def _unset(
-        cls, device: str, machine: str | None, counters: bool, options: Mapping[str, Any]
-    ) -> Tracer:
-        """A tracer that waits for its structure; its options are all the machine's."""
         tracer = cls.__new__(cls)
-        own = tracer._set_machine(device, machine, counters, options)
-        for option in options:
-            if option not in own:
-                raise TypeError(f"{tracer.machine}: has no option {option!r}")
+        tracer._choose(None, device, machine, counters, options)
+        tracer._set(scene, structure)
         return tracer
 
     def __repr__(self) -> str:
@@ -374,7 +374,7 @@ class Tracer(Queries):
             ("structure", structure.name),
             *(
                 (f"  {name}", f"{value}")
-                for name, value in structure.options.items()
+                for name, value in structure.options.as_json().items()
                 if value is not None
             ),
             ("machine", self.machine),

@@ -10,7 +10,6 @@ import pytest
 
 import raystream as rs
 from conftest import skip_without_adapter
-from raystream.graphics.forms import FORMS
 from raystream.jit.threads import thread_count
 
 COMMANDS = {
@@ -101,9 +100,9 @@ def test_bad_choices_are_refused_in_one_line(run, command, adapter, arguments, c
 
 
 def test_a_structure_without_shaders(run, square, adapter, monkeypatch):
-    monkeypatch.delitem(FORMS, "grid")
+    monkeypatch.delitem(rs.Grid.forms, "graphics")
     refused = run("info", square, "--device", "graphics", "--structure", "grid").complaint
-    assert refused.startswith("device 'graphics': has the structures 'brute'")
+    assert refused.startswith("device 'graphics': has the structures 'bvh'")
     assert refused.endswith("not 'grid'")
 
 

@@ -73,7 +73,7 @@ def test_options_are_what_the_page_begins_with(run, square, served):
     made = served[0][2]
     assert (made.name, made.settings) == (str(square), {"mode": "vis"})
     assert made.tracer.structure.name == "kdtree"
-    assert made.tracer.structure.options["traversal"] == "restart"
+    assert made.tracer.structure.options.traversal == "restart"
     assert made.tracer.scene.camera.eye == (0.5, 0.5, 3.0)
 
 

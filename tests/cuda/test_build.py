@@ -59,7 +59,7 @@ def test_grids_of_a_given_resolution_are_the_cpus(device, options):
     scene = case_of("closed_mesh").scene
     ours = built(scene, "grid", **options).structure
     assert_same_lists(ours, rs.Tracer(scene, "grid", **options).structure)
-    assert ours.options == {"resolution": None, "min_resolution": None, "levels": 1, **options}
+    assert ours.options == rs.Grid(**options)
 
 
 def test_grids_with_long_lists_get_coarser_as_on_the_cpu(device, monkeypatch):
@@ -291,7 +291,7 @@ def test_no_triangles(device):
 @pytest.mark.parametrize(
     ("structure", "options", "message"),
     [
-        ("bvh", {"build": "there"}, "build: expected 'host' or 'device', got 'there'"),
+        ("bvh", {"build": "there"}, "build: expected one of 'host', 'device', got 'there'"),
         ("brute", {}, "build: 'device' builds 'bvh', 'graph', 'grid', 'kdtree', not 'brute'"),
         ("bvh", {"method": "best"}, "method: expected one of 'clusters', 'linear', got 'best'"),
         ("bvh", {"max_leaf_size": 33}, "max_leaf_size: expected 1 to 32, got 33"),
@@ -305,9 +305,11 @@ def test_options_are_checked(device, structure, options, message):
         rs.Tracer(rs.load("cornell"), structure, "cuda", **{"build": "device", **options})
 
 
-def test_unknown_options_are_named(device):
-    with pytest.raises(TypeError, match="bvh: build='device' has no option 'quality'; it has meth"):
+def test_options_that_the_device_lacks_are_refused(device):
+    with pytest.raises(ValueError, match="quality: expected no 'high' where build='device'"):
         built(rs.load("cornell"), "bvh", quality="high")
+    with pytest.raises(TypeError, match="grid: build='device' has no option 'method'"):
+        built(rs.load("cornell"), "grid", method="linear")
 
 
 def test_progress_is_reported(device):

@@ -17,7 +17,7 @@ from cases import CASES
 from meshes import grid_floor, soup
 from raystream.jit.cuda import is_simulated
 from raystream.structures.graph.build import tree_method_of
-from raystream.structures.graph.structure import chosen_options, method_of
+from raystream.structures.graph.structure import method_of
 from raystream.structures.kdtree.build import build_arrays
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
@@ -72,12 +72,7 @@ def test_graphs_of_hard_meshes_are_the_cpus(device, mesh):
 )
 def test_options_are_the_cpus(device, options):
     structure = assert_same_graphs(scene_of(*soup(150)), **{**FINE, **options})
-    assert structure.options == {
-        "intersection_cost": 1.0,
-        "max_depth": None,
-        **FINE,
-        **options,
-    }
+    assert structure.options == rs.Graph(**{**FINE, **options})
 
 
 def test_large_cells_and_subtrees_are_numbered_as_on_the_cpu(device, monkeypatch):
@@ -142,7 +137,7 @@ def test_trees_below_graphs_are_the_cpus(device):
 
     triangles = scene_of(*soup(300)).triangles
     count = len(triangles.prim_ids)
-    method = tree_method_of(method_of(chosen_options(2.0, 1.0, 0.5, None, 1), count))
+    method = tree_method_of(method_of(rs.Graph(**FINE), count))
     corners = device.upload("corners", triangles.corners)
     grown = grow_tree(device, triangles, corners, method)
     numbers = number_nodes(device, grown, count)
@@ -221,5 +216,5 @@ def test_options_are_checked(device, options, message):
 
 
 def test_unknown_options_are_named(device):
-    with pytest.raises(TypeError, match="graph: build='device' has no option 'quality'"):
+    with pytest.raises(TypeError, match="graph: has no option 'quality'"):
         built(rs.load("cornell"), quality="high")

@@ -89,7 +89,7 @@ def test_moved_trees_are_rebuilt(device):
     expected = rs.Tracer(scene, "kdtree")
     expected.update(moved)
     assert np.array_equal(tracer.structure.tree.nodes, expected.structure.tree.nodes)
-    assert tracer.structure.options["traversal"] == "restart"
+    assert tracer.structure.options.traversal == "restart"
 
 
 def test_what_was_built_stays_there_until_it_is_asked_for(device, tmp_path):

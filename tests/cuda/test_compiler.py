@@ -22,7 +22,7 @@ if is_simulated():
 
 from raystream.cuda.catalogue import ARRAY_KERNELS, catalogue_of
 from raystream.cuda.rendering.catalogue import rendering_catalogue
-from raystream.cuda.structures import STRUCTURES
+from raystream.structures import STRUCTURES
 
 QUERIES = ("first_hit", "any_hit", "count_hits", "multi_hit")
 

@@ -26,8 +26,8 @@ from raystream.jit.cuda.arguments import flat
 from raystream.kernels.tally import COLUMNS
 from raystream.machines.records import RayState
 from raystream.machines.schedulers import SCHEDULERS, Queues, make_scheduler
-from raystream.machines.steps import STEPS, steps_of
-from raystream.structures import build_structure
+from raystream.machines.steps import steps_of
+from raystream.structures import build_structure, names_with
 from test_agreement import case_of
 
 _AT = np.uint64(0)
@@ -227,7 +227,10 @@ def check(kernel, arguments):
 
 
 #: The rest is for .ci/nightly: each takes as long as all kernels of the branching machine.
-_USUAL = [pytest.param(name, marks=[pytest.mark.exhaustive] * (name != "brute")) for name in STEPS]
+_USUAL = [
+    pytest.param(name, marks=[pytest.mark.exhaustive] * (name != "brute"))
+    for name in names_with("multipass")
+]
 
 
 @pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")

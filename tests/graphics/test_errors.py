@@ -15,7 +15,7 @@ from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.compute import Compute
 from raystream.graphics.error_scope import guarded
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import FORMS
+from raystream.structures import STRUCTURES, form_of, names_with
 
 
 @pytest.fixture
@@ -161,15 +161,15 @@ def test_no_memory_is_an_error(fresh, scene, monkeypatch):
 # Endless loops.
 
 
-@pytest.mark.parametrize("structure", FORMS)
+@pytest.mark.parametrize("structure", names_with("graphics"))
 @pytest.mark.parametrize("query", QUERIES)
 def test_a_search_without_an_end_is_stopped(opened, scene, rays, monkeypatch, structure, query):
     """Every loop spends the budget: the smallest one ends each search at once."""
-    form = FORMS[structure]
-    monkeypatch.setitem(FORMS, structure, lambda built: dataclasses.replace(form(built), budget=2))
+    form, forms = form_of(structure, "graphics"), STRUCTURES[structure].forms
+    monkeypatch.setitem(forms, "graphics", lambda built: dataclasses.replace(form(built), budget=2))
     tracer = rs.Tracer(scene, structure, "graphics")
     with pytest.raises(GraphicsError, match="took more than 2 steps and tests"):
         getattr(tracer, query)(**rays)
-    monkeypatch.setitem(FORMS, structure, form)
+    monkeypatch.setitem(forms, "graphics", form)
     assert rs.Tracer(scene, structure, "graphics").any_hit(**rays).any()
     assert_cpu_works(scene, rays)

@@ -15,13 +15,13 @@ from meshes import soup
 from raystream.graphics import source
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass import loops, plan
-from raystream.graphics.multipass.kernels import KERNELS, STREAMS, kernels_of
+from raystream.graphics.multipass.kernels import STREAMS, kernels_of
 from raystream.graphics.streams.stencil import Stencil
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
 from raystream.kernels.tally import COLUMNS
 from raystream.machines.schedulers import Threshold
 from raystream.machines.steps import steps_of
-from raystream.structures import build_structure
+from raystream.structures import build_structure, names_with
 
 SHADERS = Path(source.__file__).parent / "shaders"
 
@@ -85,7 +85,7 @@ def rays(rng):
     return {"origins": origins, "directions": rng.random((300, 3)) - origins}
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("name", names_with("graphics multipass"))
 def test_kernels_are_those_of_the_cpu(scene, name):
     structure = build_structure(name, scene.triangles, **OPTIONS.get(name, {}))
     ours, theirs = kernels_of(structure).kernels, steps_of(structure).kernels
@@ -95,7 +95,7 @@ def test_kernels_are_those_of_the_cpu(scene, name):
         assert set(one.writes) <= set(STREAMS)
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("name", names_with("graphics multipass"))
 def test_kernels_discard_nothing(scene, name):
     """Else the stencil test would come after them."""
     traversal = kernels_of(build_structure(name, scene.triangles, **OPTIONS.get(name, {})))

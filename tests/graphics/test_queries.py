@@ -11,7 +11,6 @@ import raystream as rs
 from conftest import GRAPHICS_TRACERS, assert_same_bits
 from meshes import soup
 from raystream.graphics import queries
-from raystream.graphics.forms import FORMS
 from test_agreement import answers_of, assert_expected
 
 
@@ -59,8 +58,8 @@ def test_rays_at_once_is_checked(opened, scene, count):
 
 
 def test_a_structure_without_shaders_is_refused(opened, scene, monkeypatch):
-    monkeypatch.delitem(FORMS, "graph")
-    with pytest.raises(rs.RaystreamError, match=r"has the structures 'brute'.*, not 'graph'"):
+    monkeypatch.delitem(rs.Graph.forms, "graphics")
+    with pytest.raises(rs.RaystreamError, match=r"has the structures 'bvh'.*, not 'graph'"):
         rs.Tracer(scene, "graph", "graphics")
 
 

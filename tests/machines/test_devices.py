@@ -7,8 +7,7 @@ import pytest
 
 import raystream as rs
 from raystream.machines import make_machine
-from raystream.machines.devices import DEVICES, device_of, register_device
-from raystream.structures import build_structure
+from raystream.machines.devices import DEVICES, build_on_cpu, device_of, register_device
 
 SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 RAY = [0.25, 0.25, 1.0], [0.0, 0.0, -1.0]
@@ -36,7 +35,7 @@ class _Machines:
 def machines(monkeypatch):
     monkeypatch.setattr("raystream.machines.devices.DEVICES", dict(DEVICES))
     made = _Machines()
-    register_device("slow", build_structure, made)
+    register_device("slow", machines=made)
     return made
 
 
@@ -76,12 +75,12 @@ def test_unknown_devices_and_machines_are_refused(machines):
 def test_factory_alone_gets_the_machines_of_the_cpu(machines):
     built = []
 
-    def build(structure, triangles, **options):
+    def build(structure, triangles, **more):
         built.append(structure)
-        return build_structure("brute", triangles, **options)
+        return build_on_cpu(rs.Brute(), triangles, **more)
 
     register_device("plain", build)
     tracer = rs.Tracer(SCENE, "bvh", "plain", machine="multipass")
-    assert built == ["bvh"]
+    assert built == [rs.Bvh()]
     assert tracer.first_hit(*RAY).t == 1.0
     assert device_of("plain").machines.names == ("branching", "multipass")

@@ -215,7 +215,7 @@ def test_progress_counts_rays_and_can_end_the_rendering():
         ({"size": (1.5, 5)}, "size"),
         ({"size": (1 << 20, 1 << 20)}, "size"),
         ({"samples": 0}, "samples"),
-        ({"structure": "octree"}, "structure: expected one of 'brute', 'bvh'"),
+        ({"structure": "octree"}, "structure: expected one of 'bvh', 'brute'"),
         ({"device": "abacus"}, "device: expected one of 'cpu'"),
     ],
 )

@@ -6,9 +6,9 @@ import pytest
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import dented_sphere, lattice_soup, soup
-from raystream.structures.bvh import Bvh
 from raystream.structures.bvh.engine import KERNELS
 from raystream.structures.bvh.layout import CHILDREN_AT, WIDTH
+from raystream.structures.bvh.structure import BvhStructure
 from test_agreement import assert_same_answers
 
 
@@ -36,7 +36,7 @@ def test_names_are_checked(value):
 
 def test_the_options_are_kept():
     structure = build(*soup(2), quality="high", kernel="single")
-    assert structure.options == {"quality": "high", "max_leaf_size": 4, "kernel": "single"}
+    assert structure.options == rs.Bvh(quality="high", kernel="single")
     assert structure.kernel == "single"
 
 
@@ -48,7 +48,7 @@ def test_the_report_counts_the_bytes():
     assert structure.report.byte_count == 256 * quality["nodes"] + 160 * quality["leaf blocks"]
 
 
-def with_leaves_repeated(structure: Bvh) -> Bvh:
+def with_leaves_repeated(structure: BvhStructure) -> BvhStructure:
     """The same tree with some of its leaves in absent lanes too, of the same and of other nodes."""
     nodes, leaves = (array.copy() for array in structure.tree)
     children = nodes.view(np.int32)[:, CHILDREN_AT // 4 : CHILDREN_AT // 4 + WIDTH]
@@ -65,7 +65,7 @@ def with_leaves_repeated(structure: Bvh) -> Bvh:
     assert added
     # Parents' boxes need not hold the strangers: where they do not, those are just not found.
     arrays = {**structure.saved_arrays(), "nodes": nodes, "leaves": leaves}
-    return Bvh.from_arrays(structure.triangles, arrays)
+    return BvhStructure.from_arrays(structure.triangles, arrays, structure.options)
 
 
 @pytest.mark.parametrize("mesh", [soup(300, 1), dented_sphere(2), lattice_soup(80)])
@@ -75,7 +75,7 @@ def test_a_triangle_in_several_leaves_counts_once(mesh, kernel, rng):
     oracle = rs.Tracer(rs.Scene.from_arrays(*mesh), "brute")
     structure = with_leaves_repeated(tracer.structure)
     structure._lists_twice = True
-    structure.options = {**structure.options, "kernel": kernel}
+    structure.options = rs.Bvh(kernel=kernel)
     tracer.structure = structure
     low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
     origins = low + rng.random((300, 3)) * (high - low) + rng.normal(size=(300, 3))

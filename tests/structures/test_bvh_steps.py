@@ -322,7 +322,7 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
     seen, _, _ = both(structure, rays, False, False, one, 0)
     assert_same_bits(seen != 0, answered(brute, Kind.ANY_HIT, rays).seen)
 
-    assert structure.lists_twice == (structure.options["quality"] == "high")
+    assert structure.lists_twice == (structure.options.quality == "high")
     room = 4096 if structure.lists_twice else 0
     for surfaces in (False, True):
         wanted = answered(brute, Kind.COUNT_HITS, rays, surfaces).counts

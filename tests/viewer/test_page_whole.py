@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.structures import STRUCTURES
 from viewer.browser import Viewer, chromium, serving  # noqa: F401  a fixture
 from viewer.test_page import TRIANGLE, check_hits
 
 pytestmark = pytest.mark.exhaustive
 
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
-STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")
 TRAVERSALS = ("stack", "restart", "backtrack", "short-stack")
 
 #: Makes a drop of a file of some text, as a browser would.

@@ -8,20 +8,18 @@ import raystream as rs
 from extras import need
 from raystream.machines.devices import device_of
 from raystream.rendering.picture import RENDERERS
-from raystream.structures import STRUCTURES as ALL_STRUCTURES
 from raystream.viewer.messages import MessageError
-from raystream.viewer.settings import MACHINES, STRUCTURES, TRAVERSALS, Settings
+from raystream.viewer.settings import MACHINES, Settings, traversals_of
 
 
 def test_the_names_are_those_of_the_library():
-    assert sorted(STRUCTURES) == sorted(ALL_STRUCTURES)
     assert MACHINES["cpu"] == device_of("cpu").machines.names
     scene = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-    for traversal in TRAVERSALS["kdtree"]:
+    for traversal in traversals_of("kdtree"):
         rs.Tracer(scene, "kdtree", traversal=traversal)
     with pytest.raises(ValueError, match="traversal") as caught:
         rs.Tracer(scene, "kdtree", traversal="?")
-    assert all(repr(traversal) in str(caught.value) for traversal in TRAVERSALS["kdtree"])
+    assert all(repr(traversal) in str(caught.value) for traversal in traversals_of("kdtree"))
 
 
 @pytest.mark.parametrize(("device", "package"), [("graphics", "wgpu"), ("cuda", "numba_cuda")])
@@ -81,7 +79,7 @@ def test_a_message_says_what_is_in_effect_and_what_is_possible():
     assert message["scheduler"] is None
     assert message["max_bounces"] == RENDERERS["path"].options["max_bounces"]
     assert message["samples"] == 64
-    assert message["possible"]["traversal"] == list(TRAVERSALS["kdtree"])
+    assert message["possible"]["traversal"] == list(traversals_of("kdtree"))
     assert message["possible"]["scheduler"] == []
     multipass = Settings().changed({"machine": "multipass"}).message()
     assert multipass["scheduler"] == "threshold"

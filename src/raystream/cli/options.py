@@ -10,13 +10,16 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from raystream.cli.messages import BadInputError
+from raystream.core.choices import MACHINES, SCHEDULERS
+from raystream.structures import STRUCTURES
+from raystream.structures.kdtree.options import TRAVERSALS
 
 __all__ = [
     "DEVICES",
@@ -66,10 +69,6 @@ SAMPLERS = ("sobol", "stratified", "random")
 TONES = ("linear", "reinhard", "aces")
 HEATMAPS = ("cells", "tests", "steps")
 LIGHTS = ("auto", "file")
-STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")
-TRAVERSALS = ("stack", "restart", "backtrack", "short-stack")
-MACHINES = ("branching", "multipass", "compute")
-SCHEDULERS = ("threshold", "naive", "most-work", "double")
 DEVICES = ("cpu", "graphics", "cuda")
 #: Of each device, the machine that traces without --machine.
 USUAL_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
@@ -89,7 +88,7 @@ CAMERA_PARTS = {
 }
 
 
-def complete(names: Sequence[str]) -> Callable[[str], list[str]]:
+def complete(names: Collection[str]) -> Callable[[str], list[str]]:
     """Make a completion function for fixed names."""
     return lambda incomplete: [name for name in names if name.startswith(incomplete)]
 
@@ -107,7 +106,7 @@ def complete_scenes(incomplete: str) -> Iterator[tuple[str, str]]:
             yield name, "sample"
 
 
-def one_of(names: Sequence[str]) -> Callable[[str | None], str | None]:
+def one_of(names: Collection[str]) -> Callable[[str | None], str | None]:
     """Make an option callback that accepts these names only."""
 
     def check(value: str | None) -> str | None:
@@ -157,7 +156,7 @@ SceneName = Annotated[
 Structure = Annotated[
     str | None,
     typer.Option(
-        help=f"Acceleration structure: {' or '.join(STRUCTURES)}; {STRUCTURES[0]} without it.",
+        help=f"Acceleration structure: {' or '.join(STRUCTURES)} [default: bvh].",
         metavar="NAME",
         show_default=False,
         callback=one_of(STRUCTURES),

@@ -190,7 +190,7 @@ def render(
             exposure or 1.0,
             tone or options.TONES[0],
             arguments,
-            structure or options.STRUCTURES[0],
+            structure or next(iter(options.STRUCTURES)),
             device,
             chosen,
             triangles,

@@ -23,6 +23,7 @@ from raystream.cluster.tracers import (
     unpack_scene_from,
     unpack_tracer,
 )
+from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_samples, check_size
 from raystream.rendering.frames import frame_seed, split_options, timeline_of
@@ -33,6 +34,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion
 from raystream.scene.moving import have_same_faces
 from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
 if TYPE_CHECKING:
@@ -55,8 +57,8 @@ def render_frames(
     frames: slice | int | Iterable[int] | None = None,
     size: tuple[int, int] = (1024, 768),
     samples: int = 1,
-    structure: str = "bvh",
-    device: str = "cpu",
+    structure: str | StructureOptions = "bvh",
+    device: str | DeviceOptions = "cpu",
     *,
     client: Client | str | None = None,
     fps: float | None = None,
@@ -143,8 +145,8 @@ class _Film:
     camera: Camera | CameraMotion | None
     seed: int
     of_picture: Mapping[str, Any]
-    structure: str
-    device: str
+    structure: str | StructureOptions
+    device: str | DeviceOptions
     of_tracer: Mapping[str, Any]
 
     def picture(self, number: int, scene: Scene) -> str:

@@ -12,6 +12,7 @@ from raystream.cluster.errors import ClusterError
 from raystream.cluster.post import post_of
 from raystream.cluster.samples import Samples, picture_text
 from raystream.cluster.tracers import pack_tracer
+from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size
 from raystream.rendering.image import Image
@@ -23,6 +24,7 @@ from raystream.rendering.sampled import make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
 if TYPE_CHECKING:
@@ -36,8 +38,8 @@ def render(
     mode: str = "raycast",
     size: tuple[int, int] = (1024, 768),
     samples: int = 1,
-    structure: str = "bvh",
-    device: str = "cpu",
+    structure: str | StructureOptions = "bvh",
+    device: str | DeviceOptions = "cpu",
     *,
     client: Client | str | None = None,
     camera: Camera | None = None,

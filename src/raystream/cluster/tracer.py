@@ -17,8 +17,10 @@ from raystream.cluster.hits import LazyHits, LazyMultiHits
 from raystream.cluster.post import post_of
 from raystream.cluster.rays import LazyRays
 from raystream.cluster.tracers import pack_tracer
+from raystream.core.choices import DeviceOptions
 from raystream.core.query import UNLIMITED, Crossings, counts_surfaces
 from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
 from raystream.tracer import Tracer as LocalTracer
 
 if TYPE_CHECKING:
@@ -78,8 +80,8 @@ class Tracer:
         self,
         scene: Scene | LocalTracer,
         client: Client | str | None = None,
-        structure: str = "bvh",
-        device: str = "cpu",
+        structure: str | StructureOptions = "bvh",
+        device: str | DeviceOptions = "cpu",
         **options: Any,
     ) -> None:
         self.client = client_of(client, is_default=True)
@@ -239,8 +241,11 @@ class Tracer:
         self.close()
 
     def __repr__(self) -> str:
-        device = self._header["device"]
+        structure, device = (
+            one if isinstance(one, str) else one["name"]
+            for one in (self._header["structure"], self._header["device"])
+        )
         return (
             f"cluster.Tracer({len(self._triangles):,} triangles, "
-            f"structure={self._header['structure']!r}, device={device!r}, {self.client!r})"
+            f"structure={structure!r}, device={device!r}, {self.client!r})"
         )

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from raystream.cluster.errors import ClusterError
 from raystream.cluster.parcels import Parcel
 from raystream.cluster.scenes import pack_scene, unpack_scene
+from raystream.core.choices import MACHINES, Cpu, DeviceOptions
+from raystream.core.options import Options
 from raystream.core.triangles import Triangles
+from raystream.machines.devices import device_of
 from raystream.scene.scene import Scene
-from raystream.structures import STRUCTURES
+from raystream.structures import STRUCTURES, StructureOptions, structure_class
 from raystream.tracer import Tracer
 
 __all__ = ["pack_scene_for", "pack_tracer", "unpack_scene_from", "unpack_tracer"]
@@ -21,8 +24,8 @@ __all__ = ["pack_scene_for", "pack_tracer", "unpack_scene_from", "unpack_tracer"
 
 def pack_tracer(
     scene: Scene | Tracer,
-    structure: str,
-    device: str,
+    structure: str | StructureOptions,
+    device: str | DeviceOptions,
     options: Mapping[str, Any],
     *,
     for_pictures: bool,
@@ -56,18 +59,26 @@ def pack_tracer(
         )
     if not isinstance(scene, Scene | Tracer):
         raise TypeError(f"scene: expected a Scene or Tracer, got {type(scene).__name__}")
-    if built is None and device == "cpu":
+    if built is None and (device == "cpu" or isinstance(device, Cpu)):
         built = Tracer(scene, structure, **options)  # type: ignore[arg-type]
     triangles = scene.structure.triangles if isinstance(scene, Tracer) else scene.triangles
-    header: dict[str, Any] = {"device": device, "structure": structure, "options": dict(options)}
+    header: dict[str, Any] = {}
     arrays = _pack_triangles(triangles)
-    if built is not None:
+    if built is None:
+        machine = options.get("machine")
         header |= {
-            "structure": built.structure.name,
-            "kernel": built.structure.options.get("kernel"),
+            "structure": _packed(structure),
+            "device": _packed(device),
+            "options": {**options, **({"machine": _packed(machine)} if machine else {})},
+        }
+    else:
+        made = built.structure
+        header |= {
+            "structure": _packed(made.options),
+            "device": "cpu",
             "options": {"machine": built.machine, **built.machine_options},
         }
-        arrays |= {f"structure {n}": a for n, a in built.structure.saved_arrays().items()}
+        arrays |= {f"structure {n}": a for n, a in made.saved_arrays().items()}
     header["is_built"] = built is not None
     if for_pictures:
         header["scene"], own = pack_scene(scene.scene if isinstance(scene, Tracer) else scene)
@@ -97,19 +108,37 @@ def unpack_tracer(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]])
         scene = None
     if not header["is_built"]:
         scene = scene or Scene.from_triangles(triangles)
-        return Tracer(scene, header["structure"], header["device"], **header["options"])
+        options = {**header["options"]}
+        if "machine" in options:
+            options["machine"] = _unpacked(options["machine"], MACHINES)
+        structure = _unpacked(header["structure"], STRUCTURES)
+        device = header["device"]
+        if not isinstance(device, str):
+            device = _unpacked(device, {device["name"]: device_of(device["name"]).options})
+        return Tracer(scene, structure, device, **options)
     own = {
         name.removeprefix("structure "): array
         for name, array in arrays.items()
         if name.startswith("structure ")
     }
     try:
-        structure = STRUCTURES[header["structure"]].from_arrays(triangles, own)
+        chosen = _unpacked(header["structure"], STRUCTURES)
+        built = structure_class(chosen.name).from_arrays(triangles, own, chosen)
     except ValueError as error:
         raise ClusterError(f"a structure arrived damaged: {error}") from None
-    if header["kernel"] is not None:
-        structure.options = {**structure.options, "kernel": header["kernel"]}
-    return Tracer.of_structure(structure, scene, header["device"], **header["options"])
+    return Tracer.of_structure(built, scene, header["device"], **header["options"])
+
+
+def _packed(choice: str | Options) -> Any:
+    """A name, or typed options, as JSON has them."""
+    return choice if isinstance(choice, str) else {"name": choice.name, "options": choice.as_json()}
+
+
+def _unpacked(packed: Any, classes: Mapping[str, Any]) -> Any:
+    """What `_packed` packed."""
+    if isinstance(packed, str):
+        return packed
+    return classes[packed["name"]].from_json(packed["options"])
 
 
 def pack_scene_for(scene: Scene) -> Parcel:

@@ -4,10 +4,11 @@
 traversals read are copied to the GPU; ``build="device"`` builds them there.
 """
 
+from raystream.core.choices import Cuda
 from raystream.cuda.building import build_structure
 from raystream.cuda.machines import CUDA_MACHINES
 from raystream.machines.devices import register_device
 
 __all__ = ["CUDA_MACHINES"]
 
-register_device("cuda", build_structure, CUDA_MACHINES, shared_options=("gpu",))
+register_device("cuda", build_structure, CUDA_MACHINES, Cuda)

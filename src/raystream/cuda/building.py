@@ -2,70 +2,56 @@
 
 from __future__ import annotations
 
-from typing import Any
+import inspect
 
 from raystream import structures
+from raystream.core.choices import Cuda
 from raystream.core.triangles import Triangles
 from raystream.cuda.machines import open_device
 from raystream.jit.threads import Progress
-from raystream.structures import Structure
+from raystream.structures import Structure, StructureOptions, form_of, names_with
 
-__all__ = ["BUILT_ON_DEVICE", "build_structure"]
-
-#: Structures that the device can build.
-BUILT_ON_DEVICE = ("bvh", "graph", "grid", "kdtree")
+__all__ = ["build_structure"]
 
 
 def build_structure(
-    name: str,
+    structure: StructureOptions,
     triangles: Triangles,
     *,
     progress: Progress | None = None,
-    build: str = "host",
-    gpu: int = 0,
-    **options: Any,
+    device: Cuda | None = None,
 ) -> Structure:
-    """Build a structure by name.
+    """Build a structure; a `machines.devices.DeviceFactory`.
 
     Parameters
     ----------
-    name : str
-        See `structures.build_structure`.
+    structure : StructureOptions
     triangles : Triangles
     progress : callable, optional
         Called with (triangles placed, triangles); once, at the end, by the device.
-    build : {"host", "device"}
-        Who builds it. A device keeps what it built; the host gets a copy when it needs one.
-    gpu : int
-        Which device.
-    **options
-        Of the structure: see the functions `build_bvh`, `build_graph`, `build_grid` and
-        `build_kdtree` of `cuda.builders`.
+    device : Cuda, optional
+        Says who builds it. A device keeps what it built; the host gets a copy when it needs one.
 
     Raises
     ------
     ValueError
-        If a name is unknown, an option's value is out of range, or the device cannot build it.
+        If the device cannot build it with these options.
     TypeError
-        If the structure has no such option.
+        If it is built in one way, and a method is given.
     CudaError
         If the device has no memory for it.
     """
-    if build == "host":
-        return structures.build_structure(name, triangles, progress=progress, **options)
-    if build != "device":
-        raise ValueError(f"build: expected 'host' or 'device', got {build!r}")
-    if name not in BUILT_ON_DEVICE:
-        known = ", ".join(map(repr, BUILT_ON_DEVICE))
+    device = device or Cuda()
+    if device.build == "host":
+        return structures.build_structure(structure, triangles, progress=progress)
+    name, build = structure.name, form_of(structure.name, "cuda build")
+    if build is None:
+        known = ", ".join(map(repr, names_with("cuda build")))
         raise ValueError(f"build: 'device' builds {known}, not {name!r}; use build='host'")
-    from raystream.cuda.builders import BUILDERS
-
-    builder, own = BUILDERS[name]
-    for option in options:
-        if option not in own:
-            has = ", ".join(own)
-            raise TypeError(f"{name}: build='device' has no option {option!r}; it has {has}")
-    made = builder(open_device(gpu), triangles, **options)
+    more = {} if device.method is None else {"method": device.method}
+    if more and "method" not in inspect.signature(build).parameters:
+        raise TypeError(f"{name}: build='device' has no option 'method'")
+    made: Structure = build(open_device(device.gpu), triangles, structure, **more)
     if progress:
         progress(len(triangles), len(triangles))
     return made

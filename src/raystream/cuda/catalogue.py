@@ -16,14 +16,14 @@ from raystream.cuda.programs.catalogue import program_catalogue
 from raystream.cuda.ray_order import MAKE_KEY
 from raystream.cuda.rendering.catalogue import rendering_catalogue
 from raystream.cuda.scan import NOTE
-from raystream.cuda.structures import STRUCTURES, kernels_of
+from raystream.cuda.structures import kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
-from raystream.structures import build_structure
+from raystream.structures import STRUCTURES, build_structure, names_with
 
 __all__ = ["ARRAY_KERNELS", "catalogue_of", "whole_catalogue"]
 
@@ -115,7 +115,7 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
         for way, name, options in ways
         for query, one in catalogue_of(name, scene, **options).items()
     }
-    for name in STRUCTURES:
+    for name in names_with("multipass"):
         for kernel, one in multipass_catalogue_of(name, scene).items():
             group = f"{name}, passes" if kernel == "pass" else "passes"
             listed[group, kernel] = one

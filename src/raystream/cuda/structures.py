@@ -6,15 +6,14 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
-from raystream.cuda.bvh.kernels import kernel_of, lay_out, search_of
+from raystream.cuda.bvh.kernels import LAYOUTS, kernel_of, lay_out
 from raystream.cuda.options import check_names
 from raystream.cuda.ray_order import in_order
 from raystream.cuda.threads import ThreadQueries, thread_queries
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu, PersistentKernel, RangeKernel
-from raystream.structures import Structure
+from raystream.structures import STRUCTURES, Structure, form_of, structure_class
 
 __all__ = [
-    "STRUCTURES",
     "BuiltOnDevice",
     "Resident",
     "kernel_for",
@@ -26,46 +25,6 @@ __all__ = [
 _LAUNCHERS = {"range": RangeKernel, "persistent": PersistentKernel}
 
 _Launcher = Callable[[Callable[..., Any]], RangeKernel]
-
-
-def _brute(launcher: _Launcher) -> ThreadQueries:
-    from raystream.structures.brute.traversal import traverse
-
-    return thread_queries(traverse, 8, launcher)
-
-
-def _bvh(launcher: _Launcher, kernel: str) -> ThreadQueries:
-    traverse, stack_bytes = search_of(kernel)
-    return thread_queries(traverse, stack_bytes, launcher, lists_twice=True)
-
-
-def _graph(launcher: _Launcher) -> ThreadQueries:
-    from raystream.structures.graph.traversal import STACK_BYTES, traverse
-
-    return thread_queries(traverse, STACK_BYTES, launcher)
-
-
-def _grid(launcher: _Launcher) -> ThreadQueries:
-    from raystream.structures.grid.traversal import STACK_BYTES, traverse
-
-    return thread_queries(traverse, STACK_BYTES, launcher)
-
-
-def _kdtree(launcher: _Launcher) -> ThreadQueries:
-    from raystream.structures.kdtree.state import STACK_BYTES
-    from raystream.structures.kdtree.traversal import traverse
-
-    return thread_queries(traverse, STACK_BYTES, launcher)
-
-
-#: Those that have kernels, and what makes these; a BVH has several, see `bvh.kernels`.
-STRUCTURES: dict[str, Callable[..., ThreadQueries]] = {
-    "brute": _brute,
-    "bvh": _bvh,
-    "graph": _graph,
-    "grid": _grid,
-    "kdtree": _kdtree,
-}
 
 
 def kernels_of(
@@ -101,11 +60,14 @@ def kernels_of(
 
 @cache
 def _made(name: str, kernel: str | None, launch: str, order: str) -> ThreadQueries:
-    chosen = () if kernel is None else (kernel,)
-    launcher: _Launcher = _LAUNCHERS[launch]
-    if order == "given":
-        return STRUCTURES[name](launcher, *chosen)
-    return STRUCTURES[name](lambda function: launcher(in_order(function)), *chosen)
+    made, plain = structure_class(name), _LAUNCHERS[launch]
+    traverse, stack_bytes = made.traverse, made.stack_bytes
+    if kernel is not None:
+        traverse, stack_bytes = form_of(name, LAYOUTS).search_of(kernel)
+    launcher: _Launcher = plain
+    if order == "sorted":
+        launcher = lambda function: plain(in_order(function))  # noqa: E731
+    return thread_queries(traverse, stack_bytes, launcher, lists_twice=made.can_list_twice)
 
 
 class Resident(NamedTuple):
@@ -137,10 +99,15 @@ class BuiltOnDevice(Protocol):
     resident: Resident
 
 
+def _has_layouts(structure: Structure) -> bool:
+    """Whether the device has layouts of its own for a structure."""
+    return form_of(structure.name, LAYOUTS) is not None
+
+
 def kernel_for(structure: Structure, gpu: Gpu, kernel: str) -> str:
     """The kernel that ``"auto"`` stands for where a BVH was built on the device: its own layout."""
     is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
-    return "wide" if kernel == "auto" and is_there and structure.name == "bvh" else kernel
+    return "wide" if kernel == "auto" and is_there and _has_layouts(structure) else kernel
 
 
 def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
@@ -159,7 +126,7 @@ def place(structure: Structure, gpu: Gpu, kernel: str = "auto") -> Resident:
         If there is no memory for all of it: then nothing was copied.
     """
     is_there = isinstance(structure, BuiltOnDevice) and structure.gpu.number == gpu.number
-    if is_there and (structure.name != "bvh" or kernel == "wide"):
+    if is_there and (kernel == "wide" or not _has_layouts(structure)):
         return cast("BuiltOnDevice", structure).resident
     tree, given = lay_out(structure, kernel)
     # Nothing is at address 0.

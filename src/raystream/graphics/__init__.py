@@ -12,13 +12,14 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from raystream.core.choices import Graphics
 from raystream.graphics.forms import build_with_shaders
 from raystream.graphics.machines import GRAPHICS_MACHINES
 from raystream.machines.devices import register_device
 
 __all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "render_bounces", "visibility"]
 
-register_device("graphics", build_with_shaders, GRAPHICS_MACHINES)
+register_device("graphics", build_with_shaders, GRAPHICS_MACHINES, Graphics)
 
 #: What renders, by module: imported when it is asked for.
 _HOMES = {

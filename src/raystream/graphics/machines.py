@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from raystream.core.choices import Graphics, Multipass
 from raystream.graphics.adapters import open_device
 from raystream.graphics.error_scope import guarded
 from raystream.machines.backend import Backend
@@ -14,20 +15,16 @@ from raystream.structures import Structure
 
 __all__ = ["GRAPHICS_MACHINES", "OPTIONS"]
 
+_SHARED = ("adapter", "rays_at_once")
+
 #: Options of each machine.
 OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "compute": ("adapter", "rays_at_once"),
-        "branching": ("adapter", "rays_at_once"),
-        "multipass": (
-            "adapter",
-            "rays_at_once",
-            "scheduler",
-            "threshold",
-            "traversal_steps",
-            "intersections",
-            "loop",
-            "max_passes",
+        "compute": _SHARED,
+        "branching": _SHARED,
+        # No fragment program drops rays from its streams.
+        "multipass": tuple(
+            name for name in (*Graphics.names(), *Multipass.names()) if name != "compaction"
         ),
     }
 )

@@ -39,8 +39,8 @@ FILE = Path(__file__).with_name("kernels.json")
 #: Seconds between two looks at what other processes have done.
 _PAUSE = 0.25
 
-#: Rooms whose modules make kernels of functions that they get.
-_MAKERS = ("brute", "bvh", "grid", "graph", "kdtree")
+#: The room whose classes make kernels of functions that they have.
+_MAKERS = "raystream.structures"
 
 
 class Entry(NamedTuple):
@@ -180,8 +180,9 @@ def _prepare(entry: Entry) -> tuple[Any, Any] | None:
     try:
         importlib.import_module(entry.kernel.partition(":")[0])
         if "[" in entry.kernel:
-            for name in _MAKERS:
-                importlib.import_module(f"raystream.structures.{name}")
+            makers = importlib.import_module(_MAKERS)
+            for name in makers.STRUCTURES:
+                makers.structure_class(name)
         dispatcher = KERNELS.get(entry.kernel)
         if dispatcher is None:
             return None

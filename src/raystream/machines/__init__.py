@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from raystream.core import choices
 from raystream.machines.branching import Branching
 from raystream.structures import Structure
 
@@ -36,7 +37,7 @@ __all__ = [
 MACHINES = ("branching", "multipass")
 
 #: Options of the multipass machine.
-MULTIPASS_OPTIONS = ("scheduler", "threshold", "traversal_steps", "intersections", "compaction")
+MULTIPASS_OPTIONS = choices.Multipass.names()
 
 # Imported when they are first used: branching costs neither the streams nor their kernels.
 _HOMES = {

@@ -15,6 +15,7 @@ from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.machines.backend import Backend
 from raystream.machines.passes import Passes
+from raystream.structures import STRUCTURES
 
 __all__ = ["RayCounters", "answer_counting"]
 
@@ -78,7 +79,8 @@ class RayCounters:
     @property
     def cells(self) -> NDArray[np.uint32]:
         """Cells of space that a ray looked at: cells of a grid, sectors, or leaves of a tree."""
-        return self.steps if self.structure in ("grid", "graph") else self.leaves
+        cells: NDArray[np.uint32] = getattr(self, STRUCTURES[self.structure].cell_counter)
+        return cells
 
     @property
     def all_steps(self) -> NDArray[np.uint32]:

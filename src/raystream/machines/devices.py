@@ -6,8 +6,11 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from raystream.core.choices import Cpu, DeviceOptions
+from raystream.core.triangles import Triangles
+from raystream.jit.threads import Progress
 from raystream.machines import MACHINES, make_machine, own_options
-from raystream.structures import Structure, build_structure
+from raystream.structures import Structure, StructureOptions, build_structure
 
 if TYPE_CHECKING:
     from raystream.machines.backend import Backend
@@ -18,11 +21,13 @@ __all__ = [
     "Device",
     "DeviceFactory",
     "Machines",
+    "build_on_cpu",
     "device_of",
     "register_device",
 ]
 
-#: Makes a structure that traces on a device: (name, triangles, progress=, **options).
+#: Builds a structure that traces on a device: (structure, triangles, progress=, device=), with
+#: the options of both.
 DeviceFactory = Callable[..., Structure]
 
 
@@ -68,17 +73,28 @@ class Device(NamedTuple):
     build : callable
         A `DeviceFactory`.
     machines : Machines
-    shared_options : tuple of str
-        Options of machines that `build` is given, too.
+    options : type of DeviceOptions, optional
+        None if it has no options but its machines'.
     """
 
     build: DeviceFactory
     machines: Machines
-    shared_options: tuple[str, ...] = ()
+    options: type[DeviceOptions] | None = None
+
+
+def build_on_cpu(
+    structure: StructureOptions,
+    triangles: Triangles,
+    *,
+    progress: Progress | None = None,
+    device: DeviceOptions | None = None,  # noqa: ARG001 - as every `DeviceFactory` has it
+) -> Structure:
+    """Build a structure on the CPU; a `DeviceFactory`."""
+    return build_structure(structure, triangles, progress=progress)
 
 
 #: Devices by name: those that were asked for, or registered by others.
-DEVICES: dict[str, Device] = {"cpu": Device(build_structure, CPU_MACHINES)}
+DEVICES: dict[str, Device] = {"cpu": Device(build_on_cpu, CPU_MACHINES, Cpu)}
 
 #: Rooms that register their device when they are imported, which is when it is asked for.
 _ROOMS = {"cuda": "raystream.cuda", "graphics": "raystream.graphics"}
@@ -86,9 +102,9 @@ _ROOMS = {"cuda": "raystream.cuda", "graphics": "raystream.graphics"}
 
 def register_device(
     name: str,
-    build: DeviceFactory = build_structure,
+    build: DeviceFactory = build_on_cpu,
     machines: Machines = CPU_MACHINES,
-    shared_options: tuple[str, ...] = (),
+    options: type[DeviceOptions] | None = None,
 ) -> None:
     """Make a device known by name.
 
@@ -97,14 +113,14 @@ def register_device(
     name : str
         What ``Tracer(device=...)`` takes.
     build : callable, optional
-        ``build(structure_name, triangles, progress=None, **options)`` returns a `Structure`;
-        [default: on the CPU].
+        ``build(structure, triangles, progress=None, device=None)`` takes the `StructureOptions`
+        and `DeviceOptions`, and returns a `Structure` [default: on the CPU].
     machines : Machines, optional
         How the device traverses structures [default: as the CPU does].
-    shared_options : tuple of str, optional
-        Options of machines that `build` is given, too.
+    options : type of DeviceOptions, optional
+        What ``Tracer(device=...)`` takes beside the name: a frozen dataclass.
     """
-    DEVICES[name] = Device(build, machines, shared_options)
+    DEVICES[name] = Device(build, machines, options)
 
 
 def device_of(name: str) -> Device:

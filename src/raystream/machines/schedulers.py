@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
+from raystream.core.choices import SCHEDULERS, Multipass
 from raystream.machines.records import RayState
 from raystream.machines.steps.base import StepKernel
 
@@ -138,10 +139,6 @@ class Double:
         return latest
 
 
-#: Schedulers by name; `Threshold` takes the share.
-SCHEDULERS = ("threshold", "naive", "most-work", "double")
-
-
 def make_scheduler(scheduler: str | Scheduler, threshold: float = USUAL_THRESHOLD) -> Scheduler:
     """Find a scheduler by name; an object that chooses stays as it is.
 
@@ -152,23 +149,13 @@ def make_scheduler(scheduler: str | Scheduler, threshold: float = USUAL_THRESHOL
     TypeError
         If it is neither a name nor has a method ``choose``.
     """
-    if not 0.0 <= float(threshold) <= 1.0:
-        raise ValueError(f"threshold: expected 0 to 1, got {threshold}")
+    Multipass(scheduler=scheduler, threshold=threshold)  # raises what is wrong
     if not isinstance(scheduler, str):
-        if not callable(getattr(scheduler, "choose", None)):
-            raise TypeError(f"scheduler: expected a name or a Scheduler, got {scheduler!r:.60}")
         return scheduler
-    if scheduler == "optimal":
-        raise ValueError(
-            "scheduler: 'optimal' is a bound and no schedule: see counters.passes.optimal_count"
-        )
     made: dict[str, Scheduler] = {
         "threshold": Threshold(float(threshold)),
         "naive": Naive(),
         "most-work": MostWork(),
         "double": Double(),
     }
-    if scheduler not in made:
-        known = ", ".join(map(repr, SCHEDULERS))
-        raise ValueError(f"scheduler: expected one of {known}, got {scheduler!r}")
     return made[scheduler]

@@ -7,9 +7,11 @@ import operator
 from collections.abc import Mapping
 from typing import Any
 
+from raystream.core.choices import DeviceOptions
 from raystream.core.memory import check_memory
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
 __all__ = [
@@ -64,7 +66,10 @@ def check_camera(camera: Camera | None) -> None:
 
 
 def make_tracer(
-    scene: Scene | Tracer, structure: str, device: str, options: Mapping[str, Any]
+    scene: Scene | Tracer,
+    structure: str | StructureOptions,
+    device: str | DeviceOptions,
+    options: Mapping[str, Any],
 ) -> Tracer:
     """The tracer given, or one of the scene.
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_samples, check_size
 from raystream.rendering.image import Image
@@ -17,6 +18,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion
 from raystream.scene.moving import have_same_faces
 from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
 __all__ = ["frame_seed", "render_frames", "split_options", "timeline_of"]
@@ -40,8 +42,8 @@ def render_frames(
     frames: slice | int | Iterable[int] | None = None,
     size: tuple[int, int] = (1024, 768),
     samples: int = 1,
-    structure: str = "bvh",
-    device: str = "cpu",
+    structure: str | StructureOptions = "bvh",
+    device: str | DeviceOptions = "cpu",
     *,
     fps: float | None = None,
     camera: Camera | CameraMotion | None = None,
@@ -154,7 +156,11 @@ def timeline_of(scene: Scene, camera: Camera | CameraMotion | None, fps: float |
 
 
 def _moved(
-    tracer: Tracer | None, scene: Scene, structure: str, device: str, options: Mapping[str, Any]
+    tracer: Tracer | None,
+    scene: Scene,
+    structure: str | StructureOptions,
+    device: str | DeviceOptions,
+    options: Mapping[str, Any],
 ) -> Tracer:
     """The tracer with the scene of another frame; a new one where it has other triangles."""
     if tracer is None or not have_same_faces(tracer.scene.meshes, scene.meshes):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.rendering.false_colors import check_maximum, draw_counts
@@ -19,6 +20,7 @@ from raystream.rendering.sampled import eye_paths
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
 if TYPE_CHECKING:
@@ -133,8 +135,8 @@ def heatmap(
     what: str = "steps",
     size: tuple[int, int] = (1024, 768),
     samples: int = 1,
-    structure: str = "bvh",
-    device: str = "cpu",
+    structure: str | StructureOptions = "bvh",
+    device: str | DeviceOptions = "cpu",
     *,
     camera: Camera | None = None,
     maximum: float | None = None,

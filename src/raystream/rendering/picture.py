@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from os import PathLike
 from typing import Any
 
+from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.ao import AO
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
@@ -24,6 +25,7 @@ from raystream.rendering.whitted import WHITTED
 from raystream.rendering.xray import XRAY
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
 from raystream.tracer import Tracer
 
 __all__ = ["MODES", "RENDERERS", "render"]
@@ -41,8 +43,8 @@ def render(
     mode: str = "raycast",
     size: tuple[int, int] = (1024, 768),
     samples: int = 1,
-    structure: str = "bvh",
-    device: str = "cpu",
+    structure: str | StructureOptions = "bvh",
+    device: str | DeviceOptions = "cpu",
     *,
     camera: Camera | None = None,
     lights: str = "auto",

@@ -1,57 +1,53 @@
-"""Acceleration structures, one folder each, and the registry of their names."""
+"""Acceleration structures, one folder each, and the registry of their names.
+
+A folder's ``options.py`` says all that others know of the structure, and registers it. They are
+all imported here, and are light; what builds and traces is imported when it is needed.
+"""
 
 from __future__ import annotations
 
-import inspect
-from typing import Any
+import importlib
+import pkgutil
+from typing import TYPE_CHECKING, Any
 
-from raystream.core.triangles import Triangles
-from raystream.jit.threads import Progress
-from raystream.structures.base import Structure
-from raystream.structures.brute import Brute
-from raystream.structures.bvh import Bvh
-from raystream.structures.graph import Graph
-from raystream.structures.grid import Grid
-from raystream.structures.kdtree import KdTree
+from raystream.structures.registry import (
+    STRUCTURES,
+    StructureOptions,
+    build_structure,
+    form_of,
+    names_with,
+    options_of,
+    register_structure,
+    structure_class,
+)
 
-__all__ = ["STRUCTURES", "Structure", "build_structure"]
+if TYPE_CHECKING:
+    from raystream.structures.base import Structure
 
-#: Structures by the name that `Tracer` takes.
-STRUCTURES: dict[str, type[Structure]] = {
-    cls.name: cls for cls in (Brute, Bvh, Graph, Grid, KdTree)
-}
+__all__ = [
+    "STRUCTURES",
+    "Structure",
+    "StructureOptions",
+    "build_structure",
+    "form_of",
+    "names_with",
+    "options_of",
+    "register_structure",
+    "structure_class",
+]
+
+for _found in pkgutil.iter_modules(__path__):
+    if _found.ispkg:
+        importlib.import_module(f"{__name__}.{_found.name}.options")
+
+# The default first, then by name, whichever has imported another one.
+for _name in sorted(STRUCTURES, key=lambda name: (name != "bvh", name)):
+    STRUCTURES[_name] = STRUCTURES.pop(_name)
 
 
-def build_structure(
-    name: str, triangles: Triangles, *, progress: Progress | None = None, **options: Any
-) -> Structure:
-    """Build a structure by name.
+def __getattr__(name: str) -> Any:
+    if name != "Structure":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from raystream.structures.base import Structure
 
-    Parameters
-    ----------
-    name : str
-        A key of `STRUCTURES`.
-    triangles : Triangles
-    progress : callable, optional
-        Called with (triangles placed, triangles).
-    **options
-        Build options of that structure.
-
-    Raises
-    ------
-    ValueError
-        If the name is unknown, or an option's value is out of range.
-    TypeError
-        If the structure has no such option.
-    """
-    if name not in list(STRUCTURES):
-        known = ", ".join(repr(known) for known in STRUCTURES)
-        raise ValueError(f"structure: expected one of {known}, got {name!r}")
-    structure = STRUCTURES[name]
-    names = list(inspect.signature(structure).parameters)
-    own = [option for option in names if option not in ("triangles", "progress")]
-    for option in options:
-        if option not in own:
-            has = f"it has {', '.join(own)}" if own else "it has none"
-            raise TypeError(f"{name}: has no option {option!r}; {has}")
-    return structure(triangles, progress=progress, **options)
+    return Structure

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 from numpy.typing import NDArray
@@ -18,8 +17,9 @@ from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.local_ray import SceneFrame
-from raystream.kernels.queries import RayQueries
+from raystream.kernels.queries import RayQueries, ray_queries
 from raystream.kernels.sink import Sink
+from raystream.structures.registry import StructureOptions
 
 __all__ = ["BuildReport", "Structure", "UpdateReport"]
 
@@ -71,31 +71,43 @@ class UpdateReport:
 class Structure(ABC):
     """Triangles arranged for tracing.
 
-    A subclass gives `name`, `queries` (from `kernels.queries.ray_queries`), the `arrays`
-    that its traversal reads, `saved_arrays` for a file, and `from_arrays`, which checks what
-    comes back from one. Every structure returns the same bits as `Brute`.
+    A subclass gives its `traverse` (see `kernels.queries.ray_queries`) and the `stack_bytes` that
+    it needs, the `arrays` that the traversal reads, `saved_arrays` for a file, and `from_arrays`,
+    which checks what comes back from one. Every structure returns the same bits as brute force.
 
     Attributes
     ----------
-    name : str
-        What `Tracer` calls it.
+    can_list_twice : bool
+        Whether `lists_twice` may be true of one; of the class.
     triangles : Triangles
     report : BuildReport
-    options : dict
-        Build options, to build it again.
+    options : StructureOptions
+        How it was built and is traced.
     """
 
-    name: ClassVar[str]
+    traverse: ClassVar[Callable[..., Any]]
+    stack_bytes: ClassVar[int] = 8
+    can_list_twice: ClassVar[bool] = False
     queries: ClassVar[RayQueries]
     triangles: Triangles
     report: BuildReport
-    options: Mapping[str, Any] = MappingProxyType({})
+    options: StructureOptions
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "traverse" in cls.__dict__:
+            cls.queries = ray_queries(cls.traverse, cls.stack_bytes, lists_twice=cls.can_list_twice)
 
     @abstractmethod
     def __init__(
-        self, triangles: Triangles, *, progress: Progress | None = None, **options: Any
+        self, triangles: Triangles, options: Any, *, progress: Progress | None = None
     ) -> None:
         """Build it."""
+
+    @property
+    def name(self) -> str:
+        """What `Tracer` calls it."""
+        return self.options.name
 
     @property
     @abstractmethod
@@ -116,8 +128,10 @@ class Structure(ABC):
 
     @classmethod
     @abstractmethod
-    def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Structure:
-        """Make a structure of arrays that were saved.
+    def from_arrays(
+        cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Any
+    ) -> Structure:
+        """Make a structure of arrays that were saved, and its options.
 
         Raises
         ------
@@ -165,7 +179,7 @@ class Structure(ABC):
         report : UpdateReport
         """
         started = time.perf_counter()
-        structure = type(self)(triangles, progress=progress, **self.options)
+        structure = type(self)(triangles, self.options, progress=progress)
         seconds = time.perf_counter() - started
         return structure, UpdateReport(True, seconds, math.nan, math.nan)
 

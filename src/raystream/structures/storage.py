@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from raystream.core.errors import FileFormatError
 from raystream.core.npz import read_npz, write_npz
 from raystream.core.triangles import Triangles
-from raystream.structures import STRUCTURES
+from raystream.structures import STRUCTURES, StructureOptions, structure_class
 from raystream.structures.base import Structure
+from raystream.structures.saved import take
 
 __all__ = ["FORMAT_VERSION", "load_structure", "save_structure"]
 
 #: Raised by every change after which older files cannot be read.
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 _FORMAT = "raystream structure"
 
@@ -40,7 +41,12 @@ def save_structure(path: str | PathLike[str], structure: Structure) -> None:
         If it cannot be written.
     """
     triangles = structure.triangles
-    header = {"format": _FORMAT, "version": FORMAT_VERSION, "structure": structure.name}
+    header = {
+        "format": _FORMAT,
+        "version": FORMAT_VERSION,
+        "structure": structure.name,
+        "options": structure.options.as_json(),
+    }
     arrays: dict[str, NDArray[Any]] = {
         "header": np.frombuffer(json.dumps(header).encode(), np.uint8),
         "triangles.corners": triangles.corners,
@@ -72,24 +78,28 @@ def load_structure(path: str | PathLike[str], triangles: Triangles | None = None
         If the file is damaged, foreign, of another version, or of other triangles.
     """
     arrays = read_npz(path)
-    structure_class = _structure_class(path, arrays)
+    made, options = _header(path, arrays)
     try:
         stored = _triangles(arrays)
         if triangles is not None:
             if not _same(stored, triangles):
-                raise ValueError("was built of other triangles than the scene's; build it anew")
+                raise ValueError("was built of other triangles than the scene's; rebuild it")
             stored = triangles
         own = {
             name.removeprefix("structure."): array
             for name, array in arrays.items()
             if name.startswith("structure.")
         }
-        return structure_class.from_arrays(stored, own)
+        chosen = made.from_json(options)
+        return structure_class(made.name).from_arrays(stored, own, chosen)
     except ValueError as error:
         raise FileFormatError(path, str(error)) from None
 
 
-def _structure_class(path: str | PathLike[str], arrays: dict[str, NDArray[Any]]) -> type[Structure]:
+def _header(
+    path: str | PathLike[str], arrays: dict[str, NDArray[Any]]
+) -> tuple[type[StructureOptions], Any]:
+    """The class of the structure's options, and what the file has of them."""
     foreign = FileFormatError(path, "was not written by Tracer.save")
     try:
         header = json.loads(arrays["header"].tobytes())
@@ -101,44 +111,31 @@ def _structure_class(path: str | PathLike[str], arrays: dict[str, NDArray[Any]])
         raise FileFormatError(
             path,
             f"has format version {header.get('version')!r:.40}, and this raystream reads "
-            f"{FORMAT_VERSION}; build the structure anew",
+            f"{FORMAT_VERSION}; rebuild the structure",
         )
     name = header.get("structure")
     if not isinstance(name, str) or name not in STRUCTURES:
         raise FileFormatError(path, f"holds an unknown structure {name!r:.40}")
-    return STRUCTURES[name]
+    return STRUCTURES[name], header.get("options")
 
 
 def _triangles(arrays: dict[str, NDArray[Any]]) -> Triangles:
-    expected = {
-        "corners": ("f4", 3),
-        "mesh_splits": ("i8", 1),
-        "center": ("f8", 1),
-        "scale": ("f8", 0),
-    }
-    found = {}
-    for name, (dtype, dimensions) in expected.items():
-        array = arrays.get(f"triangles.{name}")
-        if array is None or array.dtype != np.dtype(dtype) or array.ndim != dimensions:
-            raise ValueError(f"array 'triangles.{name}' is missing or of another kind")
-        found[name] = array
-    scale = float(found["scale"])
+    corners = take(arrays, "triangles.corners", np.float32, (None, 3, 3))
+    splits = take(arrays, "triangles.mesh_splits", np.int64, (None,))
+    center = take(arrays, "triangles.center", np.float64, (3,))
+    scale = float(take(arrays, "triangles.scale", np.float64, ()))
     if not (scale > 0.0 and math.isfinite(scale) and math.frexp(scale)[0] == 0.5):
-        raise ValueError("its scale is not a power of two")
-    if found["center"].shape != (3,) or not np.isfinite(found["center"]).all():
-        raise ValueError("its centre is not a point")
-    splits = found["mesh_splits"]
-    corners = found["corners"]
-    if corners.shape[1:] != (3, 3):
-        raise ValueError("its corners are not those of triangles")
+        raise ValueError("invalid scale: not a power of two")
+    if not np.isfinite(center).all():
+        raise ValueError("invalid centre: not finite")
     if (
         len(splits) < 1
         or splits[0] != 0
         or splits[-1] != len(corners)
         or (np.diff(splits) < 0).any()
     ):
-        raise ValueError("its meshes do not divide its triangles")
-    return Triangles.from_local(np.ascontiguousarray(corners), splits, found["center"], scale)
+        raise ValueError("the mesh splits do not delimit the triangles")
+    return Triangles.from_local(corners, splits, center, scale)
 
 
 def _same(stored: Triangles, given: Triangles) -> bool:

@@ -10,9 +10,10 @@ from raystream.machines.schedulers import SCHEDULERS
 from raystream.rendering.heatmap import HEATMAPS
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.tone import TONES
+from raystream.structures import STRUCTURES
 from raystream.viewer.heat import ramp
 from raystream.viewer.messages import Message, error_text
-from raystream.viewer.settings import MACHINES, MAX_SAMPLES, STRUCTURES, TRAVERSALS
+from raystream.viewer.settings import MACHINES, MAX_SAMPLES, traversals_of
 from raystream.viewer.visitor import MAX_PIXELS, MAX_SIDE
 
 __all__ = ["devices_message", "hello"]
@@ -28,7 +29,7 @@ def hello() -> Message:
             for name, one in RENDERERS.items()
         ],
         "structures": [
-            {"name": name, "traversals": list(TRAVERSALS.get(name, ()))} for name in STRUCTURES
+            {"name": name, "traversals": list(traversals_of(name))} for name in STRUCTURES
         ],
         "machines": list(dict.fromkeys(sum(MACHINES.values(), ()))),
         "schedulers": list(SCHEDULERS),

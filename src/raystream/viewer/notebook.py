@@ -8,6 +8,7 @@ from os import PathLike
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from raystream.core.options import Options
 from raystream.scene.load import load
 from raystream.scene.scene import Scene
 from raystream.viewer.serve import ViewServer, bind, require_packages
@@ -21,6 +22,9 @@ __all__ = ["View", "view"]
 #: Views that are open: they go on when the notebook forgets them, since a page may still show
 #: them, and end with the process.
 _OPEN: set[View] = set()
+
+#: Settings that are arguments of `Tracer`.
+_OF_TRACER = ("structure", "device", "machine", "traversal", "scheduler")
 
 #: Heights that a frame in a notebook can have, in pixels.
 MIN_HEIGHT, MAX_HEIGHT = 100, 4000
@@ -44,7 +48,8 @@ def view(
     **settings
         What to begin with: ``mode``, ``structure``, ``traversal``, ``machine``, ``scheduler``,
         ``device``, ``max_bounces``, ``exposure``, ``tone``, ``heatmap``, ``maximum`` or
-        ``samples``, as the page has them.
+        ``samples``, as the page has them. Structure, device and machine may also be options as
+        `Tracer` takes them, such as ``structure=rs.Bvh(quality="high")``.
 
     Returns
     -------
@@ -73,6 +78,7 @@ def view(
     require_packages()
     if isinstance(scene, str | PathLike):
         scene = load(scene)
+    scene = _traced(scene, settings)
     shown = scene if isinstance(scene, Scene) else getattr(scene, "scene", None)
     name = getattr(shown, "name", "") or "scene"
     listener = bind("127.0.0.1", 0)
@@ -82,6 +88,19 @@ def view(
         listener.close()
         raise
     return View(ViewServer(studio, listener), name, height)
+
+
+def _traced(scene: Scene | Tracer, settings: dict[str, Any]) -> Scene | Tracer:
+    """The scene; with a tracer where settings are typed options, which are taken out of them."""
+    typed = any(isinstance(settings.get(name), Options) for name in _OF_TRACER)
+    if not typed:
+        return scene
+    if not isinstance(scene, Scene):
+        raise ValueError("structure, device, machine: the tracer given has its own")
+    from raystream.tracer import Tracer
+
+    given = {name: settings.pop(name) for name in _OF_TRACER if name in settings}
+    return Tracer(scene, **given)
 
 
 class View:

@@ -11,6 +11,7 @@ from raystream.rendering.heatmap import HEATMAPS
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.sampled import MAX_BOUNCES
 from raystream.rendering.tone import TONES
+from raystream.structures import STRUCTURES
 from raystream.viewer.messages import (
     Message,
     MessageError,
@@ -22,18 +23,11 @@ from raystream.viewer.messages import (
 __all__ = [
     "MACHINES",
     "MAX_SAMPLES",
-    "STRUCTURES",
-    "TRAVERSALS",
     "Look",
     "Settings",
     "TracerKey",
+    "traversals_of",
 ]
-
-#: Structures in the order of a menu, and the ways to search those that have several.
-STRUCTURES = ("bvh", "kdtree", "graph", "grid", "brute")
-TRAVERSALS: dict[str, tuple[str, ...]] = {
-    "kdtree": ("stack", "restart", "backtrack", "short-stack"),
-}
 
 #: Machines by device, the usual one first; here because to ask a device is to import it.
 MACHINES: dict[str, tuple[str, ...]] = {
@@ -49,6 +43,15 @@ MAX_SAMPLES = 4096
 #: the place in the pixel, and of the others.
 _MANY_SAMPLES, _FEW_SAMPLES = 64, 16
 _NOISY = ("path", "kajiya", "ao")
+
+
+def traversals_of(structure: str) -> tuple[str, ...]:
+    """The ways to search a structure, the default first; none where there is no choice."""
+    return STRUCTURES[structure].choices("traversal")
+
+
+def _all_traversals() -> tuple[str, ...]:
+    return tuple(dict.fromkeys(one for name in STRUCTURES for one in traversals_of(name)))
 
 
 class TracerKey(NamedTuple):
@@ -141,7 +144,7 @@ class Settings:
         return made
 
     def _check_together(self) -> None:
-        traversals = TRAVERSALS.get(self.structure, ())
+        traversals = traversals_of(self.structure)
         if self.traversal is not None and self.traversal not in traversals:
             has = f"has {', '.join(traversals)}" if traversals else "has no choice of them"
             raise MessageError(f"traversal: {self.structure} {has}, got {self.traversal!r}")
@@ -155,7 +158,7 @@ class Settings:
     @property
     def tracer_key(self) -> TracerKey:
         """The tracer that it needs, with the names of what is usual."""
-        traversals = TRAVERSALS.get(self.structure)
+        traversals = traversals_of(self.structure)
         machine = self.machine or MACHINES[self.device][0]
         is_multipass = machine == "multipass"
         return TracerKey(
@@ -202,7 +205,7 @@ class Settings:
         shown["max_bounces"] = self._named_options.get("max_bounces")
         shown["samples"] = self.target_samples
         possible = {
-            "traversal": list(TRAVERSALS.get(self.structure, ())),
+            "traversal": list(traversals_of(self.structure)),
             "machine": list(MACHINES[self.device]),
             "scheduler": list(SCHEDULERS) if key.machine == "multipass" else [],
             "max_bounces": "max_bounces" in RENDERERS[self.mode].options,
@@ -215,7 +218,7 @@ class Settings:
 _READERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "mode": lambda given: read_choice(given, "mode", RENDERERS),
     "structure": lambda given: read_choice(given, "structure", STRUCTURES),
-    "traversal": lambda given: read_choice(given, "traversal", TRAVERSALS["kdtree"]),
+    "traversal": lambda given: read_choice(given, "traversal", _all_traversals()),
     "machine": lambda given: read_choice(given, "machine", MACHINES["graphics"]),
     "scheduler": lambda given: read_choice(given, "scheduler", SCHEDULERS),
     "device": lambda given: read_choice(given, "device", MACHINES),

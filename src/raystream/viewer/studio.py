@@ -11,7 +11,7 @@ from raystream.viewer.catalogue import devices_message, hello
 from raystream.viewer.jobs import Job
 from raystream.viewer.messages import Message, Send
 from raystream.viewer.scenes import Staged
-from raystream.viewer.settings import Settings
+from raystream.viewer.settings import Settings, traversals_of
 from raystream.viewer.tracers import Tracers
 from raystream.viewer.visitor import Crew, Visitor
 from raystream.viewer.worker import Worker
@@ -116,8 +116,8 @@ def _settings_of(tracer: Tracer | None, given: Mapping[str, Any]) -> Settings:
     if tracer is not None:
         usual = {"structure": tracer.structure.name, "device": tracer.device}
         usual["machine"] = tracer.machine
-        if tracer.structure.name == "kdtree":
-            usual["traversal"] = tracer.structure.options["traversal"]
+        if traversals_of(tracer.structure.name):
+            usual["traversal"] = tracer.structure.options.as_json()["traversal"]
         if tracer.machine == "multipass":
             scheduler = tracer._machine_options.get("scheduler")
             if isinstance(scheduler, str):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import operator
+import dataclasses
 import time
-from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
@@ -22,17 +21,15 @@ from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.base import Structure, UpdateReport
-from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays
+from raystream.structures.bvh.layout import BvhArrays
+from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.steps import TreeAddresses
-from raystream.structures.bvh.structure import Bvh, hittable_corners
+from raystream.structures.bvh.structure import BvhStructure, hittable_corners
 
-__all__ = ["METHODS", "DeviceBvh", "build_bvh"]
-
-#: How a device builds: by the bits of keys alone, or by merging neighbours.
-METHODS = ("clusters", "linear")
+__all__ = ["DeviceBvh", "build_bvh"]
 
 
-class DeviceBvh(DeviceResident, Bvh):
+class DeviceBvh(DeviceResident, BvhStructure):
     """A BVH in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -41,13 +38,13 @@ class DeviceBvh(DeviceResident, Bvh):
     gpu : Gpu
     wide : WideTree
     method : {"clusters", "linear"}
-    max_leaf_size : int
+    options : Bvh
     started : float
         When the build began, by `time.perf_counter`.
 
     Notes
     -----
-    A file of it has the option ``quality="fast"``: the CPU's, should it be built again there.
+    Its options have ``quality="fast"``: the CPU's, should it be built again there.
     """
 
     _host_names = ("tree", "_numbers")
@@ -58,20 +55,20 @@ class DeviceBvh(DeviceResident, Bvh):
         gpu: Gpu,
         wide: WideTree,
         method: str,
-        max_leaf_size: int,
+        options: Bvh,
         started: float,
     ) -> None:
         self.triangles, self.gpu, self.wide, self.method = triangles, gpu, wide, method
-        self.options = {"quality": "fast", "max_leaf_size": max_leaf_size, "kernel": "auto"}
+        self.options = options
         self.resident = Resident(TreeAddresses(wide.nodes.address, wide.leaves.address), wide[:2])
         self._held_ids, self._lists_twice = triangles.prim_ids, False
         byte_count = sum(4 * one.shape[0] * one.shape[1] for one in wide[:2])
         self.report = finish(gpu, byte_count, started)
 
     @cached_property
-    def _on_host(self) -> Bvh:
+    def _on_host(self) -> BvhStructure:
         """The same tree, whose arrays are on the host."""
-        made = Bvh.__new__(Bvh)
+        made = BvhStructure.__new__(BvhStructure)
         tree = BvhArrays(*(_aligned(one) for one in self.wide[:2]))
         made._set(self.triangles, tree, self.options, 0.0)
         return made
@@ -95,16 +92,14 @@ class DeviceBvh(DeviceResident, Bvh):
                 self._refit(self.triangles)
                 raise
             if cost <= max_cost_growth * old_cost:
-                moved = DeviceBvh(triangles, self.gpu, self.wide, **self._options, started=started)
+                moved = DeviceBvh(
+                    triangles, self.gpu, self.wide, self.method, self.options, started
+                )
                 moved._held_ids, moved.cost_when_built = self._held_ids, old_cost
                 return moved, UpdateReport(False, moved.report.seconds, cost, old_cost)
-        rebuilt = build_bvh(self.gpu, triangles, **self._options)
+        rebuilt = build_bvh(self.gpu, triangles, self.options, self.method)
         cost = rebuilt.cost_when_built
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
-
-    @property
-    def _options(self) -> Mapping[str, Any]:
-        return {"method": self.method, "max_leaf_size": self.options["max_leaf_size"]}
 
     def _refit(self, triangles: Triangles) -> float:
         """Move the tree; returns what tracing it costs."""
@@ -121,51 +116,46 @@ def _aligned(array: DeviceArray) -> Any:
 
 
 def build_bvh(
-    gpu: Gpu, triangles: Triangles, *, method: str = "clusters", max_leaf_size: int = 4
-) -> Bvh:
+    gpu: Gpu, triangles: Triangles, options: Bvh, method: str = "clusters"
+) -> BvhStructure:
     """Build a BVH on a device.
 
     Parameters
     ----------
     gpu : Gpu
     triangles : Triangles
+    options : Bvh
+        Their `quality` is for the CPU.
     method : {"clusters", "linear"}
         ``"linear"`` takes the tree that the bits of keys along a curve make; ``"clusters"``
         merges neighbours on the curve that fit together, for a tree that is traced faster.
-    max_leaf_size : int
-        Most triangles in a leaf, 1 to 32.
 
     Returns
     -------
-    Bvh
+    BvhStructure
         The same one each time. Which nodes of the binary tree become wide ones is decided as on
         the CPU.
 
     Raises
     ------
     ValueError
-        If an option is out of range, or the tree would be too large.
-    TypeError
-        If `max_leaf_size` is no integer.
+        If quality "high" is asked for, or the tree would be too large.
     CudaError
         If there is no memory for it: about 300 bytes for each triangle while building.
     """
-    if method not in METHODS:
-        known = ", ".join(map(repr, METHODS))
-        raise ValueError(f"method: expected one of {known}, got {method!r}")
-    max_leaf_size = operator.index(max_leaf_size)
-    if not 1 <= max_leaf_size <= MAX_LEAF_SIZE:
-        raise ValueError(f"max_leaf_size: expected 1 to {MAX_LEAF_SIZE}, got {max_leaf_size}")
+    if options.quality == "high":
+        raise ValueError("quality: expected no 'high' where build='device', which has methods")
+    options = dataclasses.replace(options, quality="fast")
     if len(triangles.prim_ids) == 0:
-        return Bvh(triangles, quality="fast", max_leaf_size=max_leaf_size)
+        return BvhStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
     try:
-        wide = _build(gpu, triangles, corners, method, max_leaf_size, FINE_BITS)
+        wide = _build(gpu, triangles, corners, method, options.max_leaf_size, FINE_BITS)
     except TooDeepError:
         # At most 30 bits of keys and 31 of rows tell leaves apart: no path is longer.
-        wide = _build(gpu, triangles, corners, "linear", max_leaf_size, COARSE_BITS)
-    return DeviceBvh(triangles, gpu, wide, method, max_leaf_size, started)
+        wide = _build(gpu, triangles, corners, "linear", options.max_leaf_size, COARSE_BITS)
+    return DeviceBvh(triangles, gpu, wide, method, options, started)
 
 
 def _build(

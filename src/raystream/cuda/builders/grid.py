@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -16,16 +14,17 @@ from raystream.cuda.structures import Resident
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.structures.base import Structure
 from raystream.structures.grid.build import choose_and_build
-from raystream.structures.grid.lattice import Lattice, chosen_resolution
+from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import FineArrays, GridAddresses, GridArrays
-from raystream.structures.grid.structure import Grid
+from raystream.structures.grid.options import Grid
+from raystream.structures.grid.structure import GridStructure
 
 __all__ = ["DeviceGrid", "build_grid"]
 
 _NOWHERE = np.uint64(0)
 
 
-class DeviceGrid(RebuiltOnDevice, Grid):
+class DeviceGrid(RebuiltOnDevice, GridStructure):
     """A grid in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -35,8 +34,7 @@ class DeviceGrid(RebuiltOnDevice, Grid):
     lattice : Lattice
     lists : DeviceLists
     corners : DeviceArray of shape (F, 3, 3), float32
-    options : mapping
-        To build it again.
+    options : Grid
     started : float
         When the build began, by `time.perf_counter`.
     """
@@ -50,7 +48,7 @@ class DeviceGrid(RebuiltOnDevice, Grid):
         lattice: Lattice,
         lists: DeviceLists,
         corners: DeviceArray,
-        options: Mapping[str, Any],
+        options: Grid,
         started: float,
     ) -> None:
         self.triangles, self.lattice, self.options = triangles, lattice, options
@@ -68,40 +66,31 @@ class DeviceGrid(RebuiltOnDevice, Grid):
         self.report = finish(gpu, byte_count, started)
 
     @cached_property
-    def _on_host(self) -> Grid:
+    def _on_host(self) -> GridStructure:
         """The same grid, whose arrays are on the host."""
         splits, references, _ = self.resident.arrays
-        made = Grid.__new__(Grid)
+        made = GridStructure.__new__(GridStructure)
         lists = GridArrays(splits.host(), references.host())
         made._set(self.triangles, self.lattice, lists, self.fine, self.options, 0.0)
         return made
 
     def _rebuilt(self, triangles: Triangles) -> Structure:
-        return build_grid(self.gpu, triangles, **self.options)
+        return build_grid(self.gpu, triangles, self.options)
 
 
-def build_grid(
-    gpu: Gpu,
-    triangles: Triangles,
-    *,
-    resolution: Any = None,
-    min_resolution: int | None = None,
-    levels: int = 1,
-) -> Grid:
+def build_grid(gpu: Gpu, triangles: Triangles, options: Grid) -> GridStructure:
     """Build a grid on a device.
 
     Parameters
     ----------
     gpu : Gpu
     triangles : Triangles
-    resolution, min_resolution
-        See `Grid`.
-    levels : {1}
-        A second level is made on the CPU alone.
+    options : Grid
+        Of one level: a second one is made on the CPU alone.
 
     Returns
     -------
-    Grid
+    GridStructure
         Its arrays are those of the CPU's build, bit for bit.
 
     Raises
@@ -111,17 +100,17 @@ def build_grid(
     CudaError
         If there is no memory for it.
     """
-    if levels != 1:
-        raise ValueError(f"levels: expected 1 where build='device', got {levels}")
-    resolution, min_resolution = chosen_resolution(resolution, min_resolution)
-    options = {"resolution": resolution, "min_resolution": min_resolution, "levels": 1}
+    if options.levels != 1:
+        raise ValueError(f"levels: expected 1 where build='device', got {options.levels}")
     if len(triangles.prim_ids) == 0:
-        return Grid(triangles, **options)
+        return GridStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", triangles.corners)
 
     def make(lattice: Lattice, most: int, _: str) -> DeviceLists:
         return build_lists(gpu, triangles, corners, lattice, most)
 
-    lattice, lists = choose_and_build(triangles, resolution, min_resolution, 1, make)
+    lattice, lists = choose_and_build(
+        triangles, options.counts, options.min_resolution, options.levels, make
+    )
     return DeviceGrid(triangles, gpu, lattice, lists, corners, options, started)

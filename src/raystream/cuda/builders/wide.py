@@ -22,10 +22,10 @@ from raystream.structures.bvh.emit import clear_node, set_lane
 from raystream.structures.bvh.layout import (
     MAX_BLOCKS,
     MAX_DEPTH,
-    MAX_LEAF_SIZE,
     NODE_BYTES,
     NODE_FLOATS,
 )
+from raystream.structures.bvh.options import MAX_LEAF_SIZE
 from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
 from raystream.structures.bvh.tree import LINK_BYTES, RIGHT_AT
 

@@ -8,9 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.structures import Structure
+from raystream.structures import Structure, form_of
 
-__all__ = ["AUTO", "KERNELS", "LaidOut", "kernel_of", "lay_out", "search_of"]
+__all__ = ["AUTO", "KERNELS", "LAYOUTS", "LaidOut", "kernel_of", "lay_out", "search_of"]
+
+#: The form of structures that have layouts and kernels of their own on the device.
+LAYOUTS = "cuda kernels"
 
 #: What ``kernel="auto"`` stands for. Which is fastest has not been measured on a GPU. This one
 #: reads the fewest bytes, in a third of the binary kernel's steps, and has the smallest stack:
@@ -46,7 +49,7 @@ def kernel_of(structure: str, kernel: str) -> str | None:
     ValueError
         If there is none of that name.
     """
-    if structure != "bvh":
+    if form_of(structure, LAYOUTS) is None:
         if kernel != "auto":
             raise TypeError(
                 f"{structure}: has no option 'kernel' on device 'cuda', which is one of 'bvh'"

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
+from raystream.core.choices import DeviceOptions
 from raystream.core.triangles import Triangles
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import brute, bvh, graph, grid, kdtree
 from raystream.graphics.forms.base import Form
-from raystream.structures import STRUCTURES, Structure, build_structure
+from raystream.jit.threads import Progress
+from raystream.machines.devices import build_on_cpu
+from raystream.structures import Structure, StructureOptions, names_with
+from raystream.structures import form_of as structure_form
 
-__all__ = ["FORMS", "Form", "build_with_shaders", "form_of"]
-
-#: By the name of the structure.
-FORMS: dict[str, Callable[[Any], Form]] = {
-    "brute": brute.form,
-    "bvh": bvh.form,
-    "graph": graph.form,
-    "grid": grid.form,
-    "kdtree": kdtree.form,
-}
+__all__ = ["Form", "build_with_shaders", "form_of"]
 
 
 def form_of(structure: Structure) -> Form:
@@ -32,10 +23,17 @@ def form_of(structure: Structure) -> Form:
         If there are no shaders for it.
     """
     _check_name(structure.name)
-    return FORMS[structure.name](structure)
+    form: Form = structure_form(structure.name, "graphics")(structure)
+    return form
 
 
-def build_with_shaders(name: str, triangles: Triangles, **options: Any) -> Structure:
+def build_with_shaders(
+    structure: StructureOptions,
+    triangles: Triangles,
+    *,
+    progress: Progress | None = None,
+    device: DeviceOptions | None = None,
+) -> Structure:
     """Build a structure on the CPU; a `machines.devices.DeviceFactory`.
 
     Raises
@@ -43,12 +41,12 @@ def build_with_shaders(name: str, triangles: Triangles, **options: Any) -> Struc
     GraphicsError
         If there are no shaders for it: before it is built.
     """
-    if name in STRUCTURES:
-        _check_name(name)
-    return build_structure(name, triangles, **options)
+    _check_name(structure.name)
+    return build_on_cpu(structure, triangles, progress=progress, device=device)
 
 
 def _check_name(name: str) -> None:
-    if name not in FORMS:
-        known = ", ".join(map(repr, FORMS))
-        raise GraphicsError(f"device 'graphics': has the structures {known}, not {name!r}")
+    known = names_with("graphics")
+    if name not in known:
+        listed = ", ".join(map(repr, known))
+        raise GraphicsError(f"device 'graphics': has the structures {listed}, not {name!r}")

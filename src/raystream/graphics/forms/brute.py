@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
-from raystream.structures.brute import Brute
+from raystream.structures.brute.structure import BruteStructure
 
 __all__ = ["form"]
 
 
-def form(brute: Brute) -> Form:
+def form(brute: BruteStructure) -> Form:
     """All triangles."""
     triangles = brute.triangles
     count = len(triangles.prim_ids)

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
 from raystream.kernels.leaf_block import BLOCK_SIZE
-from raystream.structures.bvh import Bvh
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
+from raystream.structures.bvh.structure import BvhStructure
 
 __all__ = ["form"]
 
@@ -19,7 +19,7 @@ _STACK_STEP = 32
 _NEVER_HIT = -2
 
 
-def form(bvh: Bvh) -> Form:
+def form(bvh: BvhStructure) -> Form:
     """The nodes and leaves as the CPU has them."""
     tree = bvh.tree
     node_count, block_count = len(tree.nodes), len(tree.leaves)
@@ -37,7 +37,7 @@ def form(bvh: Bvh) -> Form:
     )
 
 
-def _stack_size(bvh: Bvh) -> int:
+def _stack_size(bvh: BvhStructure) -> int:
     entry_count = bvh.stack_half // 4
     return -(-entry_count // _STACK_STEP) * _STACK_STEP
 

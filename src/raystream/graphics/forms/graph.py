@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
 from raystream.graphics.records import FAR
-from raystream.structures.graph import Graph
 from raystream.structures.graph.layout import NODE_BIT, SECTOR_ROWS
-from raystream.structures.kdtree.layout import MAX_DEPTH
+from raystream.structures.graph.structure import GraphStructure
+from raystream.structures.kdtree.options import MAX_DEPTH
 
 __all__ = ["form"]
 
@@ -19,7 +19,7 @@ _PAD = 0
 _MOST_PASSES = 3 * MAX_DEPTH
 
 
-def form(graph: Graph) -> Form:
+def form(graph: GraphStructure) -> Form:
     """Sectors and link nodes, leaf blocks, and bins."""
     at, sector_count = graph.arrays, graph.graph.sector_count
     tree = numbers(

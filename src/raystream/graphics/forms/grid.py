@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
-from raystream.structures.grid import Grid
+from raystream.structures.grid.structure import GridStructure
 
 __all__ = ["form"]
 
 _PAD = 0
 
 
-def form(grid: Grid) -> Form:
+def form(grid: GridStructure) -> Form:
     """Lists of the cells, and of those within cells."""
     lattice, fine = grid.lattice, grid.fine
     triangles = grid.triangles
@@ -38,7 +38,7 @@ def form(grid: Grid) -> Form:
     )
 
 
-def _most_steps(grid: Grid) -> int:
+def _most_steps(grid: GridStructure) -> int:
     """No ray looks at more cells, and tests more triangles: of each cell that it may be in."""
     references = len(grid.lists.references) + len(grid.fine.lists.references)
     fine_cells = int(grid.fine.counts.astype(np.int64).sum())

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
 from raystream.graphics.records import FAR
-from raystream.structures.kdtree import KdTree
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.packed import LEAF_BIT
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["form"]
 
@@ -29,9 +29,9 @@ _TRAVERSALS = {
 _STACK_STEP = 8
 
 
-def form(kdtree: KdTree) -> Form:
+def form(kdtree: KdTreeStructure) -> Form:
     """Nodes and leaf blocks; to backtrack, bounds and parents of the splits."""
-    traversal, layout = kdtree.options["traversal"], kdtree.options["layout"]
+    traversal, layout = kdtree.options.traversal, kdtree.options.layout
     low, high = kdtree.triangles.bounds
     nodes = kdtree.tree.nodes
     depth = _depth_of(nodes)
@@ -52,13 +52,13 @@ def form(kdtree: KdTree) -> Form:
     )
 
 
-def _arrays(kdtree: KdTree) -> tuple[NDArray[Any], ...]:
+def _arrays(kdtree: KdTreeStructure) -> tuple[NDArray[Any], ...]:
     nodes: tuple[NDArray[Any], ...] = (kdtree.tree.nodes, kdtree.blocks)
-    if kdtree.options["layout"] == "foley":
+    if kdtree.options.layout == "foley":
         packed = kdtree.packed
         splits, leaves = packed or (np.empty((0, 3), np.uint32),) * 2
         nodes = (splits, kdtree.blocks, leaves)
-    if kdtree.options["traversal"] != "backtrack":
+    if kdtree.options.traversal != "backtrack":
         return nodes
     if kdtree.extended is None:
         return (*nodes, np.empty((0, 8), np.float32))

@@ -23,7 +23,7 @@ from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
 from raystream.machines import Branching, Multipass
-from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["COSTS", "cost_sweep"]
 
@@ -76,7 +76,7 @@ def _sweep(lab: Laboratory, name: str, view: View, costs: Sequence[float]) -> Fo
     return value
 
 
-def _counts(trees: Mapping[str, KdTree], rays: Any) -> dict[str, Any]:
+def _counts(trees: Mapping[str, KdTreeStructure], rays: Any) -> dict[str, Any]:
     """What rays meet, how many passes that takes, and how the tree is."""
     sums = states(dict(trees), *rays)
     count = sums["stack"]["rays"]
@@ -95,11 +95,11 @@ def _counts(trees: Mapping[str, KdTree], rays: Any) -> dict[str, Any]:
 
 
 def _times(
-    trees: Mapping[str, Mapping[str, KdTree]], batch: RayBatch, rounds: int
+    trees: Mapping[str, Mapping[str, KdTreeStructure]], batch: RayBatch, rounds: int
 ) -> dict[str, dict[str, float]]:
     """Milliseconds, by cost and traversal; all take turns."""
 
-    def tracing(tree: KdTree) -> Callable[[], object]:
+    def tracing(tree: KdTreeStructure) -> Callable[[], object]:
         backend = Branching(tree)
         return lambda: backend.answer(Query(Kind.FIRST_HIT), batch)
 

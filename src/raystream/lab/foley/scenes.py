@@ -20,7 +20,8 @@ from raystream.machines.backend import Backend
 from raystream.machines.counters import answer_counting
 from raystream.scene.scene import Scene
 from raystream.structures import Structure
-from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree.options import KdTree
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = [
     "SCENES",
@@ -57,7 +58,7 @@ def known_views(
     return result.known(names, lambda name: lab.view(SCENES[name]))
 
 
-def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTree:
+def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTreeStructure:
     """A tree as Foley 2005, section 3.2, has it: packed nodes, and a step 8 times a test's price.
 
     Parameters
@@ -70,12 +71,12 @@ def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -
     """
     cost = float(published("foley", "claims").values["traversal_cost"])
     chosen = {"layout": "foley", "traversal": "backtrack", "traversal_cost": cost, **options}
-    return KdTree(scene.triangles, progress=progress, **chosen)
+    return KdTreeStructure(scene.triangles, KdTree(**chosen), progress=progress)
 
 
 def foley_trees(
     scene: Scene, progress: Progress | None = None, **options: Any
-) -> dict[str, KdTree]:
+) -> dict[str, KdTreeStructure]:
     """One tree, searched with a stack, by restarts, and by backtracking."""
     tree = foley_tree(scene, progress, **options)
     return {traversal: tree.with_traversal(traversal) for traversal in TRAVERSALS}
@@ -97,7 +98,7 @@ def counted(
     return answer_counting(backend, query, batch, progress)[1]
 
 
-def states(trees: dict[str, KdTree], origins: Any, directions: Any) -> States:
+def states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> States:
     """How often rays were in each state of each traversal (Foley 2005, Table 2).
 
     Returns

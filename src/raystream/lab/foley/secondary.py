@@ -16,7 +16,7 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
 from raystream.machines import Multipass
-from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["GROUPINGS", "coherence"]
 
@@ -72,7 +72,7 @@ def _scene(lab: Laboratory, name: str, view: View) -> dict[str, Found]:
     return value
 
 
-def _met(tree: KdTree, rays: RayKind) -> Found:
+def _met(tree: KdTreeStructure, rays: RayKind) -> Found:
     """Counts of a ray, and passes of all."""
     machine = Multipass(tree, scheduler="double")
     counters = counted(
@@ -92,7 +92,7 @@ def _met(tree: KdTree, rays: RayKind) -> Found:
     }
 
 
-def _groups(tree: KdTree, walker: Walker, rays: RayKind, size: int) -> Found:
+def _groups(tree: KdTreeStructure, walker: Walker, rays: RayKind, size: int) -> Found:
     """How many of a group's visits are to distinct nodes, by kind of step and of grouping."""
     generator = np.random.default_rng(_SEED)
     found: Found = {}
@@ -160,7 +160,7 @@ def _chosen(
     return [np.flatnonzero(tiles == tile) for tile in picked]
 
 
-def _visits(tree: KdTree, walker: Walker, rays: RayKind) -> list[Visits]:
+def _visits(tree: KdTreeStructure, walker: Walker, rays: RayKind) -> list[Visits]:
     distances = first_hits(tree, rays).t.tolist()
     origins, directions = rays.origins.tolist(), rays.directions.tolist()
     return [
@@ -169,7 +169,7 @@ def _visits(tree: KdTree, walker: Walker, rays: RayKind) -> list[Visits]:
     ]
 
 
-def _same_count(tree: KdTree, rays: RayKind, visits: Sequence[Visits]) -> int:
+def _same_count(tree: KdTreeStructure, rays: RayKind, visits: Sequence[Visits]) -> int:
     """How many of the walks have as many steps as the engine's."""
     counters = counted(tree, rays.origins, rays.directions, t_max=rays.t_max, any_hit=rays.any_hit)
     engine = zip(

@@ -10,7 +10,7 @@ from raystream.lab.foley.scenes import SIZE, figures_of, foley_trees, published_
 from raystream.lab.foley.settings import Setting, settings_of
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.views import View
-from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["TOLERANCE", "Tried", "distance", "is_near", "nearest", "sweep", "why_differs"]
 
@@ -53,7 +53,7 @@ class _Latest:
     def __init__(self, lab: Laboratory, view: View) -> None:
         self.lab, self.view = lab, view
         self.key: object = None
-        self.trees: dict[str, KdTree] = {}
+        self.trees: dict[str, KdTreeStructure] = {}
 
     def figures(self, setting: Setting, size: int) -> dict[str, float]:
         scene = self.view.scene

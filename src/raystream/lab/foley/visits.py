@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from raystream.structures.kdtree import KdTree
 from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["Visits", "Walker", "distinct_share"]
 
@@ -46,10 +46,10 @@ class Walker:
 
     Parameters
     ----------
-    tree : KdTree
+    tree : KdTreeStructure
     """
 
-    def __init__(self, tree: KdTree) -> None:
+    def __init__(self, tree: KdTreeStructure) -> None:
         nodes = tree.tree.nodes
         self._words: list[int] = nodes[:, 1].tolist()
         self._positions: list[float] = nodes[:, 0].view("float32").tolist()

@@ -11,7 +11,7 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.views import View
 from raystream.machines import RayCounters
-from raystream.structures.grid import Grid
+from raystream.structures.grid.structure import GridStructure
 from raystream.tracer import Tracer
 
 __all__ = [
@@ -63,10 +63,10 @@ def grid_tracer(lab: Laboratory, view: View, **options: Any) -> Tracer:
     return lab.tracer(view, "grid", counters=True, **chosen)
 
 
-def grid_of(tracer: Tracer) -> Grid:
+def grid_of(tracer: Tracer) -> GridStructure:
     """The tracer's grid."""
     structure = tracer.structure
-    assert isinstance(structure, Grid)
+    assert isinstance(structure, GridStructure)
     return structure
 
 

@@ -17,7 +17,7 @@ from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.scene.load import load
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
-from raystream.structures.graph import Graph
+from raystream.structures.graph.structure import GraphStructure
 from raystream.tracer import Tracer
 
 __all__ = ["FACTORS", "PLACES", "hidden", "scene_with_more"]
@@ -143,12 +143,12 @@ def _measured(lab: Laboratory, place: str, factor: int) -> dict[str, Any]:
 
 def _price(tracer: Tracer, total: Mapping[str, int], count: int) -> float | None:
     """What a ray costs at the prices by which a graph is built."""
-    if not isinstance(tracer.structure, Graph):
+    if not isinstance(tracer.structure, GraphStructure):
         return None
     options = tracer.structure.options
-    sectors = options["crossing_cost"] * total["steps"]
-    nodes = options["link_cost"] * total["link_nodes"]
-    return float(sectors + nodes + options["intersection_cost"] * total["tests"]) / count
+    sectors = options.crossing_cost * total["steps"]
+    nodes = options.link_cost * total["link_nodes"]
+    return float(sectors + nodes + options.intersection_cost * total["tests"]) / count
 
 
 _Found = dict[tuple[str, int], dict[str, Any]]

@@ -13,7 +13,7 @@ from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, scenes
 from raystream.lab.results import Cell, Plot, Result, Series, Table
 from raystream.lab.views import View
 from raystream.machines.ray_block import blocks
-from raystream.structures.graph import Graph
+from raystream.structures.graph.structure import GraphStructure
 from raystream.tracer import Tracer
 
 __all__ = ["RAYS", "graph", "ray_sets"]
@@ -87,7 +87,7 @@ def _measured(lab: Laboratory, view: View) -> dict[str, Any]:
                 "seconds": min(report.seconds, tracer.structure.report.seconds),
                 "rays": {kind: _counted(tracer, one) for kind, one in rays.items()},
             }
-            if isinstance(tracer.structure, Graph):
+            if isinstance(tracer.structure, GraphStructure):
                 values["quality"] = tracer.structure.quality()
                 values["bins"] = list(tracer.structure.graph.bins.shape)
                 values["walks"] = {kind: _walk(tracer.structure, one) for kind, one in rays.items()}
@@ -104,7 +104,7 @@ def _counted(tracer: Tracer, rays: Rays) -> dict[str, float]:
     return {name: total[name] / count for name in ("steps", "link_nodes", "tests")}
 
 
-def _walk(structure: Graph, rays: Rays) -> dict[str, float]:
+def _walk(structure: GraphStructure, rays: Rays) -> dict[str, float]:
     """Sectors that are left on the way from a bin's sector to where a ray begins."""
     batch = RayBatch(*rays)
     (block,) = blocks(batch, structure.frame, np.zeros(len(batch), np.uint8), None)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from raystream.kernels.leaf_block import BLOCK_BYTES
 from raystream.lab.stepper.chart import BlockMap, LocalSpot, Records, to_world
-from raystream.structures.bvh import Bvh
 from raystream.structures.bvh.layout import WIDTH
+from raystream.structures.bvh.structure import BvhStructure
 
 __all__ = ["BvhMap"]
 
@@ -22,7 +22,7 @@ _BLOCK_SHIFT = 3
 class BvhMap(BlockMap):
     """Nodes of a BVH by their rows; after them leaves, by the numbers of their first blocks."""
 
-    def __init__(self, bvh: Bvh) -> None:
+    def __init__(self, bvh: BvhStructure) -> None:
         self._bvh, self._tree = bvh, bvh.tree
         self._block_rows, self._blocks = bvh.tree.prim_ids, bvh.tree.leaves
         self._node_count = len(bvh.tree.nodes)

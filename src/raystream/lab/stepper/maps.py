@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from raystream.lab.stepper.bvh_map import BvhMap
 from raystream.lab.stepper.chart import BlockMap, LocalSpot, Records, StructureMap, to_world
 from raystream.structures import Structure
-from raystream.structures.bvh import Bvh
-from raystream.structures.graph import Graph
+from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.graph.layout import FACES, NODE_BIT, SECTOR_ROWS, VOID
-from raystream.structures.grid import Grid
-from raystream.structures.kdtree import KdTree
+from raystream.structures.graph.structure import GraphStructure
+from raystream.structures.grid.structure import GridStructure
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.packed import LEAF_BIT
+from raystream.structures.kdtree.structure import KdTreeStructure
 from raystream.structures.kdtree.traversals.short_stack import kept_entries
 
 __all__ = ["GraphMap", "GridMap", "KdMap", "map_of"]
@@ -31,7 +31,13 @@ def map_of(structure: Structure) -> StructureMap:
     ValueError
         If there is none.
     """
-    for kind, made in ((Grid, GridMap), (KdTree, KdMap), (Graph, GraphMap), (Bvh, BvhMap)):
+    kinds = (
+        (GridStructure, GridMap),
+        (KdTreeStructure, KdMap),
+        (GraphStructure, GraphMap),
+        (BvhStructure, BvhMap),
+    )
+    for kind, made in kinds:
         if isinstance(structure, kind):
             return made(structure)  # type: ignore[arg-type]
     raise ValueError(
@@ -42,7 +48,7 @@ def map_of(structure: Structure) -> StructureMap:
 class GridMap(StructureMap):
     """Cells of a grid, and after them those of its second level."""
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: GridStructure) -> None:
         self._grid = grid
         lattice, fine = grid.lattice, grid.fine
         self.counts = lattice.counts
@@ -130,14 +136,14 @@ class KdMap(BlockMap):
         next to it, or number of a leaf's triangles.
     """
 
-    def __init__(self, tree: KdTree) -> None:
+    def __init__(self, tree: KdTreeStructure) -> None:
         nodes = tree.tree.nodes
         self._block_rows, self._blocks = tree.tree.prim_ids, tree.blocks
-        self._traversal = tree.options["traversal"]
+        self._traversal = tree.options.traversal
         self.axes, self.children = nodes[:, 1] & 3, nodes[:, 1] >> 2
         is_leaf = self.axes == LEAF_AXIS
         # The rows of nodes by the numbers that a search has for them.
-        packed = tree.options["layout"] == "foley"
+        packed = tree.options.layout == "foley"
         every = np.arange(len(nodes))
         self._splits = np.flatnonzero(~is_leaf) if packed else every
         self._leaves = np.flatnonzero(is_leaf) if packed else every
@@ -224,7 +230,7 @@ class KdMap(BlockMap):
 class GraphMap(BlockMap):
     """Sectors of a graph."""
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: GraphStructure) -> None:
         self._block_rows, self._blocks = graph.graph.prim_ids, graph.blocks
         count, rows = graph.graph.sector_count, graph.graph.rows
         self._row_at = int(graph.arrays.rows)

@@ -187,7 +187,7 @@ def walk(
     start, way = (np.asarray(array, np.float64).reshape(3) for array in (origin, direction))
     return Walk(
         structure.name,
-        structure.options["traversal"] if structure.name == "kdtree" else None,
+        structure.options.as_json().get("traversal"),
         _triple(start),
         _triple(way),
         tuple(recorder.steps),

@@ -27,7 +27,7 @@ from raystream.lab.walks.replaying import Replay
 from raystream.lab.walks.textures import Kind, StateWords, Textures
 from raystream.lab.walks.walks import Walks
 from raystream.machines.records import RayState
-from raystream.structures.grid import Grid
+from raystream.structures.grid.structure import GridStructure
 
 __all__ = [
     "CHUNK",
@@ -191,9 +191,9 @@ def _chunks(fill: Callable[[OutAddresses, int], int], room: int) -> Iterator[Ref
         yield chunk.part(count)
 
 
-def grid_of(walks: Walks) -> Grid:
+def grid_of(walks: Walks) -> GridStructure:
     """The grid of walks with cells; ValueError for others."""
-    if not isinstance(walks.structure, Grid):
+    if not isinstance(walks.structure, GridStructure):
         raise ValueError(f"walks: expected walks through a grid, got {walks.structure.name}")
     if len(walks.structure.fine.cells):
         raise ValueError("walks: expected a grid of one level; build it with levels=1")
@@ -228,7 +228,7 @@ class _Tables(NamedTuple):
     arrays: tuple[NDArray[Any] | None, ...]
 
 
-def _tables(walks: Walks, grid: Grid, layout: Textures) -> _Tables:
+def _tables(walks: Walks, grid: GridStructure, layout: Textures) -> _Tables:
     arrays = (
         *(walks.run_splits, walks.run_kernels, walks.run_lengths),
         *(walks.visit_splits, walks.visits, walks.prim_ids),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.lab.published import published
-from raystream.structures.grid import Grid
+from raystream.structures.grid.structure import GridStructure
 
 __all__ = ["ALIGNMENT", "Kind", "StateWords", "Textures"]
 
@@ -98,12 +98,14 @@ class Textures:
     entries: NDArray[np.uint32]
 
     @classmethod
-    def of(cls, grid: Grid, ray_count: int, state_words: StateWords | None = None) -> Textures:
+    def of(
+        cls, grid: GridStructure, ray_count: int, state_words: StateWords | None = None
+    ) -> Textures:
         """Lay out a grid of one level, and rays.
 
         Parameters
         ----------
-        grid : Grid
+        grid : GridStructure
         ray_count : int
         state_words : StateWords, optional
             None if there are no passes.

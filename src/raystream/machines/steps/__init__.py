@@ -2,22 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from raystream.machines.steps import brute, bvh, graph, grid, kdtree
 from raystream.machines.steps.base import Steps
-from raystream.structures import Structure
+from raystream.structures import Structure, form_of, names_with
 
-__all__ = ["STEPS", "Steps", "steps_of"]
-
-#: By the name of the structure.
-STEPS: dict[str, Callable[..., Steps]] = {
-    "brute": brute.steps,
-    "bvh": bvh.steps,
-    "graph": graph.steps,
-    "grid": grid.steps,
-    "kdtree": kdtree.steps,
-}
+__all__ = ["Steps", "steps_of"]
 
 
 def steps_of(structure: Structure) -> Steps:
@@ -28,9 +16,11 @@ def steps_of(structure: Structure) -> Steps:
     ValueError
         If it is not given as steps.
     """
-    if structure.name not in STEPS:
-        known = ", ".join(map(repr, STEPS))
+    make = form_of(structure.name, "multipass")
+    if make is None:
+        known = ", ".join(map(repr, names_with("multipass")))
         raise ValueError(
             f"machine: 'multipass' runs the structures {known}, not {structure.name!r}"
         )
-    return STEPS[structure.name](structure)
+    steps: Steps = make(structure)
+    return steps

@@ -10,7 +10,7 @@ from raystream.kernels.tally import TESTS
 from raystream.kernels.triangle_list import intersect_list
 from raystream.machines.records import RayState, end_of, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.brute import Brute
+from raystream.structures.brute.structure import BruteStructure
 
 __all__ = ["steps"]
 
@@ -60,6 +60,6 @@ _KERNELS = with_shade(
 )
 
 
-def steps(brute: Brute) -> Steps:
+def steps(brute: BruteStructure) -> Steps:
     """The steps of brute force."""
     return Steps(_KERNELS, PLACE, brute.arrays)

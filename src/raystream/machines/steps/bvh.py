@@ -13,8 +13,8 @@ from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.bvh import Bvh
 from raystream.structures.bvh import steps as tree_steps
+from raystream.structures.bvh.structure import BvhStructure
 
 __all__ = ["steps"]
 
@@ -119,12 +119,12 @@ _KERNELS = with_shade(
 )
 
 
-def steps(bvh: Bvh) -> Steps:
+def steps(bvh: BvhStructure) -> Steps:
     """The steps of a BVH's traversal, one ray at a time."""
     return _with_room(bvh, LEAST_ROOM if bvh.lists_twice else _NONE)
 
 
-def _with_room(bvh: Bvh, room: np.uint64) -> Steps:
+def _with_room(bvh: BvhStructure, room: np.uint64) -> Steps:
     """The steps with so many places for the triangles that a ray has met."""
     half = bvh.stack_half
     table_bytes = (int(room) + 1) * 4 if room else 0

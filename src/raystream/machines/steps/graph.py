@@ -10,7 +10,6 @@ from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.graph import Graph
 from raystream.structures.graph.steps import (
     cross,
     enter,
@@ -19,6 +18,7 @@ from raystream.structures.graph.steps import (
     start_sector,
     way_out,
 )
+from raystream.structures.graph.structure import GraphStructure
 
 __all__ = ["steps"]
 
@@ -122,6 +122,6 @@ _KERNELS = with_shade(
 )
 
 
-def steps(graph: Graph) -> Steps:
+def steps(graph: GraphStructure) -> Steps:
     """The steps of a graph's traversal."""
     return Steps(_KERNELS, PLACE, graph.arrays)

@@ -12,7 +12,6 @@ from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.kernels.triangle_list import intersect_list
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.grid import Grid
 from raystream.structures.grid.cells import (
     NO_CHILD,
     cell_list,
@@ -29,6 +28,7 @@ from raystream.structures.grid.dda import (
     walk_from,
     walk_through,
 )
+from raystream.structures.grid.structure import GridStructure
 from raystream.structures.grid.traversal import enter_grid
 
 __all__ = ["steps"]
@@ -210,6 +210,6 @@ _KERNELS = with_shade(
 )
 
 
-def steps(grid: Grid) -> Steps:
+def steps(grid: GridStructure) -> Steps:
     """The steps of a grid's traversal, of one level or two."""
     return Steps(_KERNELS, PLACE, grid.arrays)

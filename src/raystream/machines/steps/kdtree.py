@@ -20,7 +20,6 @@ from raystream.kernels.tally import (
 )
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.kdtree import KdTree
 from raystream.structures.kdtree import steps as tree_steps
 from raystream.structures.kdtree.state import (
     SHORT_STACK,
@@ -30,6 +29,7 @@ from raystream.structures.kdtree.state import (
     KdState,
     split_ray,
 )
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["steps"]
 
@@ -190,7 +190,7 @@ _KERNELS = with_shade(
 )
 
 
-def steps(tree: KdTree) -> Steps:
+def steps(tree: KdTreeStructure) -> Steps:
     """The steps of a kd-tree's traversal: its own of the four."""
     stack_bytes = _STACKS.get(int(tree.arrays.traversal), 0)
     return Steps(_KERNELS, PLACE, tree.arrays, stack_bytes)

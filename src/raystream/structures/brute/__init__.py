@@ -1,5 +1,5 @@
 """Brute force: every ray against every triangle. The oracle of all other structures."""
 
-from raystream.structures.brute.structure import Brute
+from raystream.structures.brute.options import Brute
 
 __all__ = ["Brute"]

@@ -1,4 +1,4 @@
-"""Brute: the structure that is none."""
+"""BruteStructure: the triangles themselves."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import ray_queries
 from raystream.structures.base import RAYS_PER_CALL, BuildReport, Structure
+from raystream.structures.brute.options import Brute
 from raystream.structures.brute.traversal import BruteAddresses, traverse
 
-__all__ = ["Brute"]
+__all__ = ["BruteStructure"]
 
 #: Triangle tests in one call of a compiled loop: about 50 ms.
 _TESTS_PER_CALL = 1 << 23
 
 
-class Brute(Structure):
-    """Every ray is tested against every triangle (Foley 2005, section 4).
-
-    Slow on all but the smallest scenes, and the definition of the right answer.
+class BruteStructure(Structure):
+    """Brute force as it is traced; see `Brute`.
 
     Parameters
     ----------
     triangles : Triangles
+    options : Brute
     progress : callable, optional
         Called once: there is nothing to build.
     """
 
-    name = "brute"
-    queries = ray_queries(traverse, 8)
+    traverse = staticmethod(traverse)
 
-    def __init__(self, triangles: Triangles, *, progress: Progress | None = None) -> None:
+    def __init__(
+        self, triangles: Triangles, options: Brute, *, progress: Progress | None = None
+    ) -> None:
         started = time.perf_counter()
-        self.triangles = triangles
+        self.triangles, self.options = triangles, options
         references = np.ascontiguousarray(triangles.prim_ids)
         corners = np.ascontiguousarray(triangles.corners)
         self._memory = {"references": references, "corners": corners}
@@ -66,9 +66,11 @@ class Brute(Structure):
         return {}
 
     @classmethod
-    def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Brute:
-        """Make it anew: nothing of it needs saving."""
-        return cls(triangles)
+    def from_arrays(
+        cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Brute
+    ) -> BruteStructure:
+        """Build it again: nothing of it needs saving."""
+        return cls(triangles, options)
 
     def quality(self) -> dict[str, float]:
         """How many triangles each ray is tested against."""

@@ -1,5 +1,5 @@
 """Bounding volume hierarchy: boxes around boxes around triangles."""
 
-from raystream.structures.bvh.structure import Bvh
+from raystream.structures.bvh.options import Bvh
 
 __all__ = ["Bvh"]

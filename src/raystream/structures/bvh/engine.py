@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.sink import Sink
 from raystream.structures.bvh.layout import BvhArrays
+from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
 from raystream.structures.bvh.packet_all import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, packet_order
@@ -24,9 +25,7 @@ from raystream.structures.bvh.wavefront import trace_wavefront
 __all__ = [
     "KERNELS",
     "SMALL_BATCH",
-    "KernelName",
     "Tree",
-    "check_kernel",
     "count_batch",
     "trace_batch",
     "visit_batch",
@@ -34,8 +33,7 @@ __all__ = [
 
 #: How a BVH may be traced: chosen for each batch; many single rays in flight; packets of
 #: rays; streams of rays of one octant; one ray after another.
-KernelName = Literal["auto", "wavefront", "packet", "stream", "single"]
-KERNELS: tuple[str, ...] = get_args(KernelName)
+KERNELS = Bvh.choices("kernel")
 
 #: Batches of so many rays are traced by the calling thread: to wake another takes longer.
 SMALL_BATCH = 1024
@@ -85,14 +83,6 @@ class Tree(NamedTuple):
             frame,
             byte_count,
         )
-
-
-def check_kernel(name: str) -> str:
-    """The name of a kernel; raises ValueError if there is none of that name."""
-    if name not in KERNELS:
-        known = ", ".join(map(repr, KERNELS))
-        raise ValueError(f"kernel: expected one of {known}, got {name!r}")
-    return name
 
 
 def trace_batch(

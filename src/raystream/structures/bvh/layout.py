@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.kernels.aligned import ALIGNMENT, aligned_array
 from raystream.kernels.leaf_block import BLOCK_FLOATS, BLOCK_SIZE, PRIM_IDS
+from raystream.structures.bvh.options import MAX_LEAF_SIZE
+from raystream.structures.saved import take
 
 __all__ = [
     "CHILDREN_AT",
     "MAX_BLOCKS",
     "MAX_DEPTH",
-    "MAX_LEAF_SIZE",
     "NODE_BYTES",
     "NODE_FLOATS",
     "STACK_SIZE",
@@ -33,9 +34,8 @@ NODE_BYTES = 256
 NODE_FLOATS = NODE_BYTES // 4
 CHILDREN_AT = 192
 
-#: Blocks of a leaf, so that its link has room for the count.
-MAX_LEAF_BLOCKS = 8
-MAX_LEAF_SIZE = BLOCK_SIZE * MAX_LEAF_BLOCKS
+#: Blocks of a leaf: its link has room for the count.
+MAX_LEAF_BLOCKS = MAX_LEAF_SIZE // BLOCK_SIZE
 
 #: Blocks of a tree: their number takes 28 bits of a link.
 MAX_BLOCKS = 1 << 28
@@ -160,13 +160,13 @@ def check_arrays(
     ValueError
         What is wrong.
     """
-    nodes = _array(arrays, "nodes", NODE_FLOATS)
-    leaves = _array(arrays, "leaves", BLOCK_FLOATS)
+    nodes = _aligned(take(arrays, "nodes", np.float32, (None, NODE_FLOATS)))
+    leaves = _aligned(take(arrays, "leaves", np.float32, (None, BLOCK_FLOATS)))
     tree = BvhArrays(nodes, leaves)
     wanted = np.zeros(len(corners), np.bool_)
     wanted[solid_ids] = True
     if not _are_the_same(tree, wanted, corners):
-        raise ValueError("its triangles are not those of the scene")
+        raise ValueError("the triangles differ from the scene's")
     depths = np.zeros(len(nodes), np.int32)
     depth = _check_tree(nodes, tree.children, tree.prim_ids, depths, wanted)
     if depth == _BAD_CHILD:
@@ -178,7 +178,7 @@ def check_arrays(
     if depth == _BAD_LANE:
         raise ValueError("an absent child has a box")
     if depth == _MISSING:
-        raise ValueError("its leaves do not hold every triangle")
+        raise ValueError("a triangle of the scene is in no leaf")
     if depth > MAX_DEPTH:
         raise ValueError(f"the tree is {depth} nodes deep; at most {MAX_DEPTH} are possible")
     return tree
@@ -202,14 +202,9 @@ def _are_the_same(tree: BvhArrays, solid: NDArray[np.bool_], corners: NDArray[np
     return True
 
 
-def _array(arrays: Mapping[str, NDArray[Any]], name: str, row_floats: int) -> NDArray[np.float32]:
-    if name not in arrays:
-        raise ValueError(f"array {name!r} is missing")
-    array = arrays[name]
-    if array.dtype != np.float32 or array.ndim != 2 or array.shape[1] != row_floats:
-        raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
-    if array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0:
+def _aligned(array: NDArray[np.float32]) -> NDArray[np.float32]:
+    if array.ctypes.data % ALIGNMENT == 0:
         return array
-    aligned = aligned_array(len(array), row_floats)
+    aligned = aligned_array(*array.shape)
     aligned[:] = array
     return aligned

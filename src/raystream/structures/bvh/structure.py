@@ -1,8 +1,7 @@
-"""Bvh: the bounding volume hierarchy as a structure."""
+"""BvhStructure: the bounding volume hierarchy as a structure."""
 
 from __future__ import annotations
 
-import operator
 import time
 from collections.abc import Mapping
 from functools import cached_property
@@ -15,80 +14,51 @@ from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import ray_queries
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.kernels.sink import Sink
 from raystream.structures.base import BuildReport, Structure, UpdateReport
-from raystream.structures.bvh.build import QUALITIES, build_arrays
+from raystream.structures.bvh.build import build_arrays
 from raystream.structures.bvh.engine import (
     SMALL_BATCH,
     Tree,
-    check_kernel,
     count_batch,
     trace_batch,
     visit_batch,
 )
-from raystream.structures.bvh.layout import MAX_LEAF_SIZE, BvhArrays, check_arrays
+from raystream.structures.bvh.layout import BvhArrays, check_arrays
+from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
 from raystream.structures.bvh.steps import TreeAddresses, stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
 
-__all__ = ["Bvh", "hittable_corners", "trace_cost"]
+__all__ = ["BvhStructure", "hittable_corners", "trace_cost"]
 
 
-class Bvh(Structure):
-    """A bounding volume hierarchy whose nodes have eight children.
+class BvhStructure(Structure):
+    """A bounding volume hierarchy as it was built; see `Bvh`.
 
     Parameters
     ----------
     triangles : Triangles
-    quality : {"fast", "balanced", "high"}
-        How much time the build may take for a tree that is traced faster.
-    max_leaf_size : int
-        Most triangles in a leaf, 1 to 32.
-    kernel : {"auto", "packet", "stream", "wavefront", "single"}
-        How rays are traced: ``"auto"`` chooses for each batch. All give the same bits; the
-        others are for measuring. A query that a kernel cannot answer takes another, and one
-        that counts what rays meet takes ``"single"``.
+    options : Bvh
     progress : callable, optional
         Called with (triangles placed, triangles) while building.
-
-    Raises
-    ------
-    ValueError
-        If an option is out of range.
-    TypeError
-        If `max_leaf_size` is no integer.
     """
 
-    name = "bvh"
-    queries = ray_queries(traverse, STACK_BYTES, lists_twice=True)
+    traverse = staticmethod(traverse)
+    stack_bytes = STACK_BYTES
+    can_list_twice = True
+    options: Bvh
 
     def __init__(
-        self,
-        triangles: Triangles,
-        *,
-        quality: str = "balanced",
-        max_leaf_size: int = 4,
-        kernel: str = "auto",
-        progress: Progress | None = None,
+        self, triangles: Triangles, options: Bvh, *, progress: Progress | None = None
     ) -> None:
-        if quality not in QUALITIES:
-            known = ", ".join(map(repr, QUALITIES))
-            raise ValueError(f"quality: expected one of {known}, got {quality!r}")
-        max_leaf_size = operator.index(max_leaf_size)
-        if not 1 <= max_leaf_size <= MAX_LEAF_SIZE:
-            raise ValueError(f"max_leaf_size: expected 1 to {MAX_LEAF_SIZE}, got {max_leaf_size}")
-        check_kernel(kernel)
         started = time.perf_counter()
-        arrays = build_arrays(triangles, quality, max_leaf_size, progress)
-        options = {"quality": quality, "max_leaf_size": max_leaf_size, "kernel": kernel}
+        arrays = build_arrays(triangles, options.quality, options.max_leaf_size, progress)
         self._set(triangles, arrays, options, started)
 
-    def _set(
-        self, triangles: Triangles, tree: BvhArrays, options: Mapping[str, Any], started: float
-    ) -> None:
+    def _set(self, triangles: Triangles, tree: BvhArrays, options: Bvh, started: float) -> None:
         self.triangles = triangles
         self.tree = tree
         self.options = options
@@ -113,7 +83,7 @@ class Bvh(Structure):
     @property
     def kernel(self) -> str:
         """How rays are traced."""
-        return str(self.options["kernel"])
+        return self.options.kernel
 
     @property
     def arrays(self) -> TreeAddresses:
@@ -140,24 +110,18 @@ class Bvh(Structure):
         return statistics(self.tree)
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """The tree as it is traced, and how it was built."""
-        quality, size = (
-            list(QUALITIES).index(self.options["quality"]),
-            self.options["max_leaf_size"],
-        )
-        return {
-            "nodes": self.tree.nodes,
-            "leaves": self.tree.leaves,
-            "options": np.array([quality, size], np.int64),
-        }
+        """The tree as it is traced."""
+        return {"nodes": self.tree.nodes, "leaves": self.tree.leaves}
 
     @classmethod
-    def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Bvh:
+    def from_arrays(
+        cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Bvh
+    ) -> BvhStructure:
         """Make a BVH of saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
         tree = check_arrays(arrays, triangles.prim_ids, triangles.corners)
         structure = cls.__new__(cls)
-        structure._set(triangles, tree, _saved_options(arrays), started)
+        structure._set(triangles, tree, options, started)
         return structure
 
     def updated(
@@ -182,7 +146,7 @@ class Bvh(Structure):
             if cost <= max_cost_growth * old_cost:
                 moved = self._moved(triangles, started)
                 return moved, UpdateReport(False, moved.report.seconds, cost, old_cost)
-        rebuilt = Bvh(triangles, progress=progress, **self.options)
+        rebuilt = BvhStructure(triangles, self.options, progress=progress)
         cost = rebuilt.cost_when_built
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
 
@@ -198,9 +162,9 @@ class Bvh(Structure):
         is_held[self._held_ids] = True
         return bool(is_held[triangles.prim_ids].all())
 
-    def _moved(self, triangles: Triangles, started: float) -> Bvh:
+    def _moved(self, triangles: Triangles, started: float) -> BvhStructure:
         """The structure of moved triangles, with the same arrays, which were refitted."""
-        moved = Bvh.__new__(Bvh)
+        moved = BvhStructure.__new__(BvhStructure)
         moved.__dict__.update(self.__dict__)
         moved.__dict__.pop("frame", None)
         moved.triangles = triangles
@@ -256,14 +220,3 @@ def hittable_corners(triangles: Triangles) -> NDArray[np.float32]:
     corners = np.full_like(triangles.corners, np.nan)
     corners[triangles.prim_ids] = triangles.corners[triangles.prim_ids]
     return corners
-
-
-def _saved_options(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Build options from a file, for when the tree is built anew."""
-    numbers = arrays.get("options")
-    if numbers is None or numbers.shape != (2,) or numbers.dtype != np.int64:
-        raise ValueError("array 'options' is missing or of another kind")
-    quality, size = numbers.tolist()
-    if not (0 <= quality < len(QUALITIES) and 1 <= size <= MAX_LEAF_SIZE):
-        raise ValueError("its build options are out of range")
-    return {"quality": list(QUALITIES)[quality], "max_leaf_size": size, "kernel": "auto"}

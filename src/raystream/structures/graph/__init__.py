@@ -1,5 +1,5 @@
 """The graph of sectors: boxes that tile space, each linked to those behind its faces."""
 
-from raystream.structures.graph.structure import Graph
+from raystream.structures.graph.options import Graph
 
 __all__ = ["Graph"]

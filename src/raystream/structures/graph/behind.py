@@ -15,7 +15,8 @@ from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.graph.cells import ROPE_BYTES, is_leaf, settle, split_of
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID
 from raystream.structures.graph.share import RAW
-from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_DEPTH
+from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.structures.kdtree.options import MAX_DEPTH
 
 __all__ = ["PENDING_BYTES", "Tree", "count_behind", "fill_behind", "find_axes", "spread_marks"]
 

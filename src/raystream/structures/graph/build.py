@@ -66,12 +66,12 @@ class Method(NamedTuple):
         Cells of so many triangles are not split.
     """
 
-    crossing_cost: float = 8.0
-    intersection_cost: float = 1.0
-    link_cost: float = 2.4
-    empty_bonus: float = 0.0
-    max_depth: int = 64
-    max_leaf_size: int = 1
+    crossing_cost: float
+    intersection_cost: float
+    link_cost: float
+    empty_bonus: float
+    max_depth: int
+    max_leaf_size: int
 
 
 def graph_box(triangles: Triangles) -> NDArray[np.float32]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import parallel_for
+from raystream.structures.bvh.layout import BLOCK_SIZE
 from raystream.structures.graph.layout import (
     MAX_ROWS,
     NODE_BIT,
@@ -24,6 +25,7 @@ from raystream.structures.graph.layout import (
     VOID,
     GraphArrays,
 )
+from raystream.structures.saved import take
 
 __all__ = ["check_graph"]
 
@@ -40,9 +42,9 @@ _FINE = 0
 _BAD_BOX, _BAD_LIST, _BAD_ID, _BAD_LINK, _BAD_NODE, _BAD_PLANE, _BAD_SIDE = range(1, 8)
 
 _FAULTS = {
-    _BAD_BOX: "a sector's box is none",
+    _BAD_BOX: "a sector has an invalid bounding box",
     _BAD_LIST: "a sector's list is out of range",
-    _BAD_ID: "a sector has a triangle that is none, or lacks one",
+    _BAD_ID: "a sector lists an invalid triangle, or too few",
     _BAD_LINK: "a link is out of range",
     _BAD_NODE: "a link node links to one that comes later, or to nowhere",
     _BAD_PLANE: "a link node's plane is not between what it links to",
@@ -278,7 +280,7 @@ def check_graph(
     if len(prim_ids) and not (prim_ids.min() >= -1 and prim_ids.max() < triangle_count):
         raise ValueError(_FAULTS[_BAD_ID])
     if wanted.any():
-        raise ValueError("its sectors do not list every triangle")
+        raise ValueError("a triangle of the scene is in no sector")
     _check_box(numbers[: SECTOR_ROWS * sector_count], bounds)
     if graph.bins.size == 0 or not _are_sectors(graph.bins, sector_count):
         raise ValueError("a bin has no sector")
@@ -288,22 +290,13 @@ def check_graph(
 
 def _take(arrays: Mapping[str, Any]) -> GraphArrays:
     """The arrays, if they have the right kinds and sizes."""
-    kinds = {"rows": (np.uint32, 2), "prim_ids": (np.int32, 2), "bins": (np.uint32, 3)}
-    taken = {}
-    for name, (dtype, axis_count) in kinds.items():
-        array = arrays.get(name)
-        if array is None:
-            raise ValueError(f"array {name!r} is missing")
-        is_wide = axis_count == 2 and array.shape[1:] != (NODE_WORDS,)
-        if array.dtype != dtype or array.ndim != axis_count or is_wide:
-            raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
-        taken[name] = np.ascontiguousarray(array)
-    count = np.asarray(arrays.get("sector_count"))
-    if count.shape != () or not np.issubdtype(count.dtype, np.integer):
-        raise ValueError("array 'sector_count' is missing or of another kind")
-    if not 0 <= SECTOR_ROWS * int(count) <= len(taken["rows"]) <= MAX_ROWS:
-        raise ValueError(f"{len(taken['rows']):,} rows cannot hold {int(count):,} sectors")
-    return GraphArrays(taken["rows"], int(count), taken["prim_ids"], taken["bins"])
+    rows = take(arrays, "rows", np.uint32, (None, NODE_WORDS))
+    prim_ids = take(arrays, "prim_ids", np.int32, (None, BLOCK_SIZE))
+    bins = take(arrays, "bins", np.uint32, (None, None, None))
+    count = int(take(arrays, "sector_count", np.int64, ()))
+    if not 0 <= SECTOR_ROWS * count <= len(rows) <= MAX_ROWS:
+        raise ValueError(f"{len(rows):,} rows cannot hold {count:,} sectors")
+    return GraphArrays(rows, count, prim_ids, bins)
 
 
 def _complain(code: int) -> None:
@@ -320,11 +313,11 @@ def _check_box(numbers: NDArray[np.float32], bounds: NDArray[np.float32]) -> Non
     """Check that the sectors, which have boxes, fill one that holds the scene's."""
     low, high = _box_of(numbers)
     if not (low <= bounds[0]).all() or not (high >= bounds[1]).all():
-        raise ValueError("its sectors do not hold the scene")
+        raise ValueError("the sectors do not contain the scene")
     size = numbers[1::SECTOR_ROWS, :3].astype(np.float64) - numbers[::SECTOR_ROWS, :3]
     volume = (high.astype(np.float64) - low).prod()
     if not abs(size.prod(axis=1).sum() - volume) <= _VOLUME_ERROR * volume:
-        raise ValueError("its sectors do not tile their box")
+        raise ValueError("the sectors do not tile their bounding box")
 
 
 def _box_of(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -357,7 +350,7 @@ def _check_all_links(
         for octant in range(begin, end):
             ready = np.empty(len(degrees), np.uint32)
             if not _is_ordered(octant, rows, sector_count, degrees.copy(), ready):
-                raise ValueError("its links lead in a circle")
+                raise ValueError("the links form a cycle")
 
     nothing = np.zeros(0, np.uint32)
     _is_ordered(0, rows[:0], 0, nothing, nothing)  # compiled before threads start

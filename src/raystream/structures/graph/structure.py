@@ -1,8 +1,7 @@
-"""Graph: the graph of sectors as a structure."""
+"""GraphStructure: the graph of sectors as a structure."""
 
 from __future__ import annotations
 
-import operator
 import time
 from collections.abc import Mapping
 from os import PathLike
@@ -17,74 +16,45 @@ from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.queries import ray_queries
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.graph.build import Method, build_graph, graph_box
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.graphlog import dump_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
+from raystream.structures.graph.options import Graph
 from raystream.structures.graph.start import StartSectors, find_sectors
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
-from raystream.structures.kdtree.layout import MAX_DEPTH, usual_depth
+from raystream.structures.kdtree.layout import usual_depth
 
-__all__ = ["Graph", "addresses_of", "chosen_options", "method_of"]
+__all__ = ["GraphStructure", "addresses_of", "method_of"]
 
 
-class Graph(Structure):
-    """A graph of sectors (Rayforce 2013): boxes that are linked through their faces.
-
-    Rays walk from sector to sector, without a stack, and meet triangles in the order of the ray.
-    How sectors are made and linked is our reading of Gribble and Naveros, "GPU Ray Tracing with
-    Rayforce", SIGGRAPH 2013 posters; see docs/decisions.
+class GraphStructure(Structure):
+    """A graph of sectors as it was built; see `Graph`.
 
     Parameters
     ----------
     triangles : Triangles
-    crossing_cost, intersection_cost, link_cost : float
-        Prices of a step into a sector, of a triangle test, and of a plane between the sectors
-        behind a face, by which the graph is built; only their ratios matter. The defaults are
-        measured: what is expensive about a sector or a plane is that it is far in memory.
-    max_depth : int, optional
-        Most splits that a sector is the result of, up to 64. Without it 8 + 1.3 log2 of the
-        number of triangles, but at most 64.
-    max_leaf_size : int
-        Sectors with so many triangles or fewer are not split, 1 to 1024.
+    options : Graph
     progress : callable, optional
         Called with (triangles placed, triangles) while building.
-
-    Raises
-    ------
-    ValueError
-        If an option is out of range.
-    TypeError
-        If a number is no number, or no integer where one is needed.
     """
 
-    name = "graph"
-    queries = ray_queries(traverse, STACK_BYTES)
+    traverse = staticmethod(traverse)
+    stack_bytes = STACK_BYTES
+    options: Graph
 
     def __init__(
-        self,
-        triangles: Triangles,
-        *,
-        crossing_cost: float = 24.0,
-        intersection_cost: float = 1.0,
-        link_cost: float = 16.0,
-        max_depth: int | None = None,
-        max_leaf_size: int = 4,
-        progress: Progress | None = None,
+        self, triangles: Triangles, options: Graph, *, progress: Progress | None = None
     ) -> None:
         started = time.perf_counter()
-        options = chosen_options(
-            crossing_cost, intersection_cost, link_cost, max_depth, max_leaf_size
-        )
         method = method_of(options, len(triangles.prim_ids))
         self._set(triangles, build_graph(triangles, method, progress), options, started)
 
     def _set(
-        self, triangles: Triangles, graph: GraphArrays, options: Mapping[str, Any], started: float
+        self, triangles: Triangles, graph: GraphArrays, options: Graph, started: float
     ) -> None:
         self.triangles = triangles
         self.graph = graph
@@ -144,46 +114,19 @@ class Graph(Structure):
         return statistics(self.graph, method_of(self.options, len(self.triangles.prim_ids)))
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """The graph, and how it was built."""
-        options = self.options
-        numbers = [
-            options["crossing_cost"],
-            options["intersection_cost"],
-            options["link_cost"],
-            -1 if options["max_depth"] is None else options["max_depth"],
-            options["max_leaf_size"],
-        ]
-        arrays = {name: np.asarray(array) for name, array in self.graph._asdict().items()}
-        return {**arrays, "options": np.array(numbers, np.float64)}
+        """The graph."""
+        return {name: np.asarray(array) for name, array in self.graph._asdict().items()}
 
     @classmethod
-    def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Graph:
+    def from_arrays(
+        cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Graph
+    ) -> GraphStructure:
         """Make a graph of saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        options = _saved_options(arrays)
         graph = check_graph(arrays, triangles.bounds, triangles.prim_ids, len(triangles))
         structure = cls.__new__(cls)
         structure._set(triangles, graph, options, started)
         return structure
-
-
-def chosen_options(
-    crossing_cost: float,
-    intersection_cost: float,
-    link_cost: float,
-    max_depth: int | None,
-    max_leaf_size: int,
-) -> dict[str, Any]:
-    """The build options of a graph, checked; see `Graph`."""
-    options = {
-        "crossing_cost": float(crossing_cost),
-        "intersection_cost": float(intersection_cost),
-        "link_cost": float(link_cost),
-        "max_depth": None if max_depth is None else operator.index(max_depth),
-        "max_leaf_size": operator.index(max_leaf_size),
-    }
-    _check(options)
-    return options
 
 
 def addresses_of(
@@ -216,48 +159,16 @@ def _triple(numbers: Any) -> tuple[np.float32, np.float32, np.float32]:
     return np.float32(x), np.float32(y), np.float32(z)
 
 
-def method_of(options: Mapping[str, Any], triangle_count: int) -> Method:
+def method_of(options: Graph, triangle_count: int) -> Method:
     """How to build a graph with such options."""
-    max_depth = options["max_depth"]
+    max_depth = options.max_depth
     if max_depth is None:
         max_depth = usual_depth(triangle_count)
     return Method(
-        crossing_cost=options["crossing_cost"],
-        intersection_cost=options["intersection_cost"],
-        link_cost=options["link_cost"],
+        crossing_cost=options.crossing_cost,
+        intersection_cost=options.intersection_cost,
+        link_cost=options.link_cost,
+        empty_bonus=0.0,
         max_depth=max_depth,
-        max_leaf_size=options["max_leaf_size"],
+        max_leaf_size=options.max_leaf_size,
     )
-
-
-def _check(options: Mapping[str, Any]) -> None:
-    """Raise ValueError for the first option that is out of range."""
-    for name in ("crossing_cost", "intersection_cost"):
-        if not 1e-6 <= options[name] <= 1e6:
-            raise ValueError(f"{name}: expected 1e-6 to 1e6, got {options[name]}")
-    if not 0.0 <= options["link_cost"] <= 1e6:
-        raise ValueError(f"link_cost: expected 0 to 1e6, got {options['link_cost']}")
-    depth, size = options["max_depth"], options["max_leaf_size"]
-    if depth is not None and not 0 <= depth <= MAX_DEPTH:
-        raise ValueError(f"max_depth: expected 0 to {MAX_DEPTH}, got {depth}")
-    if not 1 <= size <= 1024:
-        raise ValueError(f"max_leaf_size: expected 1 to 1024, got {size}")
-
-
-def _saved_options(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Build options from a file, for when the graph is built anew."""
-    numbers = arrays.get("options")
-    if numbers is None or numbers.shape != (5,) or numbers.dtype != np.float64:
-        raise ValueError("array 'options' is missing or of another kind")
-    depth, size = numbers[3:].tolist()
-    if not (depth.is_integer() and size.is_integer()):
-        raise ValueError("its build options are out of range")
-    options = {
-        "crossing_cost": float(numbers[0]),
-        "intersection_cost": float(numbers[1]),
-        "link_cost": float(numbers[2]),
-        "max_depth": None if depth == -1 else int(depth),
-        "max_leaf_size": int(size),
-    }
-    _check(options)
-    return options

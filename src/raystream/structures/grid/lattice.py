@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
+from raystream.structures.grid.options import MAX_AXIS, MAX_CELLS, check_cells
 
 __all__ = [
     "GROWTH",
     "LEAST_SIDE",
-    "MAX_AXIS",
-    "MAX_CELLS",
     "Lattice",
-    "check_cells",
     "choose_lattice",
-    "chosen_resolution",
     "cube_side",
 ]
 
@@ -33,12 +29,6 @@ GROWTH = 2.0**-16
 
 #: Added to it, for scenes so small that padding is rounded to a denormal number.
 _LEAST_GROWTH = 2.0**-140
-
-#: Cells along an axis: their numbers, and the next few, are exact in float32.
-MAX_AXIS = 1 << 20
-
-#: Cells of a grid: 2 GB for their lists while building, without any triangle.
-MAX_CELLS = 1 << 28
 
 #: Cells for each triangle where nobody says how many: of a grid, and of one whose cells are
 #: divided again.
@@ -89,60 +79,6 @@ class Lattice(NamedTuple):
         nx, ny, nz = map(min, counts, most)
         x, y, z = ((high - low) / (nx, ny, nz)).astype(np.float32).tolist()
         return cls(tuple(low.tolist()), tuple(high.tolist()), (x, y, z), (nx, ny, nz), growth)
-
-
-def chosen_resolution(
-    resolution: Any, min_resolution: Any
-) -> tuple[tuple[int, int, int] | None, int | None]:
-    """Check the options that say how many cells there are.
-
-    Parameters
-    ----------
-    resolution : int, sequence of three int, or None
-    min_resolution : int or None
-
-    Returns
-    -------
-    resolution : tuple of three int, or None
-    min_resolution : int or None
-
-    Raises
-    ------
-    ValueError
-        If both are given, or one is out of range.
-    TypeError
-        If a number is no integer.
-    """
-    if resolution is not None and min_resolution is not None:
-        raise ValueError("min_resolution: expected None where resolution is given")
-    if min_resolution is not None:
-        return None, _checked("min_resolution", min_resolution)
-    if resolution is None:
-        return None, None
-    if not isinstance(resolution, Sequence | np.ndarray):
-        resolution = [resolution] * 3
-    if len(resolution) != 3:
-        raise ValueError(f"resolution: expected one number or three, got {len(resolution)}")
-    x, y, z = (_checked("resolution", number) for number in resolution)
-    check_cells("resolution", (x, y, z))
-    return (x, y, z), None
-
-
-def _checked(option: str, number: Any) -> int:
-    number = operator.index(number)
-    if not 1 <= number <= MAX_AXIS:
-        raise ValueError(f"{option}: expected 1 to {MAX_AXIS:,}, got {number:,}")
-    return number
-
-
-def check_cells(option: str, counts: Sequence[int]) -> None:
-    """Raise ValueError if there are more cells than a grid can have, or none."""
-    if min(counts) < 1 or math.prod(counts) > MAX_CELLS or max(counts) > MAX_AXIS:
-        cells = " x ".join(f"{count:,}" for count in counts)
-        raise ValueError(
-            f"{option}: {cells} cells are out of range; at most {MAX_CELLS:,} are possible,"
-            f" and {MAX_AXIS:,} along an axis"
-        )
 
 
 def choose_lattice(

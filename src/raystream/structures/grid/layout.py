@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.structures.grid.lattice import MAX_CELLS
+from raystream.structures.grid.options import MAX_CELLS
+from raystream.structures.saved import take
 
 __all__ = [
     "MAX_FINE_AXIS",
@@ -19,7 +20,6 @@ __all__ = [
     "GridArrays",
     "check_fine",
     "check_lists",
-    "checked_array",
 ]
 
 #: References in all lists together: their number is uint32.
@@ -150,12 +150,12 @@ def check_lists(
     ValueError
         What is wrong.
     """
-    splits = checked_array(arrays, f"{prefix}splits", np.uint32, ())
-    references = checked_array(arrays, f"{prefix}references", np.int32, ())
+    splits = take(arrays, f"{prefix}splits", np.uint32, (None,))
+    references = take(arrays, f"{prefix}references", np.int32, (None,))
     if len(splits) != cell_count + 1:
         raise ValueError(f"{len(splits):,} splits do not delimit {cell_count:,} cells")
     if splits[0] != 0 or splits[-1] != len(references):
-        raise ValueError("the cells' lists are not those of the file")
+        raise ValueError("the splits do not delimit the references")
     if (splits[:-1] > splits[1:]).any():
         raise ValueError("a cell's list ends before it begins")
     if not _are_good(splits, references, solid):
@@ -167,31 +167,19 @@ def check_fine(
     arrays: Mapping[str, NDArray[Any]], cell_count: int, solid: NDArray[np.bool_]
 ) -> FineArrays:
     """Check the second level from a file; see `check_lists`."""
-    cells = checked_array(arrays, "fine_cells", np.int64, ())
-    counts = checked_array(arrays, "fine_counts", np.int32, (3,))
+    cells = take(arrays, "fine_cells", np.int64, (None,))
+    counts = take(arrays, "fine_counts", np.int32, (None, 3))
     if len(cells) != len(counts) or (np.diff(cells) <= 0).any():
-        raise ValueError("the cells that are divided are not in order")
+        raise ValueError("the subdivided cells are not in increasing order")
     if len(cells) and (cells[0] < 0 or cells[-1] >= cell_count):
-        raise ValueError("a cell that is divided is out of range")
+        raise ValueError("a subdivided cell is out of range")
     if (counts < 1).any() or (counts > MAX_FINE_AXIS).any():
-        raise ValueError("a cell is divided into too few or too many")
+        raise ValueError("the resolution within a cell is out of range")
     if counts.astype(np.float64).prod(axis=1).sum() > MAX_CELLS:
-        raise ValueError("there are too many cells within cells")
+        raise ValueError("too many cells of the second level")
     bare = FineArrays(cells, counts, GridArrays.empty(0))
     lists = check_lists(arrays, "fine_", int(bare.first_cells[-1]), solid)
     return FineArrays(cells, counts, lists)
-
-
-def checked_array(
-    arrays: Mapping[str, NDArray[Any]], name: str, dtype: Any, row_shape: tuple[int, ...]
-) -> NDArray[Any]:
-    """An array from a file; ValueError if it is missing or of another kind."""
-    if name not in arrays:
-        raise ValueError(f"array {name!r} is missing")
-    array = arrays[name]
-    if array.dtype != dtype or array.shape[1:] != row_shape or array.ndim != len(row_shape) + 1:
-        raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
-    return np.ascontiguousarray(array)
 
 
 @kernel

@@ -15,8 +15,9 @@ from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import thread_count
 from raystream.structures.grid.build import TooManyError, add_up, most_references
-from raystream.structures.grid.lattice import LEAST_SIDE, MAX_CELLS, Lattice, cube_side
+from raystream.structures.grid.lattice import LEAST_SIDE, Lattice, cube_side
 from raystream.structures.grid.layout import MAX_FINE_AXIS, FineArrays, GridArrays
+from raystream.structures.grid.options import MAX_CELLS
 from raystream.structures.grid.overlap import range_along, spread
 
 __all__ = ["refine"]

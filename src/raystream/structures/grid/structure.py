@@ -1,8 +1,7 @@
-"""Grid: the uniform grid as a structure."""
+"""GridStructure: the uniform grid as a structure."""
 
 from __future__ import annotations
 
-import operator
 import time
 from collections.abc import Mapping
 from functools import cached_property
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.queries import ray_queries
 from raystream.structures.base import (
     RAYS_PER_CALL,
     BuildReport,
@@ -21,21 +19,22 @@ from raystream.structures.base import (
     UpdateReport,
 )
 from raystream.structures.grid.build import build_grid
-from raystream.structures.grid.lattice import Lattice, check_cells, chosen_resolution
+from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import (
     FineArrays,
     GridAddresses,
     GridArrays,
     check_fine,
     check_lists,
-    checked_array,
 )
+from raystream.structures.grid.options import Grid, check_cells
 from raystream.structures.grid.refine import refine
 from raystream.structures.grid.statistics import statistics, trace_cost
 from raystream.structures.grid.traversal import STACK_BYTES, traverse
 from raystream.structures.grid.update import move_lists
+from raystream.structures.saved import take
 
-__all__ = ["Grid"]
+__all__ = ["GridStructure"]
 
 #: Cells and triangles in one call of a compiled loop: about 50 ms.
 _STEPS_PER_CALL = 1 << 22
@@ -44,62 +43,36 @@ _STEPS_PER_CALL = 1 << 22
 _LARGEST_BOX = 2.0**60
 
 
-class Grid(Structure):
-    """A uniform grid (Purcell 2002, section 3): the scene's box in cells of one size.
+class GridStructure(Structure):
+    """A uniform grid as it was built; see `Grid`.
 
     Parameters
     ----------
     triangles : Triangles
-    resolution : int or sequence of three int, optional
-        Cells along the axes x, y and z, of whatever shape that makes them; a number is for
-        all three. No cell is smaller than 2**-16 of the largest coordinate, so an axis on which
-        the scene is flat has fewer, or one.
-    min_resolution : int, optional
-        Cells along the shortest axis on which the scene is not flat; the others get cells of
-        about the same size (Purcell 2002, section 4.1).
-    levels : {1, 2}
-        With 2, cells with many triangles are divided again (Purcell 2002, section 5.1): for
-        scenes with details of many sizes.
+    options : Grid
     progress : callable, optional
         Called with (triangles placed, triangles) while building.
 
     Raises
     ------
     ValueError
-        If an option is out of range, both are given, or they ask for more than 2**28 cells,
-        2**20 along an axis, or 2**32 - 1 references of cells to triangles.
-    TypeError
-        If a number is no integer.
+        If there would be more than 2**32 - 1 references of cells to triangles.
     MemoryError
         If the cells, or their lists, do not fit into the memory that is free.
-
-    Notes
-    -----
-    Memory is 4 bytes for each cell, twice that while building, and 4 for each reference.
-    Without `resolution` and `min_resolution` there are about 8 cells for each triangle, and
-    fewer if triangles are so large that lists become long: at most 24 references for each
-    triangle (or 2**20). A scene with details that are small against its size, as a teapot in
-    a stadium, then has them in few cells: rays take long there, and find the same hits.
     """
 
-    name = "grid"
-    queries = ray_queries(traverse, STACK_BYTES)
+    traverse = staticmethod(traverse)
+    stack_bytes = STACK_BYTES
+    options: Grid
 
     def __init__(
-        self,
-        triangles: Triangles,
-        *,
-        resolution: Any = None,
-        min_resolution: int | None = None,
-        levels: int = 1,
-        progress: Progress | None = None,
+        self, triangles: Triangles, options: Grid, *, progress: Progress | None = None
     ) -> None:
-        resolution, min_resolution = chosen_resolution(resolution, min_resolution)
-        levels = _checked_levels(levels)
         started = time.perf_counter()
-        lattice, lists = build_grid(triangles, resolution, min_resolution, levels, progress)
-        fine = refine(triangles, lattice, lists) if levels == 2 else FineArrays.none()
-        options = {"resolution": resolution, "min_resolution": min_resolution, "levels": levels}
+        lattice, lists = build_grid(
+            triangles, options.counts, options.min_resolution, options.levels, progress
+        )
+        fine = refine(triangles, lattice, lists) if options.levels == 2 else FineArrays.none()
         self._set(triangles, lattice, lists, fine, options, started)
 
     def _set(
@@ -108,7 +81,7 @@ class Grid(Structure):
         lattice: Lattice,
         lists: GridArrays,
         fine: FineArrays,
-        options: Mapping[str, Any],
+        options: Grid,
         started: float,
     ) -> None:
         self.triangles = triangles
@@ -167,9 +140,7 @@ class Grid(Structure):
         return {**figures, "bytes": float(self.report.byte_count)}
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """The lists, how many cells there are, and the options that say so."""
-        chosen = self.options["resolution"] or (0, 0, 0)
-        least = self.options["min_resolution"] or 0
+        """The lists, and how many cells there are."""
         return {
             "splits": self.lists.splits,
             "references": self.lists.references,
@@ -179,34 +150,26 @@ class Grid(Structure):
             "fine_counts": self.fine.counts,
             "fine_splits": self.fine.lists.splits,
             "fine_references": self.fine.lists.references,
-            "options": np.array([*chosen, least, self.options["levels"]], np.int64),
         }
 
     @classmethod
-    def from_arrays(cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]]) -> Grid:
+    def from_arrays(
+        cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Grid
+    ) -> GridStructure:
         """Make a grid of saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
-        counts = _integers(arrays, "counts", 3)
-        *chosen, least, levels = _integers(arrays, "options", 5)
-        resolution, min_resolution = chosen_resolution(
-            chosen if any(chosen) else None, least if least else None
-        )
-        options = {
-            "resolution": resolution,
-            "min_resolution": min_resolution,
-            "levels": _checked_levels(levels),
-        }
+        counts = take(arrays, "counts", np.int64, (3,)).tolist()
         check_cells("counts", counts)
         lattice = _saved_lattice(arrays, counts, triangles)
         if list(lattice.counts) != counts:
-            raise ValueError("its cells are not those of the scene's box")
+            raise ValueError("the number of cells does not fit the bounding box")
         solid = np.zeros(len(triangles), np.bool_)
         solid[triangles.prim_ids] = True
         lists = check_lists(arrays, "", lattice.cell_count, solid)
         found = np.zeros(len(triangles), np.bool_)
         found[lists.references] = True
         if not np.array_equal(found, solid):
-            raise ValueError("its cells do not hold every triangle")
+            raise ValueError("a triangle of the scene is in no cell")
         fine = check_fine(arrays, lattice.cell_count, solid)
         structure = cls.__new__(cls)
         structure._set(triangles, lattice, lists, fine, options, started)
@@ -226,15 +189,15 @@ class Grid(Structure):
         started = time.perf_counter()
         if self._holds(triangles):
             lists = move_lists(self.triangles, triangles, self.lattice, self.lists)
-            is_fine = self.options["levels"] == 2
+            is_fine = self.options.levels == 2
             fine = refine(triangles, self.lattice, lists) if is_fine else FineArrays.none()
             cost = trace_cost(self.lattice, lists, fine, triangles.bounds)
             if cost <= max_cost_growth * self.cost_when_built:
-                moved = Grid.__new__(Grid)
+                moved = GridStructure.__new__(GridStructure)
                 moved.cost_when_built = self.cost_when_built
                 moved._set(triangles, self.lattice, lists, fine, self.options, started)
                 return moved, UpdateReport(False, moved.report.seconds, cost, self.cost_when_built)
-        rebuilt = Grid(triangles, progress=progress, **self.options)
+        rebuilt = GridStructure(triangles, self.options, progress=progress)
         cost = rebuilt.cost_when_built
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
 
@@ -254,14 +217,12 @@ def _saved_lattice(
     arrays: Mapping[str, NDArray[Any]], counts: list[int], triangles: Triangles
 ) -> Lattice:
     """The lattice of a file, whose box holds the triangles but may be larger."""
-    box = checked_array(arrays, "box", np.float32, (3,))
-    if len(box) != 2 or not (np.abs(box) <= _LARGEST_BOX).all():
-        raise ValueError("its box is no box, or too large")
+    box = take(arrays, "box", np.float32, (2, 3))
+    if not (np.abs(box) <= _LARGEST_BOX).all() or (box[0] > box[1]).any():
+        raise ValueError("invalid bounding box")
     low, high = triangles.bounds
     if len(triangles.prim_ids) and ((box[0] > low).any() or (box[1] < high).any()):
-        raise ValueError("its box does not hold the triangles")
-    if (box[0] > box[1]).any():
-        raise ValueError("its box is no box, or too large")
+        raise ValueError("the bounding box does not contain the triangles")
     return Lattice.of(box, counts)
 
 
@@ -275,17 +236,3 @@ def _addresses(lattice: Lattice, kept: tuple[NDArray[Any], ...]) -> GridAddresse
     if kept[1].size == 0:
         at[0] = np.uint64(0)
     return GridAddresses(low, high, size, counts, *at)
-
-
-def _checked_levels(levels: Any) -> int:
-    levels = operator.index(levels)
-    if levels not in (1, 2):
-        raise ValueError(f"levels: expected 1 or 2, got {levels}")
-    return levels
-
-
-def _integers(arrays: Mapping[str, NDArray[Any]], name: str, count: int) -> list[int]:
-    array = checked_array(arrays, name, np.int64, ())
-    if len(array) != count or array.min() < 0:
-        raise ValueError(f"array {name!r} is of another kind")
-    return array.tolist()

@@ -1,5 +1,5 @@
 """The kd-tree: nested split planes, and three ways through them (Foley 2005)."""
 
-from raystream.structures.kdtree.structure import KdTree
+from raystream.structures.kdtree.options import KdTree
 
 __all__ = ["KdTree"]

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
 from raystream.structures.clip import BOUND
-from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_DEPTH, MAX_NODES, KdArrays
+from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_NODES, KdArrays
+from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.subtree import (
     grow_subtree,

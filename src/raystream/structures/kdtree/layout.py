@@ -11,19 +11,17 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.kernels.leaf_block import BLOCK_SIZE
+from raystream.structures.kdtree.options import MAX_DEPTH
+from raystream.structures.saved import take
 
 __all__ = [
     "LEAF_AXIS",
-    "MAX_DEPTH",
     "MAX_NODES",
     "KdArrays",
     "check_arrays",
     "usual_depth",
     "walk",
 ]
-
-#: Splits on the longest path that the builder makes and the traversal can take.
-MAX_DEPTH = 64
 
 #: Nodes of a tree: a child's number takes 29 bits.
 MAX_NODES = 1 << 29
@@ -134,8 +132,8 @@ _FAULTS = {
     _BAD_CHILD: "a node's child is out of range or has two parents",
     _BAD_PLANE: "the plane of a split is nowhere",
     _BAD_LEAF: "a leaf is out of range",
-    _BAD_ID: "a leaf has a triangle that is none, or lacks one",
-    _MISSING: "its leaves do not hold every triangle",
+    _BAD_ID: "a leaf lists an invalid triangle, or too few",
+    _MISSING: "a triangle of the scene is in no leaf",
 }
 
 
@@ -206,8 +204,8 @@ def check_arrays(
     The tree may still be a wrong one, whose cells lack triangles. Every ray ends in any tree
     that passes: see `steps`.
     """
-    nodes = _array(arrays, "nodes", 2)
-    prim_ids = _array(arrays, "prim_ids", BLOCK_SIZE)
+    nodes = take(arrays, "nodes", np.int32, (None, 2))
+    prim_ids = take(arrays, "prim_ids", np.int32, (None, BLOCK_SIZE))
     # Of all blocks, also those that no leaf lists: corners are looked up for each.
     if len(prim_ids) and (prim_ids.min() < -1 or prim_ids.max() >= triangle_count):
         raise ValueError(_FAULTS[_BAD_ID])
@@ -227,12 +225,3 @@ def check_arrays(
     if depth > MAX_DEPTH:
         raise ValueError(f"the tree is {depth} splits deep; at most {MAX_DEPTH} are possible")
     return KdArrays(nodes, prim_ids)
-
-
-def _array(arrays: Mapping[str, NDArray[Any]], name: str, columns: int) -> NDArray[np.int32]:
-    if name not in arrays:
-        raise ValueError(f"array {name!r} is missing")
-    array = arrays[name]
-    if array.dtype != np.int32 or array.ndim != 2 or array.shape[1] != columns:
-        raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
-    return np.ascontiguousarray(array)

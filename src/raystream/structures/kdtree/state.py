@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.structures.kdtree.layout import MAX_DEPTH
+from raystream.structures.kdtree.options import MAX_DEPTH
 
 __all__ = [
     "BACKTRACK",

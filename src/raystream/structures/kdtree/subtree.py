@@ -7,7 +7,8 @@ import numpy as np
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD, tighten
-from raystream.structures.kdtree.layout import LEAF_AXIS, MAX_DEPTH
+from raystream.structures.kdtree.layout import LEAF_AXIS
+from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.split import LEAF, WORK_BYTES, choose_split
 
 __all__ = [

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,8 @@ from raystream.structures.base import Structure
 from raystream.structures.graph.bins import bin_corners, choose_bin_counts
 from raystream.structures.graph.build import graph_box, tree_method_of
 from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays
-from raystream.structures.graph.structure import Graph, addresses_of, chosen_options, method_of
+from raystream.structures.graph.options import Graph
+from raystream.structures.graph.structure import GraphStructure, addresses_of, method_of
 
 __all__ = ["DeviceGraph", "build_graph"]
 
@@ -40,7 +40,7 @@ class _Built(NamedTuple):
     bins: DeviceArray
 
 
-class DeviceGraph(RebuiltOnDevice, Graph):
+class DeviceGraph(RebuiltOnDevice, GraphStructure):
     """A graph in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -48,8 +48,7 @@ class DeviceGraph(RebuiltOnDevice, Graph):
     triangles : Triangles
     gpu : Gpu
     built : _Built
-    options : mapping
-        To build it again.
+    options : Graph
     started : float
         When the build began, by `time.perf_counter`.
     """
@@ -61,7 +60,7 @@ class DeviceGraph(RebuiltOnDevice, Graph):
         triangles: Triangles,
         gpu: Gpu,
         built: _Built,
-        options: Mapping[str, Any],
+        options: Graph,
         started: float,
     ) -> None:
         self.triangles, self.gpu, self.options = triangles, gpu, options
@@ -73,9 +72,9 @@ class DeviceGraph(RebuiltOnDevice, Graph):
         self.report = finish(gpu, byte_count, started)
 
     @cached_property
-    def _on_host(self) -> Graph:
+    def _on_host(self) -> GraphStructure:
         """The same graph, whose arrays are on the host."""
-        made, built = Graph.__new__(Graph), self._built
+        made, built = GraphStructure.__new__(GraphStructure), self._built
         rows = built.rows.host()
         _close_sides(rows[: SECTOR_ROWS * built.sector_count], graph_box(self.triangles))
         # A block's prim_ids are its last four words.
@@ -85,7 +84,7 @@ class DeviceGraph(RebuiltOnDevice, Graph):
         return made
 
     def _rebuilt(self, triangles: Triangles) -> Structure:
-        return build_graph(self.gpu, triangles, **self.options)
+        return build_graph(self.gpu, triangles, self.options)
 
 
 def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:
@@ -97,28 +96,18 @@ def _close_sides(rows: NDArray[np.uint32], box: NDArray[np.float32]) -> None:
         planes[links[:, face] == VOID, axis + 4 * is_high] = box[is_high, axis]
 
 
-def build_graph(
-    gpu: Gpu,
-    triangles: Triangles,
-    *,
-    crossing_cost: float = 24.0,
-    intersection_cost: float = 1.0,
-    link_cost: float = 16.0,
-    max_depth: int | None = None,
-    max_leaf_size: int = 4,
-) -> Graph:
+def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructure:
     """Build a graph of sectors on a device.
 
     Parameters
     ----------
     gpu : Gpu
     triangles : Triangles
-    crossing_cost, intersection_cost, link_cost, max_depth, max_leaf_size
-        See `Graph`.
+    options : Graph
 
     Returns
     -------
-    Graph
+    GraphStructure
         Its arrays are those of the CPU's build, bit for bit.
 
     Raises
@@ -130,9 +119,8 @@ def build_graph(
     CudaError
         If there is no memory for it.
     """
-    options = chosen_options(crossing_cost, intersection_cost, link_cost, max_depth, max_leaf_size)
     if len(triangles.prim_ids) == 0:
-        return Graph(triangles, **options)
+        return GraphStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
     method = tree_method_of(method_of(options, len(triangles.prim_ids)))

@@ -14,7 +14,8 @@ from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.cuda.scan import Scan
 from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, Method, root_box
-from raystream.structures.kdtree.layout import MAX_DEPTH, MAX_NODES
+from raystream.structures.kdtree.layout import MAX_NODES
+from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.split import MOST_EXACT, Costs
 
 __all__ = ["GrownTree", "as_numbers", "grow_tree"]

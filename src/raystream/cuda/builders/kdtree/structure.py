@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -18,15 +16,16 @@ from raystream.cuda.structures import Resident
 from raystream.jit.cuda import Gpu
 from raystream.structures.base import Structure
 from raystream.structures.kdtree.layout import KdArrays
+from raystream.structures.kdtree.options import TRAVERSALS, KdTree
 from raystream.structures.kdtree.state import KdAddresses
-from raystream.structures.kdtree.structure import TRAVERSALS, KdTree, chosen_options, method_of
+from raystream.structures.kdtree.structure import KdTreeStructure, method_of
 
 __all__ = ["DeviceKdTree", "build_kdtree"]
 
 _NOWHERE = np.uint64(0)
 
 
-class DeviceKdTree(RebuiltOnDevice, KdTree):
+class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
     """A kd-tree in a device's memory; it is copied to the host when it is asked for there.
 
     Parameters
@@ -34,8 +33,7 @@ class DeviceKdTree(RebuiltOnDevice, KdTree):
     triangles : Triangles
     gpu : Gpu
     written : WrittenTree
-    options : mapping
-        To build it again.
+    options : KdTree
     started : float
         When the build began, by `time.perf_counter`.
     """
@@ -47,7 +45,7 @@ class DeviceKdTree(RebuiltOnDevice, KdTree):
         triangles: Triangles,
         gpu: Gpu,
         written: WrittenTree,
-        options: Mapping[str, Any],
+        options: KdTree,
         started: float,
     ) -> None:
         self.triangles, self.gpu, self.options = triangles, gpu, options
@@ -61,7 +59,7 @@ class DeviceKdTree(RebuiltOnDevice, KdTree):
             extended.address if extended is not None else _NOWHERE,
             written.blocks.address,
             np.uint64(0),
-            np.uint64(TRAVERSALS.index(options["traversal"])),
+            np.uint64(TRAVERSALS.index(options.traversal)),
             (low_x, low_y, low_z),
             (high_x, high_y, high_z),
         )
@@ -70,9 +68,9 @@ class DeviceKdTree(RebuiltOnDevice, KdTree):
         self.report = finish(gpu, byte_count, started)
 
     @cached_property
-    def _on_host(self) -> KdTree:
+    def _on_host(self) -> KdTreeStructure:
         """The same tree, whose arrays are on the host."""
-        made = KdTree.__new__(KdTree)
+        made = KdTreeStructure.__new__(KdTreeStructure)
         # A block's prim_ids are its last four words.
         prim_ids = np.ascontiguousarray(self._written.blocks.host()[:, -4:]).view(np.int32)
         tree = KdArrays(self._written.nodes.host(), prim_ids)
@@ -80,35 +78,22 @@ class DeviceKdTree(RebuiltOnDevice, KdTree):
         return made
 
     def _rebuilt(self, triangles: Triangles) -> Structure:
-        return build_kdtree(self.gpu, triangles, **self.options)
+        return build_kdtree(self.gpu, triangles, self.options)
 
 
-def build_kdtree(
-    gpu: Gpu,
-    triangles: Triangles,
-    *,
-    traversal: str = "stack",
-    layout: str = "compact",
-    traversal_cost: float = 8.0,
-    intersection_cost: float = 1.0,
-    empty_bonus: float = 0.2,
-    max_depth: int | None = None,
-    max_leaf_size: int = 1,
-) -> KdTree:
+def build_kdtree(gpu: Gpu, triangles: Triangles, options: KdTree) -> KdTreeStructure:
     """Build a kd-tree on a device.
 
     Parameters
     ----------
     gpu : Gpu
     triangles : Triangles
-    traversal, traversal_cost, intersection_cost, empty_bonus, max_depth, max_leaf_size
-        See `KdTree`.
-    layout : {"compact"}
-        Foley's is made on the CPU alone.
+    options : KdTree
+        With the compact layout: Foley's is made on the CPU alone.
 
     Returns
     -------
-    KdTree
+    KdTreeStructure
         Its arrays are those of the CPU's build, bit for bit.
 
     Raises
@@ -120,16 +105,14 @@ def build_kdtree(
     CudaError
         If there is no memory for it.
     """
-    costs = traversal_cost, intersection_cost, empty_bonus
-    options = chosen_options(traversal, layout, *costs, max_depth, max_leaf_size)
-    if layout != "compact":
-        raise ValueError(f"layout: expected 'compact' where build='device', got {layout!r}")
+    if options.layout != "compact":
+        raise ValueError(f"layout: expected 'compact' where build='device', got {options.layout!r}")
     if len(triangles.prim_ids) == 0:
-        return KdTree(triangles, **options)
+        return KdTreeStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
     method = method_of(options, len(triangles.prim_ids))
     tree = grow_tree(gpu, triangles, corners, method)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
-    written = write_tree(gpu, tree, numbers, corners, traversal == "backtrack")
+    written = write_tree(gpu, tree, numbers, corners, options.traversal == "backtrack")
     return DeviceKdTree(triangles, gpu, written, options, started)

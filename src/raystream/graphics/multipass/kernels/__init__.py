@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.multipass.kernels import brute, grid, kdtree
 from raystream.graphics.multipass.kernels.base import STREAMS, TraversalKernels
-from raystream.structures import Structure
+from raystream.structures import Structure, form_of, names_with
 
-__all__ = ["KERNELS", "STREAMS", "TraversalKernels", "kernels_of"]
-
-#: By the name of the structure.
-KERNELS: dict[str, Callable[[Any], TraversalKernels]] = {
-    "brute": brute.kernels,
-    "grid": grid.kernels,
-    "kdtree": kdtree.kernels,
-}
+__all__ = ["STREAMS", "TraversalKernels", "kernels_of"]
 
 
 def kernels_of(structure: Structure) -> TraversalKernels:
@@ -28,10 +17,12 @@ def kernels_of(structure: Structure) -> TraversalKernels:
     GraphicsError
         If there are none for it.
     """
-    if structure.name not in KERNELS:
-        known = ", ".join(map(repr, KERNELS))
+    make = form_of(structure.name, "graphics multipass")
+    if make is None:
+        known = ", ".join(map(repr, names_with("graphics multipass")))
         raise GraphicsError(
             f"device 'graphics': machine='multipass' runs the structures {known}, "
             f"not {structure.name!r}; take machine='compute'"
         )
-    return KERNELS[structure.name](structure)
+    kernels: TraversalKernels = make(structure)
+    return kernels

@@ -5,7 +5,7 @@ from __future__ import annotations
 from raystream.graphics.multipass.kernels.base import FOUND, TraversalKernels, with_shade
 from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.machines.records import RayState
-from raystream.structures.brute import Brute
+from raystream.structures.brute.structure import BruteStructure
 
 __all__ = ["kernels"]
 
@@ -32,6 +32,6 @@ _KERNELS = with_shade(
 )
 
 
-def kernels(_brute: Brute) -> TraversalKernels:
+def kernels(_brute: BruteStructure) -> TraversalKernels:
     """The kernels of brute force."""
     return _KERNELS

@@ -9,7 +9,7 @@ from raystream.graphics.ray_textures import RayTextures
 from raystream.machines.records import RayState
 from raystream.machines.steps.base import StepKernel
 from raystream.structures import Structure
-from raystream.structures.brute import Brute
+from raystream.structures.brute.structure import BruteStructure
 
 __all__ = ["TriangleConstants"]
 
@@ -33,7 +33,7 @@ class TriangleConstants:
 
     Parameters
     ----------
-    brute : Brute
+    brute : BruteStructure
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class TriangleConstants:
         With the first triangle, and without arrays: the device has one triangle at a time.
     """
 
-    def __init__(self, brute: Brute) -> None:
+    def __init__(self, brute: BruteStructure) -> None:
         triangles = brute.triangles
         ids = triangles.prim_ids
         self._records = np.zeros(max(len(ids), 1), _CONSTANTS)
@@ -75,6 +75,6 @@ class TriangleConstants:
         cls, structure: Structure, loop: str, intersections: int
     ) -> TriangleConstants | None:
         """Those of brute force where the host encodes each pass, which tests one triangle."""
-        if isinstance(structure, Brute) and loop == "queries" and intersections == 1:
+        if isinstance(structure, BruteStructure) and loop == "queries" and intersections == 1:
             return cls(structure)
         return None

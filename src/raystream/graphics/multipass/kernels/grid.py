@@ -5,7 +5,7 @@ from __future__ import annotations
 from raystream.graphics.multipass.kernels.base import FOUND, PLACE, TraversalKernels, with_shade
 from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.machines.records import RayState
-from raystream.structures.grid import Grid
+from raystream.structures.grid.structure import GridStructure
 
 __all__ = ["kernels"]
 
@@ -50,6 +50,6 @@ _KERNELS = with_shade(
 )
 
 
-def kernels(_grid: Grid) -> TraversalKernels:
+def kernels(_grid: GridStructure) -> TraversalKernels:
     """The kernels of a grid, of one level or two."""
     return _KERNELS

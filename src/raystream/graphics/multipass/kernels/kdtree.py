@@ -6,7 +6,7 @@ from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass.kernels.base import FOUND, PLACE, TraversalKernels, with_shade
 from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.machines.records import RayState
-from raystream.structures.kdtree import KdTree
+from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["kernels"]
 
@@ -81,7 +81,7 @@ _KERNELS = with_shade(
 )
 
 
-def kernels(kdtree: KdTree) -> TraversalKernels:
+def kernels(kdtree: KdTreeStructure) -> TraversalKernels:
     """The kernels of a kd-tree, which keep no stack.
 
     Raises
@@ -89,7 +89,7 @@ def kernels(kdtree: KdTree) -> TraversalKernels:
     GraphicsError
         If its traversal needs one.
     """
-    if kdtree.options["traversal"] in ("stack", "short-stack"):
+    if kdtree.options.traversal in ("stack", "short-stack"):
         raise GraphicsError(
             "device 'graphics': machine='multipass' has no memory for the stacks of rays; take "
             "traversal='restart' or 'backtrack'"

@@ -1,0 +1,198 @@
+"""Devices and machines with their options: what `Tracer` takes beside their names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from raystream.core.options import Options, Range
+
+__all__ = [
+    "MACHINES",
+    "SCHEDULERS",
+    "Branching",
+    "Compute",
+    "Cpu",
+    "Cuda",
+    "DeviceOptions",
+    "Graphics",
+    "MachineOptions",
+    "Multipass",
+]
+
+#: Names of schedulers, the default first.
+SCHEDULERS = ("threshold", "naive", "most-work", "double")
+
+_AtLeastOne = Annotated[int | None, Range(1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceOptions(Options):
+    """A device, and how it is used; `raystream.register_device` makes another known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MachineOptions(Options):
+    """A machine: how a structure is traversed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cpu(DeviceOptions):
+    """The processor's cores; it has no options. See `raystream.set_thread_count`."""
+
+    name = "cpu"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cuda(DeviceOptions):
+    """An NVIDIA GPU (``pip install raystream[cuda]``).
+
+    Parameters
+    ----------
+    gpu : int
+        Its number, as CUDA counts them.
+    build : {"host", "device"}
+        Where structures are built.
+    method : {"clusters", "linear"}, optional
+        With ``build="device"``, how a BVH is built: ``"clusters"`` merges neighbours on a
+        curve, for a tree that is traced faster; ``"linear"`` takes the tree that the bits of
+        keys along the curve make [default: clusters].
+    kernel : {"auto", "compressed", "binary", "packet", "wide"}
+        With the branching machine, the layout and kernel of a BVH.
+    launch : {"range", "persistent"}
+        With the branching machine, how threads get rays: one each, or another whenever a warp
+        has finished.
+    order : {"given", "sorted"}
+        With the branching machine, which rays share a warp: neighbours in the batch, or
+        similar rays.
+    loop : {"batches", "graph"}
+        With the multipass machine, who decides that passes go on: the host after each batch of
+        passes, or the device in a CUDA graph.
+    max_passes : int, optional
+        With the multipass machine, most passes of a query.
+    rays_at_once : int, optional
+        Most rays that are traced together.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of range.
+    TypeError
+        If a number is no integer.
+    """
+
+    name = "cuda"
+    gpu: Annotated[int, Range(0)] = 0
+    build: Literal["host", "device"] = "host"
+    method: Literal["clusters", "linear"] | None = None
+    kernel: Literal["auto", "compressed", "binary", "packet", "wide"] = "auto"
+    launch: Literal["range", "persistent"] = "range"
+    order: Literal["given", "sorted"] = "given"
+    loop: Literal["batches", "graph"] = "batches"
+    max_passes: _AtLeastOne = None
+    rays_at_once: _AtLeastOne = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.method is not None and self.build != "device":
+            raise ValueError("method: only with build='device'")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Graphics(DeviceOptions):
+    """A GPU through Vulkan, Metal or Direct3D 12 (``pip install raystream[graphics]``).
+
+    Parameters
+    ----------
+    adapter : str, optional
+        Part of the adapter's name [default: ``RAYSTREAM_ADAPTER``, else the best one].
+    loop : {"device", "queries"}
+        With the multipass machine, who chooses the next kernel: the device, or the host by
+        occlusion queries.
+    max_passes : int, optional
+        With the multipass machine, most passes of a query.
+    rays_at_once : int, optional
+        Most rays that are traced together.
+
+    Raises
+    ------
+    ValueError
+        If a number is below 1.
+    TypeError
+        If it is no integer.
+    """
+
+    name = "graphics"
+    adapter: str | None = None
+    loop: Literal["device", "queries"] = "device"
+    max_passes: _AtLeastOne = None
+    rays_at_once: _AtLeastOne = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branching(MachineOptions):
+    """One ray from start to end on each thread; it has no options."""
+
+    name = "branching"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compute(MachineOptions):
+    """One ray from start to end in each invocation of a compute shader: of `Graphics` alone."""
+
+    name = "compute"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multipass(MachineOptions):
+    """All rays step by step, in passes (Purcell 2002, section 2.2).
+
+    Parameters
+    ----------
+    scheduler : {"threshold", "naive", "most-work", "double"} or Scheduler
+        How the kernel of the next pass is chosen; see `raystream.machines.Scheduler`.
+    threshold : float
+        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
+        intersection.
+    traversal_steps, intersections : int
+        Steps from cell to cell or node to node, and triangles tested (in trees: blocks of up
+        to four), that a ray does in one pass.
+    compaction : bool
+        Shade rays whose search has ended, and drop them from the streams, whenever they are
+        half of them. Not on `Graphics`.
+
+    Raises
+    ------
+    ValueError
+        If an option is out of range.
+    TypeError
+        If a number is no number, or no integer where one is needed.
+    """
+
+    name = "multipass"
+    scheduler: Any = "threshold"
+    threshold: Annotated[float, Range(0, 1)] = 0.2
+    traversal_steps: Annotated[int, Range(1)] = 1
+    intersections: Annotated[int, Range(1)] = 1
+    compaction: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.scheduler, str):
+            if not callable(getattr(self.scheduler, "choose", None)):
+                raise TypeError(
+                    f"scheduler: expected a name or a Scheduler, got {self.scheduler!r:.60}"
+                )
+        elif self.scheduler == "optimal":
+            raise ValueError(
+                "scheduler: 'optimal' is a bound and no schedule: see counters.passes.optimal_count"
+            )
+        elif self.scheduler not in SCHEDULERS:
+            known = ", ".join(map(repr, SCHEDULERS))
+            raise ValueError(f"scheduler: expected one of {known}, got {self.scheduler!r}")
+
+
+#: Machines by name.
+MACHINES: dict[str, type[MachineOptions]] = {
+    one.name: one for one in (Branching, Multipass, Compute)
+}

@@ -1,0 +1,27 @@
+"""Brute: what others know of brute force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from raystream.structures.registry import StructureOptions, register_structure
+
+__all__ = ["Brute"]
+
+
+@register_structure
+@dataclass(frozen=True, kw_only=True)
+class Brute(StructureOptions):
+    """Every ray is tested against every triangle (Foley 2005, section 4); it has no options.
+
+    Slow on all but the smallest scenes, and the definition of the right answer.
+    """
+
+    name = "brute"
+    structure = "raystream.structures.brute.structure:BruteStructure"
+    forms: ClassVar = {
+        "multipass": "raystream.machines.steps.brute:steps",
+        "graphics": "raystream.graphics.forms.brute:form",
+        "graphics multipass": "raystream.graphics.multipass.kernels.brute:kernels",
+    }

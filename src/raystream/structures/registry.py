@@ -1,0 +1,183 @@
+"""The registry of structures: each by the class of its options, which says where its parts are.
+
+Light to import: what a structure is made of is imported when it is built.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from raystream.core.options import Options
+
+if TYPE_CHECKING:
+    from raystream.core.triangles import Triangles
+    from raystream.jit.threads import Progress
+    from raystream.structures.base import Structure
+
+__all__ = [
+    "STRUCTURES",
+    "StructureOptions",
+    "build_structure",
+    "form_of",
+    "names_with",
+    "options_of",
+    "register_structure",
+    "structure_class",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructureOptions(Options):
+    """An acceleration structure with its build options; `register_structure` makes one known.
+
+    Attributes
+    ----------
+    name : str
+        What ``Tracer(structure=...)`` calls it.
+    structure : type of Structure, or str
+        What it is built as; or ``"module:name"`` of that, to be imported when it is needed.
+    cell_counter : {"leaves", "steps"}
+        Which of `raystream.machines.RayCounters` counts the cells of space that a ray visits.
+    forms : mapping of str to callable or str
+        What else traces or builds it, each as an object or as ``"module:name"``:
+        ``"multipass"``, its steps (`raystream.machines.steps.base.Steps`); ``"graphics"`` and
+        ``"graphics multipass"``, its shaders; ``"cuda build"``, its builder on the device; and
+        ``"cuda kernels"``, a module of other layouts with kernels of their own. Without
+        ``"cuda kernels"``, CUDA runs the CPU's traversal.
+    """
+
+    structure: ClassVar[Any]
+    cell_counter: ClassVar[str] = "leaves"
+    forms: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+
+
+#: Options of structures by name, the default first.
+STRUCTURES: dict[str, type[StructureOptions]] = {}
+
+
+_Kind = TypeVar("_Kind", bound=StructureOptions)
+
+
+def register_structure(options: type[_Kind]) -> type[_Kind]:
+    """Make a structure known by its name, everywhere that names are taken.
+
+    Parameters
+    ----------
+    options : type of StructureOptions
+        A frozen dataclass; see there for what it says of the structure.
+
+    Returns
+    -------
+    type of StructureOptions
+        The same, so that this can be a decorator.
+
+    Raises
+    ------
+    ValueError
+        If another structure has that name.
+    """
+    if STRUCTURES.get(options.name, options) is not options:
+        raise ValueError(f"structure: {options.name!r} is registered already")
+    STRUCTURES[options.name] = options
+    return options
+
+
+def options_of(
+    structure: str | StructureOptions, options: Mapping[str, Any] = MappingProxyType({})
+) -> StructureOptions:
+    """Options by the name of a structure; those of a class stay as they are.
+
+    Parameters
+    ----------
+    structure : str or StructureOptions
+    options : mapping
+        Of the structure of that name.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown, or an option's value is out of range.
+    TypeError
+        If the structure has no such option, or they are given beside a class.
+    """
+    if isinstance(structure, StructureOptions):
+        if options:
+            kind, name = type(structure).__name__, next(iter(options))
+            raise TypeError(f"{structure.name}: give {name!r} as an argument of {kind}")
+        return structure
+    if structure not in list(STRUCTURES):  # which may be anything
+        known = ", ".join(map(repr, STRUCTURES))
+        raise ValueError(f"structure: expected one of {known}, got {structure!r}")
+    made = STRUCTURES[structure]
+    for option in options:
+        if option not in made.names():
+            has = f"it has {', '.join(made.names())}" if made.names() else "it has none"
+            raise TypeError(f"{structure}: has no option {option!r}; {has}")
+    return made(**options)
+
+
+def structure_class(name: str) -> type[Structure]:
+    """What a structure is built as."""
+    made: type[Structure] = _imported(STRUCTURES[name].structure)
+    return made
+
+
+def form_of(name: str, form: str) -> Any:
+    """What else traces or builds a structure; None if there is nothing.
+
+    Parameters
+    ----------
+    name : str
+        Of the structure; it may be one that is not registered.
+    form : str
+        A key of `StructureOptions.forms`.
+    """
+    found = STRUCTURES[name].forms.get(form) if name in STRUCTURES else None
+    return None if found is None else _imported(found)
+
+
+def names_with(form: str) -> tuple[str, ...]:
+    """The names of the structures that have a form."""
+    return tuple(name for name, one in STRUCTURES.items() if form in one.forms)
+
+
+def build_structure(
+    structure: str | StructureOptions,
+    triangles: Triangles,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Structure:
+    """Build a structure on the CPU.
+
+    Parameters
+    ----------
+    structure : str or StructureOptions
+        A key of `STRUCTURES`, or the options themselves.
+    triangles : Triangles
+    progress : callable, optional
+        Called with (triangles placed, triangles).
+    **options
+        Build options of the structure of that name.
+
+    Raises
+    ------
+    ValueError, TypeError
+        See `options_of`.
+    """
+    chosen = options_of(structure, options)
+    built: Structure = structure_class(chosen.name)(triangles, chosen, progress=progress)
+    return built
+
+
+def _imported(place: Any) -> Any:
+    """What ``"module:name"`` names, or a module by its name; anything else as it is."""
+    if not isinstance(place, str):
+        return place
+    module, _, name = place.partition(":")
+    found = importlib.import_module(module)
+    return getattr(found, name) if name else found
