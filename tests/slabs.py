@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
+from raystream.kernels.leaf import test_triangles
 
 import raystream as rs
 from raystream.core.options import Range
 from raystream.jit.cpu import device
 from raystream.jit.intrinsics import corners_at, int32_at
 from raystream.jit.simd import load
-from raystream.kernels.leaf import test_triangles
 from raystream.kernels.search import is_full
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import parallel_for
-from raystream.structures.bvh.layout import BLOCK_SIZE
+from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures.graph.layout import (
     MAX_ROWS,
     NODE_BIT,
