@@ -114,7 +114,7 @@ def bench(
         options.check_output(output, (".md", ".rst", ".json"), inputs=scenes or ())
     entries = _entries(chosen_peers, option or [], variant or [])
     choose_threads(threads)
-    from raystream.bench.cores import limited_to
+    from raystream.bench.cores import limit_cores
     from raystream.bench.runner import Bench, Plan
     from raystream.jit.threads import thread_count
 
@@ -122,7 +122,7 @@ def bench(
         entries, chosen_sets, (width, height), repeats, thread_count(), seed, with_memory=memory
     )
     # What packages print is not part of the figures.
-    with limited_to(plan.threads), contextlib.redirect_stdout(sys.stderr):
+    with limit_cores(plan.threads), contextlib.redirect_stdout(sys.stderr):
         running = Bench(plan)
         interrupted = False
         try:
