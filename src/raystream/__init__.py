@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
     from raystream.programs.decisions import Decision
+    from raystream.ray_files.query import query_zarr
     from raystream.rendering.frames import render_frames
     from raystream.rendering.heatmap import heatmap
     from raystream.rendering.image import Image
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from raystream.scene.texture import Texture
     from raystream.tracer import Tracer
     from raystream.viewer.notebook import view
-    from raystream.zarr_queries.query import query_zarr
 
 #: Modules as a whole.
 _MODULES = {
@@ -78,7 +78,7 @@ _HOMES = {
     "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
-    "query_zarr": "zarr_queries.query",
+    "query_zarr": "ray_files.query",
     "render": "rendering.picture",
     "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",

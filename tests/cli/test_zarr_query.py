@@ -57,9 +57,9 @@ def test_figures_for_people(run, rays):
 
 def begin_and_interrupt(run, monkeypatch, *more) -> str:
     """Ctrl-C once 400 rays are done."""
-    from raystream.zarr_queries import asking
+    from raystream.ray_files import block_query
 
-    ask = asking.QueryInputs.__call__
+    ask = block_query.BlockQuery.__call__
 
     def interrupted(self, block, *arguments):
         if block.begin == 400:
@@ -67,7 +67,7 @@ def begin_and_interrupt(run, monkeypatch, *more) -> str:
         return ask(self, block, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(asking.QueryInputs, "__call__", interrupted)
+        patch.setattr(block_query.BlockQuery, "__call__", interrupted)
         result = run(*ASKED, "--block-rays", 200, *more)
     assert (result.code, result.out) == (130, "")
     assert result.err.count("\n") == 1
@@ -95,7 +95,7 @@ def test_ctrl_c_tells_what_is_done(run, rays, monkeypatch):
 def test_another_question_is_refused_in_one_line(run, rays, monkeypatch):
     begin_and_interrupt(run, monkeypatch)
     complaint = run(*ASKED, "--block-rays", 200, "--resume", "--any").complaint
-    assert complaint.startswith(f"{RECORD}: is of another question (")
+    assert complaint.startswith(f"{RECORD}: belongs to another query (")
     assert "query" in complaint
 
 
@@ -124,7 +124,7 @@ def test_full_disk_is_one_line(run, rays, monkeypatch):
         (["-o", "hits.npz"], "hits.npz: hits of rays in a Zarr store go to one"),
         (["-o", "nowhere/hits.zarr"], "nowhere"),
         (["-o", "file.zarr"], "file.zarr: is a file"),
-        (["-o", "rays.zarr"], "rays.zarr: is the store of rays"),
+        (["-o", "rays.zarr"], "rays.zarr: rays and hits must be separate"),
         (["--any", "--max-hits", "3"], "--max-hits"),
         (["--block-rays", "0"], "--block-rays"),
     ],

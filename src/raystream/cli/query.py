@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from raystream.core.hits import Hits, MultiHits
     from raystream.jit.threads import Progress
     from raystream.tracer import Tracer
-    from raystream.zarr_queries import QueryReport
+    from raystream.ray_files import QueryReport
 
 __all__ = ["query"]
 

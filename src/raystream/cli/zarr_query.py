@@ -13,7 +13,7 @@ from raystream.cli.opening import Stopwatch
 
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
-    from raystream.zarr_queries import QueryReport
+    from raystream.ray_files import QueryReport
 
 __all__ = ["check_stores", "is_store", "trace_store"]
 
@@ -37,7 +37,7 @@ def check_stores(rays: Path, output: Path) -> None:
     RaystreamError
         If the rays are none, or Zarr is not installed.
     """
-    from raystream.zarr_queries.ray_store import RayStore
+    from raystream.ray_files.ray_store import RayStore
 
     if output.suffix.lower() != ".zarr":
         raise BadInputError(f"{output}: hits of rays in a Zarr store go to one; name it .zarr")
@@ -79,7 +79,7 @@ def trace_store(
     BrokenOffError
         After Ctrl-C, says how much is done.
     """
-    from raystream.zarr_queries import query_zarr
+    from raystream.ray_files import query_zarr
 
     with bars.step("tracing", "rays") as progress, _keeping(output):
         report = query_zarr(
@@ -115,21 +115,21 @@ class _Noted:
 @contextlib.contextmanager
 def _keeping(output: Path) -> Iterator[None]:
     """After Ctrl-C, say how much is done; and after a full disk, how to go on."""
-    from raystream.zarr_queries import StoreWritingError, progress_beside
-    from raystream.zarr_queries.progress_file import read_progress
+    from raystream.ray_files import StoreWriteError, journal_path
+    from raystream.ray_files.journal import read_journal
 
-    record = progress_beside(output)
+    record = journal_path(output)
     try:
         yield
     except KeyboardInterrupt:
         if not record.exists():
             raise
-        done = read_progress(record).done.rays
+        done = read_journal(record).done.rays
         raise BrokenOffError(
             f"{done:,} rays are done, and their hits in {output}: the same command with --resume "
             "goes on from them"
         ) from None
-    except StoreWritingError as error:
+    except StoreWriteError as error:
         kept = "; what is done is kept: the same command with --resume goes on from it"
         raise BadInputError(
             f"{output}: {error.strerror}{kept if record.exists() else ''}"

@@ -12,21 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamError
-from raystream.zarr_queries.blocks import Block, Blocks, divide
-from raystream.zarr_queries.opening import open_arrays
+from raystream.ray_files.blocks import Block, Blocks, divide
+from raystream.ray_files.open_store import open_arrays
 
 __all__ = ["RAY_ARRAYS", "RayStore"]
 
-#: What a store of rays may hold; the first two it must.
+#: Arrays of a ray store; the first two are required.
 RAY_ARRAYS = ("origins", "directions", "t_min", "t_max")
 
-#: More rays than a machine could trace in a lifetime are a damaged shape.
+#: More rays than a machine could trace in a lifetime indicate a damaged shape.
 MAX_RAYS = 2**42
 
-#: A chunk is decoded as a whole, and several at a time.
+#: Maximum bytes per chunk: chunks are decoded whole, several at a time.
 MAX_CHUNK_BYTES = 2**28
 
-#: Chunks that are asked for at a time, each of which takes some kilobytes beside its numbers.
+#: Maximum chunks per read; each takes some kilobytes beside its values.
 MAX_CHUNKS = 4096
 
 _KINDS = "iuf"
@@ -38,7 +38,7 @@ class RayStore:
     Parameters
     ----------
     path : str or path
-        A folder, or a ``.zip``. May come from anywhere.
+        A folder, or a ``.zip`` file; need not be trusted.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class RayStore:
     Raises
     ------
     FileFormatError
-        If it is no such store, or its arrays are not those of rays.
+        If it is not a Zarr store, or its arrays are not rays.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
@@ -60,7 +60,7 @@ class RayStore:
                 raise self._fault(f"holds {name!r}; expected {', '.join(RAY_ARRAYS)}")
         for name in RAY_ARRAYS[:2]:
             if name not in self.arrays:
-                raise self._fault(f"lacks the array {name!r}")
+                raise self._fault(f"array {name!r} is missing")
         for name, array in self.arrays.items():
             self._check(name, array)
         self.shape = self._leading_shape()
@@ -72,19 +72,19 @@ class RayStore:
 
     def _check(self, name: str, array: Any) -> None:
         if array.dtype.kind not in _KINDS:
-            raise self._fault(f"array {name!r} is of dtype {array.dtype}, not of numbers")
+            raise self._fault(f"array {name!r} has dtype {array.dtype}; expected numbers")
         if name in RAY_ARRAYS[:2] and (array.ndim == 0 or array.shape[-1] != 3):
             raise self._fault(f"array {name!r}: expected shape (..., 3), got {array.shape}")
         if array.size and 0 in array.chunks:
-            raise self._fault(f"array {name!r} is stored in chunks of nothing")
+            raise self._fault(f"array {name!r} has chunks of length 0")
         byte_count = math.prod(array.chunks) * array.dtype.itemsize
         if byte_count > MAX_CHUNK_BYTES:
             raise self._fault(
-                f"array {name!r} is stored in chunks of {byte_count / 1e6:,.0f} MB, and at most "
-                f"{MAX_CHUNK_BYTES / 1e6:,.0f} MB are read; store it in smaller ones"
+                f"array {name!r} has chunks of {byte_count / 1e6:,.0f} MB; the limit is "
+                f"{MAX_CHUNK_BYTES / 1e6:,.0f} MB; store it in smaller chunks"
             )
         if array.shards and math.prod(array.shards) // math.prod(array.chunks) > 2**20:
-            raise self._fault(f"array {name!r} is stored in shards of more than 2**20 chunks")
+            raise self._fault(f"array {name!r} has shards of more than 2**20 chunks")
 
     def _leading_shape(self) -> tuple[int, ...]:
         shapes = {name: array.shape for name, array in self.arrays.items()}
@@ -104,7 +104,7 @@ class RayStore:
         return shape
 
     def divide(self, limit: int) -> Blocks:
-        """Divide the rays into blocks of about `limit`, fewer where chunks are tiny."""
+        """Divide the rays into blocks of about `limit`, or fewer if chunks are tiny."""
         chunk = [1] * len(self.shape)
         for name, array in self.arrays.items():
             own = _leading(name, array.chunks)
@@ -123,8 +123,8 @@ class RayStore:
         Returns
         -------
         dict of str to ndarray
-            Arguments of a query, by name; they broadcast to the block's shape. Chunks that
-            are not stored have the array's fill value.
+            Ray arguments of a query, by name; they broadcast to the block's shape. Missing
+            chunks read as the array's fill value.
 
         Raises
         ------
@@ -150,7 +150,7 @@ class RayStore:
             yield
         except (RaystreamError, MemoryError):
             raise
-        except Exception as error:  # each codec has errors of its own
+        except Exception as error:  # each codec raises its own errors
             reason = str(error).partition("\n")[0] or type(error).__name__
             raise self._fault(f"array {name!r} cannot be read ({reason:.200})") from error
 

@@ -1,4 +1,4 @@
-"""Columns: one array of hits on the disk, written a block at a time or row after row."""
+"""Columns: one array of hits on disk, written by block or by appending rows."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.zarr_queries.blocks import Block
+from raystream.ray_files.blocks import Block
 
-__all__ = ["BlockColumn", "Kind", "RowColumn", "create_array"]
+__all__ = ["BlockColumn", "ColumnType", "RowColumn", "create_array"]
 
 
-class Kind(NamedTuple):
-    """The numbers of a column; `unwritten` is what stands where none were written yet."""
+class ColumnType(NamedTuple):
+    """Dtype and fill value of a column; `unwritten` marks values not written yet."""
 
     dtype: str
     unwritten: float
 
 
 def create_array(
-    group: Any, name: str, kind: Kind, shape: tuple[int, ...], chunk: tuple[int, ...]
+    group: Any, name: str, kind: ColumnType, shape: tuple[int, ...], chunk: tuple[int, ...]
 ) -> Any:
-    """Create an array in a group; see decision 33 about its compression."""
+    """Create an array in a group; decision 33 covers its compression."""
     from zarr.codecs import BloscCodec
 
     return group.create_array(
@@ -40,7 +40,7 @@ def create_array(
 
 
 def _chunk_files(array: Any, box: tuple[slice, ...]) -> Iterator[Path]:
-    """The files of the chunks that a box lies in."""
+    """Iterate over the files of the chunks that a box overlaps."""
     folder = Path(array.store.root, array.path)
     spans = [
         range(part.start // length, -(-part.stop // length))
@@ -51,7 +51,7 @@ def _chunk_files(array: Any, box: tuple[slice, ...]) -> Iterator[Path]:
 
 
 class BlockColumn:
-    """An array in the rays' shape, of which each block is a chunk.
+    """An array of the rays' shape, with one chunk per block.
 
     Parameters
     ----------
@@ -68,25 +68,25 @@ class BlockColumn:
         self.changed: list[Path] = []
 
     def write(self, block: Block, values: NDArray[Any]) -> None:
-        """Write the numbers of a block."""
+        """Write the values of a block."""
         self._array[block.box] = values
         self.changed.extend(_chunk_files(self._array, block.box))
 
 
 class RowColumn:
-    """An array of one axis to which numbers are appended, a whole chunk at a time.
+    """A 1-D array that grows by appending rows, written a whole chunk at a time.
 
-    What does not fill a chunk stays in memory until `flush`. A chunk that was flushed is
-    written again with what follows: it only ever gets more rows, so that one which was written
-    just before the process was killed has the rows of the last record still.
+    Rows that do not fill a chunk stay in memory until `flush`. A flushed chunk is rewritten
+    with the rows that follow. Chunks only ever gain rows, so one written just before the
+    process was killed still holds the rows of the last journal entry.
 
     Parameters
     ----------
     array : zarr.Array
     count : int
-        Rows that are there already.
+        Rows already written.
     grows : bool
-        Whether the array's length is that of what was appended; else it is as long as it is.
+        Whether the array's length follows the appended rows; otherwise its length is fixed.
     """
 
     def __init__(self, array: Any, count: int, grows: bool) -> None:
@@ -100,7 +100,7 @@ class RowColumn:
         self._tail: NDArray[Any] = np.asarray(array[self._written : count])
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append numbers."""
+        """Append rows."""
         rows = np.concatenate([self._tail, values.astype(self._tail.dtype, copy=False)])
         whole = len(rows) // self._chunk * self._chunk
         self._write(rows[:whole])
@@ -108,11 +108,11 @@ class RowColumn:
         self._tail = rows[whole:].copy()
 
     def flush(self) -> None:
-        """Write what does not fill a chunk yet."""
+        """Write the rows of the last, incomplete chunk."""
         self._write(self._tail)
 
     def _write(self, rows: NDArray[Any]) -> None:
-        if not len(rows):  # nothing that was flushed may be cut off
+        if not len(rows):  # never truncate flushed rows
             return
         end = self._written + len(rows)
         if self._grows and self._array.shape[0] != end:

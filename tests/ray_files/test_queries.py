@@ -19,7 +19,7 @@ from ray_stores import (
     read_store,
     write_store,
 )
-from raystream.zarr_queries import asking
+from raystream.ray_files import block_query
 
 #: Leading shape, chunk, Zarr's format, and rays of a block.
 STORES = {
@@ -98,7 +98,7 @@ def test_arrays_broadcast(tracer, tmp_path):
 @pytest.mark.parametrize("max_hits", [1, 3, None])
 def test_all_hits_come_in_parts_that_fit(tracer, tmp_path, monkeypatch, max_hits):
     """As few as one ray at a time, where its hits alone are more than there is room for."""
-    monkeypatch.setattr(asking, "HITS_A_RAY", 1)
+    monkeypatch.setattr(block_query, "HITS_PER_RAY", 1)
     rays = cornell_rays((300,))
     rays["t_max"] = np.where(np.arange(300) < 150, 1.0, np.inf)  # nothing in the first half
     store = write_store(tmp_path / "rays.zarr", rays, (128,))
@@ -110,7 +110,7 @@ def test_all_hits_come_in_parts_that_fit(tracer, tmp_path, monkeypatch, max_hits
 
 
 def test_rows_fill_many_chunks(tracer, tmp_path, monkeypatch):
-    monkeypatch.setattr("raystream.zarr_queries.hit_store.CHUNK_ROWS", 37)
+    monkeypatch.setattr("raystream.ray_files.hit_store.CHUNK_ROWS", 37)
     rays = cornell_rays((296,))  # the splits of the last ray begin a chunk
     store = write_store(tmp_path / "rays.zarr", rays)
     rs.query_zarr(tracer, store, tmp_path / "h.zarr", "multi_hit", block_rays=50)
@@ -162,13 +162,13 @@ def test_attributes_say_what_was_asked(tracer, tmp_path):
     rs.query_zarr(tracer, store, tmp_path / "h.zarr", "multi_hit", max_hits=2)
     about = zarr.open_group(tmp_path / "h.zarr", mode="r").attrs["raystream"]
     assert about["is_complete"] is True
-    asked = about["asked"]
+    asked = about["identity"]
     assert asked["query"] == "multi_hit"
     assert asked["options"] == {"crossings": "triangles", "max_hits": 2}
     assert (asked["structure"], asked["device"]) == ("bvh", "cpu")
     assert asked["version"] == rs.__version__
     assert len(asked["scene_digest"]) == len(asked["ray_digest"]) == 64
-    assert about["found"]["rays"] == 30
+    assert about["counts"]["rays"] == 30
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
-"""Codecs of stores that may come from anywhere: what decodes numbers, and nothing else.
+"""Codecs of untrusted stores: only codecs that decode numbers are allowed.
 
-Zarr decodes with whatever codecs a store names, and among these are some that unpickle. Only
-those on the lists below are let through.
+Zarr decodes with any codec that a store names, including some that unpickle. Only the codecs
+listed below are accepted.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 __all__ = ["Coding", "find_coding"]
 
-#: What `frames` looks at before it is unpacked.
+#: Compressors whose chunks `compressed_chunks` can measure before decompression.
 COMPRESSORS = frozenset(("blosc", "zstd", "lz4", "zlib", "gzip"))
 
-#: Of numcodecs, by their id: what Zarr v2 may name, and v3 with a prefix.
+#: numcodecs ids, as named by Zarr v2, and by v3 with a prefix.
 _NUMCODECS = COMPRESSORS | {
     "shuffle",
     "delta",
@@ -35,11 +35,11 @@ class Coding(NamedTuple):
     Attributes
     ----------
     compressor : str or None
-        What a chunk is unpacked with.
+        The compressor of its chunks.
     trailer : int
-        Bytes of a checksum behind it.
+        Bytes of a checksum at the end of a chunk.
     is_sharded : bool
-        Whether many chunks are in a file.
+        Whether files hold several chunks (shards).
     """
 
     compressor: str | None
@@ -48,17 +48,17 @@ class Coding(NamedTuple):
 
 
 def find_coding(metadata: Mapping[str, Any]) -> Coding:
-    """Find how an array is stored, and refuse what is not known to be safe.
+    """Find how an array is stored, and reject codecs not known to be safe.
 
     Parameters
     ----------
     metadata : mapping
-        What its file says: ``.zarray`` or ``zarr.json``.
+        Parsed metadata file: ``.zarray`` or ``zarr.json``.
 
     Raises
     ------
     ValueError
-        If it names another codec, or some that do not go together; says which.
+        If it names another codec, or an unsupported combination; the message says which.
     """
     if metadata.get("zarr_format") == 2:
         named = [*(metadata.get("filters") or ()), metadata.get("compressor")]
@@ -73,7 +73,7 @@ def find_coding(metadata: Mapping[str, Any]) -> Coding:
         _known(codec.get("name"), frozenset(("bytes", "crc32c")))
     coding = _coding(_v3_names([codec.get("name") for codec in inside["codecs"]]), True)
     if coding.compressor == "blosc":
-        raise ValueError("is stored by the codec 'blosc' in shards, which is not read")
+        raise ValueError("uses the codec 'blosc' in shards, which is not supported")
     return coding
 
 
@@ -88,7 +88,7 @@ def _v3_names(names: Iterable[Any]) -> list[str]:
 
 def _known(name: Any, known: frozenset[str], shown: Any = None) -> str:
     if not isinstance(name, str) or name not in known:
-        raise ValueError(f"is stored by the codec {shown or name!r:.40}, which is not read")
+        raise ValueError(f"uses the codec {shown or name!r:.40}, which is not supported")
     return name
 
 
@@ -98,5 +98,5 @@ def _coding(names: list[str], is_sharded: bool) -> Coding:
         names, trailer = names[:-1], 4
     found = [name for name in names if name in COMPRESSORS]
     if len(found) > 1 or (found and names[-1] not in COMPRESSORS) or "crc32c" in names:
-        raise ValueError("is packed more than once, which is not read")
+        raise ValueError("is compressed more than once, which is not supported")
     return Coding(found[0] if found else None, trailer, is_sharded)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from raystream.zarr_queries.blocks import divide
+from raystream.ray_files.blocks import divide
 
 SHAPES = [(), (0,), (1,), (1000,), (1, 1000), (7, 11, 13), (3, 0, 5), (100, 1, 3), (2, 500)]
 

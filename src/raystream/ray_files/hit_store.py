@@ -14,35 +14,35 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamError
 from raystream.core.hits import MultiHits
-from raystream.zarr_queries.blocks import Block, Blocks
-from raystream.zarr_queries.columns import BlockColumn, Kind, RowColumn, create_array
-from raystream.zarr_queries.durable import synchronize
-from raystream.zarr_queries.opening import MAX_METADATA_BYTES
+from raystream.ray_files.blocks import Block, Blocks
+from raystream.ray_files.columns import BlockColumn, ColumnType, RowColumn, create_array
+from raystream.ray_files.durable import synchronize
+from raystream.ray_files.open_store import MAX_METADATA_BYTES
 
-__all__ = ["COLUMNS", "HitStore", "about", "is_replaceable", "remove_store"]
+__all__ = ["COLUMNS", "HitStore", "is_replaceable", "remove_store", "store_attributes"]
 
-#: A miss is -1.
+#: Distinct from a miss, which is -1.
 _NOT_TRACED = -2
 
 _HITS = {
-    "t": Kind("float32", np.nan),
-    "u": Kind("float32", np.nan),
-    "v": Kind("float32", np.nan),
-    "prim_id": Kind("int32", _NOT_TRACED),
+    "t": ColumnType("float32", np.nan),
+    "u": ColumnType("float32", np.nan),
+    "v": ColumnType("float32", np.nan),
+    "prim_id": ColumnType("int32", _NOT_TRACED),
 }
-_STATUS = {"status": Kind("uint8", 255)}
+_STATUS = {"status": ColumnType("uint8", 255)}
 
-#: What is written of each query: arrays in the rays' shape, and arrays of rows.
-COLUMNS: dict[str, dict[str, Kind]] = {
-    "first_hit": {**_HITS, "mesh_id": Kind("int32", _NOT_TRACED), **_STATUS},
-    "any_hit": {"hit": Kind("bool", False)},
-    "count_hits": {"count": Kind("int64", -1)},
+#: Columns of each query: arrays of the rays' shape, and arrays of rows.
+COLUMNS: dict[str, dict[str, ColumnType]] = {
+    "first_hit": {**_HITS, "mesh_id": ColumnType("int32", _NOT_TRACED), **_STATUS},
+    "any_hit": {"hit": ColumnType("bool", False)},
+    "count_hits": {"count": ColumnType("int64", -1)},
     "multi_hit": _STATUS,
 }
 _SPLITS = "ray_splits"
-ROWS: dict[str, dict[str, Kind]] = {"multi_hit": {_SPLITS: Kind("int64", -1), **_HITS}}
+ROWS: dict[str, dict[str, ColumnType]] = {"multi_hit": {_SPLITS: ColumnType("int64", -1), **_HITS}}
 
-#: Rows of a chunk. What does not fill one is written after each block: few, so that this is cheap.
+#: Rows per chunk. An incomplete chunk is written after each block, so it must be cheap.
 CHUNK_ROWS = 2**18
 
 _KEY = "raystream"
@@ -50,22 +50,22 @@ _FORMAT = "raystream hits"
 
 
 class HitStore:
-    """A store of hits that is being written.
+    """A store of hits open for writing.
 
     Parameters
     ----------
     path : Path
-        Made before by `create`.
+        A store made by `create`.
     query : str
     blocks : Blocks
     rays_done : int
     row_count : int
-        Hits of ``multi_hit`` that are there already.
+        Hits of ``multi_hit`` already written.
 
     Raises
     ------
     FileFormatError
-        If the store is damaged, or another.
+        If the store is damaged, or does not match.
     """
 
     def __init__(
@@ -88,24 +88,24 @@ class HitStore:
             }
         except (RaystreamError, MemoryError):
             raise
-        except Exception as error:  # a damaged array can end anywhere in Zarr
+        except Exception as error:  # a damaged array can raise anything in Zarr
             reason = str(error).partition("\n")[0] or type(error).__name__
-            raise FileFormatError(path, f"cannot be gone on with ({reason:.200})") from error
+            raise FileFormatError(path, f"cannot be resumed: {reason:.200}") from error
 
     def _array(
-        self, name: str, kind: Kind, shape: tuple[int, ...] | None, chunk: tuple[int, ...]
+        self, name: str, kind: ColumnType, shape: tuple[int, ...] | None, chunk: tuple[int, ...]
     ) -> Any:
         import zarr
 
         array = zarr.open_array(zarr.storage.LocalStore(self.path), path=name, mode="r+")
         is_same = array.dtype == np.dtype(kind.dtype) and array.chunks == chunk
         if not is_same or shape not in (None, array.shape):
-            raise FileFormatError(self.path, f"array {name!r} is not the one that was begun")
+            raise FileFormatError(self.path, f"array {name!r} does not match the query")
         return array
 
     @staticmethod
     def create(path: Path, query: str, blocks: Blocks, identity: dict[str, Any]) -> None:
-        """Make an empty store in an empty folder.
+        """Create an empty store in an empty folder.
 
         Parameters
         ----------
@@ -113,12 +113,12 @@ class HitStore:
         query : str
         blocks : Blocks
         identity : dict
-            What is asked; becomes an attribute.
+            Identity of the query; saved as an attribute.
         """
         import zarr
 
-        asked = {"format": _FORMAT, "is_complete": False, "asked": identity}
-        group = zarr.create_group(zarr.storage.LocalStore(path), attributes={_KEY: asked})
+        attributes = {"format": _FORMAT, "is_complete": False, "identity": identity}
+        group = zarr.create_group(zarr.storage.LocalStore(path), attributes={_KEY: attributes})
         for name, kind in COLUMNS[query].items():
             create_array(group, name, kind, blocks.shape, blocks.lengths)
         for name, kind in ROWS.get(query, {}).items():
@@ -126,7 +126,7 @@ class HitStore:
         synchronize(path.rglob("zarr.json"))
 
     def write_block(self, block: Block, arrays: dict[str, NDArray[Any]]) -> None:
-        """Write arrays in the rays' shape."""
+        """Write arrays of the rays' shape."""
         for name, column in self._blocks.items():
             column.write(block, arrays[name].reshape(block.shape))
 
@@ -140,7 +140,7 @@ class HitStore:
         self._row_count += len(hits.t)
 
     def synchronize(self) -> None:
-        """Wait until all that was written is on the disk."""
+        """Wait until everything written is on disk."""
         for row_column in self._rows.values():
             row_column.flush()
         columns: list[BlockColumn | RowColumn] = [*self._blocks.values(), *self._rows.values()]
@@ -150,15 +150,15 @@ class HitStore:
         synchronize(self.path / name / "zarr.json" for name in self._rows)
 
     def complete(self, figures: dict[str, int]) -> None:
-        """Write what stands at the end, and say that all is there."""
+        """Write the final row split, and mark the store as complete."""
         if _SPLITS in self._rows:
             self._rows[_SPLITS].append(np.array([self._row_count], np.int64))
             self.synchronize()
-        for file in self.path.rglob("*.partial"):  # of a process that was killed
+        for file in self.path.rglob("*.partial"):  # left by a killed process
             file.unlink()
         import zarr
 
-        attributes = {**about(self.path), "is_complete": True, "found": figures}
+        attributes = {**store_attributes(self.path), "is_complete": True, "counts": figures}
         group = zarr.open_group(
             zarr.storage.LocalStore(self.path), mode="r+", use_consolidated=False
         )
@@ -167,17 +167,17 @@ class HitStore:
 
 
 def _row_shape(name: str, blocks: Blocks) -> tuple[int, ...] | None:
-    """Of an array of rows; None where it is not known beforehand."""
+    """Return the shape of an array of rows; None if it is not known in advance."""
     return (blocks.ray_count + 1,) if name == _SPLITS else None
 
 
-def about(path: Path) -> dict[str, Any]:
-    """What a store says of itself: ``asked``, and whether it ``is_complete``.
+def store_attributes(path: Path) -> dict[str, Any]:
+    """Read the attributes of a store: ``identity``, and whether it ``is_complete``.
 
     Returns
     -------
     dict
-        Empty if it is no store of hits.
+        Empty if the folder is not a store of hits.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def about(path: Path) -> dict[str, Any]:
 
 
 def is_replaceable(path: Path) -> bool:
-    """Whether a folder holds nothing but what `HitStore` writes, as far as names tell."""
+    """Whether a folder holds only files that `HitStore` writes, judging by names."""
     known = {name for columns in (*COLUMNS.values(), *ROWS.values()) for name in columns}
     with os.scandir(path) as entries:
         return all(
@@ -209,7 +209,7 @@ def is_replaceable(path: Path) -> bool:
 
 
 def remove_store(path: Path) -> None:
-    """Empty a folder of hits; what describes it goes first: no part is to pass for the whole."""
+    """Empty a folder of hits; its metadata first, so that no part passes for the whole."""
     with contextlib.suppress(FileNotFoundError):
         (path / "zarr.json").unlink()
     with os.scandir(path) as entries:

@@ -1,4 +1,4 @@
-"""QueryInputs a tracer about a block of rays."""
+"""Run a tracer's query on a block of rays."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from numpy.typing import NDArray
 from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, part_of
+from raystream.ray_files.blocks import Block
 from raystream.tracer import Tracer
-from raystream.zarr_queries.blocks import Block
 
-__all__ = ["Answer", "QueryInputs"]
+__all__ = ["BlockQuery", "BlockResult"]
 
-#: Hits of a part of a block that are held at a time, for each ray of a block.
-HITS_A_RAY = 16
+#: Maximum hits of a part of a block held in memory, per ray of a block.
+HITS_PER_RAY = 16
 
 
-class Answer(NamedTuple):
-    """What was found for a block, or for a part of one.
+class BlockResult(NamedTuple):
+    """Hits of a block, or of a part of one.
 
     Attributes
     ----------
     block : Block
     arrays : dict of str to ndarray
-        In the rays' shape; for the last part of a block, and for no other.
+        Arrays of the rays' shape; empty except in the last part of a block.
     rows : MultiHits or None
-        Hits of the rays that follow those of the part before.
+        Hits of the rays following those of the previous part.
     rays_hit, hits, invalid_rays : int
     """
 
@@ -41,15 +41,15 @@ class Answer(NamedTuple):
     invalid_rays: int
 
 
-class QueryInputs:
-    """Asks one query of a tracer.
+class BlockQuery:
+    """Runs one query on a tracer, block by block.
 
     Parameters
     ----------
     tracer : Tracer
     query : {"first_hit", "any_hit", "multi_hit", "count_hits"}
     options : dict
-        Of the query: ``max_hits``, ``crossings``.
+        Options of the query: ``max_hits``, ``crossings``.
     """
 
     def __init__(self, tracer: Tracer, query: str, options: dict[str, Any]) -> None:
@@ -57,12 +57,12 @@ class QueryInputs:
         self._query = query
         self._options = {name: value for name, value in options.items() if name != "max_hits"}
         self._max_hits: int | None = options.get("max_hits")
-        self._part = 0  # rays of a part that went well
+        self._part = 0  # part size that worked for the previous block
 
     def __call__(
         self, block: Block, rays: dict[str, NDArray[Any]], progress: Progress | None
-    ) -> Iterator[Answer]:
-        """Answer for a block, in parts.
+    ) -> Iterator[BlockResult]:
+        """Trace a block, yielding its hits in parts.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ class QueryInputs:
 
         Yields
         ------
-        Answer
+        BlockResult
         """
         if self._query == "multi_hit":
             yield from self._all_hits(block, rays, progress)
@@ -84,26 +84,26 @@ class QueryInputs:
             names = ("t", "u", "v", "prim_id", "mesh_id", "status")
             arrays = {name: getattr(found, name) for name in names}
             rays_hit = int(np.count_nonzero(found.is_hit))
-            yield Answer(
+            yield BlockResult(
                 block, arrays, None, rays_hit, rays_hit, int(np.count_nonzero(found.status))
             )
         else:
             name = "hit" if self._query == "any_hit" else "count"
             rays_hit = int(np.count_nonzero(found))
-            yield Answer(block, {name: found}, None, rays_hit, int(found.sum()), 0)
+            yield BlockResult(block, {name: found}, None, rays_hit, int(found.sum()), 0)
 
     def _all_hits(
         self, block: Block, rays: dict[str, NDArray[Any]], progress: Progress | None
-    ) -> Iterator[Answer]:
-        """All hits, in parts that have few enough to be held.
+    ) -> Iterator[BlockResult]:
+        """Find all hits, in parts small enough to hold in memory.
 
-        How many there are is not known before. A part is asked for no more hits of a ray than
-        there is room for, were all rays to have as many; if one of them may have more, the part
-        is halved. What is found then is all there is, without a count before.
+        The number of hits is not known in advance. Each part limits the hits per ray so that
+        the result fits even if every ray reaches the limit; if any ray does reach it, the part
+        is halved. The result is then complete, without a counting pass.
         """
         batch = RayBatch(**rays)
         count = len(batch)
-        room = HITS_A_RAY * count
+        room = HITS_PER_RAY * count
         status = np.empty(count, np.uint8)
         begin, part = 0, self._part or count
         while begin < count:
@@ -126,7 +126,7 @@ class QueryInputs:
                 continue
             status[begin:end] = hits.status
             arrays = {"status": status} if end == count else {}
-            yield Answer(
+            yield BlockResult(
                 block,
                 arrays,
                 hits,
@@ -141,7 +141,7 @@ class QueryInputs:
 
 
 def _rays_of(progress: Progress | None, begin: int, count: int, total: int) -> Progress | None:
-    """Of steps, of which a ray may take two, make rays."""
+    """Convert progress in steps (a ray may take two) into progress in rays."""
     if progress is None:
         return None
     shown = part_of(progress, begin, total)

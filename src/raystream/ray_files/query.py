@@ -1,4 +1,4 @@
-"""query_zarr: a query of all rays of a store, whose hits go to another."""
+"""query_zarr: trace all rays of a store and write their hits to another."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from typing import Any
 from raystream.core.errors import FileFormatError
 from raystream.core.query import counts_surfaces
 from raystream.jit.threads import Progress, part_of
+from raystream.ray_files.block_query import BlockQuery, BlockResult
+from raystream.ray_files.durable import locked
+from raystream.ray_files.errors import StoreWriteError, require_zarr
+from raystream.ray_files.hit_store import COLUMNS, HitStore
+from raystream.ray_files.identity import identify
+from raystream.ray_files.journal import QueryProgress, journal_path, write_journal
+from raystream.ray_files.pipeline import Waits, run
+from raystream.ray_files.ray_store import RayStore
+from raystream.ray_files.resume import prepare_output
 from raystream.tracer import Crossings, Tracer
-from raystream.zarr_queries.asking import Answer, QueryInputs
-from raystream.zarr_queries.beginning import begin
-from raystream.zarr_queries.durable import locked
-from raystream.zarr_queries.errors import StoreWritingError, require_zarr
-from raystream.zarr_queries.hit_store import COLUMNS, HitStore
-from raystream.zarr_queries.identity import identify
-from raystream.zarr_queries.pipeline import Waits, run
-from raystream.zarr_queries.progress_file import Done, progress_beside, write_progress
-from raystream.zarr_queries.ray_store import RayStore
 
 __all__ = ["BLOCK_RAYS", "QUERIES", "QueryReport", "query_zarr"]
 
 QUERIES = tuple(COLUMNS)
 
-#: Rays of a block: with their hits some 50 MB, and enough to keep many cores busy.
+#: Rays per block: about 50 MB with their hits, and enough to keep many cores busy.
 BLOCK_RAYS = 2**20
 
 
 @dataclass(frozen=True)
 class QueryReport:
-    """What a query of a store found.
+    """Summary of a query of a store.
 
     Attributes
     ----------
     rays : int
-        Of the store.
+        Rays in the store.
     rays_before : int
-        Traced already by runs before this one.
+        Rays traced by earlier runs.
     rays_hit, hits : int
-        Rays that hit anything, and hits of all of them together.
+        Number of rays that hit anything, and number of all hits.
     invalid_rays : int or None
-        None where the query does not tell.
+        None if the query does not report it.
     seconds : float
-        Of this run, from the first ray read to the last hit written.
+        Duration of this run, from the first ray read to the last hit written.
     reading_wait, writing_wait : float
-        Seconds of these in which nothing was traced.
+        Part of the duration in which tracing waited for reads and for writes, in seconds.
     """
 
     rays: int
@@ -76,32 +76,33 @@ def query_zarr(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> QueryReport:
-    """Trace the rays of a Zarr store, of any size, and write their hits to another.
+    """Trace the rays of a Zarr store of any size and write their hits to another.
 
     Parameters
     ----------
     tracer : Tracer
     rays : str or path
-        A folder or ``.zip`` with a Zarr group, v2 or v3, of arrays ``origins`` and
-        ``directions`` of shape S + (3,), which broadcast against each other, and perhaps
-        ``t_min`` and ``t_max``, which broadcast to S; of floats or integers.
+        A folder or ``.zip`` file with a Zarr group, v2 or v3, of arrays ``origins`` and
+        ``directions`` of shape S + (3,), which broadcast against each other, and optionally
+        ``t_min`` and ``t_max``, which broadcast to S; floats or integers.
     output : str or path
-        A folder for a Zarr group, v3; one of hits that is complete is replaced. It gets ``t``,
-        ``u``, ``v``, ``prim_id``, ``mesh_id``, ``status`` of ``first_hit``; ``hit`` of
-        ``any_hit``; ``count`` of ``count_hits``; each of shape S. Of ``multi_hit``, ``status``
+        A folder for a Zarr group, v3; a complete group of hits is replaced. ``first_hit`` writes
+        ``t``, ``u``, ``v``, ``prim_id``, ``mesh_id`` and ``status``, ``any_hit`` writes ``hit``,
+        and ``count_hits`` writes ``count``; each of shape S. ``multi_hit`` writes ``status``
         of shape S, ``ray_splits`` of shape (N + 1,), and ``t``, ``u``, ``v``, ``prim_id`` of
-        shape (K,). They have the bits of the tracer's answer to all rays at once.
+        shape (K,). The bits equal those of tracing all rays at once.
     query : {"first_hit", "any_hit", "multi_hit", "count_hits"}
     max_hits : int, optional
-        Of ``multi_hit``: the nearest of each ray.
+        ``multi_hit`` only: keep the nearest hits of each ray.
     crossings : {"triangles", "surfaces"}
-        Of ``multi_hit`` and ``count_hits``.
+        ``multi_hit`` and ``count_hits`` only.
     block_rays : int
-        About how many rays are traced at a time, and how many a chunk of hits has.
+        Approximate number of rays traced at a time, and of rays per chunk of hits.
     resume : bool
-        Go on where a run that was broken off left the output. Where nothing was begun, it
-        begins; where all is done, nothing is to be done.
+        Resume an interrupted run. Starts a new one if there is none; does nothing if the
+        output is complete.
     progress : callable, optional
+        Called with (rays done, rays) on the calling thread, first with those of earlier runs.
         Called with (rays done, rays) on the calling thread; first with those of runs before.
 
     Returns
@@ -111,22 +112,22 @@ def query_zarr(
     Raises
     ------
     FileFormatError
-        If the rays cannot be read; or if the output holds something else, or hits that were
-        broken off and are not to be gone on with, or of another question.
-    StoreWritingError
+        If the rays cannot be read; or if the output holds other files, hits of an interrupted
+        run without ``resume``, or hits of another query.
+    StoreWriteError
         If hits cannot be written.
     RaystreamError
         If the package zarr is not installed.
     ValueError, TypeError
-        If an argument is bad.
+        If an argument is invalid.
 
     Notes
     -----
-    Memory is that of a few blocks, whatever the number of rays, of hits, and of hits of a ray.
-    What is done is recorded on the disk after each block, in ``output.progress.json``, which is
-    removed at the end: a process may be killed at any moment, and the machine go down. While
-    it is there, numbers that were not written yet are NaN; -2 of ``prim_id`` and
-    ``mesh_id``; -1 of counts; False; 255 of ``status``.
+    Memory use is that of a few blocks, whatever the number of rays, of hits, and of hits per
+    ray. Progress is recorded on disk after each block, in ``output.progress.json``, which is
+    deleted at the end: the process may be killed, or the machine fail, at any moment. While
+    it exists, values not written yet are NaN; -2 for ``prim_id`` and ``mesh_id``; -1 for
+    counts; False; 255 for ``status``.
 
     Examples
     --------
@@ -142,22 +143,22 @@ def query_zarr(
     require_zarr()
     target = Path(output)
     source = RayStore(rays)
-    _keep_apart(Path(rays), target)
+    _check_separate(Path(rays), target)
     blocks = source.divide(operator.index(block_rays))
     identity = identify(tracer, source, blocks, query, options)
-    with _writing(target), _alone(target):
-        done, is_complete = begin(target, query, blocks, identity, resume)
+    with _converting_errors(target), _exclusive(target):
+        done, is_complete = prepare_output(target, query, blocks, identity, resume)
         before, waits, started = done.rays, Waits(), time.perf_counter()
         if not is_complete:
             store = HitStore(target, query, blocks, done.rays, done.rows)
-            writer = _Writer(store, progress_beside(target), identity, done)
-            asking = QueryInputs(tracer, query, options)
+            writer = _Writer(store, journal_path(target), identity, done)
+            block_query = BlockQuery(tracer, query, options)
             if progress is not None:
                 progress(before, blocks.ray_count)
             waits = run(
                 blocks.after(done.rays),
                 source.read,
-                lambda block, read: asking(
+                lambda block, read: block_query(
                     block, read, part_of(progress, block.begin, blocks.ray_count)
                 ),
                 writer.write,
@@ -182,36 +183,36 @@ def _options(query: str, max_hits: int | None, crossings: Crossings) -> dict[str
     if query in ("multi_hit", "count_hits"):
         options["crossings"] = crossings
     elif crossings != "triangles":
-        raise ValueError(f"crossings: {query} has none; multi_hit and count_hits do")
+        raise ValueError(f"crossings: not supported by {query}; use multi_hit or count_hits")
     if query == "multi_hit":
         options["max_hits"] = None if max_hits is None else operator.index(max_hits)
         if max_hits is not None and max_hits < 0:
             raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
     elif max_hits is not None:
-        raise ValueError(f"max_hits: {query} has none; multi_hit does")
+        raise ValueError(f"max_hits: not supported by {query}; use multi_hit")
     return options
 
 
-def _keep_apart(rays: Path, output: Path) -> None:
-    """Refuse an output that is the input, or lies in it, or around it."""
+def _check_separate(rays: Path, output: Path) -> None:
+    """Reject an output that is the input, lies inside it, or contains it."""
     given, target = rays.resolve(), output.resolve()
     if given == target or given in target.parents or target in given.parents:
-        raise FileFormatError(output, "is the store of rays, or one of them lies in the other")
+        raise FileFormatError(output, "rays and hits must be separate stores, not nested")
 
 
 @contextlib.contextmanager
-def _writing(target: Path) -> Iterator[None]:
+def _converting_errors(target: Path) -> Iterator[None]:
     try:
         yield
-    except (FileFormatError, StoreWritingError):
+    except (FileFormatError, StoreWriteError):
         raise
     except OSError as error:
-        raise StoreWritingError(target, error) from error
+        raise StoreWriteError(target, error) from error
 
 
 @contextlib.contextmanager
-def _alone(target: Path) -> Iterator[None]:
-    """Make the folder, and hold it: two processes would write into each other's hits."""
+def _exclusive(target: Path) -> Iterator[None]:
+    """Create and lock the folder, so that two processes never write the same hits."""
     is_new = not target.exists()
     if not is_new and not target.is_dir():
         raise FileFormatError(target, "is a file, not a folder for hits")
@@ -222,33 +223,35 @@ def _alone(target: Path) -> Iterator[None]:
                 raise FileFormatError(target, "another process is writing these hits")
             yield
     finally:
-        if is_new:  # and nothing came of it
+        if is_new:  # remove the folder if it is still empty
             with contextlib.suppress(OSError):
                 os.rmdir(target)
 
 
 class _Writer:
-    """Writes answers, and records what is done."""
+    """Writes hits, and records the progress."""
 
-    def __init__(self, store: HitStore, record: Path, identity: dict[str, Any], done: Done) -> None:
+    def __init__(
+        self, store: HitStore, record: Path, identity: dict[str, Any], done: QueryProgress
+    ) -> None:
         self._store, self._record, self._identity, self._done = store, record, identity, done
 
-    def write(self, answer: Answer) -> None:
-        """Write an answer; the last of a block is recorded."""
+    def write(self, result: BlockResult) -> None:
+        """Write a result; the last one of a block is recorded in the journal."""
         done = self._done
-        if answer.rows is not None:
-            self._store.append(answer.rows)
-            done.rows += len(answer.rows.t)
-        done.rays_hit += answer.rays_hit
-        done.hits += answer.hits
-        done.invalid_rays += answer.invalid_rays
-        if answer.arrays:
-            self._store.write_block(answer.block, answer.arrays)
+        if result.rows is not None:
+            self._store.append(result.rows)
+            done.rows += len(result.rows.t)
+        done.rays_hit += result.rays_hit
+        done.hits += result.hits
+        done.invalid_rays += result.invalid_rays
+        if result.arrays:
+            self._store.write_block(result.block, result.arrays)
             self._store.synchronize()
-            done.rays = answer.block.end
-            write_progress(self._record, self._identity, done)
+            done.rays = result.block.end
+            write_journal(self._record, self._identity, done)
 
     def complete(self) -> None:
-        """Say that all is done, and remove the record."""
+        """Mark the store as complete, and delete the journal."""
         self._store.complete(asdict(self._done))
         self._record.unlink()

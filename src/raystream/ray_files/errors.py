@@ -1,4 +1,4 @@
-"""What is missing, or cannot be written."""
+"""Errors: a missing package, and hits that cannot be written."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from os import PathLike, fspath
 
 from raystream.core.errors import RaystreamError
 
-__all__ = ["StoreWritingError", "require_zarr"]
+__all__ = ["StoreWriteError", "require_zarr"]
 
 
-class StoreWritingError(RaystreamError, OSError):
-    """Hits that cannot be written, as on a full disk; what was written before is kept.
+class StoreWriteError(RaystreamError, OSError):
+    """Hits cannot be written, for example to a full disk; finished blocks are kept.
 
     Parameters
     ----------
@@ -25,12 +25,12 @@ class StoreWritingError(RaystreamError, OSError):
 
     def __str__(self) -> str:
         return (
-            f"{self.filename}: {self.strerror}; what is done is kept, and resuming goes on from it"
+            f"{self.filename}: {self.strerror}; finished blocks are saved, and the query can resume"
         )
 
 
 def require_zarr() -> None:
-    """Refuse to go on without the package.
+    """Check that the package is installed.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Durable files: what is on the disk, also if the machine goes down the next moment."""
+"""Durable files: on disk even if the machine fails the next moment."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ __all__ = ["locked", "synchronize", "write_durably"]
 
 
 def synchronize(files: Iterable[Path]) -> None:
-    """Wait until files, and their names in their folders, are on the disk.
+    """Wait until files, and their directory entries, are on disk.
 
-    Files that are not there are left out: Zarr writes no chunk of nothing but the fill value.
+    Missing files are skipped: Zarr does not write chunks that hold only the fill value.
     """
     folders = set()
     for file in files:
@@ -23,7 +23,7 @@ def synchronize(files: Iterable[Path]) -> None:
             _synchronize(file)
             folders.add(file.parent)
     for folder in folders:
-        with contextlib.suppress(PermissionError):  # what Windows says of folders
+        with contextlib.suppress(PermissionError):  # Windows cannot open folders
             _synchronize(folder)
 
 
@@ -36,7 +36,7 @@ def _synchronize(path: Path) -> None:
 
 
 def write_durably(path: Path, text: str) -> None:
-    """Write a file, which appears, or is replaced, as a whole and for good."""
+    """Write or replace a file atomically and durably."""
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
         stream.write(text)
         stream.flush()
@@ -46,12 +46,12 @@ def write_durably(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[bool]:
-    """Hold a folder against other processes that ask for it, until the block or the process ends.
+    """Lock a folder against other processes until the block or the process ends.
 
     Yields
     ------
     bool
-        Whether it could be had. Always so where the system has no such locks.
+        Whether the lock was acquired. Always True if the system has no such locks.
     """
     try:
         import fcntl

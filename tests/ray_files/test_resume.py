@@ -1,4 +1,4 @@
-"""Queries that are broken off go on to the same bytes."""
+"""Interrupted queries, resumed, give the same bytes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import zarr
 
 import raystream as rs
 from ray_stores import OPTIONS, assert_tracers, content_of, cornell_rays, read_store, write_store
-from raystream.zarr_queries import StoreWritingError, progress_beside
-from raystream.zarr_queries.durable import locked
+from raystream.ray_files import StoreWriteError, journal_path
+from raystream.ray_files.durable import locked
 
 SHAPE, CHUNK, BLOCK = (20, 25), (4, 25), 100
 ROWS = 130
@@ -31,7 +31,7 @@ def rays():
 
 @pytest.fixture(autouse=True)
 def few_rows_in_a_chunk(monkeypatch):
-    monkeypatch.setattr("raystream.zarr_queries.hit_store.CHUNK_ROWS", ROWS)
+    monkeypatch.setattr("raystream.ray_files.hit_store.CHUNK_ROWS", ROWS)
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ class Dead(BaseException):
 
 def die_at(monkeypatch, number: int) -> list[int]:
     """Let the given write of a file be the last that works, with all of a process's writes."""
-    from raystream.zarr_queries import progress_file
+    from raystream.ray_files import journal
 
     writes = [0]
 
@@ -60,7 +60,7 @@ def die_at(monkeypatch, number: int) -> list[int]:
         if writes[0] > number:
             raise Dead
 
-    put, write = zarr.storage.LocalStore.set, progress_file.write_durably
+    put, write = zarr.storage.LocalStore.set, journal.write_durably
     delete = zarr.storage.LocalStore.delete
 
     async def counted_set(self, *arguments, **named):
@@ -77,7 +77,7 @@ def die_at(monkeypatch, number: int) -> list[int]:
 
     monkeypatch.setattr(zarr.storage.LocalStore, "set", counted_set)
     monkeypatch.setattr(zarr.storage.LocalStore, "delete", counted_delete)
-    monkeypatch.setattr(progress_file, "write_durably", counted_write)
+    monkeypatch.setattr(journal, "write_durably", counted_write)
     return writes
 
 
@@ -101,7 +101,7 @@ def test_query_that_died_goes_on_to_the_same_bytes(
         die_at(patch, min(writes[0] * (moment % 20) // 20 + moment // 20, writes[0] - 1))
         with pytest.raises(Dead):
             ask(query)
-    record = progress_beside(tmp_path / "hits.zarr")
+    record = journal_path(tmp_path / "hits.zarr")
     done = json.loads(record.read_text())["done"]["rays"] if record.exists() else 0
     report = ask(query, resume=True)
     assert report.rays_before == done <= report.rays
@@ -149,7 +149,7 @@ def test_without_resume_complete_hits_are_replaced_and_others_are_not(ask, tmp_p
     assert not (tmp_path / "hits.zarr" / "ray_splits").exists()
     break_off(ask, "first_hit")
     before = content_of(tmp_path / "hits.zarr")
-    with pytest.raises(rs.FileFormatError, match="broken off; go on from it with resume"):
+    with pytest.raises(rs.FileFormatError, match="interrupted query; pass resume"):
         ask("first_hit")
     assert content_of(tmp_path / "hits.zarr") == before
 
@@ -165,7 +165,7 @@ def test_without_resume_complete_hits_are_replaced_and_others_are_not(ask, tmp_p
         ("structure", True),
     ],
 )
-def test_another_question_is_refused(ask, tmp_path, rays, difference, is_complete):
+def test_another_query_is_rejected(ask, tmp_path, rays, difference, is_complete):
     if is_complete:
         ask("count_hits")
     else:
@@ -183,7 +183,9 @@ def test_another_question_is_refused(ask, tmp_path, rays, difference, is_complet
         rays["directions"][-1, -1] += 1.0
         shutil.rmtree(tmp_path / "rays.zarr")
         write_store(tmp_path / "rays.zarr", rays, CHUNK)
-    with pytest.raises(rs.FileFormatError, match=f"is of another question .*{difference}.*differ"):
+    with pytest.raises(
+        rs.FileFormatError, match=f"belongs to another query .*{difference}.*differ"
+    ):
         ask(**{"query": "count_hits", **changes}, resume=True)
     assert content_of(tmp_path / "hits.zarr") == before
 
@@ -194,27 +196,27 @@ def test_another_question_is_refused(ask, tmp_path, rays, difference, is_complet
 )
 def test_damaged_record_is_refused(ask, tmp_path, content):
     break_off(ask)
-    record = progress_beside(tmp_path / "hits.zarr")
+    record = journal_path(tmp_path / "hits.zarr")
     if content == "negative":
         content = record.read_bytes().replace(b'"rays": 200', b'"rays": -200')
     record.write_bytes(content)
-    with pytest.raises(rs.FileFormatError, match="remove it and the hits") as caught:
+    with pytest.raises(rs.FileFormatError, match="delete it and the hits") as caught:
         ask(resume=True)
     assert str(caught.value).startswith(str(record))
 
 
-def test_damaged_hits_are_not_gone_on_with(ask, tmp_path):
+def test_damaged_hits_are_not_resumed(ask, tmp_path):
     break_off(ask, "multi_hit")
     (tmp_path / "hits.zarr" / "t" / "zarr.json").write_text("{}")
-    with pytest.raises(rs.FileFormatError, match=r"hits\.zarr: cannot be gone on with"):
+    with pytest.raises(rs.FileFormatError, match=r"hits\.zarr: cannot be resumed"):
         ask("multi_hit", resume=True)
 
 
 def test_lost_record_is_noticed(ask, tmp_path):
     break_off(ask)
-    progress_beside(tmp_path / "hits.zarr").unlink()
+    journal_path(tmp_path / "hits.zarr").unlink()
     for resume in (False, True):
-        with pytest.raises(rs.FileFormatError, match="remove the folder"):
+        with pytest.raises(rs.FileFormatError, match="delete the folder"):
             ask(resume=resume)
 
 
@@ -222,13 +224,13 @@ def test_folder_of_something_else_is_left_alone(ask, tmp_path):
     ask()
     mine = tmp_path / "hits.zarr" / "notes.txt"
     mine.write_text("mine")
-    with pytest.raises(rs.FileFormatError, match="holds more than hits"):
+    with pytest.raises(rs.FileFormatError, match="holds files beside hits"):
         ask()
     other = tmp_path / "other.zarr"
     other.mkdir()
     (other / "zarr.json").write_text("{}")
     for resume in (False, True):
-        with pytest.raises(rs.FileFormatError, match="holds something else"):
+        with pytest.raises(rs.FileFormatError, match="holds files other than hits"):
             ask(output="other.zarr", resume=resume)
     assert mine.exists()
     assert (other / "zarr.json").exists()
@@ -245,7 +247,7 @@ def test_full_disk_keeps_what_is_done(ask, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(zarr.storage.LocalStore, "set", fill_up)
-        with pytest.raises(StoreWritingError, match="No space left on device"):
+        with pytest.raises(StoreWriteError, match="No space left on device"):
             ask()
     assert ask(resume=True).rays_before == 300
     assert content_of(tmp_path / "hits.zarr") == content_of(tmp_path / "whole.zarr")

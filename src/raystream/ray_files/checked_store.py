@@ -1,16 +1,16 @@
-"""A store whose chunks are looked at before Zarr unpacks them."""
+"""A store that checks the size of chunks before Zarr decompresses them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from raystream.zarr_queries.codecs import Coding
-from raystream.zarr_queries.frames import check_frame
+from raystream.ray_files.codecs import Coding
+from raystream.ray_files.compressed_chunks import check_chunk
 
 __all__ = ["checked"]
 
-#: A chunk that does not get shorter by packing gets a little longer.
+#: Incompressible chunks grow slightly when compressed.
 _SLACK = 2**16
 
 
@@ -20,23 +20,22 @@ def checked(
     limits: dict[str, int],
     size_of: Callable[[str], int | None],
 ) -> Any:
-    """Wrap a store, which is opened for reading.
+    """Wrap a store that is open for reading.
 
     Parameters
     ----------
     store : zarr.abc.store.Store
     codings : dict of str to Coding
-        Of the arrays, by name.
+        Codings of the arrays, by name.
     limits : dict of str to int
-        Bytes that a chunk may have, unpacked; of arrays that are not in it, yet, nothing is
-        looked at.
+        Maximum decompressed bytes per chunk; arrays that are not listed (yet) are not checked.
     size_of : callable
-        Gives the length of a file of the store, in bytes.
+        Returns the length of a file in the store, in bytes.
 
     Returns
     -------
     zarr.storage.WrapperStore
-        Reading a chunk raises ValueError if it is longer than the limit, packed or not.
+        Reading a chunk raises ValueError if it exceeds the limit, compressed or not.
     """
     from zarr.abc.store import RangeByteRequest
     from zarr.storage import WrapperStore
@@ -53,11 +52,11 @@ def checked(
             else:
                 length = 0 if is_sharded else size_of(key) or 0
             if length > limit + _SLACK:
-                raise ValueError(f"a chunk takes {length:,} bytes, of at most {limit:,}")
+                raise ValueError(f"a chunk has {length:,} bytes; the limit is {limit:,}")
             found = await self._store.get(key, prototype, byte_range)
             if found is not None and not is_sharded:
                 frame = memoryview(found.as_numpy_array()).cast("B")
-                check_frame(compressor, frame[: max(len(frame) - trailer, 0)], limit)
+                check_chunk(compressor, frame[: max(len(frame) - trailer, 0)], limit)
             return found
 
     return CheckedStore(store)

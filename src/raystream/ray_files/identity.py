@@ -1,4 +1,4 @@
-"""What was asked: by it a query that was broken off is known again."""
+"""The identity of a query, used to recognize an interrupted run."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 from raystream._version import __version__
 from raystream.core.triangles import Triangles
+from raystream.ray_files.blocks import Blocks
+from raystream.ray_files.ray_store import RayStore
 from raystream.tracer import Tracer
-from raystream.zarr_queries.blocks import Blocks
-from raystream.zarr_queries.ray_store import RayStore
 
 __all__ = ["identify", "ray_digest", "scene_digest"]
 
-#: Blocks whose first rays are looked at, and how many rays of each.
+#: Sampled blocks, and rays sampled from each.
 SAMPLED_BLOCKS = 16
 SAMPLED_RAYS = 256
 
@@ -25,7 +25,7 @@ SAMPLED_RAYS = 256
 def identify(
     tracer: Tracer, rays: RayStore, blocks: Blocks, query: str, options: dict[str, Any]
 ) -> dict[str, Any]:
-    """Say what is asked, in what JSON has.
+    """Describe a query in JSON types.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def identify(
     blocks : Blocks
     query : str
     options : dict
-        Of the query.
+        Options of the query.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def identify(
 
 
 def scene_digest(triangles: Triangles) -> str:
-    """A hash of what rays are traced against: triangles, their order and their meshes."""
+    """Hash the scene as rays see it: triangles, their order and their meshes."""
     digest = hashlib.sha256()
     for array in (triangles.corners, triangles.mesh_splits, triangles.center):
         digest.update(f"{array.shape} {array.dtype.str}".encode())
@@ -66,10 +66,10 @@ def scene_digest(triangles: Triangles) -> str:
 
 
 def ray_digest(rays: RayStore, blocks: Blocks) -> str:
-    """A hash of how rays are stored, and of some of them, from all over the store.
+    """Hash how rays are stored, and a sample of rays from all over the store.
 
-    Rays that are changed between these are not noticed: to see all of them takes as long as to
-    trace them.
+    Changes to rays outside the sample go unnoticed: reading all rays takes as long as tracing
+    them.
     """
     digest = hashlib.sha256()
     for name, array in sorted(rays.arrays.items()):
@@ -86,7 +86,7 @@ def ray_digest(rays: RayStore, blocks: Blocks) -> str:
 
 
 def _corner(block: Any) -> Any:
-    """The first rays of a block."""
+    """Return the box of the first rays of a block."""
     room, box = SAMPLED_RAYS, []
     for part in reversed(block.box):
         length = min(part.stop - part.start, max(room, 1))

@@ -1,4 +1,4 @@
-"""The pipeline: a block is traced while the next is read and the one before is written."""
+"""The pipeline: trace one block while the next is read and the previous one is written."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from concurrent.futures import TimeoutError as NotYetError
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from raystream.zarr_queries.asking import Answer
-from raystream.zarr_queries.blocks import Block
+from raystream.ray_files.block_query import BlockResult
+from raystream.ray_files.blocks import Block
 
 __all__ = ["Waits", "run"]
 
 T = TypeVar("T")
 
-#: Seconds after which a wait looks for Ctrl-C, where the system does not break it off.
-SLICE = 0.1
+#: Seconds between checks for Ctrl-C, on systems where it does not interrupt a wait.
+POLL_SECONDS = 0.1
 
 
 @dataclass
 class Waits:
-    """Seconds in which nothing was traced, since reading or writing was not done yet."""
+    """Seconds without tracing, waiting for reads or writes."""
 
     reading: float = 0.0
     writing: float = 0.0
@@ -31,18 +31,17 @@ class Waits:
 def run(
     blocks: Iterable[Block],
     read: Callable[[Block], Any],
-    ask: Callable[[Block, Any], Iterator[Answer]],
-    write: Callable[[Answer], None],
+    trace: Callable[[Block, Any], Iterator[BlockResult]],
+    write: Callable[[BlockResult], None],
 ) -> Waits:
-    """Read, ask and write all blocks, in order.
+    """Read, trace and write all blocks, in order.
 
     Parameters
     ----------
     blocks : iterable of Block
-    read, ask, write : callable
-        `read` and `write` are called on threads of their own, `ask` on this one. There are at
-        most two blocks of rays and two answers at any time, one of each beside that which is
-        traced.
+    read, trace, write : callable
+        `read` and `write` run on their own threads, `trace` on the calling thread. At most two
+        blocks of rays and two results exist at any time, counting the block being traced.
 
     Returns
     -------
@@ -50,23 +49,23 @@ def run(
 
     Notes
     -----
-    What any of them raises comes out of here; before that, and after Ctrl-C, an answer that was
-    handed over is still written.
+    Exceptions of all three propagate; before that, and after Ctrl-C, a result that was handed
+    over is still written.
     """
     waits = Waits()
     pending: Future[None] | None = None
     with ThreadPoolExecutor(1) as reading, ThreadPoolExecutor(1) as writing:
         try:
-            for block, ahead in _ahead(blocks, read, reading):
+            for block, ahead in _read_ahead(blocks, read, reading):
                 started = time.perf_counter()
                 rays = _result(ahead)
                 waits.reading += time.perf_counter() - started
-                for answer in ask(block, rays):
+                for result in trace(block, rays):
                     if pending is not None:
                         started = time.perf_counter()
                         _result(pending)
                         waits.writing += time.perf_counter() - started
-                    pending = writing.submit(write, answer)
+                    pending = writing.submit(write, result)
         finally:
             if pending is not None:
                 started = time.perf_counter()
@@ -75,10 +74,10 @@ def run(
     return waits
 
 
-def _ahead(
+def _read_ahead(
     blocks: Iterable[Block], read: Callable[[Block], Any], reading: ThreadPoolExecutor
 ) -> Iterator[tuple[Block, Future[Any]]]:
-    """Blocks with their rays to come; the next is begun when one is asked for."""
+    """Iterate over blocks with pending reads; each read starts one block ahead."""
     before: tuple[Block, Future[Any]] | None = None
     for block in blocks:
         begun = block, reading.submit(read, block)
@@ -92,7 +91,7 @@ def _ahead(
 def _result(future: Future[T]) -> T:
     while True:
         try:
-            return future.result(timeout=SLICE)
+            return future.result(timeout=POLL_SECONDS)
         except NotYetError:
-            if future.done():  # its own
+            if future.done():  # raised by the call itself
                 raise

@@ -1,6 +1,6 @@
 """How much memory does a query of rays in a Zarr store take, and does it survive being killed?
 
-    python benchmarks/zarr_queries.py --rays 200M --scene bunny --folder /tmp/rays
+    python benchmarks/ray_files.py --rays 200M --scene bunny --folder /tmp/rays
 
 Writes a store of rays chunk by chunk, from all around the scene at places in its box, and runs
 ``raystream query`` on it in processes of their own: once from start to end; and once more with
@@ -113,7 +113,7 @@ def main():
     parser.add_argument("--scene", default="bunny")
     parser.add_argument("--query", default="first", choices=("first", "any", "multi", "count"))
     parser.add_argument("--kills", type=int, default=2)
-    parser.add_argument("--folder", type=Path, default=Path("zarr_queries"))
+    parser.add_argument("--folder", type=Path, default=Path("ray_files"))
     parser.add_argument("--keep", action="store_true")
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)

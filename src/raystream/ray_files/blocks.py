@@ -1,4 +1,4 @@
-"""Blocks: rays of any leading shape, in parts that follow each other."""
+"""Blocks: contiguous parts of rays of any leading shape."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["Block", "Blocks", "divide"]
 
 
 class Block(NamedTuple):
-    """Rays that follow each other in C order, and are a box of the leading shape.
+    """Rays that are contiguous in C order and form a box of the leading shape.
 
     Attributes
     ----------
     begin, end : int
-        In C order of all rays.
+        Range in C order over all rays.
     box : tuple of slice
         One for each axis of the leading shape.
     """
@@ -27,20 +27,20 @@ class Block(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the box."""
+        """Shape of the box."""
         return tuple(part.stop - part.start for part in self.box)
 
 
 class Blocks(NamedTuple):
-    """A division of a leading shape.
+    """A division of a leading shape into blocks.
 
     Attributes
     ----------
     shape : tuple of int
         The leading shape.
     lengths : tuple of int
-        Of a block, along each axis: 1, up to the axis that is cut, and all behind it. Those at
-        the end of the cut axis may be shorter.
+        Block lengths along each axis: 1 before the axis that is cut, whole after it. The last
+        blocks along the cut axis may be shorter.
     """
 
     shape: tuple[int, ...]
@@ -48,11 +48,11 @@ class Blocks(NamedTuple):
 
     @property
     def ray_count(self) -> int:
-        """Of all blocks."""
+        """Number of rays in all blocks."""
         return math.prod(self.shape)
 
     def after(self, ray: int) -> Iterator[Block]:
-        """Give the blocks that begin at this ray or later, in order."""
+        """Iterate in order over the blocks that begin at this ray or later."""
         if self.ray_count == 0:
             return
         if not self.shape:  # a single ray
@@ -81,7 +81,7 @@ class Blocks(NamedTuple):
 
 
 def _cut_axis(shape: Sequence[int], lengths: Sequence[int]) -> int:
-    """The axis along which blocks follow each other first; the last, if none is cut."""
+    """Return the axis that is cut into blocks; the first if every axis is whole."""
     axis = len(shape) - 1
     while axis > 0 and lengths[axis] == shape[axis]:
         axis -= 1
@@ -89,16 +89,16 @@ def _cut_axis(shape: Sequence[int], lengths: Sequence[int]) -> int:
 
 
 def divide(shape: Sequence[int], chunk: Sequence[int], limit: int) -> Blocks:
-    """Divide a leading shape into blocks that suit the chunks in which it is stored.
+    """Divide a leading shape into blocks that match the chunks of its storage.
 
     Parameters
     ----------
     shape : sequence of int
     chunk : sequence of int
-        Lengths of a chunk, along each axis of `shape`.
+        Chunk lengths along each axis of `shape`.
     limit : int
-        Rays of a block. A block may have four times as many where it then is a whole chunk
-        long, so that no chunk is decoded twice.
+        Maximum rays per block. A block may have four times as many if it then covers a whole
+        chunk, so that no chunk is decoded twice.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def divide(shape: Sequence[int], chunk: Sequence[int], limit: int) -> Blocks:
     most = max(limit // behind, 1)
     stored = min(max(chunk[axis], 1), length)
     if stored > most:
-        # Else as few equal parts of a chunk as will do.
+        # Otherwise the fewest equal parts of a chunk within the limit.
         is_whole = stored * behind <= 4 * limit
         step = stored if is_whole else -(-stored // -(-stored // most))
     else:

@@ -1,7 +1,7 @@
-"""Packed chunks that may come from anywhere: how long they are unpacked, before they are.
+"""Compressed chunks of untrusted stores: their decompressed length, before decompression.
 
-Unpackers trust what a chunk says of itself. One of a few kilobytes can fill all memory, and
-Blosc reads behind the end of one that was cut off.
+Decompressors trust a chunk's header. A chunk of a few kilobytes can fill all memory, and
+Blosc reads past the end of a truncated one.
 """
 
 from __future__ import annotations
@@ -9,31 +9,31 @@ from __future__ import annotations
 import struct
 import zlib
 
-__all__ = ["check_frame"]
+__all__ = ["check_chunk"]
 
 _ZSTD_MAGIC = 0xFD2FB528
 
-#: Deflated bytes take at least this part of what they become.
+#: Maximum ratio of deflate.
 _DEFLATE_RATIO = 1032
 
-#: Bytes that are unpacked at a time, to be counted.
+#: Bytes decompressed at a time while measuring.
 _STEP = 1 << 20
 
 
-def check_frame(compressor: str | None, frame: bytes | memoryview, limit: int) -> None:
-    """Refuse a chunk that is cut off, or becomes longer than a chunk is.
+def check_chunk(compressor: str | None, frame: bytes | memoryview, limit: int) -> None:
+    """Reject a chunk that is truncated or decompresses to more than the limit.
 
     Parameters
     ----------
     compressor : {"blosc", "zstd", "lz4", "zlib", "gzip", None}
     frame : bytes
     limit : int
-        Bytes that it may become.
+        Maximum decompressed bytes.
 
     Raises
     ------
     ValueError
-        If it does.
+        If it is truncated, malformed or too long.
     """
     if compressor == "blosc":
         length = _blosc_length(frame)
@@ -46,9 +46,9 @@ def check_frame(compressor: str | None, frame: bytes | memoryview, limit: int) -
     else:
         length = len(frame)
     if length < 0:
-        raise ValueError("a chunk is cut off, or none")
+        raise ValueError("a chunk is truncated or malformed")
     if length > limit:
-        raise ValueError(f"a chunk claims {length:,} bytes, of at most {limit:,}")
+        raise ValueError(f"a chunk claims {length:,} bytes; the limit is {limit:,}")
 
 
 def _blosc_length(frame: bytes | memoryview) -> int:
@@ -59,7 +59,7 @@ def _blosc_length(frame: bytes | memoryview) -> int:
 
 
 def _zstd_length(frame: bytes | memoryview) -> int:
-    """What the frame's header says (RFC 8878, section 3.1.1)."""
+    """Read the length in the frame's header (RFC 8878, section 3.1.1)."""
     if len(frame) < 6 or struct.unpack_from("<I", frame)[0] != _ZSTD_MAGIC:
         return -1
     descriptor = frame[4]
@@ -67,7 +67,7 @@ def _zstd_length(frame: bytes | memoryview) -> int:
     size = (is_single_segment, 2, 4, 8)[descriptor >> 6]
     begin = 5 + (1 - is_single_segment) + (0, 1, 2, 4)[descriptor & 3]
     if size == 0:
-        raise ValueError("a chunk does not say how long it is; store it with Zarr's own zstd")
+        raise ValueError("a chunk does not state its length; store it with Zarr's own zstd")
     if len(frame) < begin + size:
         return -1
     length = int.from_bytes(frame[begin : begin + size], "little")
@@ -75,7 +75,7 @@ def _zstd_length(frame: bytes | memoryview) -> int:
 
 
 def _deflated_length(frame: bytes | memoryview, limit: int) -> int:
-    """How long it becomes, or more than `limit`; 0 if it is too short to become too long."""
+    """Measure the decompressed length, stopping past `limit`; 0 if too short to exceed it."""
     if len(frame) * _DEFLATE_RATIO <= limit:
         return 0
     unpacking = zlib.decompressobj(47)  # either header

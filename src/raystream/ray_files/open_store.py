@@ -1,4 +1,4 @@
-"""Opening Zarr stores that may come from anywhere."""
+"""Open untrusted Zarr stores."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from pathlib import Path
 from typing import Any
 
 from raystream.core.errors import FileFormatError, RaystreamError
-from raystream.zarr_queries.checked_store import checked
-from raystream.zarr_queries.codecs import Coding, find_coding
-from raystream.zarr_queries.errors import require_zarr
+from raystream.ray_files.checked_store import checked
+from raystream.ray_files.codecs import Coding, find_coding
+from raystream.ray_files.errors import require_zarr
 
 __all__ = ["open_arrays"]
 
-#: Longer descriptions are refused, before they are read.
+#: Longer metadata files are rejected before they are read.
 MAX_METADATA_BYTES = 2**24
 
 _MAX_ARRAYS = 1000
 
-#: A filter may store numbers as others, of which none is longer.
+#: A filter may store numbers as another type; none is longer than this.
 _MAX_ITEM_BYTES = 8
 
-#: The file that describes an array, of Zarr v3 and v2.
+#: Metadata file of an array in Zarr v3 and v2.
 _ARRAY_FILES = ("zarr.json", ".zarray")
 _GROUP_FILES = ("zarr.json", ".zgroup", ".zattrs", ".zmetadata")
 
@@ -36,17 +36,17 @@ def open_arrays(path: str) -> dict[str, Any]:
     Parameters
     ----------
     path : str
-        A folder, or a ``.zip``.
+        A folder, or a ``.zip`` file.
 
     Returns
     -------
     dict of str to zarr.Array
-        All arrays that the group itself holds, by name; groups in it are left alone.
+        All arrays directly in the group, by name; nested groups are ignored.
 
     Raises
     ------
     FileFormatError
-        If there is no such store, it is damaged, or it names a codec that is not read.
+        If the store does not exist, is damaged, or names a codec that is not supported.
     """
     if not os.path.exists(path):
         raise FileFormatError(path, "no such file or folder")
@@ -59,7 +59,7 @@ def open_arrays(path: str) -> dict[str, Any]:
             files.check(name)
         codings = files.arrays()
         if not codings and not any(map(files.has, _GROUP_FILES)):
-            raise FileFormatError(path, "is no Zarr store")
+            raise FileFormatError(path, "is not a Zarr store")
         limits: dict[str, int] = {}
         store = checked(files.store(), codings, limits, files.size)
         group = zarr.open_group(store, mode="r", use_consolidated=False)
@@ -70,14 +70,14 @@ def open_arrays(path: str) -> dict[str, Any]:
     except (RaystreamError, MemoryError):
         raise
     except zipfile.BadZipFile as error:
-        raise FileFormatError(path, f"is not a whole .zip file ({error})") from None
-    except Exception as error:  # a damaged description can end anywhere in Zarr
+        raise FileFormatError(path, f"is not a complete .zip file ({error})") from None
+    except Exception as error:  # damaged metadata can raise anything in Zarr
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise FileFormatError(path, f"cannot be read as a Zarr store ({reason:.200})") from error
 
 
 class _Files(ABC):
-    """The files of a store: how long they are, before they are read."""
+    """The files of a store, with their lengths before they are read."""
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -100,11 +100,11 @@ class _Files(ABC):
             raise FileFormatError(self.path, f"{name} is {size / 1e6:,.0f} MB long: too long")
 
     def arrays(self) -> dict[str, Coding]:
-        """How the arrays are stored, by their names."""
+        """Find how each array is stored, by name."""
         codings: dict[str, Coding] = {}
         for folder in sorted(self.folders()):
             self.check(f"{folder}/.zattrs")
-            # Of two descriptions, which of them counts is Zarr's choice.
+            # If there are two metadata files, Zarr chooses which one counts.
             for name in _ARRAY_FILES:
                 if self.has(f"{folder}/{name}"):
                     coding = self._coding(folder, f"{folder}/{name}")
@@ -115,11 +115,11 @@ class _Files(ABC):
         return codings
 
     def _coding(self, folder: str, file: str) -> Coding | None:
-        """How an array is stored; None if the file describes a group."""
+        """Find how an array is stored; None if the file describes a group."""
         self.check(file)
         metadata = json.loads(self.read(file))
         if not isinstance(metadata, dict):
-            raise FileFormatError(self.path, f"{file} describes nothing")
+            raise FileFormatError(self.path, f"{file} describes no array")
         if metadata.get("node_type", "array") != "array":
             return None
         try:
