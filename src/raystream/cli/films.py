@@ -352,7 +352,7 @@ def _render(
         else:
             from functools import partial
 
-            from raystream.cluster.films import render_frames as render_there
+            from raystream.cluster.animations import render_frames as render_there
 
             render_frames = partial(render_there, client=client)
         pictures = render_frames(

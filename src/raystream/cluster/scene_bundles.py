@@ -1,4 +1,4 @@
-"""Scenes in parcels: meshes, materials, textures, lights and background, as pictures need them."""
+"""Scenes in bundles: meshes, materials, textures, lights and background, for rendering."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
-    """What a picture of a scene depends on, but for its triangles' local frame and the camera.
+    """Pack everything that an image of a scene depends on, except triangles and camera.
 
-    Textures and environment maps go as texels, so that no worker needs their files. Animations
-    do not travel: see `films`.
+    Textures and environment maps are sent as texels, so that workers do not need their files.
+    Animations are not sent: see `animations`.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
 
 
 def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Scene:
-    """The scene that `pack_scene` packed; without camera and movement."""
+    """Restore the scene packed by `pack_scene`, without camera and animation."""
     meshes = []
     for index, name in enumerate(header["meshes"]):
         found = {key: arrays.get(f"mesh {index} {key}") for key in _ATTRIBUTES}
@@ -85,7 +85,7 @@ def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) 
 
 
 def _textures_of(materials: Sequence[Material]) -> list[Texture]:
-    """Each texture once, however many materials share it."""
+    """List each texture once, even if materials share it."""
     found: dict[int, Texture] = {}
     for material in materials:
         for texture in material.textures.values():
@@ -95,8 +95,8 @@ def _textures_of(materials: Sequence[Material]) -> list[Texture]:
 
 def _material_fields(material: Material, textures: Sequence[Texture]) -> dict[str, Any]:
     fields = {f.name: getattr(material, f.name) for f in dataclasses.fields(material)}
-    places = {id(texture): i for i, texture in enumerate(textures)}
-    fields["textures"] = {role: places[id(texture)] for role, texture in fields["textures"].items()}
+    refs = {id(texture): i for i, texture in enumerate(textures)}
+    fields["textures"] = {role: refs[id(texture)] for role, texture in fields["textures"].items()}
     return fields
 
 
@@ -111,7 +111,7 @@ def _material(fields: Mapping[str, Any], textures: Sequence[Texture]) -> Materia
 
 
 def _pack_texture(texture: Texture, index: int, arrays: Arrays) -> dict[str, Any]:
-    # Without texels it cannot be read, there as here, and is left out of the picture.
+    # An unreadable texture is sent without texels, and is missing from the image as usual.
     with contextlib.suppress(FileFormatError):
         arrays[f"texture {index}"] = texture.pixels()
     return {"name": texture.name, "wrap": texture.wrap}

@@ -1,4 +1,4 @@
-"""Parcels: what comes out is what went in, by mapped files or over the wire, and once."""
+"""Bundles: what comes out is what went in, by mapped files or over the wire, and once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ need("distributed")
 
 import raystream as rs
 from conftest import assert_same_bits
-from raystream.cluster import depot, folder, parcels, post, scenes
+from raystream.cluster import bundles, folder, scene_bundles, scheduler_store, uploader
 from raystream.cluster.errors import ClusterError
 
 
@@ -55,9 +55,9 @@ def rich_scene() -> rs.Scene:
 
 def test_a_scene_comes_out_as_it_went_in():
     scene = rich_scene()
-    parcel = parcels.Parcel(*scenes.pack_scene(scene))
-    manifest = parcels.Manifest.read(parcel.manifest().text)
-    found = scenes.unpack_scene(manifest.header, parcel.arrays)
+    bundle = bundles.Bundle(*scene_bundles.pack_scene(scene))
+    manifest = bundles.Manifest.read(bundle.manifest().text)
+    found = scene_bundles.unpack_scene(manifest.header, bundle.arrays)
     for mesh, other in zip(scene.meshes, found.meshes, strict=True):
         assert mesh.name == other.name
         for name in ("vertices", "faces", "normals", "colors", "texcoords", "material_ids"):
@@ -85,9 +85,9 @@ def test_a_scene_comes_out_as_it_went_in():
     assert_same_bits(found.up, scene.up)
 
 
-def test_a_parcel_is_named_by_its_content():
+def test_a_bundle_is_named_by_its_content():
     def name(numbers, header="x"):
-        return parcels.Parcel({"a": header}, {"n": np.array(numbers)}).manifest().digest
+        return bundles.Bundle({"a": header}, {"n": np.array(numbers)}).manifest().digest
 
     assert name([1.0, 2.0]) == name([1.0, 2.0])
     others = [name([1.0, 2.5]), name([1, 2]), name([[1.0, 2.0]]), name([1.0, 2.0], "y")]
@@ -96,8 +96,8 @@ def test_a_parcel_is_named_by_its_content():
 
 def test_an_array_is_named_by_its_numbers_its_shape_and_its_dtype():
     zeros = [np.zeros(6), np.zeros((2, 3)), np.zeros((3, 2)), np.zeros(6, np.int64)]
-    assert len({parcels.digest_of(array) for array in zeros}) == 4
-    assert parcels.digest_of(np.zeros((3, 2))) == parcels.digest_of(np.zeros((2, 3)).T)
+    assert len({bundles.digest_of(array) for array in zeros}) == 4
+    assert bundles.digest_of(np.zeros((3, 2))) == bundles.digest_of(np.zeros((2, 3)).T)
 
 
 @pytest.mark.parametrize(
@@ -111,19 +111,19 @@ def test_an_array_is_named_by_its_numbers_its_shape_and_its_dtype():
         {"version": 99},
     ],
 )
-def test_what_is_no_parcel_is_refused(change):
-    text = parcels.Parcel({}, {"n": np.zeros(2)}).manifest().text
-    with pytest.raises(ClusterError, match=r"none of raystream's|same version on all"):
-        parcels.Manifest.read(json.dumps({**json.loads(text), **change}))
-    with pytest.raises(ClusterError, match="none of raystream's"):
-        parcels.Manifest.read(text[:-5])
+def test_invalid_bundles_are_rejected(change):
+    text = bundles.Bundle({}, {"n": np.zeros(2)}).manifest().text
+    with pytest.raises(ClusterError, match=r"not a raystream bundle|same version on all"):
+        bundles.Manifest.read(json.dumps({**json.loads(text), **change}))
+    with pytest.raises(ClusterError, match="not a raystream bundle"):
+        bundles.Manifest.read(text[:-5])
 
 
 def test_only_the_folder_itself_is_mapped(tmp_path):
     own = folder.SharedFolder()
     numbers = np.arange(12.0).reshape(3, 4)
-    parcel = parcels.Parcel({}, {"n": numbers})
-    place = parcel.manifest().arrays["n"]
+    bundle = bundles.Bundle({}, {"n": numbers})
+    place = bundle.manifest().arrays["n"]
     own.add(place.digest, numbers)
     where = {"machine": folder.machine_name(), "path": own.path, "token": own.token}
     mapped = folder.map_array(where, place)
@@ -133,10 +133,10 @@ def test_only_the_folder_itself_is_mapped(tmp_path):
     assert folder.map_array({**where, "token": "another"}, place) is None
     assert folder.map_array({**where, "machine": "another"}, place) is None
     assert folder.map_array({**where, "path": str(tmp_path)}, place) is None
-    wrong = parcels.ArrayPlace(place.digest, place.dtype, (4, 3))
+    wrong = bundles.ArrayRef(place.digest, place.dtype, (4, 3))
     assert folder.map_array(where, wrong) is None
     np.save(Path(own.path) / "00.npy", np.array([{}], object), allow_pickle=True)
-    assert folder.map_array(where, parcels.ArrayPlace("00", "|O", (1,))) is None
+    assert folder.map_array(where, bundles.ArrayRef("00", "|O", (1,))) is None
     assert Path(own.path).stat().st_mode & 0o077 == 0
     own.close()
     assert not Path(where["path"]).exists()
@@ -144,12 +144,12 @@ def test_only_the_folder_itself_is_mapped(tmp_path):
 
 
 def arrays_held(dask_scheduler):
-    return len(dask_scheduler.plugins["raystream-depot"]._arrays)
+    return len(dask_scheduler.plugins["raystream-store"]._arrays)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at Linux's list of maps")
 def test_workers_of_this_machine_map_one_file(client, room):
-    own = post.post_of(client)
+    own = uploader.uploader_of(client)
     with rs.cluster.Tracer(room, client, "kdtree") as tracer:
         tracer.first_hit(np.zeros((40, 3)), np.ones((40, 3))).compute()
         path = own.where["path"]
@@ -168,14 +168,14 @@ def test_arrays_go_over_the_wire_where_no_file_is_shared(cluster, room, monkeypa
         raise OSError("no space")
 
     monkeypatch.setattr(tempfile, "mkdtemp", full)
-    monkeypatch.setattr(depot, "BLOCK_BYTES", 1000)
-    monkeypatch.setattr(post, "BLOCK_BYTES", 700)
+    monkeypatch.setattr(scheduler_store, "BLOCK_BYTES", 1000)
+    monkeypatch.setattr(uploader, "BLOCK_BYTES", 700)
     directions = np.random.default_rng(1).normal(size=(50, 3))
     # Another structure than elsewhere: workers may still have that one's arrays.
     local = rs.Tracer(room, max_leaf_size=2)
     with Client(cluster, set_as_default=False) as client:
         with rs.cluster.Tracer(local, client) as tracer:
-            assert post.post_of(client).where["path"] == ""
+            assert uploader.uploader_of(client).where["path"] == ""
             hits = tracer.first_hit(room.camera.eye, directions).compute(scheduler=client)
             assert_same_bits(hits.t, local.first_hit(room.camera.eye, directions).t)
             held = client.run_on_scheduler(arrays_held)

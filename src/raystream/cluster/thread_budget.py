@@ -1,7 +1,7 @@
-"""Shares: how many of a worker's threads each of its tasks gets.
+"""Thread budget: divides a worker's threads among its running tasks.
 
-Dask runs as many tasks at a time as a worker has threads, and raystream spreads each query over
-threads of its own. Together they must not be more than the worker was given.
+Dask runs as many tasks at a time as a worker has threads, and raystream runs each query on
+several threads. Together they must not exceed the worker's threads.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from distributed import get_worker
 
 from raystream.jit.threads import set_thread_count, thread_count
 
-__all__ = ["own_share"]
+__all__ = ["shared_threads"]
 
 _lock = threading.Lock()
 _numbers = itertools.count()
 
-#: Tasks that run in this process: the worker of each, and its threads.
+#: Tasks running in this process: the worker of each, and its threads.
 _running: dict[int, tuple[int, int]] = {}
 
-#: What this process had before the first of them.
+#: Thread count of this process before the first task.
 _before = 0
 
 
 @contextlib.contextmanager
-def own_share() -> Iterator[None]:
-    """Trace with the worker's threads, shared among the tasks that it runs now.
+def shared_threads() -> Iterator[None]:
+    """Trace with the worker's threads, divided among the tasks it is running.
 
-    One task alone has them all; as many tasks as threads have one each. Tasks that run
-    already take their smaller share from their next query on. In a process without a worker,
-    they share what it has.
+    A single task gets all threads; with as many tasks as threads, each gets one. Running
+    tasks adopt their smaller share at their next query. In a process without a worker, tasks
+    divide the process's threads.
     """
     number = next(_numbers)
     try:
@@ -46,17 +46,17 @@ def own_share() -> Iterator[None]:
         if not _running:
             _before = thread_count()
         _running[number] = own
-        _share()
+        _divide()
     try:
         yield
     finally:
         with _lock:
             del _running[number]
-            _share()
+            _divide()
 
 
-def _share() -> None:
-    """Say how many threads each has; the lock is held."""
+def _divide() -> None:
+    """Set the thread count of each task; the caller holds the lock."""
     if not _running:
         set_thread_count(_before)
         return

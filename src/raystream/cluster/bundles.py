@@ -1,8 +1,8 @@
-"""Parcels: what travels to workers, as plain arrays and a text, named by its content.
+"""Bundles: named arrays and a JSON header sent to workers, addressed by content.
 
-A parcel is a mapping of arrays and a header of plain values. On the way it is a manifest, which
-is JSON, and the arrays' bytes, each under the digest of its content: what a worker has already
-is not sent again. Nothing of it is pickled.
+A bundle is a mapping of arrays and a header of plain values. In transit it is a JSON manifest
+and the bytes of each array, addressed by digest: arrays that a worker already has are not sent
+again. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from numpy.typing import NDArray
 from raystream._version import __version__
 from raystream.cluster.errors import ClusterError
 
-__all__ = ["ArrayPlace", "Manifest", "Parcel", "digest_of"]
+__all__ = ["ArrayRef", "Bundle", "Manifest", "digest_of"]
 
-#: Raised by every change of what parcels hold.
+#: Incremented with every change of the bundles' content.
 FORMAT_VERSION = 1
 
-_FORMAT = "raystream parcel"
+_FORMAT = "raystream bundle"
 
-#: Kinds of dtypes that travel: booleans, integers and floats.
+#: Accepted dtype kinds: booleans, integers and floats.
 _KINDS = "biuf"
 
 
 def digest_of(array: NDArray[Any]) -> str:
-    """A name that only arrays of the same numbers, shape and dtype have."""
+    """Hash an array's numbers, shape and dtype."""
     digest = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode())
     digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
 @dataclass(frozen=True)
-class ArrayPlace:
-    """An array that is somewhere else.
+class ArrayRef:
+    """A reference to an array by its content.
 
     Attributes
     ----------
     digest : str
-        Of its content; its name.
+        Hash of its content; its name.
     dtype : str
-        As NumPy writes it, with the byte order.
+        As NumPy writes it, including the byte order.
     shape : tuple of int
     """
 
@@ -57,40 +57,40 @@ class ArrayPlace:
 
     @property
     def byte_count(self) -> int:
-        """Its size."""
+        """Size in bytes."""
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a parcel holds.
+    """The contents of a bundle.
 
     Attributes
     ----------
     text : str
-        All of it, as JSON.
+        The whole manifest as JSON.
     header : mapping
         Plain values.
-    arrays : mapping of str to ArrayPlace
+    arrays : mapping of str to ArrayRef
     """
 
     text: str
     header: Mapping[str, Any]
-    arrays: Mapping[str, ArrayPlace]
+    arrays: Mapping[str, ArrayRef]
 
     @property
     def digest(self) -> str:
-        """The name of the parcel."""
+        """Name of the bundle."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @classmethod
     def read(cls, text: str) -> Manifest:
-        """Read the JSON of a manifest.
+        """Parse the JSON of a manifest.
 
         Raises
         ------
         ClusterError
-            If it is none, or one of another version of raystream.
+            If it is malformed, or comes from another version of raystream.
         """
         try:
             fields = json.loads(text)
@@ -99,28 +99,28 @@ class Manifest:
             version = fields["version"], fields["raystream"]
             if version != (FORMAT_VERSION, __version__):
                 raise ClusterError(
-                    f"raystream {__version__} was sent work of raystream {version[1]!s:.20}: "
+                    f"raystream {__version__} received work of raystream {version[1]!s:.20}: "
                     "install the same version on all machines of a cluster, or bits may differ"
                 )
-            places = {
-                str(name): ArrayPlace(str(digest), str(dtype), tuple(map(int, shape)))
+            refs = {
+                str(name): ArrayRef(str(digest), str(dtype), tuple(map(int, shape)))
                 for name, (digest, dtype, shape) in fields["arrays"].items()
             }
-            if any(np.dtype(place.dtype).kind not in _KINDS for place in places.values()):
+            if any(np.dtype(ref.dtype).kind not in _KINDS for ref in refs.values()):
                 raise ValueError
-            return cls(text, fields["header"], places)
+            return cls(text, fields["header"], refs)
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
-            raise ClusterError("a parcel arrived that is none of raystream's") from None
+            raise ClusterError("received data that is not a raystream bundle") from None
 
 
 @dataclass(frozen=True)
-class Parcel:
-    """Arrays and plain values that go to workers together.
+class Bundle:
+    """Arrays and plain values sent to workers together.
 
     Attributes
     ----------
     header : mapping
-        What JSON can hold; NaN and infinities, too.
+        JSON values, including NaN and infinities.
     arrays : mapping of str to ndarray
     """
 
@@ -128,27 +128,27 @@ class Parcel:
     arrays: Mapping[str, NDArray[Any]]
 
     def manifest(self) -> Manifest:
-        """Describe it; all of its arrays are read for that."""
-        places = {}
+        """Describe the bundle; hashes all of its arrays."""
+        refs = {}
         for name, array in self.arrays.items():
             if array.dtype.kind not in _KINDS:
                 raise TypeError(f"{name}: expected numbers, got dtype {array.dtype}")
-            places[name] = ArrayPlace(digest_of(array), array.dtype.str, array.shape)
+            refs[name] = ArrayRef(digest_of(array), array.dtype.str, array.shape)
         fields = {
             "format": _FORMAT,
             "version": FORMAT_VERSION,
             "raystream": __version__,
             "header": self.header,
-            "arrays": {n: [place.digest, place.dtype, place.shape] for n, place in places.items()},
+            "arrays": {n: [ref.digest, ref.dtype, ref.shape] for n, ref in refs.items()},
         }
         text = json.dumps(fields, sort_keys=True, default=_plain)
-        return Manifest(text, self.header, places)
+        return Manifest(text, self.header, refs)
 
 
 def _plain(value: Any) -> Any:
-    """NumPy's numbers as Python's."""
+    """Convert NumPy numbers to Python's."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
         return value.tolist()
-    raise TypeError(f"cannot travel to workers: {value!r:.60}")
+    raise TypeError(f"cannot be sent to workers: {value!r:.60}")

@@ -1,4 +1,4 @@
-"""Tracers in parcels: triangles in their local frame, the built structure, and the options."""
+"""Tracers in bundles: triangles in their local frame, the built structure, and the options."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.cluster.bundles import Bundle
 from raystream.cluster.errors import ClusterError
-from raystream.cluster.parcels import Parcel
-from raystream.cluster.scenes import pack_scene, unpack_scene
+from raystream.cluster.scene_bundles import pack_scene, unpack_scene
 from raystream.core.triangles import Triangles
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES
@@ -25,19 +25,19 @@ def pack_tracer(
     device: str,
     options: Mapping[str, Any],
     *,
-    for_pictures: bool,
-) -> Parcel:
+    for_rendering: bool,
+) -> Bundle:
     """Pack what workers need to trace a scene.
 
     Parameters
     ----------
     scene : Scene or Tracer
-        A tracer's structure travels as it is built, with the options of its machine.
+        A tracer's structure is sent as built, with the options of its machine.
     structure, device, options
-        Of the tracer, see `Tracer`. For the CPU the structure is built here, once. Other devices
-        build theirs where they are: on each worker.
-    for_pictures : bool
-        Whether materials, textures and lights go along.
+        See `Tracer`. For the CPU, the structure is built here, once. On other devices, each
+        worker builds its own.
+    for_rendering : bool
+        Whether to include materials, textures and lights.
 
     Raises
     ------
@@ -46,13 +46,13 @@ def pack_tracer(
     """
     built = scene if isinstance(scene, Tracer) else None
     if built is not None and (structure != "bvh" or device != "cpu" or options):
-        raise ValueError("structure, device, options: the tracer given has its own")
+        raise ValueError("structure, device, options: cannot be combined with an existing Tracer")
     if options.get("counters") or (built is not None and built.is_counting):
-        raise ValueError("counters: a tracer on a cluster does not count; trace a part without it")
+        raise ValueError("counters: not supported on a cluster; use a local Tracer for them")
     if built is not None and built.device != "cpu":
         raise ValueError(
-            f"scene: the tracer's device is {built.device!r}; give its scene, with the structure, "
-            "the device and the options: workers build it where they are"
+            f"scene: the tracer's device is {built.device!r}; pass its scene with structure, "
+            "device and options instead: workers build their own structure"
         )
     if not isinstance(scene, Scene | Tracer):
         raise TypeError(f"scene: expected a Scene or Tracer, got {type(scene).__name__}")
@@ -69,26 +69,26 @@ def pack_tracer(
         }
         arrays |= {f"structure {n}": a for n, a in built.structure.saved_arrays().items()}
     header["is_built"] = built is not None
-    if for_pictures:
+    if for_rendering:
         header["scene"], own = pack_scene(scene.scene if isinstance(scene, Tracer) else scene)
         arrays |= own
-    return Parcel(header, arrays)
+    return Bundle(header, arrays)
 
 
 def unpack_tracer(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Tracer:
-    """The tracer that `pack_tracer` packed.
+    """Restore the tracer packed by `pack_tracer`.
 
     Raises
     ------
     ClusterError
-        If an array is not what a structure can be made of.
+        If an array is missing, or does not form a valid structure.
     RaystreamError
         If the worker lacks the device.
     """
     try:
         triangles = _unpack_triangles(arrays)
     except KeyError as error:
-        raise ClusterError(f"a parcel lacks the array {error}") from None
+        raise ClusterError(f"a bundle lacks the array {error}") from None
     scene: Scene | None
     if "scene" in header:
         bare = unpack_scene(header["scene"], arrays)
@@ -106,20 +106,20 @@ def unpack_tracer(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]])
     try:
         structure = STRUCTURES[header["structure"]].from_arrays(triangles, own)
     except ValueError as error:
-        raise ClusterError(f"a structure arrived damaged: {error}") from None
+        raise ClusterError(f"received a damaged structure: {error}") from None
     if header["kernel"] is not None:
         structure.options = {**structure.options, "kernel": header["kernel"]}
     return Tracer.of_structure(structure, scene, header["device"], **header["options"])
 
 
-def pack_scene_for(scene: Scene) -> Parcel:
-    """Pack a scene alone, for a tracer that workers have, and will move."""
+def pack_scene_for(scene: Scene) -> Bundle:
+    """Pack a scene alone, to update a tracer that workers already have."""
     header, arrays = pack_scene(scene)
-    return Parcel({"scene": header}, arrays)
+    return Bundle({"scene": header}, arrays)
 
 
 def unpack_scene_from(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Scene:
-    """The scene that `pack_scene_for` packed, or that of a tracer's parcel."""
+    """Restore the scene packed by `pack_scene_for`, or that of a tracer's bundle."""
     return unpack_scene(header["scene"], arrays)
 
 

@@ -1,4 +1,4 @@
-"""Pictures and films on a cluster are those of one machine, to the bit."""
+"""Pictures and animations on a cluster are those of one machine, to the bit."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_nothing_is_left_on_the_scheduler(client, room):
     rs.cluster.render(room, size=SIZE, client=client)
     held = client.run_on_scheduler(
         lambda dask_scheduler: [
-            len(dask_scheduler.plugins["raystream-depot"]._manifests),
+            len(dask_scheduler.plugins["raystream-store"]._manifests),
             sum(key.startswith("raystream-") for key in dask_scheduler.tasks),
         ]
     )
@@ -159,38 +159,38 @@ def moving_room(room: rs.Scene) -> rs.Scene:
 
 
 @pytest.mark.parametrize("structure", ["bvh", pytest.param("kdtree", marks=pytest.mark.exhaustive)])
-def test_a_film_in_which_meshes_move(client, room, structure):
+def test_an_animation_in_which_meshes_move(client, room, structure):
     scene = moving_room(room)
     asked = {"mode": "raycast", "size": SIZE, "samples": 2, "structure": structure, "seed": 4}
     expected = list(rs.render_frames(scene, **asked, layers=["depth"]))
     seen = []
-    film = rs.cluster.render_frames(
+    animation = rs.cluster.render_frames(
         scene, **asked, layers=["depth"], client=client, progress=lambda *n: seen.append(n)
     )
     assert seen == []
-    for (number, image), (same, wanted) in zip(film, expected, strict=True):
+    for (number, image), (same, wanted) in zip(animation, expected, strict=True):
         assert number == same
         assert_same_image(image, wanted)
     rays = 2 * SIZE[0] * SIZE[1]
     assert seen == [(k * rays, 8 * rays) for k in range(1, 9)]
 
 
-def test_a_film_in_which_the_camera_moves(client, room):
+def test_an_animation_in_which_the_camera_moves(client, room):
     track = rs.CameraTrack(room.camera, [[0, 278, 273, -800], [2, 278, 273, 0]])
     asked = {"size": SIZE, "camera": track, "frames": [5, 0, -1], "fps": 3}
-    film = rs.cluster.render_frames(room, "vis", **asked, client=client)
+    animation = rs.cluster.render_frames(room, "vis", **asked, client=client)
     for (number, image), (same, wanted) in zip(
-        film, rs.render_frames(room, "vis", **asked), strict=True
+        animation, rs.render_frames(room, "vis", **asked), strict=True
     ):
         assert number == same
         assert_same_image(image, wanted)
 
 
-def test_a_film_that_nobody_watches_to_its_end_leaves_nothing(client, room):
-    film = rs.cluster.render_frames(moving_room(room), size=SIZE, client=client)
-    next(film)
-    film.close()
+def test_an_animation_that_nobody_watches_to_its_end_leaves_nothing(client, room):
+    animation = rs.cluster.render_frames(moving_room(room), size=SIZE, client=client)
+    next(animation)
+    animation.close()
     held = client.run_on_scheduler(
-        lambda dask_scheduler: len(dask_scheduler.plugins["raystream-depot"]._manifests)
+        lambda dask_scheduler: len(dask_scheduler.plugins["raystream-store"]._manifests)
     )
     assert held == 0

@@ -1,4 +1,4 @@
-"""render: pictures whose samples the workers of a cluster take."""
+"""render: one image, with its samples traced by the workers of a cluster."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from raystream.cluster.clients import opened
+from raystream.cluster.clients import open_client
 from raystream.cluster.errors import ClusterError
-from raystream.cluster.post import post_of
-from raystream.cluster.samples import Samples, picture_text
-from raystream.cluster.tracers import pack_tracer
+from raystream.cluster.samples import Samples, image_spec
+from raystream.cluster.tracer_bundles import pack_tracer
+from raystream.cluster.uploader import uploader_of
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size
 from raystream.rendering.image import Image
@@ -52,29 +52,29 @@ def render(
     progress: Progress | None = None,
     **options: Any,
 ) -> Image:
-    """Render a picture on a cluster: `raystream.render`'s, to the bit.
+    """Render an image on a cluster, identical to the bit to `raystream.render`.
 
-    The workers take samples of rows, and here they are added in their order. So the picture does
-    not depend on how many workers there are, nor on which of them fail: what a lost worker had
-    begun, another one does. Some samples are under way at a time; the rest of the memory is as
-    `raystream.render` needs it.
+    Workers trace samples of rows, and this process adds them in order. The image therefore does
+    not depend on the number of workers or on their failures: work of a lost worker is repeated
+    by another. A few samples are in flight at a time; otherwise memory use is that of
+    `raystream.render`.
 
     Parameters
     ----------
     scene : Scene or Tracer
-        A tracer of the CPU saves building the structure again.
+        Passing a CPU tracer avoids rebuilding the structure.
     client : distributed.Client or str, optional
-        See `raystream.cluster.Tracer`. What an address starts here ends with the picture.
+        See `raystream.cluster.Tracer`. Workers started for an address stop with the image.
     mode, size, samples, structure, device, camera, lights, seed, sampler, layers, **options
         See `raystream.render`.
     noise, time_limit : float, optional
-        As `raystream.render`: a noise limit ends with the same sample. Of samples that are under
-        way when the time is over, only those count that were added.
+        As `raystream.render`: a noise limit stops at the same sample. When the time limit is
+        reached, samples still in flight are discarded.
     checkpoint : path, optional
-        A file of this machine, see `raystream.render`: a picture can go on from it with a cluster
+        A file on this machine, see `raystream.render`: the render can be resumed with a cluster
         or without. It is also written when the cluster is lost.
     on_pass, progress : callable, optional
-        As `raystream.render`; called here.
+        As `raystream.render`; called in this process.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def render(
     Raises
     ------
     ClusterError
-        If there is no cluster or it has no workers; if it is lost; or if one piece of work kills
+        If there is no cluster or it has no workers; if it is lost; or if one task kills
         worker after worker.
     ValueError, TypeError, MemoryError
         As `raystream.render`.
@@ -91,7 +91,7 @@ def render(
     Warns
     -----
     RaystreamWarning
-        While all workers are gone, until one comes.
+        While there are no workers, until one joins.
 
     Examples
     --------
@@ -109,19 +109,20 @@ def render(
     check_lights(lights)
     wanted = choose_layers(layers)
     renderer = RENDERERS[mode]
-    own = {name: options.pop(name, usual) for name, usual in renderer.options.items()}
+    own = {name: options.pop(name, default) for name, default in renderer.options.items()}
     chosen = renderer.check(own)
     numbers = Sampler.of(sampler, seed, limits.samples)
-    parcel = pack_tracer(scene, structure, device, options, for_pictures=True)
-    here = scene if isinstance(scene, Tracer) else Tracer(scene, "brute")  # nothing traces here
+    bundle = pack_tracer(scene, structure, device, options, for_rendering=True)
+    # Nothing is traced in this process.
+    here = scene if isinstance(scene, Tracer) else Tracer(scene, "brute")
     view = camera or here.scene.camera_for(width / height)
     setting = make_setting(here, view, (width, height), numbers, chosen, wanted, lights)
     drawn = sampler, seed, limits.samples
-    picture = picture_text(mode, (width, height), view, drawn, own, wanted, lights)
-    with opened(client) as found:
-        post = post_of(found)
-        digest = post.send(parcel)
-        taken = Samples(found, digest, picture, setting, limits.samples)
+    spec = image_spec(mode, (width, height), view, drawn, own, wanted, lights)
+    with open_client(client) as found:
+        uploader = uploader_of(found)
+        digest = uploader.send(bundle)
+        taken = Samples(found, digest, spec, setting, limits.samples)
         try:
             return render_samples(
                 renderer,
@@ -134,5 +135,5 @@ def render(
             )
         finally:
             taken.close()
-            with contextlib.suppress(ClusterError):  # the picture matters more
-                post.release(digest)
+            with contextlib.suppress(ClusterError):  # returning the image matters more
+                uploader.release(digest)

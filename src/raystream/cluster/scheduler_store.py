@@ -1,8 +1,8 @@
-"""Depot: the scheduler's store of parcels, from which workers fetch what they lack.
+"""SchedulerStore: the scheduler's store of bundles, from which workers fetch missing ones.
 
-The scheduler is the one place that every worker can reach, that outlives workers, and that knows
-when a client leaves. It holds manifests; and of arrays either their bytes or, where it shares the
-client's machine, maps of the client's files, which take no memory of its own.
+The scheduler is the only process that every worker can reach, that outlives workers, and that
+notices when a client leaves. It holds manifests and, for each array, either its bytes or, on the
+client's machine, a memory map of the client's file, which takes no memory of its own.
 """
 
 from __future__ import annotations
@@ -14,56 +14,56 @@ import numpy as np
 from distributed.diagnostics.plugin import SchedulerPlugin
 from numpy.typing import NDArray
 
+from raystream.cluster.bundles import Manifest
 from raystream.cluster.folder import map_array
-from raystream.cluster.parcels import Manifest
 from raystream.core.memory import check_memory
 
 if TYPE_CHECKING:
     from distributed.scheduler import Scheduler
 
-__all__ = ["BLOCK_BYTES", "DEPOT", "Depot"]
+__all__ = ["BLOCK_BYTES", "STORE", "SchedulerStore"]
 
-#: The plugin's name, and that of the operation that it adds to the scheduler.
-DEPOT = "raystream-depot"
+#: Name of the plugin, and of the operation that it adds to the scheduler.
+STORE = "raystream-store"
 
-#: Bytes of an array that travel in one message.
+#: Bytes of an array sent in one message.
 BLOCK_BYTES = 1 << 24
 
-Answer = dict[str, Any]
+Response = dict[str, Any]
 
 
-class Depot(SchedulerPlugin):
-    """Parcels of all clients of one scheduler.
+class SchedulerStore(SchedulerPlugin):
+    """Bundles of all clients of one scheduler.
 
-    Parcels stay as long as a client holds them: until it releases them, or leaves.
+    A bundle stays while any client holds it: until the client releases it or leaves.
     """
 
-    name = DEPOT
-    idempotent = True  # the first client's serves all
+    name = STORE
+    idempotent = True  # the first client's instance serves all
 
     def __init__(self) -> None:
         self._manifests: dict[str, Manifest] = {}
-        self._holders: dict[str, dict[str, int]] = {}  # parcel: client: how often
-        self._folders: dict[str, Mapping[str, str]] = {}  # parcel: where it may be mapped
-        self._arrays: dict[str, NDArray[np.uint8]] = {}  # bytes, or maps
-        self._parts: dict[tuple[str, str], NDArray[np.uint8]] = {}  # client, array: on the way
+        self._holders: dict[str, dict[str, int]] = {}  # bundle: client: reference count
+        self._folders: dict[str, Mapping[str, str]] = {}  # bundle: folder to map it from
+        self._arrays: dict[str, NDArray[np.uint8]] = {}  # bytes or memory maps
+        self._parts: dict[tuple[str, str], NDArray[np.uint8]] = {}  # client, array: incomplete
 
     async def start(self, scheduler: Scheduler) -> None:
-        """Answer from now on."""
-        self.__init__()  # type: ignore[misc] # it came as a pickle of an empty one
-        scheduler.handlers[DEPOT] = self.answer
+        """Register the operation with the scheduler."""
+        self.__init__()  # type: ignore[misc] # it arrives as a pickle of an empty instance
+        scheduler.handlers[STORE] = self.handle
 
     def remove_client(self, scheduler: Scheduler, client: str) -> None:  # noqa: ARG002
-        """Let go of what only a client that left has held."""
+        """Release everything held only by a client that left."""
         for key in [key for key in self._parts if key[0] == client]:
             del self._parts[key]
         for digest in list(self._holders):
             if self._holders[digest].pop(client, None) is not None:
                 self._clear(digest)
 
-    def answer(self, do: str, **arguments: Any) -> Answer:
-        """Answer a client or a worker."""
-        operations: dict[str, Callable[..., Answer]] = {
+    def handle(self, do: str, **arguments: Any) -> Response:
+        """Handle a request of a client or a worker."""
+        operations: dict[str, Callable[..., Response]] = {
             "offer": self._offer,
             "put": self._put,
             "release": self._release,
@@ -72,8 +72,8 @@ class Depot(SchedulerPlugin):
         }
         return operations[do](**arguments)
 
-    def _offer(self, client: str, text: str, where: Mapping[str, str]) -> Answer:
-        """Take a parcel in, and say which arrays are to be put."""
+    def _offer(self, client: str, text: str, where: Mapping[str, str]) -> Response:
+        """Register a bundle, and return which arrays to upload."""
         manifest = Manifest.read(text)
         digest = manifest.digest
         held = self._holders.setdefault(digest, {})
@@ -81,14 +81,14 @@ class Depot(SchedulerPlugin):
         self._manifests[digest] = manifest
         self._folders[digest] = dict(where)
         missing = {}
-        for place in manifest.arrays.values():
-            if place.byte_count and place.digest not in self._arrays:
-                mapped = map_array(where, place)
+        for ref in manifest.arrays.values():
+            if ref.byte_count and ref.digest not in self._arrays:
+                mapped = map_array(where, ref)
                 if mapped is None:
-                    missing[place.digest] = place
+                    missing[ref.digest] = ref
                 else:
-                    self._arrays[place.digest] = mapped.reshape(-1).view(np.uint8)
-        byte_count = sum(place.byte_count for place in missing.values())
+                    self._arrays[ref.digest] = mapped.reshape(-1).view(np.uint8)
+        byte_count = sum(ref.byte_count for ref in missing.values())
         try:
             check_memory(byte_count, "scheduler: a scene's arrays would")
         except MemoryError:
@@ -96,8 +96,8 @@ class Depot(SchedulerPlugin):
             raise
         return {"missing": sorted(missing)}
 
-    def _put(self, client: str, digest: str, size: int, begin: int, content: bytes) -> Answer:
-        """Take a part of an array's bytes; the parts of each come in order."""
+    def _put(self, client: str, digest: str, size: int, begin: int, content: bytes) -> Response:
+        """Store a part of an array's bytes; the parts of an array arrive in order."""
         if begin == 0:
             self._parts[client, digest] = np.empty(size, np.uint8)
         end = begin + len(content)
@@ -106,8 +106,8 @@ class Depot(SchedulerPlugin):
             self._arrays[digest] = self._parts.pop((client, digest))
         return {}
 
-    def _release(self, client: str, digest: str) -> Answer:
-        """Let go of a parcel once."""
+    def _release(self, client: str, digest: str) -> Response:
+        """Drop one reference to a bundle."""
         held = self._holders.get(digest, {})
         if client in held:
             held[client] -= 1
@@ -117,7 +117,7 @@ class Depot(SchedulerPlugin):
         return {}
 
     def _clear(self, digest: str) -> None:
-        """Forget a parcel that nobody holds, and arrays of no other."""
+        """Delete a bundle without references, and arrays that no other bundle uses."""
         if self._holders.get(digest):
             return
         self._holders.pop(digest, None)
@@ -126,15 +126,15 @@ class Depot(SchedulerPlugin):
         kept = {p.digest for m in self._manifests.values() for p in m.arrays.values()}
         self._arrays = {name: array for name, array in self._arrays.items() if name in kept}
 
-    def _manifest(self, digest: str) -> Answer:
-        """What a parcel holds, and where it may be mapped."""
+    def _manifest(self, digest: str) -> Response:
+        """Return a bundle's manifest, and where its arrays may be mapped."""
         manifest = self._manifests.get(digest)
         if manifest is None:
             return {"text": None}
         return {"text": manifest.text, "where": self._folders[digest]}
 
-    def _fetch(self, digest: str, begin: int) -> Answer:
-        """A part of an array's bytes."""
+    def _fetch(self, digest: str, begin: int) -> Response:
+        """Return a part of an array's bytes."""
         array = self._arrays.get(digest)
         if array is None:
             return {"content": None}
