@@ -123,11 +123,11 @@ def view(
             source = Source(scene, structure, device, time, triangles, chosen)
             tracer = open_tracer(source, bars, Stopwatch())
         _set_camera(tracer, parts)
-        from raystream.viewer.studio import Studio
+        from raystream.viewer.render_service import RenderService
 
         settings: dict[str, Any] = {} if mode is None else {"mode": mode}
         with ViewServer(
-            Studio(tracer, one_line(scene), settings=settings),
+            RenderService(tracer, one_line(scene), settings=settings),
             listener,
             host=host,
             token=token,

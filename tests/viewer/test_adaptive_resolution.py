@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from raystream.viewer.pacing import (
+from raystream.viewer.adaptive_resolution import (
     SCALES,
+    AdaptiveResolution,
     Cost,
     FrameRate,
-    Resolution,
-    pause_after,
-    rows_of_slice,
+    slice_rows,
+    update_interval,
 )
 
 CANVAS = 1024, 768
@@ -29,13 +29,13 @@ def run(resolution, pixel_seconds, frames, rng=None, overhead=0.004):
         if rng is not None:
             seconds *= rng.uniform(0.85, 1.15)
         scales.append(resolution.scale)
-        resolution.note(*CANVAS, width * height, seconds)
+        resolution.record(*CANVAS, width * height, seconds)
     return scales, seconds
 
 
 @pytest.mark.parametrize("full_seconds", [0.01, 0.04, 0.09, 0.3, 1.0, 2.0])
 def test_frames_take_about_what_they_should(full_seconds):
-    resolution = Resolution(TARGET)
+    resolution = AdaptiveResolution(TARGET)
     pixel_seconds = full_seconds / (CANVAS[0] * CANVAS[1])
     scales, seconds = run(resolution, pixel_seconds, 40)
     assert seconds < 1.2 * TARGET
@@ -48,7 +48,7 @@ def test_frames_take_about_what_they_should(full_seconds):
 @pytest.mark.parametrize("full_seconds", np.geomspace(0.02, 2.0, 12))
 def test_a_resolution_that_was_found_is_kept(full_seconds):
     """Measurements scatter by 15 percent: pictures do not change their size back and forth."""
-    resolution, rng = Resolution(TARGET), np.random.default_rng(3)
+    resolution, rng = AdaptiveResolution(TARGET), np.random.default_rng(3)
     pixel_seconds = full_seconds / (CANVAS[0] * CANVAS[1])
     run(resolution, pixel_seconds, 40, rng)
     scales, _ = run(resolution, pixel_seconds, 200, rng)
@@ -59,7 +59,7 @@ def test_a_resolution_that_was_found_is_kept(full_seconds):
 
 
 def test_it_is_lowered_at_once_and_raised_step_by_step():
-    resolution = Resolution(TARGET)
+    resolution = AdaptiveResolution(TARGET)
     run(resolution, 1e-8, 5)
     assert resolution.scale == 1.0
     slow = run(resolution, 1e-6, 3)[0]
@@ -71,7 +71,7 @@ def test_it_is_lowered_at_once_and_raised_step_by_step():
 
 
 def test_the_smallest_picture_still_shows_something():
-    resolution = Resolution(TARGET)
+    resolution = AdaptiveResolution(TARGET)
     run(resolution, 1.0, 3)
     assert resolution.scale == SCALES[-1]
     assert resolution.size(64, 20) == (16, 16)
@@ -79,16 +79,16 @@ def test_the_smallest_picture_still_shows_something():
 
 
 def test_what_pixels_cost_is_heeded_before_the_first_frame():
-    resolution, cost = Resolution(TARGET), Cost()
-    resolution.heed(*CANVAS, cost)  # nothing is known
+    resolution, cost = AdaptiveResolution(TARGET), Cost()
+    resolution.apply_cost(*CANVAS, cost)  # nothing is known
     assert resolution.scale == 1.0
-    cost.note(1000, 1e-3)
-    resolution.heed(*CANVAS, cost)
+    cost.record(1000, 1e-3)
+    resolution.apply_cost(*CANVAS, cost)
     width, height = resolution.size(*CANVAS)
     assert width * height * 1e-6 <= TARGET
     quick = Cost()
-    quick.note(1000, 1e-6)
-    resolution.heed(*CANVAS, quick)  # frames took longer than that
+    quick.record(1000, 1e-6)
+    resolution.apply_cost(*CANVAS, quick)  # frames took longer than that
     assert resolution.size(*CANVAS) == (width, height)
 
 
@@ -96,37 +96,37 @@ def test_a_cost_is_learned_slowly_but_believed_when_it_is_another():
     cost = Cost()
     assert not cost.is_known
     assert math.isnan(cost.expected(5))
-    cost.note(100, 1.0)
+    cost.record(100, 1.0)
     assert cost.expected(200) == pytest.approx(2.0)
-    cost.note(100, 1.1)
+    cost.record(100, 1.1)
     assert 1.0 < cost.expected(100) < 1.05
-    cost.note(100, 9.0)
+    cost.record(100, 9.0)
     assert cost.expected(100) == pytest.approx(9.0)
-    cost.note(100, 0.0)
+    cost.record(100, 0.0)
     assert 0.0 < cost.expected(100) < 1e-3
 
 
 def test_slices_share_the_rows_evenly():
-    assert rows_of_slice(768, 1e-4, 0.1) == 768
+    assert slice_rows(768, 1e-4, 0.1) == 768
     rows, left = [], 768
     while left:
-        rows.append(rows_of_slice(left, 1e-3, 0.1))
+        rows.append(slice_rows(left, 1e-3, 0.1))
         left -= rows[-1]
     assert 0.08 <= min(rows) * 1e-3 <= max(rows) * 1e-3 <= 0.12
-    assert rows_of_slice(5, 10.0, 0.1) == 1
-    assert rows_of_slice(768, math.nan, 0.1) == 1
+    assert slice_rows(5, 10.0, 0.1) == 1
+    assert slice_rows(768, math.nan, 0.1) == 1
 
 
 def test_pauses_grow():
-    assert pause_after(0.0) == 0.1
-    assert pause_after(4.0) == pytest.approx(0.6)
-    assert pause_after(1e6) == 2.0
+    assert update_interval(0.0) == 0.1
+    assert update_interval(4.0) == pytest.approx(0.6)
+    assert update_interval(1e6) == 2.0
 
 
 def test_the_frame_rate_is_that_of_the_last_second():
     rate = FrameRate()
     assert rate.now(0.0) == 0.0
     for k in range(30):
-        rate.note(k / 20)
+        rate.record(k / 20)
     assert rate.now(1.5) == pytest.approx(20.0)
     assert rate.now(9.0) == 0.0

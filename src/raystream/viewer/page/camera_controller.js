@@ -1,16 +1,16 @@
-// Who flies: holds the view, tells the server with the screen's frames, and when it came to rest.
+// The camera: holds the view, and sends it to the server at the screen's rate and at rest.
 
 import {between, toShapedCamera, walk} from "./view.js";
 
 const REST = 150; // ms without a change
 const GLIDE = 260; // ms
-const PACE = 0.16; // scene sizes in a second
+const PACE = 0.16; // scene sizes per second
 const FAST = 4;
 
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
-export class Pilot {
-  /** `send(camera message)` and `changed(view)` are called with the screen's frames. */
+export class CameraController {
+  /** `send(camera message)` and `changed(view)` are called at the screen's frame rate. */
   constructor({send, changed}) {
     this.send = send;
     this.changed = changed;
@@ -24,7 +24,7 @@ export class Pilot {
     this.timer = null;
   }
 
-  /** The user changes the view: `how` gives a new one for the one that is. */
+  /** Change the view by user input: `how` maps the current view to a new one. */
   change(how) {
     if (!this.view) return;
     this.glide = null;
@@ -37,7 +37,7 @@ export class Pilot {
     this.schedule();
   }
 
-  /** Go to another view, in a glide where motion is welcome. */
+  /** Move to another view, animated unless reduced motion is preferred. */
   go(view) {
     if (!this.view || calm.matches) {
       this.set(view);
@@ -47,14 +47,14 @@ export class Pilot {
     this.schedule();
   }
 
-  /** Be somewhere else at once, at rest. */
+  /** Jump to another view, at rest. */
   set(view) {
     this.glide = null;
     this.view = view;
     this.rest();
   }
 
-  /** Walk right, up and ahead, each -1 to 1; zeros stop. */
+  /** Walk right, up and forward, each from -1 to 1; zeros stop. */
   walk(going, fast) {
     if (!this.isWalking) this.before = performance.now();
     this.going = going;
@@ -100,7 +100,7 @@ export class Pilot {
     this.apply(walk(this.view, ...this.going.map(part => part * pace)));
   }
 
-  /** Say where the view is, and that it stays. */
+  /** Send the view as resting. */
   rest() {
     clearTimeout(this.timer);
     this.isDirty = false;

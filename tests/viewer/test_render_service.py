@@ -1,4 +1,4 @@
-"""The studio: what a page is told and shown."""
+"""The service: what a page is told and shown."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 import raystream as rs
 from raystream.core.errors import RaystreamError
-from raystream.viewer import Studio, asides
+from raystream.viewer import RenderService, pick_and_screenshot
 from raystream.viewer import tracers as tracers_module
 from raystream.viewer.jobs import Job, Jobs
-from raystream.viewer.pictures import SampledPicture
+from raystream.viewer.progressive_images import SampledImage
 from viewer.pages import TIMEOUT, Page, decode
 
 CAMERA = {
@@ -30,17 +30,17 @@ OTHER = {**CAMERA, "eye": [278.0, 273.0, 100.0]}
 
 
 @pytest.fixture(scope="module")
-def studio() -> Iterator[Studio]:
-    studio = Studio(rs.load("cornell"), "cornell", settings={"samples": 2})
-    yield studio
-    studio.close()
+def service() -> Iterator[RenderService]:
+    service = RenderService(rs.load("cornell"), "cornell", settings={"samples": 2})
+    yield service
+    service.close()
 
 
 @pytest.fixture
-def page(studio: Studio) -> Iterator[Page]:
-    page = Page(studio)
+def page(service: RenderService) -> Iterator[Page]:
+    page = Page(service)
     yield page
-    page.visitor.leave()
+    page.client.leave()
 
 
 def test_a_page_is_told_what_there_is_and_then_shown_it(page: Page) -> None:
@@ -152,16 +152,16 @@ def test_a_screenshot_has_full_size_although_the_camera_moves(page: Page) -> Non
 def test_one_screenshot_is_made_at_a_time(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     page.frame(done=True)
     page.take("pause", paused=True)
-    encode, go_on = asides.encode_png, threading.Event()
+    encode, go_on = pick_and_screenshot.encode_png, threading.Event()
 
     def wait_and_encode(*arguments: Any) -> bytes:
         assert go_on.wait(TIMEOUT)
         return encode(*arguments)
 
-    monkeypatch.setattr(asides, "encode_png", wait_and_encode)
+    monkeypatch.setattr(pick_and_screenshot, "encode_png", wait_and_encode)
     page.take("screenshot", number=1)
     page.take("screenshot", number=2)
-    assert "the one before" in page.message("error", about="screenshot")["message"]
+    assert "the previous one" in page.message("error", about="screenshot")["message"]
     go_on.set()
     page.frame(type="screenshot", number=1)
     page.take("screenshot", number=3)
@@ -178,8 +178,8 @@ def test_a_pixel_is_picked_through_the_camera_last_sent(page: Page) -> None:
     assert told["walk"]["structure"] == "bvh"
 
 
-def test_no_more_than_two_frames_are_under_way(studio: Studio) -> None:
-    page, other = Page(studio, shows=False), Page(studio)
+def test_no_more_than_two_frames_are_under_way(service: RenderService) -> None:
+    page, other = Page(service, shows=False), Page(service)
     page.frame(number=1)
     for number in range(1, 20):
         camera = {**CAMERA, "eye": [278.0, 273.0 + number, -800.0]}
@@ -194,8 +194,8 @@ def test_no_more_than_two_frames_are_under_way(studio: Studio) -> None:
     page.shows = True
     page.take("shown", frame=2)
     page.frame(camera=19)
-    page.visitor.leave()
-    other.visitor.leave()
+    page.client.leave()
+    other.client.leave()
 
 
 def test_a_paused_page_gets_nothing_until_it_goes_on(page: Page) -> None:
@@ -210,8 +210,8 @@ def test_a_paused_page_gets_nothing_until_it_goes_on(page: Page) -> None:
     page.frame(done=True, camera=2)
 
 
-def test_a_long_picture_does_not_keep_others_waiting(studio: Studio) -> None:
-    slow, quick = Page(studio, size=(640, 480)), Page(studio)
+def test_a_long_picture_does_not_keep_others_waiting(service: RenderService) -> None:
+    slow, quick = Page(service, size=(640, 480)), Page(service)
     slow.take("settings", mode="path", samples=4096)
     slow.frame(target_samples=4096)
     for number in range(5):
@@ -219,85 +219,85 @@ def test_a_long_picture_does_not_keep_others_waiting(studio: Studio) -> None:
         quick.take("camera", number=number, moving=False, **(OTHER if number % 2 else CAMERA))
         quick.frame(done=True, camera=number)
     assert not any(frame.header["done"] for frame in slow.frames()[-1:])
-    slow.visitor.leave()
-    quick.visitor.leave()
+    slow.client.leave()
+    quick.client.leave()
 
 
 def test_what_cannot_be_divided_does_not_keep_others_waiting(
-    studio: Studio, monkeypatch: pytest.MonkeyPatch
+    service: RenderService, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trace, began, go_on = SampledPicture._trace, threading.Event(), threading.Event()
+    trace, began, go_on = SampledImage._trace, threading.Event(), threading.Event()
 
-    def block(picture: SampledPicture, *arguments: Any) -> None:
+    def block(picture: SampledImage, *arguments: Any) -> None:
         if picture.width == 40:
             began.set()
             assert go_on.wait(TIMEOUT)
         trace(picture, *arguments)
 
-    monkeypatch.setattr(SampledPicture, "_trace", block)
-    slow, other = Page(studio, size=(40, 30)), Page(studio)
+    monkeypatch.setattr(SampledImage, "_trace", block)
+    slow, other = Page(service, size=(40, 30)), Page(service)
     assert began.wait(TIMEOUT)
     other.frame(done=True)
     other.forget()
     other.take("camera", number=3, moving=False, **OTHER)
     other.frame(done=True, camera=3)
     assert slow.frames() == []
-    other.visitor.leave()
-    slow.visitor.leave()
+    other.client.leave()
+    slow.client.leave()
     go_on.set()
-    other = Page(studio)
+    other = Page(service)
     other.frame(done=True)
-    other.visitor.leave()
+    other.client.leave()
 
 
-def test_nothing_is_sent_to_a_page_that_has_left(studio: Studio) -> None:
-    page = Page(studio)
+def test_nothing_is_sent_to_a_page_that_has_left(service: RenderService) -> None:
+    page = Page(service)
     page.frame(done=True)
-    page.visitor.leave()
-    page.visitor.leave()
+    page.client.leave()
+    page.client.leave()
     page.forget()
     page.take("camera", number=8, moving=False, **CAMERA)
-    other = Page(studio)
+    other = Page(service)
     other.frame(done=True)
-    other.visitor.leave()
+    other.client.leave()
     assert page.received == []
 
 
-def test_a_page_that_cannot_be_reached_has_left(studio: Studio) -> None:
+def test_a_page_that_cannot_be_reached_has_left(service: RenderService) -> None:
     def send(message: Any) -> None:
         raise ConnectionError
 
-    visitor = studio.join(send)
-    assert visitor.has_left
-    assert visitor not in studio._worker.customers
+    client = service.join(send)
+    assert client.has_left
+    assert client not in service._worker.tasks
 
 
 def test_an_error_in_a_picture_is_told_and_others_go_on(
-    studio: Studio, monkeypatch: pytest.MonkeyPatch
+    service: RenderService, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trace = SampledPicture._trace
+    trace = SampledImage._trace
 
-    def fail(picture: SampledPicture, *arguments: Any) -> None:
+    def fail(picture: SampledImage, *arguments: Any) -> None:
         if picture.width == 40:
             raise MemoryError("too large")
         trace(picture, *arguments)
 
-    monkeypatch.setattr(SampledPicture, "_trace", fail)
-    page, other = Page(studio, size=(40, 30)), Page(studio)
+    monkeypatch.setattr(SampledImage, "_trace", fail)
+    page, other = Page(service, size=(40, 30)), Page(service)
     assert page.message("error")["message"] == "out of memory: too large"
     page.take("screenshot", number=1)
     assert page.message("error", about="screenshot")
     other.frame(done=True)
     page.take("size", width=32, height=24)
     page.frame(done=True)
-    page.visitor.leave()
-    other.visitor.leave()
+    page.client.leave()
+    other.client.leave()
 
 
 def test_who_leaves_breaks_off_what_is_built_for_them(
-    studio: Studio, monkeypatch: pytest.MonkeyPatch
+    service: RenderService, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page, began, ended = Page(studio), threading.Event(), threading.Event()
+    page, began, ended = Page(service), threading.Event(), threading.Event()
     page.frame(done=True)
 
     def build(*_: Any, progress: Any, **__: Any) -> None:
@@ -313,7 +313,7 @@ def test_who_leaves_breaks_off_what_is_built_for_them(
     page.take("settings", structure="kdtree", traversal="short-stack")
     assert began.wait(TIMEOUT)
     assert page.message("progress", done=0.5)["what"] == "building kdtree"
-    page.visitor.leave()
+    page.client.leave()
     assert ended.wait(TIMEOUT)
 
 
@@ -326,7 +326,7 @@ def test_jobs_that_wait_end_when_nobody_wants_them() -> None:
     for job in waiting:
         jobs.start(job, done.append, done.append)
     for job in waiting:
-        job.break_off()
+        job.cancel()
     threads = [jobs._running.get(job) for job in waiting]
     for thread in threads:
         if thread is not None:
@@ -345,7 +345,7 @@ def test_a_model_of_ones_own_and_the_way_home(page: Page, tmp_path: Path) -> Non
     path = tmp_path / "square.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n", encoding="utf-8")
     page.forget()
-    page.visitor.open(path, "my square")
+    page.client.open(path, "my square")
     told = page.message("scene")
     assert (told["name"], told["triangles"], told["own"]) == ("my square", 2, True)
     page.frame(done=True)
@@ -360,7 +360,7 @@ def test_a_damaged_model_is_told_and_nothing_changes(page: Page, tmp_path: Path)
     path = tmp_path / "broken.ply"
     path.write_bytes(b"ply\nnonsense\n")
     page.forget()
-    page.visitor.open(path, "broken")
+    page.client.open(path, "broken")
     assert "broken.ply" in page.message("error", about="open")["message"]
     page.take("camera", number=2, moving=False, **OTHER)
     page.frame(done=True, camera=2)
@@ -397,7 +397,7 @@ def test_a_damaged_model_is_told_and_nothing_changes(page: Page, tmp_path: Path)
     ],
 )
 def test_what_cannot_be_used_is_said(page: Page, message: Any, fault: str) -> None:
-    page.visitor.take(message)
+    page.client.handle(message)
     told = page.message("error")
     assert fault in told["message"]
     about = message.get("type") if isinstance(message, dict) else None
@@ -418,25 +418,25 @@ FIELDS = ("number", "eye", "look_at", "up", "fov", "moving", "width", "height", 
 )
 @given(st.sampled_from(KINDS), st.dictionaries(st.sampled_from(FIELDS), JSON, max_size=8))
 def test_no_message_does_harm(page: Page, kind: str, fields: dict[str, Any]) -> None:
-    page.visitor.take({"type": kind, **fields})
+    page.client.handle({"type": kind, **fields})
 
 
 def test_a_studio_begins_as_it_is_told() -> None:
     scene = rs.load("cornell")
     with pytest.raises(ValueError, match="mode: expected one of"):
-        Studio(scene, "cornell", settings={"mode": "?"})
+        RenderService(scene, "cornell", settings={"mode": "?"})
     with pytest.raises(TypeError, match="expected a Scene or a Tracer, got str"):
-        Studio("cornell", "cornell")  # type: ignore[arg-type]
+        RenderService("cornell", "cornell")  # type: ignore[arg-type]
     tracer = rs.Tracer(scene, "grid", resolution=3)
-    studio = Studio(tracer, "cornell", settings={"mode": "vis", "samples": 1})
-    page = Page(studio)
+    service = RenderService(tracer, "cornell", settings={"mode": "vis", "samples": 1})
+    page = Page(service)
     page.frame(done=True)
     told = page.message("settings")
     assert (told["structure"], told["mode"], told["samples"]) == ("grid", "vis", 1)
     assert page.message("structure")["bytes"] == tracer.structure.report.byte_count
-    studio.close()
-    studio.close()
+    service.close()
+    service.close()
     assert page.message("closing")
-    assert page.visitor.has_left
+    assert page.client.has_left
     with pytest.raises(RuntimeError, match="closed"):
-        studio.join(lambda _: None)
+        service.join(lambda _: None)

@@ -1,4 +1,4 @@
-"""Outbox: from the threads that render to a client, bounded."""
+"""SendQueue: a bounded queue from the rendering threads to a client."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from collections import deque
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from raystream.viewer.server.messages import pack
+from raystream.viewer.server.protocol import pack
 
 if TYPE_CHECKING:
     from raystream.viewer.messages import Frame
 
-__all__ = ["Outbox"]
+__all__ = ["SendQueue"]
 
-#: What may wait for a client that reads slowly; whoever lets more pile up is dropped. A
-#: screenshot of the largest size is the longest message.
+#: Maximum backlog of a client that reads slowly; beyond it the connection is dropped. The largest
+#: message is a screenshot of maximum size.
 MAX_WAITING_BYTES = 64 << 20
 MAX_WAITING_MESSAGES = 1024
 
 
-class Outbox:
-    """Messages on their way to one client.
+class SendQueue:
+    """A queue of outgoing messages to one client.
 
-    Any thread puts messages in, and never waits; the event loop takes them out.
+    Any thread adds messages without blocking; the event loop removes them.
 
     Parameters
     ----------
     loop : asyncio.AbstractEventLoop
-        The one that takes them out.
+        The event loop that removes them.
     greeting : mapping
-        What to add to the message ``"hello"``: the engine does not know it. Its value for
-        ``"limits"`` is added to the message's own.
+        Fields added by the server to the message ``"hello"``. Its ``"limits"`` are merged
+        with those of the message.
 
     Attributes
     ----------
     error_count : int
-        Answers so far that blame a message of the client.
+        Number of errors so far that blame a message of the client.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, greeting: Mapping[str, Any]) -> None:
@@ -46,14 +46,14 @@ class Outbox:
         self._loop = loop
         self._greeting = greeting
         self._filled = asyncio.Event()
-        self._too_full = asyncio.Event()
+        self._overflow = asyncio.Event()
         self._lock = threading.Lock()
         self._waiting: deque[str | bytes] = deque()
         self._byte_count = 0
         self._is_closed = False
 
     def put(self, message: dict[str, Any] | Frame) -> None:
-        """Add a message; after the end, and once too much waits, it goes nowhere."""
+        """Add a message; dropped once the queue is closed or over its limit."""
         if isinstance(message, dict):
             if message.get("type") == "hello":
                 limits = {**message.get("limits", {}), **self._greeting["limits"]}
@@ -68,11 +68,11 @@ class Outbox:
             self._byte_count += len(packed)
             if self._byte_count > MAX_WAITING_BYTES or len(self._waiting) > MAX_WAITING_MESSAGES:
                 self._end()
-                self._set(self._too_full)
+                self._set(self._overflow)
         self._set(self._filled)
 
     async def take(self) -> str | bytes | None:
-        """Wait for the next message; None once the outbox is closed."""
+        """Wait for the next message; None once the queue is closed."""
         while True:
             with self._lock:
                 if self._waiting:
@@ -85,31 +85,31 @@ class Outbox:
             await self._filled.wait()
 
     def finish(self, message: dict[str, Any]) -> None:
-        """Add the last message; what waits before it still goes out."""
+        """Add the last message; messages before it are still sent."""
         self.put(message)
         with self._lock:
             self._is_closed = True
         self._set(self._filled)
 
     def close(self) -> None:
-        """Drop what waits, and take nothing more."""
+        """Discard waiting messages, and accept no more."""
         with self._lock:
             self._end()
         self._set(self._filled)
 
-    async def run_over(self) -> None:
-        """Wait until too much waits.
+    async def wait_for_overflow(self) -> None:
+        """Wait until the limit is exceeded.
 
         Raises
         ------
         TimeoutError
-            Then: the client reads too slowly.
+            When it is: the client reads too slowly.
         """
-        await self._too_full.wait()
+        await self._overflow.wait()
         raise TimeoutError("the client reads too slowly")
 
     def _set(self, event: asyncio.Event) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has ended before the engine
+        with contextlib.suppress(RuntimeError):  # the loop has stopped before the engine
             self._loop.call_soon_threadsafe(event.set)
 
     def _end(self) -> None:

@@ -1,27 +1,26 @@
-"""Pace: how fast one client is listened to."""
+"""RateLimiter: limits how fast one client may send."""
 
 from __future__ import annotations
 
 import asyncio
 import time
 
-__all__ = ["Pace"]
+__all__ = ["RateLimiter"]
 
-#: Messages a second in the long run, and at once after a rest. A page that follows a mouse
-#: sends some hundred.
+#: Sustained messages per second, and burst size. A page that follows a mouse sends a few hundred.
 RATE = 400.0
 BURST = 800.0
 
 
-class Pace:
-    """Slows down a client that sends too fast; what it sends waits in its own computer."""
+class RateLimiter:
+    """Throttles a client that sends too fast, by reading from it later."""
 
     def __init__(self) -> None:
         self._left = BURST
         self._last = time.monotonic()
 
     async def wait(self) -> None:
-        """Count a message, and wait if there were too many of late."""
+        """Count a message, and wait if the rate is exceeded."""
         now = time.monotonic()
         self._left = min(BURST, self._left + (now - self._last) * RATE) - 1.0
         self._last = now

@@ -1,4 +1,4 @@
-"""Messages: what a client may send, and how what it is sent becomes bytes."""
+"""Protocol: parsing of a client's messages, and serialization of outgoing ones."""
 
 from __future__ import annotations
 
@@ -14,75 +14,75 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MAX_MESSAGE_BYTES",
-    "MalformedError",
-    "UnusableError",
+    "InvalidMessageError",
+    "NotJsonError",
     "pack",
     "parse_message",
 ]
 
-#: A longer message ends the connection before it is read.
+#: Longer messages close the connection before they are read.
 MAX_MESSAGE_BYTES = 1 << 16
 
-#: How deep objects and lists may lie in each other: no message needs more than three.
+#: Maximum nesting of objects and lists; messages need three at most.
 MAX_DEPTH = 8
 
-#: Whole numbers of more digits are beyond what a field could mean.
+#: Maximum digits of integers; no field needs more.
 MAX_DIGITS = 15
 
 
-class MalformedError(Exception):
-    """Not JSON at all: the connection ends."""
+class NotJsonError(Exception):
+    """The text is not JSON: the connection is closed."""
 
 
-class UnusableError(Exception):
-    """JSON, but no message: the client is told so, in one line."""
+class InvalidMessageError(Exception):
+    """The text is JSON but not a valid message: the client receives a one-line error."""
 
 
 def parse_message(text: str) -> dict[str, Any]:
-    """Read a message of a client.
+    """Parse a message of a client.
 
     Parameters
     ----------
     text : str
-        As it came.
+        As received.
 
     Returns
     -------
     dict
-        With a ``"type"`` that is text. Its numbers are finite and its integers short; nothing
-        else is checked.
+        With a ``"type"`` that is a string. Its numbers are finite and its integers short;
+        nothing else is checked.
 
     Raises
     ------
-    MalformedError
+    NotJsonError
         If the text is not JSON; ``NaN`` and ``Infinity`` are not.
-    UnusableError
-        If it is, but not an object with a type, or out of all proportion.
+    InvalidMessageError
+        If it is JSON, but not an object with a type, or exceeds a limit.
     """
     try:
         message = json.loads(
             text, parse_int=_integer, parse_float=_finite, parse_constant=_no_constant
         )
     except (ValueError, RecursionError):
-        raise MalformedError("expected JSON") from None
+        raise NotJsonError("expected JSON") from None
     if not isinstance(message, dict):
-        raise UnusableError("expected a JSON object")
+        raise InvalidMessageError("expected a JSON object")
     _require_shallow(message)
     if not isinstance(message.get("type"), str):
-        raise UnusableError("type: expected text")
+        raise InvalidMessageError("type: expected a string")
     return message
 
 
 def _integer(digits: str) -> int:
     if len(digits) > MAX_DIGITS:
-        raise UnusableError(f"expected integers of at most {MAX_DIGITS} digits")
+        raise InvalidMessageError(f"expected integers of at most {MAX_DIGITS} digits")
     return int(digits)
 
 
 def _finite(digits: str) -> float:
     number = float(digits)
     if not math.isfinite(number):
-        raise UnusableError("expected finite numbers")
+        raise InvalidMessageError("expected finite numbers")
     return number
 
 
@@ -99,21 +99,21 @@ def _require_shallow(message: dict[str, Any]) -> None:
         level = [value for value in children if isinstance(value, dict | list)]
         if not level:
             return
-    raise UnusableError(f"expected at most {MAX_DEPTH} levels of objects and lists")
+    raise InvalidMessageError(f"expected at most {MAX_DEPTH} levels of objects and lists")
 
 
 def pack(message: dict[str, Any] | Frame) -> str | bytes:
-    """Make what goes over the wire: JSON of a message, or a frame's header and content.
+    """Serialize a message as JSON, or a frame as its header and content.
 
     Parameters
     ----------
     message : dict or Frame
-        Numbers that JSON does not have become null; NumPy's scalars and arrays are taken, too.
+        NaN and infinities become null; NumPy scalars and arrays are accepted.
 
     Returns
     -------
     str or bytes
-        Text for a message. For a frame the header's length (uint32, little-endian), the
+        Text for a message. For a frame, the header's length (uint32, little-endian), the
         header as JSON, and the content.
     """
     if isinstance(message, dict):
@@ -131,7 +131,7 @@ def _json(value: dict[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """What a value of NumPy is in Python."""
+    """Convert a NumPy value to Python."""
     if isinstance(value, np.generic | np.ndarray):
         return _without_nan(value.tolist())
     raise TypeError(f"{type(value).__name__} has no JSON")

@@ -12,20 +12,20 @@ import raystream as rs
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.sampled import make_setting
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.viewer.heat import HeatPicture, ramp
-from raystream.viewer.pacing import Cost
-from raystream.viewer.pictures import (
-    BrokenOffError,
+from raystream.viewer.adaptive_resolution import Cost
+from raystream.viewer.heatmap_image import HeatmapImage, ramp
+from raystream.viewer.progressive_images import (
     Drawing,
-    Picture,
-    SampledPicture,
+    ProgressiveImage,
+    SampledImage,
+    WorkCancelledError,
     centered,
-    spread,
+    with_samples,
 )
-from raystream.viewer.settings import Look
+from raystream.viewer.settings import DisplaySettings
 
 SIZE = 32, 24
-LOOK = Look(1.0, "linear", None)
+LOOK = DisplaySettings(1.0, "linear", None)
 
 
 def always() -> bool:
@@ -56,7 +56,7 @@ def test_the_last_picture_is_the_one_that_render_makes(scene, setting, mode):
     renderer = RENDERERS[mode]
     setting = replace(setting, options=renderer.check(renderer.options))
     for samples in (1, 3):
-        picture = SampledPicture(renderer, spread(setting, samples), Cost())
+        picture = SampledImage(renderer, with_samples(setting, samples), Cost())
         finish(picture)
         shown = picture.draw(LOOK)().pixels
         expected = rs.render(scene, mode, SIZE, samples).pixels
@@ -66,8 +66,8 @@ def test_the_last_picture_is_the_one_that_render_makes(scene, setting, mode):
 
 def test_slices_of_a_row_give_the_same_bits(scene, setting):
     cost = Cost()
-    cost.note(1, 1e9)  # as if each pixel took for ever
-    picture = SampledPicture(RENDERERS["raycast"], spread(setting, 2), cost)
+    cost.record(1, 1e9)  # as if each pixel took for ever
+    picture = SampledImage(RENDERERS["raycast"], with_samples(setting, 2), cost)
     assert picture.advance(0.1, always) is False
     assert finish(picture, 1e-9) > 20
     expected = rs.render(scene, "raycast", SIZE, 2).pixels
@@ -75,7 +75,7 @@ def test_slices_of_a_row_give_the_same_bits(scene, setting):
 
 
 def test_one_sample_goes_through_the_centres(scene, setting):
-    picture = SampledPicture(RENDERERS["raycast"], centered(spread(setting, 9)), Cost())
+    picture = SampledImage(RENDERERS["raycast"], centered(with_samples(setting, 9)), Cost())
     finish(picture)
     assert picture.draw(LOOK)().pixels.tobytes() == rs.render(scene, size=SIZE).pixels.tobytes()
     assert picture.noise() is None
@@ -85,8 +85,8 @@ def test_one_sample_goes_through_the_centres(scene, setting):
 def test_a_heat_map_is_the_one_that_heatmap_makes(scene, setting, what):
     tracer = rs.Tracer(scene, "grid", counters=True)
     cost = Cost()
-    cost.note(SIZE[0], 1.0)
-    picture = HeatPicture(centered(replace(setting, tracer=tracer)), what, cost)
+    cost.record(SIZE[0], 1.0)
+    picture = HeatmapImage(centered(replace(setting, tracer=tracer)), what, cost)
     assert finish(picture, 5.0) > 1
     expected = rs.heatmap(tracer, what, SIZE)
     whole = picture.draw_whole(LOOK)().pixels
@@ -105,7 +105,7 @@ def test_the_ramp_goes_from_black_to_nearly_white():
     assert len(set(ramp())) == len(ramp())
 
 
-class _Slow(Picture):
+class _Slow(ProgressiveImage):
     """Takes a time of its own for each row, and says how far it is."""
 
     def __init__(self, row_seconds, cost):
@@ -122,13 +122,13 @@ class _Slow(Picture):
             progress(done, len(rows))
         self.traced += rows
 
-    def draw(self, look):
-        return lambda: Drawing(np.zeros((self.height, self.width, 3), np.float32), look)
+    def draw(self, display):
+        return lambda: Drawing(np.zeros((self.height, self.width, 3), np.float32), display)
 
 
 def test_a_slice_that_takes_too_long_is_tried_with_fewer_rows():
     cost = Cost()
-    cost.note(1000, 1e-6)  # far too good
+    cost.record(1000, 1e-6)  # far too good
     picture = _Slow(0.002, cost)
     assert picture.advance(0.004, always) is False
     assert picture.traced == []
@@ -141,7 +141,7 @@ def test_a_slice_that_takes_too_long_is_tried_with_fewer_rows():
 
 def test_work_that_nobody_wants_ends():
     cost = Cost()
-    cost.note(1000, 1e-6)
+    cost.record(1000, 1e-6)
     asked = []
 
     def is_wanted():
@@ -149,7 +149,7 @@ def test_work_that_nobody_wants_ends():
         return len(asked) < 3
 
     picture = _Slow(0.0005, cost)
-    with pytest.raises(BrokenOffError):
+    with pytest.raises(WorkCancelledError):
         picture.advance(1.0, is_wanted)
     assert len(asked) == 3
     assert picture.traced == []

@@ -21,15 +21,15 @@ need("starlette", "uvicorn", "websockets")
 from websockets.exceptions import ConnectionClosed
 
 from raystream.viewer.messages import Frame
-from raystream.viewer.server import outbox, transport
-from raystream.viewer.server.messages import (
+from raystream.viewer.server import send_queue, transport
+from raystream.viewer.server.connections import MAX_CONNECTIONS
+from raystream.viewer.server.protocol import (
     MAX_MESSAGE_BYTES,
-    MalformedError,
-    UnusableError,
+    InvalidMessageError,
+    NotJsonError,
     pack,
     parse_message,
 )
-from raystream.viewer.server.visits import MAX_VISITS
 from viewer_home import wait_until
 
 CAMERA = json.dumps({"type": "camera", "number": 1})
@@ -90,7 +90,7 @@ def test_what_is_not_json_ends_the_connection(home, text):
     client = home.connect()
     client.send(text)
     assert closing_code(client) == 1007
-    assert home.studio.visitors[0].taken == []
+    assert home.service.clients[0].taken == []
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_many_bad_messages_in_a_row_end_the_connection(home):
     client = home.connect()
     for _ in range(50):
         client.send('{"type": "nonsense"}')
-    client.send(CAMERA)  # a good one between: the count starts anew
+    client.send(CAMERA)  # a good one between: the count starts again
     for _ in range(50):
         client.send("[]")
     assert read_until(client, "echo")
@@ -171,7 +171,7 @@ def test_client_that_sends_fast_is_listened_to_slowly(home):
     patient.send(CAMERA)
     read_until(patient, "echo")
     assert time.monotonic() - started < 5.0
-    assert len(home.studio.visitors[1].taken) < 5000
+    assert len(home.service.clients[1].taken) < 5000
     hasty.socket.shutdown(socket.SHUT_RDWR)
     reader.join()
 
@@ -191,7 +191,7 @@ json_values = st.recursive(
 def test_any_text_is_a_message_or_refused(text):
     try:
         message = parse_message(text)
-    except (MalformedError, UnusableError):
+    except (NotJsonError, InvalidMessageError):
         return
     assert isinstance(message["type"], str)
     json.dumps(message, allow_nan=False)
@@ -223,7 +223,7 @@ def test_fifty_clients_at_once(home):
         comer.start()
     for comer in comers:
         comer.join(30)
-    assert (len(clients), len(refused)) == (MAX_VISITS, 50 - MAX_VISITS)
+    assert (len(clients), len(refused)) == (MAX_CONNECTIONS, 50 - MAX_CONNECTIONS)
     for client in refused:
         assert client.hello["type"] == "closing"
         assert "too many" in client.hello["reason"]
@@ -232,9 +232,9 @@ def test_fifty_clients_at_once(home):
         client.send(CAMERA)
     for client in clients:
         assert read_until(client, "echo")
-    assert len(home.studio.present) == MAX_VISITS
+    assert len(home.service.present) == MAX_CONNECTIONS
     clients[0].close()
-    wait_until(lambda: len(home.studio.present) == MAX_VISITS - 1)
+    wait_until(lambda: len(home.service.present) == MAX_CONNECTIONS - 1)
     assert home.connect().hello["type"] == "hello"  # its place is free
 
 
@@ -246,18 +246,18 @@ def test_clients_that_vanish_in_the_middle_of_frames_are_let_go(home):
         client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         client.socket.shutdown(socket.SHUT_RDWR)
         client.socket.close()
-    wait_until(lambda: not home.studio.present)
-    wait_until(lambda: home.server.visit_count == 0)
-    for visitor in home.studio.visitors:
-        visitor.thread.join(5)
-        assert not visitor.thread.is_alive()
+    wait_until(lambda: not home.service.present)
+    wait_until(lambda: home.server.connection_count == 0)
+    for joined in home.service.clients:
+        joined.thread.join(5)
+        assert not joined.thread.is_alive()
 
 
 def test_client_that_stops_in_the_middle_of_a_message_is_let_go(home):
     client = home.connect()
     client.socket.sendall(b"\x81\xfe\xff\xff\0\0\0\0{")  # promises 65,535 bytes
     client.socket.shutdown(socket.SHUT_WR)
-    wait_until(lambda: not home.studio.present)
+    wait_until(lambda: not home.service.present)
 
 
 def begin_websocket(home, raw):
@@ -276,13 +276,13 @@ def deaf(home):
         raw.settimeout(10)
         raw.connect(("127.0.0.1", home.port))
         begin_websocket(home, raw)
-        wait_until(lambda: home.studio.present)
+        wait_until(lambda: home.service.present)
         yield raw
 
 
 def is_rid_of_all(home):
     connections = home.server._server.server_state.connections
-    return not home.studio.present and home.server.visit_count == 0 and not connections
+    return not home.service.present and home.server.connection_count == 0 and not connections
 
 
 @pytest.mark.parametrize("limit", ["of time", "of what waits"])
@@ -290,15 +290,15 @@ def test_client_that_reads_nothing_is_dropped(home, deaf, monkeypatch, limit):
     if limit == "of time":
         monkeypatch.setattr(transport, "READ_TIMEOUT", 0.3)
     else:
-        monkeypatch.setattr(outbox, "MAX_WAITING_BYTES", 4 << 20)
+        monkeypatch.setattr(send_queue, "MAX_WAITING_BYTES", 4 << 20)
     message = json.dumps({"type": "stream", "bytes": 200_000}).encode()
     deaf.sendall(bytes([0x81, 0x80 | len(message)]) + bytes(4) + message)
-    wait_until(lambda: home.studio.visitors[0].taken)
+    wait_until(lambda: home.service.clients[0].taken)
     wait_until(lambda: is_rid_of_all(home))
 
 
 def test_pings_are_not_answered_without_end(home, deaf, monkeypatch):
-    """Answers that nobody reads are not kept: who does not read is not read either."""
+    """Unread answers are dropped: a client that does not read is not read from either."""
     monkeypatch.setattr(transport, "READ_TIMEOUT", 0.3)
     pings = (bytes([0x89, 0x80 | 125]) + bytes(4 + 125)) * 500
     sent = 0
@@ -316,7 +316,7 @@ def test_client_that_answers_no_pings_is_let_go(make_home):
     config.ws_ping_interval = config.ws_ping_timeout = 0.1
     with home.open_socket() as raw:
         begin_websocket(home, raw)
-        wait_until(lambda: home.studio.visitors)
+        wait_until(lambda: home.service.clients)
         wait_until(lambda: is_rid_of_all(home))
 
 
@@ -329,8 +329,8 @@ def test_end_of_the_server_is_said(make_home):
     home.server.close()
     assert time.monotonic() - started < 3.0
     for client in clients:
-        assert read_until(client, "closing")["reason"] == "the viewer has ended"
+        assert read_until(client, "closing")["reason"] == "the viewer was stopped"
         assert closing_code(client) == 1001
-    assert home.studio.present == []
+    assert home.service.present == []
     with pytest.raises(OSError, match="refused"):
         home.open_socket()

@@ -1,4 +1,4 @@
-"""A studio without an engine: it keeps what it is told, and sends what a test wants."""
+"""A service without an engine: it keeps what it is told, and sends what a test wants."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import threading
 from raystream.viewer.messages import Frame
 
 
-class FakeStudio:
+class FakeService:
     def __init__(self):
-        self.visitors = []
+        self.clients = []
         self.is_closed = False
 
     @property
     def present(self):
-        return [visitor for visitor in self.visitors if not visitor.has_left]
+        return [joined for joined in self.clients if not joined.has_left]
 
     def join(self, send):
-        visitor = FakeVisitor(send)
-        self.visitors.append(visitor)
+        joined = FakeClient(send)
+        self.clients.append(joined)
         send({"type": "hello", "version": "0", "limits": {"samples": 64}})
         send({"type": "scene", "name": "fake"})
         send(Frame({"type": "frame", "number": 0}, b"picture"))
-        return visitor
+        return joined
 
     def close(self):
         self.is_closed = True
 
 
-class FakeVisitor:
+class FakeClient:
     """Echoes messages; of unknown types it says so, and "stream" makes it send for ever."""
 
     def __init__(self, send):
@@ -42,7 +42,7 @@ class FakeVisitor:
     def has_left(self):
         return self.left.is_set()
 
-    def take(self, message):
+    def handle(self, message):
         self.taken.append(message)
         if message["type"] == "stream":
             self.thread = threading.Thread(target=self.stream, args=(message["bytes"],))

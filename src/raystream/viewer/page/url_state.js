@@ -1,5 +1,5 @@
-// The view and what was chosen, in the fragment of the page's address: a reload or a bookmark
-// brings them back.
+// Stores the view and the settings in the fragment of the page's URL, so that a reload or a
+// bookmark restores them.
 
 import {isPoint} from "./vector.js";
 
@@ -12,7 +12,7 @@ const PROJECTIONS = ["perspective", "orthographic", "equirectangular"];
 
 const short = n => String(Number(n.toPrecision(7)));
 
-/** The fragment that says a scene's name, a camera, settings and the picture's size. */
+/** Make a fragment from a scene's name, a camera, settings and the image size. */
 export function write({scene, camera, settings, size}) {
   const said = new URLSearchParams();
   if (scene) said.set("scene", scene);
@@ -30,7 +30,7 @@ export function write({scene, camera, settings, size}) {
   return "#" + said.toString().replaceAll("%2C", ",");
 }
 
-/** What a fragment says; parts that make no sense are left out. */
+/** Parse a fragment; invalid parts are ignored. */
 export function read(fragment) {
   const said = new URLSearchParams(fragment.replace(/^#/, ""));
   const settings = {};

@@ -1,4 +1,4 @@
-"""Heat maps in the making."""
+"""Progressive heat maps."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from raystream.rendering.color import encode_srgb
 from raystream.rendering.false_colors import color_ramp, draw_counts
 from raystream.rendering.heatmap import Heatmap, RayCost
 from raystream.rendering.sampled import Setting, eye_paths
+from raystream.viewer.adaptive_resolution import Cost
 from raystream.viewer.messages import Message
-from raystream.viewer.pacing import Cost
-from raystream.viewer.pictures import Drawing, Picture
-from raystream.viewer.settings import Look
+from raystream.viewer.progressive_images import Drawing, ProgressiveImage
+from raystream.viewer.settings import DisplaySettings
 
-__all__ = ["HeatPicture", "ramp"]
+__all__ = ["HeatmapImage", "ramp"]
 
-#: Rays that are traced at a time: bounds memory at about 40 MB.
+#: Rays traced at a time: limits memory to about 40 MB.
 _RAYS_AT_ONCE = 1 << 18
 
-#: Colours of the ramp that pages are told.
+#: Number of ramp colours sent to pages.
 _RAMP_LENGTH = 33
 
 
-class HeatPicture(Picture):
-    """What the first hit of each pixel's ray costs.
+class HeatmapImage(ProgressiveImage):
+    """A heat map of the cost of each pixel's first hit.
 
     Parameters
     ----------
     setting : Setting
-        Of a tracer that counts, with one sample of each pixel.
+        Of a tracer with counters, with one sample per pixel.
     what : str
         A name in `HEATMAPS`.
     cost : Cost
@@ -62,31 +62,31 @@ class HeatPicture(Picture):
         for name, total in counters.total.items():
             self._totals[name] += total
 
-    def draw(self, look: Look) -> Callable[[], Drawing]:
-        """See `Picture.draw`."""
+    def draw(self, display: DisplaySettings) -> Callable[[], Drawing]:
+        """See `ProgressiveImage.draw`."""
 
         def draw() -> Drawing:
-            drawn = draw_counts(self._counts, "", look.maximum)
-            return Drawing(np.ascontiguousarray(drawn[: self.height]), _plain(look))
+            drawn = draw_counts(self._counts, "", display.maximum)
+            return Drawing(np.ascontiguousarray(drawn[: self.height]), _plain(display))
 
         return draw
 
-    def draw_whole(self, look: Look) -> Callable[[], Drawing]:
-        """See `Picture.draw_whole`; the scale adds to the height."""
+    def draw_whole(self, display: DisplaySettings) -> Callable[[], Drawing]:
+        """See `ProgressiveImage.draw_whole`; the scale adds to the height."""
         heat = Heatmap(
             self._what,
             self._counts,
             {self._what: RayCost(self._total / self._counts.size, self._most, self._total)},
             self._setting.tracer.structure.name,
             None,
-            look.maximum,
+            display.maximum,
         )
-        return lambda: Drawing(heat.image.pixels, _plain(look))
+        return lambda: Drawing(heat.image.pixels, _plain(display))
 
-    def facts(self, look: Look) -> Message:
-        """See `Picture.facts`."""
+    def facts(self, display: DisplaySettings) -> Message:
+        """See `ProgressiveImage.facts`."""
         rays = self._counts.size
-        top = look.maximum or float(self._counts.max()) or 1.0
+        top = display.maximum or float(self._counts.max()) or 1.0
         return {
             "counters": {name: round(total / rays, 4) for name, total in self._totals.items()},
             "legend": {
@@ -98,13 +98,13 @@ class HeatPicture(Picture):
         }
 
 
-def _plain(look: Look) -> Look:
-    """False colours are shown as they are."""
-    return look._replace(exposure=1.0, tone="linear")
+def _plain(display: DisplaySettings) -> DisplaySettings:
+    """Replace exposure and tone: false colours are shown unchanged."""
+    return display._replace(exposure=1.0, tone="linear")
 
 
 @cache
 def ramp() -> list[str]:
-    """Colours of the scale, from 0 to its top, as web pages name them."""
+    """Return the colours of the scale, from 0 to its top, as CSS colours."""
     colors: NDArray[np.uint8] = encode_srgb(color_ramp(_RAMP_LENGTH))
     return [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in colors.tolist()]

@@ -1,4 +1,4 @@
-"""Pages: the viewer's own files, a list that is fixed when the server starts."""
+"""Page files: the viewer's static files, listed once when the server starts."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 __all__ = ["INDEX", "PageFile", "read_page_files"]
 
-#: The page itself; the others are what it asks for.
+#: The page itself; it references the other files.
 INDEX = "index.html"
 
-#: Files with other suffixes are not part of the page.
+#: Media types; files with other suffixes are not served.
 MEDIA_TYPES = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
@@ -25,14 +25,14 @@ MEDIA_TYPES = {
 
 
 class PageFile(NamedTuple):
-    """A file of the page, as it is served."""
+    """A static file of the page."""
 
     content: bytes
     media_type: str
 
 
 def read_page_files() -> Mapping[str, PageFile]:
-    """Read the page's files, by name: all that the server will ever serve of the disk."""
+    """Read the page's files, by name; the server reads nothing else from disk."""
     folder = files("raystream.viewer").joinpath("page")
     found = {}
     for file in sorted(folder.iterdir(), key=lambda one: one.name):

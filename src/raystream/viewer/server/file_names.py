@@ -1,4 +1,4 @@
-"""Names: what an uploaded file may be called."""
+"""File names: validation of the names of uploaded files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from raystream.scene.io.formats import SUFFIXES
 
 __all__ = ["is_upload_id", "model_suffixes", "safe_name"]
 
-#: What a model may consist of besides models: materials, buffers and pictures.
+#: Suffixes of files that accompany models: materials, buffers and textures.
 PART_SUFFIXES = (
     ".mtl",
     ".bin",
@@ -29,11 +29,11 @@ PART_SUFFIXES = (
 
 MAX_NAME_BYTES = 200
 
-#: Separators, what some file systems give a meaning of its own, and what stands for bytes that
-#: are no text.
+#: Separators, characters with a special meaning in some file systems, and the replacement
+#: character for undecodable bytes.
 _FORBIDDEN = re.compile('[/\\\\:*?"<>|\ufffd]')
 
-#: Devices of Windows, whatever suffix follows.
+#: Windows device names, with any suffix.
 _RESERVED = re.compile(
     r"(?:con|prn|aux|nul|com\d|lpt\d|conin\$|conout\$)\s*(?:\.|$)", re.IGNORECASE
 )
@@ -42,52 +42,50 @@ _UPLOAD_ID = re.compile(r"[a-z0-9]{16,32}")
 
 
 def is_upload_id(text: object) -> bool:
-    """Whether this can be the name of an upload: 16 to 32 small letters and digits."""
+    """Whether this is a valid upload id: 16 to 32 lower-case letters and digits."""
     return isinstance(text, str) and _UPLOAD_ID.fullmatch(text) is not None
 
 
 def model_suffixes() -> tuple[str, ...]:
-    """The suffixes of files that can be opened, with and without ``.gz``."""
+    """Return the suffixes of models, with and without ``.gz``."""
     return (*SUFFIXES, *(f"{suffix}.gz" for suffix in SUFFIXES))
 
 
 def safe_name(name: object) -> str:
-    """Check the name of an uploaded file.
+    """Validate the name of an uploaded file.
 
     Parameters
     ----------
     name : object
-        As the client gave it.
+        As received from the client.
 
     Returns
     -------
     str
-        One component of a path, composed (NFC) as most models write it.
+        A single path component, in NFC like most references in models.
 
     Raises
     ------
     ValueError
-        If it could mean another place or another thing than a file of a model.
+        If it could refer to another folder, or is not a file of a model.
     """
     if not isinstance(name, str) or not name:
-        raise ValueError("name: expected text")
+        raise ValueError("name: expected a string")
     name = unicodedata.normalize("NFC", name)
     try:
         length = len(name.encode())
     except UnicodeEncodeError:
-        raise ValueError("name: expected text that can be encoded") from None
+        raise ValueError("name: expected a string that can be encoded") from None
     if length > MAX_NAME_BYTES:
         raise ValueError(f"name: expected at most {MAX_NAME_BYTES} bytes, got {length:,}")
     if _FORBIDDEN.search(name) or not name.isprintable():
-        raise ValueError("name: expected the name of a file, without folders or signs of a path")
+        raise ValueError("name: expected a file name without folders or path characters")
     if name.startswith(".") or name.endswith((".", " ")) or _RESERVED.match(name):
-        raise ValueError("name: hidden and reserved names cannot be used")
+        raise ValueError("name: hidden and reserved names are not allowed")
     suffix = _suffix(name)
     if suffix not in SUFFIXES and suffix not in PART_SUFFIXES:
         known = " ".join((*SUFFIXES, *PART_SUFFIXES))
-        raise ValueError(
-            f"name: its suffix is none of a model or of its parts: {known}, or with .gz"
-        )
+        raise ValueError(f"name: unsupported file extension; supported: {known}, also with .gz")
     return name
 
 

@@ -1,7 +1,7 @@
-// The picture: the newest frame on the canvas, scaled to its size.
+// The canvas: shows the newest frame, scaled to its size.
 
-export class Picture {
-  /** `shown(header)` is called once for every frame that came, drawn or passed over. */
+export class FrameCanvas {
+  /** `shown(header)` is called once for every frame, drawn or skipped. */
   constructor(canvas, shown) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d", {alpha: false, desynchronized: true});
@@ -12,7 +12,7 @@ export class Picture {
     this.newest = 0;
   }
 
-  /** Take a frame: its image is decoded beside, and drawn with the screen's next one. */
+  /** Decode a frame asynchronously, and draw it with the next animation frame. */
   async take(header, bytes) {
     const order = ++this.order;
     let bitmap = null;
@@ -47,7 +47,7 @@ export class Picture {
     this.shown(next.header, true);
   }
 
-  /** Scaled to the canvas's height: cameras say how much is seen from top to bottom. */
+  /** Draw scaled to the canvas's height, since cameras define the vertical field of view. */
   draw() {
     const {canvas, context, drawn} = this;
     if (!drawn) return;
@@ -59,7 +59,7 @@ export class Picture {
     context.drawImage(drawn, left, 0, left ? width : canvas.width, canvas.height);
   }
 
-  /** Change the canvas's pixels, and keep what is on it until a new frame comes. */
+  /** Resize the canvas, keeping its content until a new frame arrives. */
   resize(width, height) {
     if (this.canvas.width === width && this.canvas.height === height) return;
     this.canvas.width = width;

@@ -1,4 +1,4 @@
-"""Pictures in the making: rows of samples, as many at a time as there is time for."""
+"""Progressive images: rendered by sample and by row, in time slices."""
 
 from __future__ import annotations
 
@@ -17,26 +17,33 @@ from raystream.rendering.accumulation import Accumulation
 from raystream.rendering.progressive import trace_sample
 from raystream.rendering.sampled import SampledRenderer, Setting
 from raystream.rendering.sampling.sampler import Sampler
+from raystream.viewer.adaptive_resolution import Cost, slice_rows
 from raystream.viewer.messages import Message
-from raystream.viewer.pacing import Cost, rows_of_slice
-from raystream.viewer.settings import Look
+from raystream.viewer.settings import DisplaySettings
 
-__all__ = ["BrokenOffError", "Drawing", "Picture", "SampledPicture", "centered", "spread"]
+__all__ = [
+    "Drawing",
+    "ProgressiveImage",
+    "SampledImage",
+    "WorkCancelledError",
+    "centered",
+    "with_samples",
+]
 
-#: A slice that takes so many times what it may is given up, and tried with fewer rows.
-_GIVE_UP = 6.0
-
-
-class BrokenOffError(Exception):
-    """Ends work that nobody waits for any more."""
-
-
-class _TooLongError(Exception):
-    """Ends a slice that takes much longer than was expected."""
+#: A slice that exceeds its time limit by this factor is aborted, and retried with fewer rows.
+_ABORT_FACTOR = 6.0
 
 
-class _Watch:
-    """Watches over a slice, as the callback for its progress."""
+class WorkCancelledError(Exception):
+    """Raised to end work that has been cancelled."""
+
+
+class _SliceTimeoutError(Exception):
+    """Raised to end a slice that takes much longer than expected."""
+
+
+class _SliceTimer:
+    """Watches a slice, as its progress callback."""
 
     def __init__(self, is_wanted: Callable[[], bool], most: float) -> None:
         self._is_wanted, self._most = is_wanted, most
@@ -45,52 +52,52 @@ class _Watch:
 
     @property
     def seconds(self) -> float:
-        """Since it began."""
+        """Seconds since the start."""
         return time.perf_counter() - self._started
 
     def __call__(self, done: int, total: int) -> None:
         self.reached = done / max(total, 1)
         if not self._is_wanted():
-            raise BrokenOffError
+            raise WorkCancelledError
         if done < total and self.seconds > self._most:
-            raise _TooLongError
+            raise _SliceTimeoutError
 
 
 class Drawing(NamedTuple):
-    """A picture as it is shown.
+    """An image ready for display.
 
     Attributes
     ----------
     pixels : ndarray of shape (H, W, 3), float32
         Linear RGB.
-    look : Look
-        How it is encoded.
+    display : DisplaySettings
+        How to encode it.
     """
 
     pixels: NDArray[np.float32]
-    look: Look
+    display: DisplaySettings
 
 
-class Picture(ABC):
-    """A picture that is made row by row, once for each of its samples.
+class ProgressiveImage(ABC):
+    """An image rendered row by row, once per sample.
 
     Parameters
     ----------
     size : (int, int)
-        Width and height.
+        Image width and height.
     target : int
-        Samples.
+        Number of samples.
     cost : Cost
-        What is known of such pictures; it learns from this one.
+        Cost estimate of such images, updated by this one.
     most_rows : int, optional
-        That fit into a slice.
+        Maximum rows per slice.
 
     Attributes
     ----------
     samples : int
-        Those that are whole.
+        Completed samples.
     seconds : float
-        That the latest sample took, or took so far.
+        Seconds spent on the latest sample so far.
     """
 
     def __init__(
@@ -106,55 +113,55 @@ class Picture(ABC):
 
     @property
     def is_done(self) -> bool:
-        """Whether it has all its samples."""
+        """Whether all samples are complete."""
         return self.samples >= self.target
 
     @property
     def seconds_left(self) -> float:
-        """What the rest of the sample is expected to take; nan if that is not known."""
+        """Expected seconds for the rest of the sample; nan if unknown."""
         return self._cost.expected(self.width * (self.height - self._row))
 
     @property
     def seconds_of_row(self) -> float:
-        """What a row is expected to take; nan if that is not known."""
+        """Expected seconds per row; nan if unknown."""
         return self._cost.expected(self.width)
 
     def advance(self, seconds: float, is_wanted: Callable[[], bool]) -> bool:
-        """Do a slice of work.
+        """Render one slice.
 
         Parameters
         ----------
         seconds : float
-            What it may take.
+            Time limit.
         is_wanted : callable
-            Asked now and then; where it says no, the slice ends.
+            Polled during the slice, which ends when it returns False.
 
         Returns
         -------
         bool
-            Whether a sample is whole now.
+            Whether a sample has just been completed.
 
         Raises
         ------
-        BrokenOffError
-            If it is not wanted any more.
+        WorkCancelledError
+            If `is_wanted` returned False.
         """
         left = self.height - self._row
-        count = rows_of_slice(left, self._cost.expected(self.width), seconds)
+        count = slice_rows(left, self._cost.expected(self.width), seconds)
         count = min(count, self._most_rows)
         if self._row == 0:
             self.seconds = 0.0
-        watch = _Watch(is_wanted, _GIVE_UP * seconds if count > 1 else math.inf)
+        watch = _SliceTimer(is_wanted, _ABORT_FACTOR * seconds if count > 1 else math.inf)
         rows = range(self._row, self._row + count)
         try:
             self._trace(rows, self.samples, watch)
-        except _TooLongError:
-            # What was done says how long the rest would have taken, as far as it can be told.
-            self._cost.note(max(int(self.width * count * watch.reached), 1), watch.seconds)
+        except _SliceTimeoutError:
+            # Extrapolate the cost from the part that was done.
+            self._cost.record(max(int(self.width * count * watch.reached), 1), watch.seconds)
             self.seconds += watch.seconds
             return False
         self.seconds += watch.seconds
-        self._cost.note(self.width * count, watch.seconds)
+        self._cost.record(self.width * count, watch.seconds)
         self._row = rows.stop
         if self._row < self.height:
             return False
@@ -164,34 +171,34 @@ class Picture(ABC):
 
     @abstractmethod
     def _trace(self, rows: range, sample: int, progress: Progress) -> None:
-        """Take one sample of some rows."""
+        """Trace one sample of some rows."""
 
     @abstractmethod
-    def draw(self, look: Look) -> Callable[[], Drawing]:
-        """What it shows so far; to be asked on any thread, while more samples are taken."""
+    def draw(self, display: DisplaySettings) -> Callable[[], Drawing]:
+        """Return a function that draws the current state; it may run on any thread."""
 
-    def draw_whole(self, look: Look) -> Callable[[], Drawing]:
-        """The same for a file of its own, where nothing is beside it to explain it."""
-        return self.draw(look)
+    def draw_whole(self, display: DisplaySettings) -> Callable[[], Drawing]:
+        """Like `draw`, for a file of its own, with a legend if there is one."""
+        return self.draw(display)
 
-    def facts(self, look: Look) -> Message:
-        """What is known of it besides."""
-        del look
+    def facts(self, display: DisplaySettings) -> Message:
+        """Return additional header fields."""
+        del display
         return {"counters": None}
 
     def noise(self) -> float | None:
-        """Its relative error, if that is known; it takes a while to find."""
+        """Estimate the relative error, if possible; takes some time."""
         return None
 
 
-class SampledPicture(Picture):
-    """A picture of a mode.
+class SampledImage(ProgressiveImage):
+    """A progressive image of a rendering mode.
 
     Parameters
     ----------
     renderer : SampledRenderer
     setting : Setting
-        Its sampler decides how many samples there are.
+        Its sampler determines the number of samples.
     cost : Cost
     """
 
@@ -213,17 +220,17 @@ class SampledPicture(Picture):
         elif self._light is not None:
             self._light[first : first + len(light)] = light
 
-    def draw(self, look: Look) -> Callable[[], Drawing]:
-        """See `Picture.draw`."""
+    def draw(self, display: DisplaySettings) -> Callable[[], Drawing]:
+        """See `ProgressiveImage.draw`."""
         if self._sums is not None:
             pixels = self._sums.mean()
         else:
             assert self._light is not None
             pixels = self._light.reshape(self.height, self.width, 3)
-        return lambda: Drawing(pixels, look)
+        return lambda: Drawing(pixels, display)
 
     def noise(self) -> float | None:
-        """See `Picture.noise`."""
+        """See `ProgressiveImage.noise`."""
         if self._sums is None or self.samples < 2:
             return None
         error = self._sums.error()
@@ -231,16 +238,16 @@ class SampledPicture(Picture):
 
 
 def centered(setting: Setting) -> Setting:
-    """The same view by one sample, through the pixels' centres."""
+    """Return the same view with one sample, through the pixel centres."""
     return _with(setting, sampler=Sampler.of("sobol", setting.sampler.seed, 1))
 
 
-def spread(setting: Setting, samples: int) -> Setting:
-    """The same view by so many samples of each pixel, as `raystream.render` takes them."""
+def with_samples(setting: Setting, samples: int) -> Setting:
+    """Return the same view with this many samples per pixel, as taken by `raystream.render`."""
     return _with(setting, sampler=Sampler.of("sobol", setting.sampler.seed, samples))
 
 
 def _with(setting: Setting, **changes: Any) -> Setting:
-    """A changed setting, on the device, too."""
+    """Return a changed setting, also on the device."""
     made = replace(setting, **changes)
     return replace(made, bands=made.tracer.bands_on_device(made))

@@ -1,20 +1,20 @@
-"""Turns: whose work is done next, so that each gets the same share of the time."""
+"""FairScheduler: picks the next client so that all get the same share of time."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from typing import Generic, TypeVar
 
-__all__ = ["Turns"]
+__all__ = ["FairScheduler"]
 
 Key = TypeVar("Key", bound=Hashable)
 
 
-class Turns(Generic[Key]):
-    """Fair turns by time used: who has had the least is next.
+class FairScheduler(Generic[Key]):
+    """Fair-share scheduling by time used: the client with the least used time is next.
 
-    Who had nothing to do for a while gets no credit for it, and comes as if it had used as much
-    as those who are at work: so that it is soon next, but does not keep the others waiting.
+    Idle clients earn no credit: a client that becomes ready starts level with the busy ones,
+    so that it runs soon without blocking the others.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class Turns(Generic[Key]):
         self._now = 0.0
 
     def choose(self, ready: Sequence[Key]) -> Key:
-        """The one of those which have work that is to do it now; the first of equals."""
+        """Return the client to run next, among those with work; the first one of equals."""
         for key in ready:
             if key not in self._waiting:
                 self._used[key] = max(self._used.get(key, 0.0), self._now)
@@ -33,11 +33,11 @@ class Turns(Generic[Key]):
         return chosen
 
     def charge(self, key: Key, seconds: float) -> None:
-        """Note that it used so much time."""
+        """Record the time that a client used."""
         if key in self._used:
             self._used[key] += seconds
 
     def forget(self, key: Key) -> None:
-        """Drop what is known of one that has left."""
+        """Remove a client that has left."""
         self._used.pop(key, None)
         self._waiting -= {key}

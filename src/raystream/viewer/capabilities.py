@@ -1,4 +1,4 @@
-"""The catalogue: what a visitor can choose from."""
+"""Capabilities: the settings and devices that a client can choose from."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from raystream.machines.schedulers import SCHEDULERS
 from raystream.rendering.heatmap import HEATMAPS
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.tone import TONES
-from raystream.viewer.heat import ramp
+from raystream.viewer.client import MAX_PIXELS, MAX_SIDE
+from raystream.viewer.heatmap_image import ramp
 from raystream.viewer.messages import Message, error_text
 from raystream.viewer.settings import MACHINES, MAX_SAMPLES, STRUCTURES, TRAVERSALS
-from raystream.viewer.visitor import MAX_PIXELS, MAX_SIDE
 
 __all__ = ["devices_message", "hello"]
 
 
 def hello() -> Message:
-    """The first message to a visitor; which devices there are is told later."""
+    """Make the first message to a client; available devices follow later."""
     return {
         "type": "hello",
         "version": __version__,
@@ -50,7 +50,7 @@ def hello() -> Message:
 
 @cache
 def devices_message() -> Message:
-    """Which devices can be used here, and why others cannot: takes a second at first."""
+    """List which devices are available, and why others are not; takes a second the first time."""
     reasons = {"cpu": None, "graphics": _no_graphics(), "cuda": _no_cuda()}
     devices = [
         {"name": name, "available": reason is None, "reason": reason}
@@ -79,4 +79,4 @@ def _no_cuda() -> str | None:
     faults = [gpu.error for gpu in gpus]
     if None in faults:
         return None
-    return error_text(Exception(faults[0] if faults else "there is no GPU"))
+    return error_text(Exception(faults[0] if faults else "no GPU found"))

@@ -1,19 +1,19 @@
-// Work: a bar for what takes a while, such as loading and building.
+// ProgressBar: a progress bar for long operations such as loading and building.
 
 import {byId} from "./elements.js";
 import {capital} from "./format.js";
 
-const PATIENCE = 200; // ms before a bar appears: most work is done by then
+const PATIENCE = 200; // ms before the bar appears: most operations finish sooner
 
-export class Work {
-  /** `cancelled()` is called when the user breaks off what can be broken off. */
+export class ProgressBar {
+  /** `cancelled()` is called when the user cancels an operation. */
   constructor(cancelled) {
     this.running = new Map();
     this.timer = null;
     byId("work-cancel").onclick = cancelled;
   }
 
-  /** One of some kinds of work goes on, or with null has ended; it may be `cancellable`. */
+  /** Show the progress of a kind of work, or with null its end; it may be `cancellable`. */
   show(kind, text, share, cancellable = false) {
     this.running.delete(kind);
     if (share !== null) this.running.set(kind, {text, share, cancellable});
@@ -24,7 +24,7 @@ export class Work {
     this.draw();
   }
 
-  /** All ends: the connection broke. */
+  /** Clear everything: the connection was lost. */
   clear() {
     this.running.clear();
     this.draw();
