@@ -32,7 +32,7 @@ from raystream.bench.contenders.base import FirstHits, Rays, UnavailableError
 from raystream.bench.contenders.own import Raystream
 from raystream.bench.ray_sets import AO_LENGTH
 from raystream.bench.runner import geometry_of
-from raystream.cli.keywords import parse_keywords
+from raystream.cli.tracer_options import parse_keywords
 from raystream.jit.threads import thread_count
 
 #: Rays that are traced together.

@@ -60,7 +60,7 @@ def test_address_is_printed_and_ctrl_c_ends_it(run, square, served, opened):
     assert (shown.code, shown.out, status) == (130, f"{url}\n", 200)
     assert url.startswith("http://127.0.0.1:")
     assert "interrupted" in shown.err
-    assert opened == []  # nobody sees a screen here
+    assert opened == []  # there is no screen here
     assert made.is_closed
 
 

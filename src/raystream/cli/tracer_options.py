@@ -1,4 +1,4 @@
-"""Options of `Tracer` on the command line: ``KEY=VALUE``."""
+"""`Tracer` options on the command line: ``KEY=VALUE``."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from raystream.cli import options
-from raystream.cli.messages import BadInputError
+from raystream.cli.console import BadInputError
 from raystream.core.errors import RaystreamError
 
 __all__ = ["blame_options", "machine_figures", "parse_keywords", "tracer_options"]
 
-#: Options of `Tracer` that the command line has by their names.
+#: `Tracer` options that have a command-line option of the same name.
 FLAGS = ("structure", "device", "adapter", "gpu", "traversal", "machine", "scheduler")
 
 
 def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
-    """Read ``key=value``; a value is a number, a list, true, false or null, else text.
+    """Parse ``key=value`` pairs; a value is a number, a list, true, false or null, else text.
 
     Raises
     ------
     BadInputError
-        If a word is none, or its key is not for the command line.
+        If a word is not such a pair, or its key cannot be set on the command line.
     """
     parsed: dict[str, Any] = {}
     for word in words:
@@ -31,7 +31,7 @@ def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
         if not equals or not key.isidentifier():
             raise BadInputError(f"{where}: expected KEY=VALUE, got {word!r}")
         if key in ("scene", "progress"):
-            raise BadInputError(f"{where}: {key} cannot be chosen")
+            raise BadInputError(f"{where}: {key} cannot be set")
         try:
             parsed[key] = json.loads(value)
         except (ValueError, RecursionError):
@@ -40,30 +40,30 @@ def parse_keywords(where: str, words: Sequence[str]) -> dict[str, Any]:
 
 
 def tracer_options(words: Sequence[str], device: str, **named: str | int | None) -> dict[str, Any]:
-    """Options of `Tracer` from ``--option``, and from options of the command line.
+    """Collect `Tracer` options from ``--option`` and the named command-line options.
 
     Parameters
     ----------
     words : sequence of str
-        What ``--option`` was given.
+        Values of ``--option``.
     device : str
-        What ``--device`` was given.
+        Value of ``--device``.
     **named
-        ``adapter``, ``gpu``, ``traversal``, ``machine``, ``scheduler``: what the option of that
-        name was given, or None.
+        ``adapter``, ``gpu``, ``traversal``, ``machine``, ``scheduler``: the value of the option
+        of that name, or None.
 
     Raises
     ------
     BadInputError
-        If they contradict each other, or have options of their own.
+        If they contradict each other, or a key has an option of its own.
     """
     parsed = parse_keywords("--option", words)
     for key in ("structure", "device"):
         if key in parsed:
-            raise BadInputError(f"--option: give {key} as --{key}")
+            raise BadInputError(f"--option: pass {key} with --{key}")
     for key, value in named.items():
         if value is not None and parsed.setdefault(key, value) != value:
-            raise BadInputError(f"--option: another {key} than --{key}")
+            raise BadInputError(f"--option: {key} differs from --{key}")
     if named.get("scheduler") is not None and parsed.get("machine") != "multipass":
         raise BadInputError("--scheduler: only with --machine multipass")
     if named.get("adapter") is not None and device != "graphics":
@@ -75,12 +75,12 @@ def tracer_options(words: Sequence[str], device: str, **named: str | int | None)
 
 @contextlib.contextmanager
 def blame_options(chosen: Mapping[str, Any]) -> Iterator[None]:
-    """Turn a tracer's complaints about its options into `BadInputError`.
+    """Turn a tracer's errors about its options into `BadInputError`.
 
     Parameters
     ----------
     chosen : mapping
-        Options of `Tracer`; without any, complaints are bugs and stay as they are.
+        `Tracer` options; if empty, errors are bugs and pass through unchanged.
     """
     try:
         yield
@@ -94,15 +94,15 @@ def blame_options(chosen: Mapping[str, Any]) -> Iterator[None]:
 
 
 def machine_figures(chosen: Mapping[str, Any], device: str) -> dict[str, Any]:
-    """What traces, as ``--json`` prints it: ``device``, ``machine``, ``scheduler`` of multipass.
+    """Describe the execution for ``--json``: ``device``, ``machine``, multipass ``scheduler``.
 
     Parameters
     ----------
     chosen : mapping
-        Options of `Tracer`.
+        `Tracer` options.
     device : str
     """
-    machine = chosen.get("machine", options.USUAL_MACHINES[device])
+    machine = chosen.get("machine", options.DEFAULT_MACHINES[device])
     figures = {"machine": machine, "device": device}
     if machine == "multipass":
         figures["scheduler"] = chosen.get("scheduler", options.SCHEDULERS[0])

@@ -1,4 +1,4 @@
-"""What the command line says: figures on stdout, warnings and refusals on stderr."""
+"""Console output: figures on stdout, warnings and errors on stderr."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from raystream.core.errors import RaystreamError, RaystreamWarning
 
 __all__ = [
     "BadInputError",
-    "BrokenOffError",
+    "InterruptedRunError",
     "mute",
     "one_line",
     "open_streams",
@@ -30,26 +30,26 @@ __all__ = [
 
 
 class BadInputError(RaystreamError):
-    """Something that the user can put right: one line, without a traceback."""
+    """An error that the user can fix: one line, without a traceback."""
 
 
-class BrokenOffError(RaystreamError):
-    """Ctrl-C, where there is something to say about it: one line, and the exit code of Ctrl-C."""
+class InterruptedRunError(RaystreamError):
+    """Ctrl-C with a message: one line, and the exit code of Ctrl-C."""
 
 
 @contextlib.contextmanager
 def refuse(*kinds: type[Exception], where: str = "") -> Iterator[None]:
     """Turn these exceptions into `BadInputError`.
 
-    Only for calls whose documented errors of these kinds blame an argument: anywhere else
-    they are bugs, and must show as such.
+    Use it only around calls whose documented errors of these kinds blame an argument:
+    elsewhere they are bugs, and must show as such.
 
     Parameters
     ----------
     *kinds
-        Exceptions to turn.
+        Exceptions to convert.
     where : str, optional
-        The file or option at fault, when the message does not say.
+        The file or option at fault, if the message does not name it.
     """
     try:
         yield
@@ -61,7 +61,7 @@ def refuse(*kinds: type[Exception], where: str = "") -> Iterator[None]:
 
 
 def one_line(text: str) -> str:
-    """Put text from anywhere on one line, without control characters for the terminal."""
+    """Collapse text to one line, without control characters for the terminal."""
     words = " ".join(text.split())
     return "".join(letter if letter.isprintable() else "?" for letter in words)
 
@@ -84,14 +84,14 @@ def show_warnings() -> Iterator[None]:
 
 
 def write_line(text: str = "") -> None:
-    """Print on stdout, at once.
+    """Print a line on stdout and flush.
 
     Raises
     ------
     BadInputError
-        If stdout is a file on a full disk, say.
+        If stdout cannot be written, for example to a full disk.
     BrokenPipeError
-        If nobody reads it any more.
+        If the reader has closed stdout.
     """
     try:
         print(text, flush=True)  # noqa: T201
@@ -105,14 +105,14 @@ def write_line(text: str = "") -> None:
 
 
 def write_note(text: str) -> None:
-    """Print a line on stderr, for people."""
+    """Print a line on stderr."""
     print(one_line(text), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def write_json(figures: Mapping[str, Any]) -> None:
     """Print figures on stdout as JSON."""
     text = json.dumps(figures, indent=2, allow_nan=False)
-    # Vectors on one line. Strings are safe: their line breaks are escaped.
+    # Put vectors on one line. Strings are safe: their line breaks are escaped.
     text = re.sub(r"\[\n[\s\d.,e+-]+\]", _on_one_line, text)
     write_line(text)
 
@@ -130,29 +130,29 @@ def open_streams() -> None:
 
 
 def silence_stdout() -> None:
-    """Let what is still buffered for stdout go nowhere, so that exiting does not fail."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)
+    """Redirect stdout's buffered output to the null device, so that exiting does not fail."""
+    null_device = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, sys.stdout.fileno())
+    os.close(null_device)
 
 
 @contextlib.contextmanager
 def mute() -> Iterator[None]:
-    """Drop what libraries of others print while the block runs, in Python or in C.
+    """Suppress everything that other libraries print during the block, in Python or in C.
 
-    For those that print what their exceptions say again.
+    For libraries that also print what their exceptions say.
     """
-    kept = nowhere = None
+    saved_stderr = null_device = None
     try:
         with contextlib.suppress(OSError):  # there may be no stderr
-            kept = os.dup(2)
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, 2)
+            saved_stderr = os.dup(2)
+            null_device = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null_device, 2)
         with contextlib.redirect_stdout(io.StringIO()):
             yield
     finally:
-        if kept is not None:
-            os.dup2(kept, 2)
-        for handle in (kept, nowhere):
+        if saved_stderr is not None:
+            os.dup2(saved_stderr, 2)
+        for handle in (saved_stderr, null_device):
             if handle is not None:
                 os.close(handle)

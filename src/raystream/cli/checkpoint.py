@@ -1,4 +1,4 @@
-"""Pictures that are broken off and go on: the file of samples beside the picture."""
+"""Resuming interrupted renders: the checkpoint file beside the image."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from raystream.cli.messages import BadInputError, BrokenOffError, refuse, write_note
+from raystream.cli.console import BadInputError, InterruptedRunError, refuse, write_note
 from raystream.core.errors import FileFormatError
 
 if TYPE_CHECKING:
     from raystream.rendering.image import Image
     from raystream.rendering.sample_file import SampleFile
 
-__all__ = ["Paths", "Resume", "checkpoint_beside", "keeping_samples"]
+__all__ = ["PathProgress", "Resume", "checkpoint_path", "sample_checkpoint"]
 
 Resume = Annotated[
     bool,
     typer.Option(
         "--resume",
-        help="Go on from the samples that lie beside the picture, if there are any.",
+        help="Resume from the checkpoint beside the image, if there is one.",
     ),
 ]
 
 
-def checkpoint_beside(output: Path, resume: bool) -> Path:
-    """The file of samples of a picture.
+def checkpoint_path(output: Path, resume: bool) -> Path:
+    """Return the path of an image's checkpoint.
 
     Raises
     ------
     BadInputError
-        If it is there already, and not to be used: it may hold the work of hours. Also if
-        ``RAYSTREAM_CHECKPOINT_SECONDS`` is bad.
+        If it exists already and is not to be resumed: it may hold hours of work. Also if
+        ``RAYSTREAM_CHECKPOINT_SECONDS`` is invalid.
     """
     from raystream.rendering.progressive import checkpoint_seconds
 
@@ -45,23 +45,23 @@ def checkpoint_beside(output: Path, resume: bool) -> Path:
     path = output.with_name(f"{output.name}.samples.npz")
     if path.exists() and not resume:
         raise BadInputError(
-            f"{path}: keeps the samples of a picture that was broken off; go on from them with "
-            "--resume, or remove it"
+            f"{path}: contains samples of an interrupted render; pass --resume to continue, or "
+            "delete the file"
         )
     return path
 
 
 @contextlib.contextmanager
-def keeping_samples(checkpoint: Path | None) -> Iterator[SampleFile | None]:
-    """Give the checkpoint of a picture; remove it at the block's end, or say where it is.
+def sample_checkpoint(checkpoint: Path | None) -> Iterator[SampleFile | None]:
+    """Yield the checkpoint of an image; delete it at the end, or report where it is.
 
-    A picture that is complete, and saved, before its first checkpoint is due leaves the disk
-    alone. Where the block ends early, all samples are in the file.
+    An image that is complete and saved before its first checkpoint is due writes no
+    checkpoint. If the block ends early, all samples are in the file.
 
     Parameters
     ----------
     checkpoint : Path or None
-        None where nothing is kept.
+        None for no checkpoint.
 
     Yields
     ------
@@ -70,10 +70,10 @@ def keeping_samples(checkpoint: Path | None) -> Iterator[SampleFile | None]:
 
     Raises
     ------
-    BrokenOffError
-        After Ctrl-C, if there is such a file.
+    InterruptedRunError
+        After Ctrl-C, if the file exists.
     BadInputError
-        If it cannot be used, says what to do.
+        If the file cannot be used; says what to do.
     """
     if checkpoint is None:
         yield None
@@ -85,39 +85,39 @@ def keeping_samples(checkpoint: Path | None) -> Iterator[SampleFile | None]:
         try:
             yield samples
         except BaseException:
-            with contextlib.suppress(OSError):  # what ended the block says more
+            with contextlib.suppress(OSError):  # the error that ended the block matters more
                 samples.save_held()
             raise
     except KeyboardInterrupt:
         if not checkpoint.exists():
             raise
-        raise BrokenOffError(
-            f"{checkpoint} keeps the samples: the same command with --resume goes on from them"
+        raise InterruptedRunError(
+            f"{checkpoint} contains the samples so far; rerun with --resume to continue"
         ) from None
     except FileFormatError as error:
         if error.path != fspath(checkpoint):
             raise
         raise BadInputError(
-            f"{error}; remove it to begin anew, or choose another --output"
+            f"{error}; delete it to start over, or choose another --output"
         ) from error
     with contextlib.suppress(FileNotFoundError):
         checkpoint.unlink()
 
 
-class Paths:
-    """The progress of a picture: counts the samples that it begins with, and tells of them.
+class PathProgress:
+    """Progress callback of a render that counts and reports resumed samples.
 
     Parameters
     ----------
     output : Path
     pixel_count : int
     shown : callable or None
-        The progress bar.
+        Callback of the progress bar.
 
     Attributes
     ----------
     samples_before : int
-        Of each pixel, from the file of samples.
+        Samples per pixel loaded from the checkpoint.
     """
 
     def __init__(
@@ -130,21 +130,21 @@ class Paths:
         self._is_first = True
 
     def __call__(self, done: int, total: int) -> None:
-        """Take a report: paths done, and paths."""
+        """Report progress: paths done, and paths in total."""
         if self._is_first:
             self._is_first = False
             self.samples_before = done // self._pixel_count
             if self.samples_before:
-                write_note(f"{self._output}: goes on from {self.samples_before} samples")
+                write_note(f"{self._output}: resumed from {self.samples_before} samples")
         if self._shown is not None:
             self._shown(done, total)
 
     def count(self, image: Image) -> int:
-        """Paths of this run."""
+        """Return the number of paths traced in this run."""
         return (image.figures["samples"] - self.samples_before) * self._pixel_count
 
     def figures(self, image: Image) -> dict[str, Any]:
-        """For ``--json``: samples and error; null where one sample tells nothing of its error."""
+        """Return samples and error for ``--json``; null if one sample gives no error estimate."""
         error = image.figures["error"]
         return {
             "samples_taken": image.figures["samples"],
@@ -153,7 +153,7 @@ class Paths:
         }
 
     def text(self, image: Image) -> str:
-        """The same for people."""
+        """Format samples and error for the console."""
         taken, error = image.figures["samples"], image.figures["error"]
         counts = f"{taken:,} sample{'s' if taken > 1 else ''}"
         return f"{counts}, error {error:.2%}" if math.isfinite(error) else counts

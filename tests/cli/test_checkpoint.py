@@ -1,4 +1,4 @@
-"""``raystream render --resume``: pictures that are broken off, and go on."""
+"""``raystream render --resume``: interrupted images are resumed."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_picture_goes_on_to_the_same_bytes(run, exr, environment, tmp_path, name
         assert code == -signal.SIGKILL
     else:
         assert code == 130
-        assert err.startswith(f"interrupted; {KEPT} keeps the samples")
+        assert err.startswith(f"interrupted; {KEPT} contains the samples")
         assert "--resume" in err
         assert err.count("\n") == 1
     so_far = Image.load("out.exr").layers["samples"]
@@ -71,7 +71,7 @@ def test_picture_goes_on_to_the_same_bytes(run, exr, environment, tmp_path, name
     result = run(*PICTURE, "-o", "out.exr", "--resume", "--json")
     before = result.figures["samples_before"]
     assert so_far.max() <= before < SAMPLES
-    assert result.err == f"out.exr: goes on from {before} samples\n"
+    assert result.err == f"out.exr: resumed from {before} samples\n"
     assert result.figures["samples_taken"] == SAMPLES
     assert result.figures["rays"] == 32 * 24 * (SAMPLES - before)
     assert not Path(KEPT).exists()
@@ -114,7 +114,7 @@ def test_samples_are_not_overwritten(run, tmp_path):
     assert "--resume" in complaint
     assert Path("out.png.samples.npz").read_bytes() == kept
     assert run(*ASKED, "-o", "other.png").code == 0
-    assert run(*ASKED, "--resume").err == "out.png: goes on from 3 samples\n"
+    assert run(*ASKED, "--resume").err == "out.png: resumed from 3 samples\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other.png", "out.png"]
     assert Path("out.png").read_bytes() == Path("other.png").read_bytes()
 
@@ -128,7 +128,7 @@ def test_samples_of_another_picture_are_refused(run, options, differing):
     complaint = run(*ASKED, "--resume").complaint
     assert complaint.startswith("out.png.samples.npz: is a checkpoint of another picture")
     assert differing in complaint
-    assert complaint.endswith("remove it to begin anew, or choose another --output")
+    assert complaint.endswith("delete it to start over, or choose another --output")
     assert Path("out.png.samples.npz").exists()
     assert not Path("out.png").exists()
 
@@ -138,7 +138,7 @@ def test_damaged_samples_are_refused(run, content):
     Path("out.png.samples.npz").write_bytes(content)
     complaint = run(*ASKED, "--resume").complaint
     assert complaint.startswith("out.png.samples.npz: ")
-    assert complaint.endswith("remove it to begin anew, or choose another --output")
+    assert complaint.endswith("delete it to start over, or choose another --output")
 
 
 def test_folder_in_place_of_the_samples(run):
@@ -188,8 +188,8 @@ def test_early_interrupt_keeps_the_samples(run, tmp_path, monkeypatch, taken):
         patch.setattr(progressive, "trace_sample", stop)
         result = run(*ASKED)
     assert result.code == 130
-    assert result.err.startswith("interrupted; out.png.samples.npz keeps the samples")
-    assert run(*ASKED, "--resume").err == f"out.png: goes on from {taken} samples\n"
+    assert result.err.startswith("interrupted; out.png.samples.npz contains the samples")
+    assert run(*ASKED, "--resume").err == f"out.png: resumed from {taken} samples\n"
     assert run(*ASKED, "-o", "whole.png").code == 0
     assert Path("out.png").read_bytes() == Path("whole.png").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.png", "whole.png"]
@@ -199,7 +199,7 @@ def test_early_interrupt_keeps_the_samples(run, tmp_path, monkeypatch, taken):
     ("error", "says"),
     [
         (OSError(28, "No space left on device"), "raystream: out.png: No space left on device\n"),
-        (KeyboardInterrupt(), "interrupted; out.png.samples.npz keeps the samples: "),
+        (KeyboardInterrupt(), "interrupted; out.png.samples.npz contains the samples so far; "),
     ],
     ids=["full disk", "Ctrl-C"],
 )
@@ -210,7 +210,7 @@ def test_picture_that_is_not_saved_keeps_its_samples(run, monkeypatch, error, sa
     with monkeypatch.context() as patch:
         patch.setattr(Image, "save", fail)
         assert run(*ASKED).err.startswith(says)
-    assert run(*ASKED, "--resume").err == "out.png: goes on from 5 samples\n"
+    assert run(*ASKED, "--resume").err == "out.png: resumed from 5 samples\n"
     assert run(*ASKED, "-o", "whole.png").code == 0
     assert Path("out.png").read_bytes() == Path("whole.png").read_bytes()
 

@@ -42,24 +42,24 @@ def test_frames_are_the_librarys(run, moving) -> None:
 
 
 def test_resume_renders_what_is_missing(run, moving) -> None:
-    film = ("render", moving, "-o", "f%d.png", "--frames", ":", *SIZE, "--samples", "2")
-    assert run(*film).code == 0
+    animation = ("render", moving, "-o", "f%d.png", "--frames", ":", *SIZE, "--samples", "2")
+    assert run(*animation).code == 0
     whole = {path.name: path.read_bytes() for path in Path().glob("f*.png")}
     assert len(whole) == 10
     Path("f3.png").unlink()
     Path("f7.png").write_bytes(whole["f7.png"][:60])
     kept = Path("f5.png").stat().st_mtime_ns
-    result = run(*film, "--resume", "--json")
-    assert (result.figures["frames_before"], result.err) == (8, "8 of 10 frames are there\n")
+    result = run(*animation, "--resume", "--json")
+    assert (result.figures["frames_before"], result.err) == (8, "8 of 10 frames exist already\n")
     assert {path.name: path.read_bytes() for path in Path().glob("f*.png")} == whole
     assert Path("f5.png").stat().st_mtime_ns == kept
-    film = ("render", moving, "-o", "f%d.png", "--frames", ":", "--size", "8x6", "--resume")
-    other = run(*film)
+    animation = ("render", moving, "-o", "f%d.png", "--frames", ":", "--size", "8x6", "--resume")
+    other = run(*animation)
     assert "f0.png: is 16x12, not 8x6" in other.complaint
 
 
 def test_videos_go_on_after_an_interrupt(run, moving, monkeypatch) -> None:
-    film = ("render", moving, "-o", "film.gif", "--size", "64x48")
+    animation = ("render", moving, "-o", "animation.gif", "--size", "64x48")
     real, calls = render_frames_room.render, []
 
     @functools.wraps(real)
@@ -70,18 +70,18 @@ def test_videos_go_on_after_an_interrupt(run, moving, monkeypatch) -> None:
         return real(*arguments, **options)
 
     monkeypatch.setattr(render_frames_room, "render", interrupted)
-    result = run(*film)
+    result = run(*animation)
     assert result.code == 130
-    assert result.err.startswith("interrupted; 3 of 10 frames are in film.gif.frames")
+    assert result.err.startswith("interrupted; 3 of 10 frames are in animation.gif.frames")
     assert "--resume" in result.err
-    assert not Path("film.gif").exists()
-    assert "keeps the frames" in run(*film).complaint
-    result = run(*film, "--resume")
-    assert (result.code, result.err) == (0, "3 of 10 frames are there\n")
-    assert "10 frames of 64x48, 5 a second" in result.out
+    assert not Path("animation.gif").exists()
+    assert "contains frames" in run(*animation).complaint
+    result = run(*animation, "--resume")
+    assert (result.code, result.err) == (0, "3 of 10 frames exist already\n")
+    assert "10 frames of 64x48, 5 fps" in result.out
     assert len(calls) == 4 + 7
-    assert not Path("film.gif.frames").exists()
-    with Image.open("film.gif") as found:
+    assert not Path("animation.gif.frames").exists()
+    with Image.open("animation.gif") as found:
         assert (found.n_frames, found.info["duration"]) == (10, 200)
 
 
@@ -91,17 +91,21 @@ def test_videos_go_on_after_an_interrupt(run, moving, monkeypatch) -> None:
         ("a.aff", ("-o", "x%d.png", "--frames", "5:11"), "--frames: there are frames 0 to 9"),
         ("a.aff", ("-o", "x%d.png", "--frames", "3:3"), "--frames: none is chosen"),
         ("a.aff", ("-o", "x%d.png", "--frames", "1:b"), "--frames: expected 0:100"),
-        ("a.aff", ("-o", "x.png", "--frames", ":"), "x.png: expected one place for the number"),
-        ("a.aff", ("-o", "x%d%d.png", "--frames", ":"), "expected one place"),
-        ("a.aff", ("-o", "x%d.bmp", "--frames", ":"), "must end in .png or .exr"),
-        ("a.aff", ("-o", "no/x%d.png", "--frames", ":"), "there is no folder no"),
-        ("a.aff", ("-o", "no/there", "--frames", ":"), "there is no folder no"),
+        ("a.aff", ("-o", "x.png", "--frames", ":"), "x.png: expected one frame number placeholder"),
+        ("a.aff", ("-o", "x%d%d.png", "--frames", ":"), "expected one frame number placeholder"),
+        ("a.aff", ("-o", "x%d.bmp", "--frames", ":"), "extension must be .png or .exr"),
+        ("a.aff", ("-o", "no/x%d.png", "--frames", ":"), "folder no does not exist"),
+        ("a.aff", ("-o", "no/there", "--frames", ":"), "folder no does not exist"),
         ("a.aff", ("-o", "x.png", "--fps", "5"), "--fps: only with --frames"),
-        ("a.aff", ("-o", "x.gif", "--time", "1"), "--time: not with --frames"),
-        ("a.aff", ("-o", "x.gif", "--heatmap", "cells"), "--heatmap: not with --frames"),
+        ("a.aff", ("-o", "x.gif", "--time", "1"), "--time: cannot be combined with --frames"),
+        (
+            "a.aff",
+            ("-o", "x.gif", "--heatmap", "cells"),
+            "--heatmap: cannot be combined with --frames",
+        ),
         ("a.aff", ("-o", "x.gif", "--camera", "left door"), "no camera 'left door'"),
-        ("cornell", ("-o", "x%d.png", "--frames", ":"), "cornell: nothing moves in it"),
-        ("a.npz", ("-o", "x%d.png", "--frames", ":"), "a saved structure does not move"),
+        ("cornell", ("-o", "x%d.png", "--frames", ":"), "cornell: is static"),
+        ("a.npz", ("-o", "x%d.png", "--frames", ":"), "a saved structure is static"),
     ],
 )
 def test_refusals(run, moving, scene, arguments, reason) -> None:
@@ -110,8 +114,8 @@ def test_refusals(run, moving, scene, arguments, reason) -> None:
 
 def test_videos_that_need_ffmpeg_say_so_first(run, moving, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert "film.mp4: needs ffmpeg" in run("render", moving, "-o", "film.mp4").complaint
-    assert not list(tmp_path.glob("film*"))
+    assert "animation.mp4: needs ffmpeg" in run("render", moving, "-o", "animation.mp4").complaint
+    assert not list(tmp_path.glob("animation*"))
 
 
 def test_camera_parts_replace_those_of_the_scene(run, moving) -> None:

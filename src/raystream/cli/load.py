@@ -1,4 +1,4 @@
-"""From a scene's name to a tracer, with the time that it took."""
+"""Load a scene by name and build its tracer, with timing."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from raystream.cli.bars import Bars
-from raystream.cli.keywords import blame_options
-from raystream.cli.messages import BadInputError, refuse
+from raystream.cli.console import BadInputError, refuse
+from raystream.cli.tracer_options import blame_options
 
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
@@ -21,42 +21,42 @@ __all__ = ["Source", "Stopwatch", "choose_threads", "open_tracer", "rays_per_sec
 
 @dataclass
 class Stopwatch:
-    """Seconds that each step of a command took, by its name."""
+    """Seconds spent in each step of a command, by step name."""
 
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def measure(self, step: str) -> Iterator[None]:
-        """Time a block, without the seconds of steps inside it."""
+        """Time a block, excluding steps nested in it."""
         started, others = clock.perf_counter(), sum(self.seconds.values())
         yield
         inside = sum(self.seconds.values()) - others
         self.seconds[step] = clock.perf_counter() - started - inside
 
     def rounded(self) -> dict[str, float]:
-        """The seconds for JSON, to microseconds."""
+        """Return the seconds rounded to microseconds, for JSON."""
         return {step: round(seconds, 6) for step, seconds in self.seconds.items()}
 
     def text(self) -> str:
-        """The seconds for people."""
+        """Format the seconds for the console."""
         return ", ".join(f"{step} {seconds:.2f} s" for step, seconds in self.seconds.items())
 
 
 @dataclass(frozen=True)
 class Source:
-    """The scene that a command is asked for.
+    """The scene that a command works on.
 
     Attributes
     ----------
     name : str
         A file, a built-in scene, a sample, or a saved structure (``.npz``).
     structure : str or None
-        None leaves the choice to the command line: the saved one, else ``"bvh"``.
+        None: that of a saved structure, else ``"bvh"``.
     device : str
     time : float
     triangles : int or None
     options : mapping
-        Options of `Tracer`.
+        `Tracer` options.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Source:
 
 
 def choose_threads(count: int | None) -> None:
-    """Set the number of threads, or check what ``RAYSTREAM_THREADS`` says."""
+    """Set the number of threads, or validate ``RAYSTREAM_THREADS``."""
     from raystream.jit.threads import set_thread_count, thread_count
 
     if count is not None:
@@ -78,21 +78,21 @@ def choose_threads(count: int | None) -> None:
 
 
 def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
-    """Load a scene and build its structure, or load a structure.
+    """Load a scene and build its structure, or load a saved structure.
 
     Parameters
     ----------
     source : Source
     bars : Bars
     watch : Stopwatch
-        Gets "load" and "build".
+        Records "load" and "build".
 
     Raises
     ------
     FileFormatError
-        If there is no such scene, or it cannot be used.
+        If the scene does not exist or cannot be read.
     BadInputError
-        If an option does not suit the scene.
+        If an option does not apply to the scene.
     """
     from raystream.tracer import Tracer
 
@@ -100,13 +100,13 @@ def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
         return _open_structure(source, bars, watch)
     from raystream.scene.load import load
 
-    # Without these, a ValueError would be a reader's bug.
+    # Without these arguments, a ValueError would be a bug in a reader.
     asks = source.time != 0.0 or source.triangles is not None or ":" in source.name
     kinds = (ValueError,) if asks else ()
     with watch.measure("load"), bars.step("loading"):
         with refuse(*kinds):
             scene = load(source.name, time=source.time, triangles=source.triangles)
-        _ = scene.triangles  # made when first asked for; the build is timed without
+        _ = scene.triangles  # computed on first use; excluded from the build time
     with (
         watch.measure("build"),
         bars.step("building") as progress,
@@ -122,7 +122,9 @@ def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
     from raystream.tracer import Tracer
 
     if source.time != 0.0 or source.triangles is not None:
-        raise BadInputError(f"{source.name}: a saved structure has neither --time nor --triangles")
+        raise BadInputError(
+            f"{source.name}: --time and --triangles do not apply to saved structures"
+        )
     machines = device_of(source.device).machines
     with blame_options(source.options):
         machine = source.options.get("machine", machines.names[0])
@@ -130,8 +132,8 @@ def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
     for name in source.options:
         if name not in ("machine", "counters", *own):
             raise BadInputError(
-                f"{source.name}: a saved structure is built already, and has no option {name!r}; "
-                "it takes those of the machine"
+                f"{source.name}: the structure is already built, so option {name!r} does not "
+                "apply; only options of the machine do"
             )
     with watch.measure("load"), bars.step("loading"), blame_options(source.options):
         tracer = Tracer.load(source.name, device=source.device, **source.options)
@@ -139,11 +141,11 @@ def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
     if source.structure not in (None, tracer.structure.name):
         raise BadInputError(
             f"{source.name}: holds a {tracer.structure.name!r} structure, "
-            f"not {source.structure!r}; leave --structure out"
+            f"not {source.structure!r}; omit --structure"
         )
     return tracer
 
 
 def rays_per_second(count: int, seconds: float) -> float:
-    """Millions of rays in a second, to four digits; 0 for no rays."""
+    """Return millions of rays per second, to four digits; 0 for no rays."""
     return float(f"{count / max(seconds, 1e-9) / 1e6:.4g}")
