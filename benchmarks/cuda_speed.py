@@ -28,11 +28,11 @@ import numpy as np
 import raystream as rs
 from raystream.bench.agreement import compare
 from raystream.bench.contenders import Entry, make_contender
-from raystream.bench.contenders.base import AbsentError, FirstHits, Rays
+from raystream.bench.contenders.base import FirstHits, Rays, UnavailableError
 from raystream.bench.contenders.own import Raystream
-from raystream.bench.ray_sets import AO_REACH
+from raystream.bench.ray_sets import AO_LENGTH
 from raystream.bench.runner import geometry_of
-from raystream.cli.keywords import parse_keywords
+from raystream.cli.tracer_options import parse_keywords
 from raystream.jit.threads import thread_count
 
 #: Rays that are traced together.
@@ -118,11 +118,11 @@ class Turn:
         self.label, self.contender = label, contender
         self.sorting_share = 0.0
 
-    def ask(self, query, rays):
+    def run(self, query, rays):
         """An answer, seconds of its kernels or None, and of the whole."""
         started = time.perf_counter()
         with launches() as (spent, sorting):
-            answer = self.contender.ask(query, rays, "")
+            answer = self.contender.run(query, rays, "")
         whole = time.perf_counter() - started
         self.sorting_share = sum(sorting) / sum(spent) if sum(spent) else 0.0
         kernels = getattr(self.contender, "kernel_seconds", None)
@@ -175,7 +175,7 @@ def contenders(words, scene, absent):
     for label, own in WARP.items():
         try:
             yield label, make_contender(Entry(label, "warp", {"device": "cuda", **own}), 1)
-        except AbsentError as error:
+        except UnavailableError as error:
             absent[label] = str(error)
 
 
@@ -215,7 +215,7 @@ def ray_sets(scene, tracer, size, per_hit, part):
     low, high = tracer.structure.triangles.world_bounds
     found = tracer.first_hit(origins, directions)
     hits = found[found.is_hit]
-    ends = {"ao": AO_REACH * float(np.linalg.norm(high - low)), "diffuse": np.inf}
+    ends = {"ao": AO_LENGTH * float(np.linalg.norm(high - low)), "diffuse": np.inf}
 
     def primary():
         for begin in range(0, len(origins), part):
@@ -251,7 +251,7 @@ def trace_set(name, query, parts, turns, repeats):
         answers, best = {}, {turn.label: (np.inf, np.inf) for turn in turns}
         for again in range(repeats + (number == 0)):  # the first time, something is compiled
             for turn in turns:
-                answers[turn.label], device, total = turn.ask(query, rays)
+                answers[turn.label], device, total = turn.run(query, rays)
                 if number or again:
                     before = best[turn.label]
                     device = np.inf if device is None else device

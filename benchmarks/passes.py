@@ -134,7 +134,7 @@ def main():
     )
     table(
         "Several steps in a pass",
-        ["scene", "steps", "tests", "compaction", "passes", "efficiency", "words a ray", "seconds"],
+        ["scene", "steps", "tests", "compaction", "passes", "efficiency", "words/ray", "seconds"],
         unrolled,
     )
     table(

@@ -125,7 +125,7 @@ def main():
     parser.add_argument("--structures", nargs="+", default=list(STRUCTURES))
     parser.add_argument("--ratio", nargs=2, choices=STRUCTURES)
     arguments = parser.parse_args()
-    columns = ["scene", "structure", *QUERIES, "build, s", "bytes a triangle"]
+    columns = ["scene", "structure", *QUERIES, "build, s", "bytes/triangle"]
     if arguments.ratio:
         columns = ["scene", *RATIO_QUERIES]
     rows = [columns]

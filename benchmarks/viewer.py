@@ -18,26 +18,26 @@ import time
 import numpy as np
 
 import raystream as rs
-from raystream.viewer import Frame, Studio
+from raystream.viewer import Frame, RenderService
 
 
 class Page:
     """Shows every frame at once."""
 
-    def __init__(self, studio, size):
+    def __init__(self, service, size):
         self.frames, self.changed = [], threading.Condition()
         self.size = size
         self.began = time.perf_counter()
-        self.visitor = None
-        self.visitor = studio.join(self.receive)
-        self.visitor.take({"type": "size", "width": size[0], "height": size[1]})
+        self.client = None
+        self.client = service.join(self.receive)
+        self.client.handle({"type": "size", "width": size[0], "height": size[1]})
 
     def receive(self, message):
         if isinstance(message, Frame):
             with self.changed:
                 self.frames.append((time.perf_counter(), message.header, len(message.content)))
                 self.changed.notify_all()
-            self.visitor.take({"type": "shown", "frame": message.header["number"]})
+            self.client.handle({"type": "shown", "frame": message.header["number"]})
         elif message["type"] == "error":
             raise SystemExit(message["message"])
 
@@ -47,8 +47,8 @@ class Page:
             find = lambda: next((one for one in self.frames if wanted(one[1])), None)  # noqa: E731
             return self.changed.wait_for(find, 600)
 
-    def look(self, camera, number, moving):
-        self.visitor.take(
+    def display(self, camera, number, moving):
+        self.client.handle(
             {
                 "type": "camera",
                 "number": number,
@@ -76,30 +76,30 @@ def orbit(page, camera, seconds):
     begin = len(page.frames)
     while time.perf_counter() < end:
         number += 1
-        page.look(around(camera, 0.01 * number), number, True)
+        page.display(around(camera, 0.01 * number), number, True)
         time.sleep(1 / 60)
     frames = [one for one in page.frames[begin:] if one[1]["moving"]]
     first = frames[0][0] + 0.5
     moved = time.perf_counter()
-    page.look(around(camera, 0.01 * number), number + 1, False)
+    page.display(around(camera, 0.01 * number), number + 1, False)
     full = page.wait(lambda header: header["camera"] == number + 1 and not header["moving"])
     return [one for one in frames if one[0] > first], full[0] - moved
 
 
 def measure(name, mode, size, seconds):
     scene = rs.load(name)
-    studio = Studio(scene, name, settings={"mode": mode})
-    warm = Page(studio, size)
+    service = RenderService(scene, name, settings={"mode": mode})
+    warm = Page(service, size)
     warm.wait(lambda header: not header["moving"] and header["width"] == size[0])
-    warm.visitor.leave()
-    page = Page(studio, size)
+    warm.client.leave()
+    page = Page(service, size)
     opened = page.wait(lambda _: True)[0] - page.began
     orbit(page, scene.camera, 2.0)
     frames, rested = orbit(page, scene.camera, seconds)
     times = [one[0] for one in frames]
     gaps = sorted(after - before for before, after in itertools.pairwise(times))
     middle = lambda key: statistics.median(one[1][key] for one in frames)  # noqa: E731
-    studio.close()
+    service.close()
     return {
         "scene": name,
         "fps": (len(times) - 1) / (times[-1] - times[0]),

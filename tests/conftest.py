@@ -149,7 +149,7 @@ TRACERS = {
 
 #: Those of them that run different code: a traversal, a kernel or a machine that no other of these
 #: has. What the rest run is the same on another tree, or in other passes. A usual run asks these
-#: in every test of tracers, and the rest with some cases in turn: see `is_usual`. CI asks all. A
+#: in every test of tracers, and the rest with some cases in turn: see `is_default`. CI asks all. A
 #: new line above that has code of its own gets one here, too.
 CODE_PATHS = (
     "brute",
@@ -171,7 +171,7 @@ CODE_PATHS = (
 )
 
 
-def is_usual(tracer: str, number: int, every: int) -> bool:
+def is_default(tracer: str, number: int, every: int) -> bool:
     """Whether it is a tracer's turn in the case of this number: one case in so many.
 
     Any so many tracers one after the other in the table have each case between them.
@@ -431,7 +431,7 @@ def leave_out_first_use(monkeypatch) -> None:
     """Let commands compile what they need and no more, and not say so: as after the first use."""
     from raystream.cli import compiling
 
-    monkeypatch.setattr(compiling._FirstUse, "_compile_all", lambda *_: None)
+    monkeypatch.setattr(compiling._CompileWatcher, "_compile_all", lambda *_: None)
     monkeypatch.setattr(compiling, "DELAY", math.inf)
 
 

@@ -28,7 +28,7 @@ ROOMS = (
     "cuda",
     "graphics",
     "lab",
-    "zarr_queries",
+    "ray_files",
     "cluster",
     "viewer",
     "bench",

@@ -15,7 +15,7 @@ from conftest import assert_same_bits
 from raystream.cli import main
 from raystream.core.npz import read_npz, write_npz
 from raystream.structures import STRUCTURES
-from raystream.viewer.catalogue import hello
+from raystream.viewer.capabilities import hello
 from raystream.viewer.settings import Settings
 from slabs import Slabs
 from test_agreement import assert_expected_of, case_of, expected_of, rays_of

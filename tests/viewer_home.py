@@ -12,9 +12,9 @@ from pathlib import Path
 
 from websockets.sync.client import connect
 
-from fake_studio import FakeStudio
+from fake_service import FakeService
 from raystream.viewer.serve import ViewServer, bind
-from raystream.viewer.server.pages import PageFile
+from raystream.viewer.server.page_files import PageFile
 
 PAGE = {
     "index.html": PageFile(b"<!doctype html><title>page</title>", "text/html; charset=utf-8"),
@@ -105,26 +105,26 @@ class Guest:
 
 
 class Home(Guest):
-    """A server with a studio that only pretends, and its clients."""
+    """A server with a service that only pretends, and its clients."""
 
     def __init__(self, host="127.0.0.1", **options):
-        self.studio = FakeStudio()
+        self.service = FakeService()
         options.setdefault("upload_limit", LIMIT)
-        self.server = ViewServer(self.studio, bind(host, 0), **options)
+        self.server = ViewServer(self.service, bind(host, 0), **options)
         super().__init__(self.server.port)
 
     def drop_clients(self):
         """End all that a test opened; afterwards the server holds nothing for it."""
         self.leave()
-        wait_until(lambda: not self.studio.present)
-        wait_until(lambda: self.server.visit_count == 0)
-        self.studio.visitors.clear()
+        wait_until(lambda: not self.service.present)
+        wait_until(lambda: self.server.connection_count == 0)
+        self.service.clients.clear()
 
     def close(self):
         self.drop_clients()
         self.server.close()
         assert not self.server.is_running
-        assert self.studio.is_closed
+        assert self.service.is_closed
 
 
 class Answer:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from raystream.physics.lidar import lidar_returns
     from raystream.physics.segments import thickness
     from raystream.programs.decisions import Decision
+    from raystream.ray_files.query import query_zarr
     from raystream.rendering.frames import render_frames
     from raystream.rendering.heatmap import heatmap
     from raystream.rendering.image import Image
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from raystream.structures.registry import StructureOptions, register_structure
     from raystream.tracer import Tracer
     from raystream.viewer.notebook import view
-    from raystream.zarr_queries.query import query_zarr
 
 #: Modules as a whole.
 _MODULES = {
@@ -97,7 +97,7 @@ _HOMES = {
     "heatmap": "rendering.heatmap",
     "lidar_returns": "physics.lidar",
     "load": "scene.load",
-    "query_zarr": "zarr_queries.query",
+    "query_zarr": "ray_files.query",
     "register_structure": "structures.registry",
     "render": "rendering.picture",
     "render_frames": "rendering.frames",

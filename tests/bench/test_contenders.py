@@ -26,7 +26,7 @@ def test_peer_agrees(name):
         package for package in PEERS[name].packages if importlib.util.find_spec(package) is None
     ]
     if missing:
-        pytest.skip(f"needs {', '.join(missing)}: {PEERS[name].remedy}")
+        pytest.skip(f"needs {', '.join(missing)}: {PEERS[name].install_hint}")
     command = (
         "bench spheres:3000 --width 64 --height 48 --repeats 1 --no-memory --json --threads 1 "
         f"--sets primary,shadow,ao,bounce,random,multi,random_multi --peers {name}"
@@ -46,7 +46,7 @@ def test_peer_agrees(name):
     assert not scene["failures"]
     for rays in scene["sets"]:
         if rays["query"] == "multi" and name not in ("open3d", "embreex"):
-            assert rays["failures"] == {name: "has no such query"}
+            assert rays["failures"] == {name: "does not support this query"}
             continue
         assert rays["failures"] == {}
         limit = MULTI_LIMIT if rays["query"] == "multi" else LIMITS[name]

@@ -8,7 +8,7 @@ import pytest
 
 import raystream as rs
 from raystream.bench.contenders import Entry
-from raystream.bench.cores import limited_to
+from raystream.bench.cores import limit_cores
 from raystream.bench.machine import describe_machine
 from raystream.bench.memory import can_measure, measure_memory
 from raystream.bench.runner import geometry_of
@@ -35,10 +35,10 @@ def test_memory_of_what_fails_is_unknown():
 )
 def test_cores_are_limited_and_given_back():
     before = os.sched_getaffinity(0)
-    with limited_to(1):
+    with limit_cores(1):
         assert len(os.sched_getaffinity(0)) == 1
     assert os.sched_getaffinity(0) == before
-    with limited_to(10_000):
+    with limit_cores(10_000):
         assert os.sched_getaffinity(0) == before
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.bench.ray_sets import AO_REACH, DEFAULT_SETS, RAY_SETS, make_ray_sets
+from raystream.bench.ray_sets import AO_LENGTH, DEFAULT_SETS, RAY_SETS, make_ray_sets
 
 SIZE = (16, 12)
 
@@ -62,7 +62,7 @@ def test_bounces_leave_the_side_that_is_seen(sets, scene, tracer):
         assert (side * np.einsum("ij,ij->i", hits.normals, directions) >= -1e-6).all()
         assert np.allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-6)
     diagonal = np.linalg.norm(scene.bounds[1] - scene.bounds[0])
-    assert sets["ao"].rays.t_max == pytest.approx(AO_REACH * diagonal)
+    assert sets["ao"].rays.t_max == pytest.approx(AO_LENGTH * diagonal)
     assert sets["bounce"].rays.t_max == np.inf
 
 

@@ -10,7 +10,7 @@ import pytest
 import raystream as rs
 from raystream.bench import contenders
 from raystream.bench.contenders import Entry, Peer
-from raystream.bench.contenders.base import AbsentError, FirstHits
+from raystream.bench.contenders.base import FirstHits, UnavailableError
 from raystream.bench.contenders.own import Raystream
 from raystream.bench.report import make_notes, make_tables, write_result
 from raystream.bench.runner import Bench, Plan, geometry_of
@@ -48,7 +48,7 @@ class Broken(Nearsighted):
 
 class Missing(Nearsighted):
     def __init__(self, threads, options):  # noqa: ARG002
-        raise AbsentError("not today")
+        raise UnavailableError("not today")
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +103,7 @@ def test_everybody_takes_part_in_every_round(box):
     assert primary.hit_count > 0
     # The worse of its modes counts for agreement.
     assert primary.agreement["nearsighted"] == (primary.hit_count / 48, 0)
-    assert multi.failures == {"nearsighted": "has no such query"}
+    assert multi.failures == {"nearsighted": "does not support this query"}
     assert multi.hit_count == 2 * primary.hit_count  # in and out of the box
     assert primary.best_peer(result.peers) == "nearsighted"
     assert primary.ratio("raystream", "nearsighted") > 0

@@ -87,7 +87,7 @@ def test_default_scenes_that_are_not_there_are_left_out(run, monkeypatch, tmp_pa
         (["--option", "leaf=2"], "leaf"),
         (["--option", "max_leaf_size=0"], "max_leaf_size"),
         (["--variant", "leaf=2"], "--variant: expected NAME:KEY=VALUE"),
-        (["--variant", "raystream:structure=brute"], "'raystream' is there twice"),
+        (["--variant", "raystream:structure=brute"], "'raystream' is given twice"),
         (["--output", "table.pdf"], ".md or .rst or .json"),
     ],
 )

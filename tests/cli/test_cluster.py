@@ -34,7 +34,7 @@ def address():
         yield cluster.scheduler_address
 
 
-def test_a_picture_and_a_film_are_those_of_one_machine(run, address, tmp_path):
+def test_a_picture_and_an_animation_are_those_of_one_machine(run, address, tmp_path):
     asked = ("render", "cornell", *SIZE, "--mode", "whitted", "--samples", "2")
     alone = run(*asked, "-o", "alone.exr", "--json").figures
     result = run(*asked, "-o", "there.exr", "--json", "--cluster", address)
@@ -50,9 +50,9 @@ def test_a_picture_and_a_film_are_those_of_one_machine(run, address, tmp_path):
         "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40\na 0 2 10\n"
         "x a { p 3 0 0 0 1 0 0 0 1 0 }\nk a { transl 2 0 -1 0 0 0 0 0 2 1 0 0 0 0 0 }\n"
     )
-    film = ("render", "a.aff", "--frames", "0:3", *SIZE)
-    assert run(*film, "-o", "alone%d.png").code == 0
-    assert run(*film, "-o", "there%d.png", "--cluster", address).code == 0
+    animation = ("render", "a.aff", "--frames", "0:3", *SIZE)
+    assert run(*animation, "-o", "alone%d.png").code == 0
+    assert run(*animation, "-o", "there%d.png", "--cluster", address).code == 0
     for number in range(3):
         one, two = (tmp_path / f"{name}{number}.png" for name in ("alone", "there"))
         assert one.read_bytes() == two.read_bytes()
@@ -104,7 +104,7 @@ def test_ctrl_c_keeps_the_samples_and_resume_goes_on(environment, tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "--resume goes on from them" in said
+    assert "--resume resumed from them" in said
     assert "Traceback" not in said
     assert samples.exists()
     shorter = ["200" if word == "5000" else word for word in on_cluster]
@@ -112,4 +112,4 @@ def test_ctrl_c_keeps_the_samples_and_resume_goes_on(environment, tmp_path):
         [*shorter, "--resume"], cwd=tmp_path, env=environment, capture_output=True, text=True
     )
     assert again.returncode == 0, again.stderr
-    assert re.search("goes on from [0-9]+ samples", again.stderr)
+    assert re.search("resumed from [0-9]+ samples", again.stderr)

@@ -66,7 +66,7 @@ def test_layers_of_an_exr_do_no_harm(run, pictures):
         (["a.png", "wide.png"], "80x6 and 81x6"),
         (["a.png", "missing.png"], "missing.png: no such file"),
         (["text.png", "a.png"], "text.png: is not a whole .png file"),
-        (["a.jpg", "a.png"], "a.jpg: the name must end"),
+        (["a.jpg", "a.png"], "a.jpg: file extension must be"),
         (["a.png", "b.png", "-o", "a.png"], "overwritten"),
         (["a.png", "b.png", "-o", "d.gif"], "d.gif"),
         (["a.png", "b.png", "--maximum", "2"], "--maximum: only with --output"),

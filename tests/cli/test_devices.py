@@ -127,7 +127,7 @@ def test_devices_are_listed(run, adapter):
     assert figures["cpu"]["name"]
     graphics = figures["graphics"]
     assert graphics["error"] is None
-    assert [one["is_usual"] for one in graphics["adapters"]].count(True) == 1
+    assert [one["is_default"] for one in graphics["adapters"]].count(True) == 1
     for one in graphics["adapters"]:
         assert one["backend"] in ("Vulkan", "Metal", "D3D12")
         assert one["limits"]["max-buffer-size"] >= 1 << 28  # WebGPU promises as much
@@ -156,7 +156,7 @@ def test_an_adapter_that_is_not_there(run, monkeypatch, adapter):
     monkeypatch.setenv("RAYSTREAM_ADAPTER", "abacus")
     graphics = run("info", "--devices", "--json").figures["graphics"]
     assert graphics["adapters"]
-    assert not any(one["is_usual"] for one in graphics["adapters"])
+    assert not any(one["is_default"] for one in graphics["adapters"])
     assert "none is called 'abacus'" in graphics["error"]
 
 
@@ -194,4 +194,4 @@ def test_no_cuda(run, square, rays, monkeypatch):
 
 @pytest.mark.parametrize("arguments", [[], ["cornell", "--devices"]])
 def test_scene_or_devices(run, arguments):
-    assert run("info", *arguments).complaint == "info: expected SCENE or --devices, one of them"
+    assert run("info", *arguments).complaint == "info: expected either SCENE or --devices"

@@ -43,10 +43,13 @@ def test_suffixes_are_those_of_the_library():
     ("arguments", "reason"),
     [
         (["--environment-rotation", 3], "--environment-rotation: only with --environment"),
-        (["--environment", "sky.gif"], "sky.gif: the name must end in .hdr or"),
+        (["--environment", "sky.gif"], "sky.gif: file extension must be .hdr or"),
         (["--environment", "none.hdr"], "none.hdr: cannot be read"),
         (["--environment", "sky.png", "-o", "sky.png"], "sky.png: is an input"),
-        (["--environment", "sky.png", "--heatmap", "steps"], "--environment: not with --heatmap"),
+        (
+            ["--environment", "sky.png", "--heatmap", "steps"],
+            "--environment: cannot be combined with --heatmap",
+        ),
     ],
 )
 def test_bad_maps_are_refused(run, sky, arguments, reason):

@@ -76,9 +76,12 @@ def test_machines_draw_the_same_and_count_passes(run, square):
     ("arguments", "complaint"),
     [
         (["--heatmap", "warmth"], "expected cells or tests or steps, got 'warmth'"),
-        (["--heatmap", "cells", "--mode", "vis"], "--mode: not with --heatmap"),
-        (["--heatmap", "cells", "--mode", "raycast"], "--mode: not with --heatmap"),
-        (["--heatmap", "cells", "--exposure", "1"], "--exposure: not with --heatmap"),
+        (["--heatmap", "cells", "--mode", "vis"], "--mode: cannot be combined with --heatmap"),
+        (["--heatmap", "cells", "--mode", "raycast"], "--mode: cannot be combined with --heatmap"),
+        (
+            ["--heatmap", "cells", "--exposure", "1"],
+            "--exposure: cannot be combined with --heatmap",
+        ),
         (["--heatmap", "cells", "--option", "counters=false"], "--heatmap needs counters"),
         (["--heatmap", "cells", "--maximum", "0"], "--maximum"),
         (["--heatmap", "cells", "--maximum", "nan"], "--maximum"),

@@ -78,4 +78,4 @@ def test_break_says_how_to_go_on(run, monkeypatch, small):
     monkeypatch.setattr("raystream.lab.purcell.unrolling.compare", stop)
     found = run("lab", "purcell", "--only", "unrolling", "--quick", "--size", "32", "-o", "out")
     assert found.code == 130
-    assert "measurements are kept in out; --resume goes on" in found.err
+    assert "measurements are saved in out; rerun with --resume" in found.err

@@ -52,7 +52,7 @@ def test_resumed_exr_has_the_same_bytes(run, exr):
 
     with pytest.raises(KeyboardInterrupt):
         library(layers="all", checkpoint="a.exr.samples.npz", progress=stop)
-    assert run(*ASKED, "-o", "a.exr", "--resume").err == "a.exr: goes on from 3 samples\n"
+    assert run(*ASKED, "-o", "a.exr", "--resume").err == "a.exr: resumed from 3 samples\n"
     assert run(*ASKED, "-o", "b.exr").code == 0
     with open("a.exr", "rb") as a, open("b.exr", "rb") as b:
         assert a.read() == b.read()
@@ -74,13 +74,16 @@ def test_denoised_exr_has_no_layers_beyond_those_asked_for(run, exr):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--layers", "depth"], "--layers: only with an --output of .exr"),
-        (["--layers", "none"], "--layers: only with an --output of .exr"),
+        (["--layers", "depth"], "--layers: only with an .exr --output"),
+        (["--layers", "none"], "--layers: only with an .exr --output"),
         (["-o", "a.exr", "--layers", "depth,color"], "or none, got 'color'"),
         (["-o", "a.exr", "--layers", ""], "or none, got ''"),
         (["-o", "a.exr", "--layers", "depth,none"], "got 'none'"),
-        (["-o", "a.exr", "--heatmap", "cells", "--layers", "depth"], "--layers: not with"),
-        (["--heatmap", "cells", "--denoise"], "--denoise: not with --heatmap"),
+        (
+            ["-o", "a.exr", "--heatmap", "cells", "--layers", "depth"],
+            "--layers: cannot be combined with",
+        ),
+        (["--heatmap", "cells", "--denoise"], "--denoise: cannot be combined with --heatmap"),
     ],
 )
 def test_bad_layers_are_refused_in_one_line(run, exr, tmp_path, arguments, complaint):

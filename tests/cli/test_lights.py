@@ -25,8 +25,8 @@ f 4 5 6
 """
 MATERIALS = "newmtl wall\nKd 0.8 0.1 0.1\nnewmtl lamp\nKe 0.02 0.02 0.02\n"
 NOTE = (
-    "the scene's own lights are too weak to see by: added {} (--lights file takes the scene's "
-    "own alone)\n"
+    "the scene's own lights are too weak to see by: added {} (--lights file uses the scene's "
+    "own only)\n"
 )
 
 
@@ -70,16 +70,16 @@ def test_nothing_is_said_where_nothing_is_added(run, weak, arguments):
     assert (result.code, result.err) == (0, "")
 
 
-def test_films_say_it_once(run, tmp_path):
+def test_animations_say_it_once(run, tmp_path):
     (tmp_path / "a.aff").write_text(
         "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40\nl 0 3 5 0.0005 0.0005 0.0005\n"
         "a 0 2 10\nx a { p 3 0 0 0 1 0 0 0 1 0 }\nk a { transl 2 0 -1 0 0 0 0 0 2 1 0 0 0 0 0 }\n"
     )
-    film = ("render", "a.aff", "-o", "f%d.png", "--frames", "0:3", *SIZE)
-    assert run(*film).err == NOTE.format("a light at the eye")
+    animation = ("render", "a.aff", "-o", "f%d.png", "--frames", "0:3", *SIZE)
+    assert run(*animation).err == NOTE.format("a light at the eye")
     with Image.open("f2.png") as image:
         assert np.asarray(image).max() > 100
-    assert run(*film, "--lights", "file").err == ""
+    assert run(*animation, "--lights", "file").err == ""
     with Image.open("f2.png") as image:
         assert np.asarray(image).max() < 5
 
@@ -88,7 +88,7 @@ def test_films_say_it_once(run, tmp_path):
     ("arguments", "reason"),
     [
         (["--lights", "all"], "'--lights': expected auto or file, got 'all'"),
-        (["--lights", "file", "--heatmap", "steps"], "--lights: not with --heatmap"),
+        (["--lights", "file", "--heatmap", "steps"], "--lights: cannot be combined with --heatmap"),
     ],
 )
 def test_refusals(run, arguments, reason):

@@ -269,7 +269,7 @@ def test_names_are_those_of_the_library():
     assert tuple(BUILTIN) == options.SCENES
     machines = {name: device_of(name).machines.names for name in options.DEVICES}
     assert set(options.MACHINES) == {"multipass"}.union(*machines.values())
-    assert {name: known[0] for name, known in machines.items()} == options.USUAL_MACHINES
+    assert {name: known[0] for name, known in machines.items()} == options.DEFAULT_MACHINES
     assert set(options.DEVICES) <= set(DEVICES)
 
 

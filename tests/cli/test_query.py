@@ -40,7 +40,7 @@ def test_first_hits(run, square, rays, options):
     result = run("query", square, rays, "-o", "hits.npz", *options)
     assert result.code == 0
     assert result.err == ""
-    assert result.out.startswith("hits.npz: 4 rays (1 invalid), 2 of them hit; 2 triangles; load ")
+    assert result.out.startswith("hits.npz: 4 rays (1 invalid), 2 hit; 2 triangles; load ")
     hits = arrays("hits.npz")
     assert set(hits) == {"t", "u", "v", "prim_id", "mesh_id", "status"}
     np.testing.assert_array_equal(hits["t"], [[1, 2], [np.inf, np.inf]])

@@ -15,14 +15,14 @@ from extras import need
 
 need("starlette", "uvicorn", "websockets")
 
-from fake_studio import FakeStudio
-from raystream.viewer import studio
+from fake_service import FakeService
+from raystream.viewer import render_service
 from raystream.viewer.serve import ViewServer, bind
 from raystream.viewer.server import app
 from viewer_home import PAGE, Guest, wait_until
 
 
-class Studio(FakeStudio):
+class RenderService(FakeService):
     """Keeps what it was made with."""
 
     def __init__(self, tracer, name, *, settings):
@@ -32,17 +32,17 @@ class Studio(FakeStudio):
 
 @pytest.fixture
 def served(monkeypatch):
-    """Addresses, statuses and studios of runs that began to serve; each then gets a Ctrl-C."""
+    """Addresses, statuses and services of runs that began to serve; each then gets a Ctrl-C."""
     seen = []
 
     def wait(server):
         with urllib.request.urlopen(server.local_url, timeout=10) as answer:
-            seen.append((server.url, answer.status, server._studio))
+            seen.append((server.url, answer.status, server._service))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(ViewServer, "wait", wait)
     monkeypatch.setattr(app, "read_page_files", lambda: PAGE)
-    monkeypatch.setattr(studio, "Studio", Studio)
+    monkeypatch.setattr(render_service, "RenderService", RenderService)
     return seen
 
 
@@ -60,7 +60,7 @@ def test_address_is_printed_and_ctrl_c_ends_it(run, square, served, opened):
     assert (shown.code, shown.out, status) == (130, f"{url}\n", 200)
     assert url.startswith("http://127.0.0.1:")
     assert "interrupted" in shown.err
-    assert opened == []  # nobody sees a screen here
+    assert opened == []  # there is no screen here
     assert made.is_closed
 
 
@@ -92,16 +92,14 @@ def test_port_that_is_taken_is_said(run, square):
     with bind("127.0.0.1", 0) as taken:
         port = taken.getsockname()[1]
         complaint = run("view", square, "--port", port).complaint
-    assert complaint == (
-        f"--port: {port} is in use on 127.0.0.1; leave it out to take any that is free"
-    )
+    assert complaint == (f"--port: {port} is in use on 127.0.0.1; omit it to use any free port")
 
 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
         (["absent.obj"], "there is no such file"),
-        (["square.obj", "--host", "203.0.113.7"], "--host: 203.0.113.7 is no address"),
+        (["square.obj", "--host", "203.0.113.7"], "--host: 203.0.113.7 is not an address"),
         (["square.obj", "--port", "70000"], "--port"),
         (["square.obj", "--token", "short"], "--token: expected 16 to 256"),
         (["square.obj", "--upload-limit", "0"], "--upload-limit"),

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from raystream.cli import compiling
-from raystream.cli.opening import Stopwatch
+from raystream.cli.load import Stopwatch
 from raystream.jit import warm
 from raystream.jit.watching import WATCHERS
 
@@ -60,7 +60,7 @@ def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     assert started == [("render-ao", 2), count - 1]
     shown = capsys.readouterr().err
     assert shown.count("\n") == 1
-    assert shown.startswith(f"compiling {count} kernels on their first use; kept in ")
+    assert shown.startswith(f"compiling {count} kernels on first use; cached in ")
     assert WATCHERS == []
 
 
@@ -73,7 +73,7 @@ def test_other_structures_say_it_when_a_second_has_passed(structure, device, sta
         assert capsys.readouterr().err == ""
         watcher.end("two", 0.2)
         watcher.end("three", 9.0)
-    assert capsys.readouterr().err.count("compiling kernels on their first use") == 1
+    assert capsys.readouterr().err.count("compiling kernels on first use") == 1
     assert started == []
 
 

@@ -57,9 +57,9 @@ def test_figures_for_people(run, rays):
 
 def begin_and_interrupt(run, monkeypatch, *more) -> str:
     """Ctrl-C once 400 rays are done."""
-    from raystream.zarr_queries import asking
+    from raystream.ray_files import block_query
 
-    ask = asking.QueryInputs.__call__
+    ask = block_query.BlockQuery.__call__
 
     def interrupted(self, block, *arguments):
         if block.begin == 400:
@@ -67,7 +67,7 @@ def begin_and_interrupt(run, monkeypatch, *more) -> str:
         return ask(self, block, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(asking.QueryInputs, "__call__", interrupted)
+        patch.setattr(block_query.BlockQuery, "__call__", interrupted)
         result = run(*ASKED, "--block-rays", 200, *more)
     assert (result.code, result.out) == (130, "")
     assert result.err.count("\n") == 1
@@ -77,12 +77,12 @@ def begin_and_interrupt(run, monkeypatch, *more) -> str:
 def test_ctrl_c_tells_what_is_done(run, rays, monkeypatch):
     told = begin_and_interrupt(run, monkeypatch)
     assert told == (
-        "interrupted; 400 rays are done, and their hits in hits.zarr: the same command with "
-        "--resume goes on from them\n"
+        "interrupted; 400 rays are done, with their hits in hits.zarr; rerun with --resume "
+        "to continue\n"
     )
     assert "--resume" in run(*ASKED, "--block-rays", 200).complaint
     result = run(*ASKED, "--block-rays", 200, "--resume", "--json")
-    assert result.err == "hits.zarr: goes on from 400 of 1,000 rays\n"
+    assert result.err == "hits.zarr: resumed at 400 of 1,000 rays\n"
     assert result.figures["rays_before"] == 400
     assert not RECORD.exists()
     before = content_of(Path("hits.zarr"))
@@ -92,10 +92,10 @@ def test_ctrl_c_tells_what_is_done(run, rays, monkeypatch):
     assert content_of(Path("hits.zarr")) == before
 
 
-def test_another_question_is_refused_in_one_line(run, rays, monkeypatch):
+def test_another_query_is_rejected_in_one_line(run, rays, monkeypatch):
     begin_and_interrupt(run, monkeypatch)
     complaint = run(*ASKED, "--block-rays", 200, "--resume", "--any").complaint
-    assert complaint.startswith(f"{RECORD}: is of another question (")
+    assert complaint.startswith(f"{RECORD}: belongs to another query (")
     assert "query" in complaint
 
 
@@ -110,21 +110,19 @@ def test_full_disk_is_one_line(run, rays, monkeypatch):
         patch.setattr(zarr.storage.LocalStore, "set", fill_up)
         complaint = run(*ASKED, "--block-rays", 200).complaint
     assert complaint == (
-        "hits.zarr: No space left on device; what is done is kept: the same command with --resume "
-        "goes on from it"
+        "hits.zarr: No space left on device; finished blocks are saved; rerun with "
+        "--resume to continue"
     )
-    assert run(*ASKED, "--block-rays", 200, "--resume").err.startswith(
-        "hits.zarr: goes on from 600"
-    )
+    assert run(*ASKED, "--block-rays", 200, "--resume").err.startswith("hits.zarr: resumed at 600")
 
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["-o", "hits.npz"], "hits.npz: hits of rays in a Zarr store go to one"),
+        (["-o", "hits.npz"], "hits.npz: hits of rays in a Zarr store must be written to a .zarr"),
         (["-o", "nowhere/hits.zarr"], "nowhere"),
         (["-o", "file.zarr"], "file.zarr: is a file"),
-        (["-o", "rays.zarr"], "rays.zarr: is the store of rays"),
+        (["-o", "rays.zarr"], "rays.zarr: rays and hits must be separate"),
         (["--any", "--max-hits", "3"], "--max-hits"),
         (["--block-rays", "0"], "--block-rays"),
     ],
@@ -140,7 +138,7 @@ def test_bad_option_is_refused_in_one_line(run, rays, arguments, named):
 def test_options_of_stores_are_refused_for_files(run, tmp_path, option):
     np.savez(tmp_path / "rays.npz", **cornell_rays((3,)))
     named = ("query", "cornell", "rays.npz", "-o", "hits.npz", *option)
-    assert run(*named).complaint.startswith(f"{option[0]}: only with rays in a Zarr store")
+    assert run(*named).complaint.startswith(f"{option[0]}: only with rays and hits in Zarr stores")
 
 
 @pytest.mark.parametrize("rays", ["none.zarr", "text.zarr", "folder"])

@@ -117,7 +117,7 @@ def test_work_survives_more_kills_than_dask_allows(mortals, tmp_path):
 
 @pytest.mark.exhaustive
 def test_work_that_always_kills_is_given_up(mortals, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster_tasks, "MOST_TRIES", 1)
+    monkeypatch.setattr(cluster_tasks, "MAX_ATTEMPTS", 1)
     for k in range(9):
         (tmp_path / str(k)).touch()
     tasks = OrderedTasks(mortals, dying(), [(str(tmp_path), 1)], 1, "die")
@@ -154,7 +154,7 @@ def test_a_worker_that_joins_late_fetches_what_it_needs(cluster, client, room):
 def test_a_cluster_without_workers_says_so(room, monkeypatch):
     from distributed import Client, LocalCluster
 
-    monkeypatch.setattr(clients, "PATIENCE", 0.2)
+    monkeypatch.setattr(clients, "TIMEOUT", 0.2)
     local = "127.0.0.1:0"
     with (
         LocalCluster(n_workers=0, processes=False, dashboard_address=local) as few,
@@ -165,7 +165,7 @@ def test_a_cluster_without_workers_says_so(room, monkeypatch):
 
 
 def test_nobody_at_the_address(room, monkeypatch):
-    monkeypatch.setattr(clients, "PATIENCE", 0.6)
+    monkeypatch.setattr(clients, "TIMEOUT", 0.6)
     with pytest.raises(ClusterError, match="no Dask scheduler answers"):
         rs.cluster.render(room, size=(4, 3), client="tcp://127.0.0.1:1")
 

@@ -236,7 +236,7 @@ def test_bad_options_are_refused_at_once(tracer, local, client, room, rays):
         tracer.any_hit(unknown, rays[1])
     with pytest.raises(ValueError, match="counters"):
         rs.cluster.Tracer(room, client, counters=True)
-    with pytest.raises(ValueError, match="the tracer given has its own"):
+    with pytest.raises(ValueError, match="cannot be combined with an existing Tracer"):
         rs.cluster.Tracer(local, client, "grid")
     with pytest.raises(TypeError, match="expected a Scene or Tracer"):
         rs.cluster.Tracer([1, 2], client)
@@ -269,9 +269,9 @@ def test_what_is_no_cluster_is_refused(room, client, kind, says):
 
 
 def threads_seen(block):
-    from raystream.cluster.shares import own_share
+    from raystream.cluster.thread_budget import shared_threads
 
-    with own_share():
+    with shared_threads():
         return block + rs.thread_count()
 
 

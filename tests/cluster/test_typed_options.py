@@ -12,7 +12,7 @@ from extras import need
 
 need("distributed")
 
-from raystream.cluster.tracers import pack_tracer, unpack_tracer
+from raystream.cluster.tracer_bundles import pack_tracer, unpack_tracer
 from raystream.core.choices import DeviceOptions
 from raystream.machines.devices import DEVICES, register_device
 

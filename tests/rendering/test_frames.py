@@ -12,7 +12,7 @@ import pytest
 from PIL import Image as Pillow
 
 import raystream as rs
-from raystream.cli import films
+from raystream.cli import frame_files
 from raystream.core.errors import RaystreamError
 from raystream.rendering.frames import frame_seed
 from raystream.rendering.video import VIDEO_SUFFIXES, write_video
@@ -144,4 +144,4 @@ def test_ffmpeg_makes_videos(tmp_path: Path, suffix: str) -> None:
 
 
 def test_command_line_knows_the_videos() -> None:
-    assert films.VIDEOS == VIDEO_SUFFIXES
+    assert frame_files.VIDEOS == VIDEO_SUFFIXES

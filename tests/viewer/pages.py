@@ -1,4 +1,4 @@
-"""A page as the studio sees one: it keeps what it is sent, and waits for it."""
+"""A page as the service sees one: it keeps what it is sent, and waits for it."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from raystream.viewer import Frame, Studio, Visitor
+from raystream.viewer import Client, Frame, RenderService
 
 #: Nothing that a test waits for takes so long, but compiling does.
 TIMEOUT = 300.0
 
 
 class Page:
-    """A visitor that acknowledges its frames, unless told not to."""
+    """A client that acknowledges its frames, unless told not to."""
 
-    def __init__(self, studio: Studio, *, shows: bool = True, size: tuple[int, int] = (32, 24)):
+    def __init__(
+        self, service: RenderService, *, shows: bool = True, size: tuple[int, int] = (32, 24)
+    ):
         self.received: list[Any] = []
         self.shows = shows
         self._changed = threading.Condition()
-        self.visitor: Visitor = studio.join(self._receive)
+        self.client: Client = service.join(self._receive)
         self.take("size", width=size[0], height=size[1])
 
     def _receive(self, message: Any) -> None:
@@ -34,9 +36,9 @@ class Page:
             self.take("shown", frame=message.header["number"])
 
     def take(self, kind: str, **fields: Any) -> None:
-        visitor = getattr(self, "visitor", None)
-        if visitor is not None:
-            visitor.take({"type": kind, **fields})
+        client = getattr(self, "client", None)
+        if client is not None:
+            client.handle({"type": kind, **fields})
 
     def wait(self, wanted: Callable[[Any], bool], timeout: float = TIMEOUT) -> Any:
         """The first thing received that is wanted."""
@@ -79,7 +81,7 @@ class Page:
             return [one for one in self.received if isinstance(one, Frame)]
 
     def forget(self) -> None:
-        """Look only at what comes from now on."""
+        """DisplaySettings only at what comes from now on."""
         with self._changed:
             self.received.clear()
 

@@ -139,7 +139,7 @@ def test_models_come_by_files_and_wrong_ones_are_refused(viewer, tmp_path):
     page.locator("#first-scene").click()
     viewer.wait(lambda: not viewer.last("scene")["own"], "the first scene")
     page.locator("#files").set_input_files(Path(__file__))
-    viewer.toast("is no model")
+    viewer.toast("is not a model")
 
 
 def test_a_phone_turns_the_scene_with_a_finger_and_has_the_controls_in_a_sheet(
@@ -189,7 +189,7 @@ def test_a_phone_turns_the_scene_with_a_finger_and_has_the_controls_in_a_sheet(
 def test_the_legend_has_the_colors_of_heat_maps():
     colors = encode_srgb(color_ramp(11))
     wanted = ["#" + "".join(f"{channel:02x}" for channel in color) for color in colors]
-    style = (PAGE / "parts.css").read_text()
+    style = (PAGE / "components.css").read_text()
     ramp = style[style.index(".ramp {") :]
     ramp = ramp[: ramp.index(");")].split("to right,")[1]
     assert [color.strip() for color in ramp.split(",")] == wanted

@@ -259,7 +259,7 @@ def test_a_lost_connection_comes_back_as_it_was(chromium):  # noqa: F811
         viewer.wait(lambda: viewer.messages and viewer.last("settings")["mode"] == "vis", "vis")
         viewer.wait(lambda: not viewer.camera["moving"], "the camera at rest")
         np.testing.assert_allclose(viewer.camera["eye"], there["eye"])
-        # While nobody answered the browser complained.
+        # The browser reported errors while the server was down.
         viewer.problems.clear()
         viewer.close()
 

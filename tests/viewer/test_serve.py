@@ -13,7 +13,7 @@ from extras import need
 
 need("starlette", "uvicorn", "websockets")
 
-from fake_studio import FakeStudio
+from fake_service import FakeService
 from raystream.core.errors import RaystreamError
 from raystream.viewer import serve
 from raystream.viewer.serve import ViewServer, bind
@@ -44,28 +44,28 @@ def test_taken_port_is_said():
 
 @pytest.mark.parametrize("host", ["nowhere.invalid", "203.0.113.7", "1.2.3.4.5", "", "a" * 300])
 def test_address_of_nobody_is_said(host):
-    with pytest.raises(RaystreamError, match=r"^--host: .*is no address of this machine"):
+    with pytest.raises(RaystreamError, match=r"^--host: .*is not an address of this machine"):
         bind(host, 0)
 
 
 def test_it_ends_cleanly_and_frees_its_port():
     threads = threading.active_count()
-    studio = FakeStudio()
-    with ViewServer(studio, bind("localhost", 0)) as server:
+    service = FakeService()
+    with ViewServer(service, bind("localhost", 0)) as server:
         with urllib.request.urlopen(server.url, timeout=10) as answer:
             assert answer.read() == PAGE["index.html"].content
         assert server.is_running
         assert server.is_loopback
     server.close()
     assert not server.is_running
-    assert studio.is_closed
+    assert service.is_closed
     assert threading.active_count() == threads
     with bind("127.0.0.1", server.port):
         pass
 
 
 def test_several_at_once():
-    first, second = (ViewServer(FakeStudio(), bind("127.0.0.1", 0)) for _ in range(2))
+    first, second = (ViewServer(FakeService(), bind("127.0.0.1", 0)) for _ in range(2))
     assert first.url != second.url
     first.close()
     with urllib.request.urlopen(second.url, timeout=10) as answer:
@@ -75,18 +75,18 @@ def test_several_at_once():
 
 @pytest.mark.parametrize("own", ["192.0.2.7", None])
 def test_address_has_the_token_once_others_can_reach_it(monkeypatch, own):
-    monkeypatch.setattr(serve, "own_address", lambda: own)
-    with ViewServer(FakeStudio(), bind("0.0.0.0", 0)) as server:
+    monkeypatch.setattr(serve, "lan_address", lambda: own)
+    with ViewServer(FakeService(), bind("0.0.0.0", 0)) as server:
         assert not server.is_loopback
         host, query = server.url.removeprefix("http://").split("/")
         assert host == f"{own or socket.gethostname().lower()}:{server.port}"
         assert query.startswith("?token=")
-        assert server._access.knows_host(host)
+        assert server._access.accepts_host(host)
         assert server.local_url == f"http://localhost:{server.port}/{query}"
 
 
 def test_own_address_is_one_or_none():
-    own = serve.own_address()
+    own = serve.lan_address()
     assert own is None or not ipaddress.ip_address(own).is_unspecified
 
 
@@ -95,7 +95,7 @@ def test_without_a_network_there_is_no_own_address(monkeypatch):
         raise OSError(101, "Network is unreachable")
 
     monkeypatch.setattr(serve.socket, "socket", lambda *kind: FakeSocket(refuse))
-    assert serve.own_address() is None
+    assert serve.lan_address() is None
 
 
 class FakeSocket:
@@ -115,15 +115,15 @@ def test_address_of_version_6_is_in_brackets():
         listener = bind("::1", 0)
     except RaystreamError:
         pytest.skip("there is no IPv6 here")
-    with ViewServer(FakeStudio(), listener) as server:
+    with ViewServer(FakeService(), listener) as server:
         assert server.url == f"http://[::1]:{server.port}/"
         with urllib.request.urlopen(server.url, timeout=10) as answer:
             assert answer.status == 200
 
 
 def test_failing_start_closes_what_it_was_given():
-    studio, listener = FakeStudio(), bind("127.0.0.1", 0)
+    service, listener = FakeService(), bind("127.0.0.1", 0)
     with pytest.raises(RaystreamError, match="--token"):
-        ViewServer(studio, listener, token="short")
-    assert studio.is_closed
+        ViewServer(service, listener, token="short")
+    assert service.is_closed
     assert listener.fileno() == -1

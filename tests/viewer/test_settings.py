@@ -35,9 +35,9 @@ def test_so_are_the_machines_of_other_devices(device, package):
         ({"mode": None}, "mode: expected one of"),
         ({"structure": 3}, "structure: expected one of"),
         ({"structure": ["bvh"]}, "structure: expected one of"),
-        ({"traversal": "restart"}, "traversal: bvh has no choice"),
+        ({"traversal": "restart"}, "traversal: bvh has no traversal option"),
         ({"structure": "kdtree", "traversal": "sideways"}, "traversal: expected one of"),
-        ({"machine": "compute"}, "machine: device cpu has branching, multipass"),
+        ({"machine": "compute"}, "machine: device cpu supports branching, multipass"),
         ({"scheduler": "naive"}, "scheduler: only with machine multipass"),
         ({"device": "abacus"}, "device: expected one of"),
         ({"max_bounces": -1}, "max_bounces: expected an integer from 0"),
@@ -52,7 +52,7 @@ def test_so_are_the_machines_of_other_devices(device, package):
         ({"maximum": -3}, "maximum: expected a number above 0"),
         ({"samples": 0}, "samples: expected an integer from 1"),
         ({"samples": 10**9}, "samples: expected an integer"),
-        ({"colour": "red"}, "'colour': there is no such setting"),
+        ({"colour": "red"}, "'colour': is not a setting"),
     ],
 )
 def test_what_cannot_be_is_said(change, fault):

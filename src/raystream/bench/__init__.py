@@ -1,1 +1,1 @@
-"""Bench: raystream beside other ray tracers, on the same rays in the same minutes."""
+"""Benchmarks: raystream and other ray tracers on the same rays, interleaved in time."""

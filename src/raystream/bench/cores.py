@@ -1,4 +1,4 @@
-"""Cores: keeping every contender to the same number of them."""
+"""Cores: limit every contender to the same number of them."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import contextlib
 import os
 from collections.abc import Iterator
 
-__all__ = ["limited_to"]
+__all__ = ["limit_cores"]
 
 
 @contextlib.contextmanager
-def limited_to(count: int) -> Iterator[None]:
-    """Keep this process to `count` cores, where the system can.
+def limit_cores(count: int) -> Iterator[None]:
+    """Limit this process to `count` cores, if the system supports it.
 
-    Threads that start within the block may run on these cores only, whatever they are told
-    otherwise, so packages that cannot be told are kept to them too. Packages should be
-    imported within the block: some make their threads then.
+    Threads started within the block run on these cores only, whatever their settings, so the
+    limit also applies to packages without a thread setting. Import packages within the block:
+    some start their threads on import.
 
     Parameters
     ----------
     count : int
-        At least 1; with as many as the process may use already, or more, nothing changes.
+        At least 1; no effect if the process may not use more cores anyway.
     """
     if not hasattr(os, "sched_setaffinity"):
         yield

@@ -1,4 +1,4 @@
-"""Machine: where figures were measured, and with which versions."""
+"""Machine: hardware and versions on which figures were measured."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 __all__ = ["describe_machine"]
 
-#: Parts of a CPU's list of features that decide how wide its vectors are.
+#: CPU feature flags that determine the vector width.
 _FEATURES = (
     *("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512bw", "avx512dq", "avx512vl"),
     *("avx512_vbmi2", "avx512_bf16", "amx_tile", "asimd", "sve", "sve2"),
@@ -24,14 +24,14 @@ def describe_machine(threads: int) -> dict[str, Any]:
     Parameters
     ----------
     threads : int
-        How many threads the contenders may use.
+        Number of threads of the contenders.
 
     Returns
     -------
     dict
-        ``cpu``, ``cores`` (that this process may use), ``threads``, ``features``, ``memory``
-        (bytes; None where the system does not say), ``system``, ``python``, and a version for
-        each of the packages that raystream computes with.
+        ``cpu``, ``cores`` (available to this process), ``threads``, ``features``, ``memory``
+        (bytes; None if unknown), ``system``, ``python``, and the versions of numpy, numba and
+        llvmlite.
     """
     fields = _cpu_fields()
     flags = set(fields.get("flags", fields.get("Features", "")).split())
@@ -48,7 +48,7 @@ def describe_machine(threads: int) -> dict[str, Any]:
 
 
 def _cpu_fields() -> dict[str, str]:
-    """The first processor's lines of /proc/cpuinfo."""
+    """Read the first processor's fields of /proc/cpuinfo."""
     fields: dict[str, str] = {}
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as lines:

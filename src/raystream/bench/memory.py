@@ -1,4 +1,4 @@
-"""Memory: what a contender's structure takes, measured in a process of its own."""
+"""Memory: resident size of a contender's structure, measured in a separate process."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.bench.contenders import Entry, make_contender
-from raystream.bench.contenders.base import Contender, Geometry, Rays, practice_geometry
+from raystream.bench.contenders.base import Contender, Geometry, Rays, warmup_geometry
 
 __all__ = ["Memory", "can_measure", "measure_memory"]
 
 _STATUS = Path("/proc/self/status")
 
-#: Written there, the peak starts anew from what is resident.
+#: Writing this resets the peak to the current resident size.
 _CLEAR, _RESET_PEAK = Path("/proc/self/clear_refs"), "5"
 
 
@@ -32,16 +32,16 @@ class Memory(NamedTuple):
     Parameters
     ----------
     kept : int
-        Resident after the build: the structure, and its copy of the triangles.
+        Growth after the build: the structure, and its copy of the triangles.
     peak : int
-        Most that was resident during the build, the caller's arrays included.
+        Peak growth during the build, including the caller's arrays.
 
     Notes
     -----
-    Both are growth: what was resident before the scene's arrays were read is taken off. The
-    package was imported by then, had built a small scene and traced some rays, so that neither
+    Both are growth of the resident size since before the scene's arrays were read. By then the
+    package has been imported, has built a small scene and traced some rays, so that neither
     its code nor what it compiles counts. After the build the caller's arrays are
-    dropped, and the allocator returns what it can.
+    freed, and the allocator returns what it can.
     """
 
     kept: int
@@ -49,12 +49,12 @@ class Memory(NamedTuple):
 
 
 def can_measure() -> bool:
-    """Whether the system tells a process what is resident (Linux does)."""
+    """Whether the system reports a process's resident size (Linux does)."""
     return _STATUS.exists()
 
 
 def measure_memory(entry: Entry, geometry: Geometry, threads: int) -> Memory | None:
-    """Build in another process, and see what it takes.
+    """Build in a separate process, and measure its memory.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def measure_memory(entry: Entry, geometry: Geometry, threads: int) -> Memory | N
     Returns
     -------
     Memory or None
-        None where the system does not tell, or the process failed (for want of memory, say).
+        None if the system does not report it, or the process failed (out of memory, say).
     """
     if not can_measure():
         return None
@@ -88,36 +88,36 @@ def measure_memory(entry: Entry, geometry: Geometry, threads: int) -> Memory | N
 
 def _measure(contender: Contender, folder: Path) -> Memory:
     """Build and measure in this process."""
-    contender.build(practice_geometry())
+    contender.build(warmup_geometry())
     rays = Rays(np.zeros((9, 3), np.float32), np.ones((9, 3), np.float32), np.inf)
     for query in sorted(contender.queries):
-        contender.ask(query, rays, contender.modes[0])
+        contender.run(query, rays, contender.modes[0])
     contender.release()
-    _settle()
+    _free_memory()
     _reset_peak()
     before = _status("VmRSS")
     geometry = Geometry(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"))
     contender.build(geometry)
     peak = _status("VmHWM")
     del geometry
-    _settle()
+    _free_memory()
     return Memory(_status("VmRSS") - before, peak - before)
 
 
-def _settle() -> None:
-    """Give back what nobody holds."""
+def _free_memory() -> None:
+    """Return freed memory to the system."""
     gc.collect()
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # only glibc has it
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # glibc only
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _reset_peak() -> None:
-    with contextlib.suppress(OSError):  # else the peak of the import stays, and is low
+    with contextlib.suppress(OSError):  # otherwise the peak of the import remains, which is low
         _CLEAR.write_text(_RESET_PEAK, encoding="ascii")
 
 
 def _status(field: str) -> int:
-    """A size from the process's status, in bytes."""
+    """Read a size from the process's status, in bytes."""
     for line in _STATUS.read_text(encoding="ascii").splitlines():
         if line.startswith(f"{field}:"):
             return int(line.split()[1]) * 1024

@@ -1,4 +1,4 @@
-"""Ray sets: the same rays for all contenders, made of a scene and its camera."""
+"""Ray sets: the same rays for all contenders, generated from a scene and its camera."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from raystream.tracer import Tracer
 
 __all__ = ["DEFAULT_SETS", "RAY_SETS", "RaySet", "make_ray_sets"]
 
-#: Rays for ambient occlusion end after this share of the scene's diagonal.
-AO_REACH = 0.1
+#: Length of ambient occlusion rays, relative to the scene's diagonal.
+AO_LENGTH = 0.1
 
-#: The light hangs this far from the eye, relative to the median distance of what is seen, and
-#: at most half-way to what is there.
+#: Distance of the light from the eye, relative to the median distance of visible points; limited
+#: to half of the free distance in its direction.
 LIGHT_SHIFT = 0.25
 
 
 class RaySet(NamedTuple):
-    """Rays, and what is asked about them.
+    """Rays, and the query to run on them.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class RaySet(NamedTuple):
 
 
 class _View(NamedTuple):
-    """What ray sets are made of."""
+    """Inputs of the ray generators."""
 
     tracer: Tracer
     camera: Camera
@@ -50,7 +50,7 @@ class _View(NamedTuple):
     generator: np.random.Generator
 
 
-class _Recipe(NamedTuple):
+class _RaySetSpec(NamedTuple):
     query: Query
     description: str
     make: Callable[[_View], Rays]
@@ -67,19 +67,18 @@ def make_ray_sets(
         Finds where the camera's rays hit.
     camera : Camera
     size : (int, int)
-        Width and height of the picture, in pixels.
+        Image width and height, in pixels.
     names : sequence of str
         Keys of `RAY_SETS`.
     seed : int
-        Of each set's random numbers: a set does not depend on which others are made.
+        Seed of each set's random numbers: a set does not depend on which others are made.
 
     Yields
     ------
     RaySet
         All arrays are float32 and C-contiguous. Primary rays have the shape (height, width,
-        3); rays that start at what those hit have the shape (hits, 3), in the order of the
-        pixels; pixels that see nothing are left out. Where nothing is left, or the scene has
-        no size, there are 0 rays.
+        3); rays that start at their hits have the shape (hits, 3), in pixel order, without
+        pixels that miss. If no hits remain, or the scene has no extent, there are 0 rays.
     """
     width, height = size
     origins, directions = camera.rays(width, height)
@@ -99,13 +98,13 @@ def _primary(view: _View) -> Rays:
 
 
 def _shadow(view: _View) -> Rays:
-    """To the light, which is at t = 1."""
+    """Rays to the light, which is at t = 1."""
     toward = _light(view) - view.hits.positions
     return _spawn(view, toward, 1.0)
 
 
 def _light(view: _View) -> NDArray[np.float64]:
-    """Above the eye and to its right, in the open."""
+    """Place a light above the eye and to its right, in free space."""
     right, up, _ = view.camera.basis()
     away = (right + up) / np.sqrt(2.0)
     eye = np.asarray(view.camera.eye)
@@ -118,7 +117,7 @@ def _light(view: _View) -> NDArray[np.float64]:
 
 def _ao(view: _View) -> Rays:
     low, high = view.tracer.structure.triangles.world_bounds
-    return _spawn(view, _cosine(view), AO_REACH * float(np.linalg.norm(high - low)))
+    return _spawn(view, _cosine(view), AO_LENGTH * float(np.linalg.norm(high - low)))
 
 
 def _bounce(view: _View) -> Rays:
@@ -126,12 +125,12 @@ def _bounce(view: _View) -> Rays:
 
 
 def _cosine(view: _View) -> NDArray[np.float64]:
-    """A direction about each hit's normal, on the side from which it is seen."""
+    """Cosine-distributed directions around each hit's normal, on the visible side."""
     normals = view.hits.normals.astype(np.float64)
     toward_eye = np.asarray(view.camera.eye) - view.hits.positions
     behind = np.einsum("ij,ij->i", normals, toward_eye) < 0.0
     normals[behind] *= -1.0
-    # A point on the unit sphere around the normal's tip, seen from its foot.
+    # A point on the unit sphere around the normal's tip, as seen from its foot.
     directions = normals + _unit_vectors(view.generator, len(normals))
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
     result: NDArray[np.float64] = np.where(lengths > 1e-6, directions, normals)
@@ -139,7 +138,7 @@ def _cosine(view: _View) -> NDArray[np.float64]:
 
 
 def _random(view: _View) -> Rays:
-    """Everywhere in the scene's box, in every direction."""
+    """Uniform origins in the scene's box, uniform directions."""
     low, high = view.tracer.structure.triangles.world_bounds
     count = len(view.primary)
     origins = view.generator.uniform(low, high, (count, 3)).astype(np.float32)
@@ -163,17 +162,21 @@ def _spawn(view: _View, directions: NDArray[np.float64], t_max: float) -> Rays:
 
 
 #: The ray sets by name, in the order of the tables' rows.
-RAY_SETS: Mapping[str, _Recipe] = MappingProxyType(
+RAY_SETS: Mapping[str, _RaySetSpec] = MappingProxyType(
     {
-        "primary": _Recipe("first", "first hit of the camera's rays", _primary),
-        "shadow": _Recipe("any", "any hit between what is seen and a light near the eye", _shadow),
-        "ao": _Recipe("any", "any hit of one cosine-distributed ray a pixel, short", _ao),
-        "bounce": _Recipe("first", "first hit of one cosine-distributed ray a pixel", _bounce),
-        "random": _Recipe("first", "first hit of rays from anywhere to anywhere", _random),
-        "multi": _Recipe("multi", "all hits of the camera's rays, sorted", _primary),
-        "random_multi": _Recipe("multi", "all hits of rays from anywhere to anywhere", _random),
+        "primary": _RaySetSpec("first", "first hit of the camera's rays", _primary),
+        "shadow": _RaySetSpec(
+            "any", "any hit between visible points and a light near the eye", _shadow
+        ),
+        "ao": _RaySetSpec("any", "any hit of one short cosine-distributed ray per pixel", _ao),
+        "bounce": _RaySetSpec(
+            "first", "first hit of one cosine-distributed ray per pixel", _bounce
+        ),
+        "random": _RaySetSpec("first", "first hit of uniformly random rays", _random),
+        "multi": _RaySetSpec("multi", "all hits of the camera's rays, sorted", _primary),
+        "random_multi": _RaySetSpec("multi", "all hits of uniformly random rays, sorted", _random),
     }
 )
 
-#: Those that are traced when none are named.
+#: The ray sets traced by default.
 DEFAULT_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi")

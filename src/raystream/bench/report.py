@@ -1,4 +1,4 @@
-"""Report: a benchmark's figures as tables, for people and for pages."""
+"""Report: a benchmark's figures as tables."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Table(NamedTuple):
 
 
 def make_tables(result: BenchResult) -> list[Table]:
-    """Set a result in tables: speed of each scene, then builds and memory of all.
+    """Format a result as tables: the speed in each scene, then builds and memory of all.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def make_tables(result: BenchResult) -> list[Table]:
 
 def _speed_table(result: BenchResult, scene: SceneResult) -> Table:
     own = result.own[0]
-    columns = ["rays", "count", *result.labels, "x best peer", "x open3d", "least", "most differ"]
+    columns = ["rays", "count", *result.labels, "x best peer", "x open3d", "min diff", "max diff"]
     rows = []
     for rays in scene.sets:
         best = rays.best_peer(result.peers)
@@ -70,7 +70,7 @@ def _speed_table(result: BenchResult, scene: SceneResult) -> Table:
                 *_differing(rays),
             ]
         )
-    title = f"{scene.scene}: {scene.triangle_count:,} triangles; millions of rays a second"
+    title = f"{scene.scene}: {scene.triangle_count:,} triangles; millions of rays per second"
     return Table(title, columns, rows)
 
 
@@ -81,7 +81,7 @@ def _build_table(result: BenchResult) -> Table:
             cells = [cell(scene, label) for label in result.labels]
             if any(text != _NONE for text in cells):
                 rows.append([scene.scene, what, *cells])
-    return Table("Builds, and their memory", ["scene", "figure", *result.labels], rows)
+    return Table("Build times and memory", ["scene", "figure", *result.labels], rows)
 
 
 def _speed(rays: SetResult, label: str) -> str:
@@ -94,10 +94,10 @@ def _ratio(ratio: float | None) -> str:
 
 
 def _differing(rays: SetResult) -> tuple[str, str]:
-    """The least and the largest share, and whose that is.
+    """Format the smallest and the largest share of differing rays, and whose the latter is.
 
-    An exclamation mark flags what needs a look. Where the least is small and the largest is
-    not, raystream has the answer of another peer.
+    An exclamation mark flags a large share. If the smallest is small and the largest is not,
+    raystream agrees with another peer.
     """
     if not rays.agreement:
         return _NONE, _NONE
@@ -128,7 +128,7 @@ def _peak(scene: SceneResult, label: str) -> str:
 
 
 def make_notes(result: BenchResult) -> list[str]:
-    """Say what a reader of the tables should know; a line each.
+    """List notes for readers of the tables, one line each.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def make_notes(result: BenchResult) -> list[str]:
     notes = [_machine_line(result)]
     notes += [f"{label}: {note}." for label, note in result.notes.items()]
     notes += [f"{label} is absent: {reason}" for label, reason in result.absent.items()]
-    notes += [f"{scene} is left out: {reason}" for scene, reason in result.skipped.items()]
+    notes += [f"{scene} is skipped: {reason}" for scene, reason in result.skipped.items()]
     for scene in result.scenes:
         notes += [f"{scene.scene}: {label}: {why}" for label, why in scene.failures.items()]
         for rays in scene.sets:
@@ -152,23 +152,23 @@ def make_notes(result: BenchResult) -> list[str]:
         for rays in scene.sets
     )
     if flagged:
-        notes.append(f"!: more than {AGREEMENT_LIMIT:g} of the rays got another answer.")
+        notes.append(f"!: more than {AGREEMENT_LIMIT:g} of the rays got a different result.")
     return notes
 
 
 def write_result(path: Path, result: BenchResult) -> None:
-    """Write a result to a file: its tables, to be put into a page, or everything as JSON.
+    """Write a result to a file: its tables, for inclusion in a page, or everything as JSON.
 
     Parameters
     ----------
     path : Path
-        Ends in one of `OUTPUT_SUFFIXES`: Markdown, reStructuredText or JSON.
+        With one of `OUTPUT_SUFFIXES`: Markdown, reStructuredText or JSON.
     result : BenchResult
 
     Raises
     ------
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     """
     if path.suffix.lower() == ".json":
         text = json.dumps(result.as_json(), indent=2, allow_nan=False)
@@ -212,5 +212,5 @@ _WRITERS: Mapping[str, Callable[[Table], str]] = MappingProxyType(
     {".md": _as_markdown, ".rst": _as_rst}
 )
 
-#: What a file of results may end in.
+#: Supported extensions of result files.
 OUTPUT_SUFFIXES = (*_WRITERS, ".json")

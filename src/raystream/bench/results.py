@@ -1,4 +1,4 @@
-"""Results: what a benchmark measured, and the figures that follow."""
+"""Results: a benchmark's measurements, and figures derived from them."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ __all__ = [
     "SetResult",
 ]
 
-#: Why a contender that cannot answer a query is left out.
-NO_QUERY = "has no such query"
+#: Reason for skipping a contender that lacks a query.
+NO_QUERY = "does not support this query"
 
-#: A larger share of differing rays than this is flagged.
+#: Larger shares of differing rays are flagged.
 AGREEMENT_LIMIT = 1e-3
 
 
 @dataclass
 class BuildResult:
-    """How long a contender took to build, and what that takes.
+    """Build times and memory of a contender.
 
     Attributes
     ----------
     seconds : list of float
-        From the user's arrays until the first ray can be traced, once for each build.
+        From the user's arrays until the first ray can be traced, one per build.
     memory : Memory or None
-        None where it was not measured.
+        None if not measured.
     """
 
     seconds: list[float] = field(default_factory=list)
@@ -49,7 +49,7 @@ class BuildResult:
 
 @dataclass
 class SetResult:
-    """One ray set: what every contender took, and how its answers compare.
+    """Times and agreement of all contenders on one ray set.
 
     Attributes
     ----------
@@ -57,13 +57,13 @@ class SetResult:
     query : {"first", "any", "multi"}
     ray_count : int
     hit_count : int
-        raystream's.
+        raystream's number of hits.
     seconds : dict of str to dict of str to list of float
-        By contender and mode, one for each round after the warm-up.
+        By contender and mode, one per round after the warm-up.
     agreement : dict of str to Agreement
-        By contender, with raystream; in all modes, the worst.
+        By contender, with raystream; the worst over all modes.
     failures : dict of str to str
-        By contender: why it was left out.
+        By contender: why it was skipped.
     """
 
     name: str
@@ -75,22 +75,22 @@ class SetResult:
     failures: dict[str, str] = field(default_factory=dict)
 
     def speed(self, label: str) -> float | None:
-        """Millions of rays in a second, by the median of the better mode; None without any."""
+        """Millions of rays per second, by the median of the faster mode; None without figures."""
         medians = [statistics.median(times) for times in self.seconds.get(label, {}).values()]
         return self.ray_count / min(medians) / 1e6 if medians and min(medians) > 0.0 else None
 
     def best_mode(self, label: str) -> str:
-        """The mode that counts."""
+        """The mode with the best median."""
         modes = self.seconds[label]
         return min(modes, key=lambda mode: statistics.median(modes[mode]))
 
     def best_peer(self, peers: list[str]) -> str | None:
-        """The fastest of these contenders; None where none of them took part."""
+        """The fastest of these contenders; None if none of them took part."""
         speeds = {label: speed for label in peers if (speed := self.speed(label)) is not None}
         return max(speeds, key=lambda label: speeds[label]) if speeds else None
 
     def ratio(self, label: str, other: str | None) -> float | None:
-        """How many times as fast one is as the other; None where one did not take part."""
+        """Speed relative to another contender; None if either did not take part."""
         if other is None or (own := self.speed(label)) is None:
             return None
         theirs = self.speed(other)
@@ -104,18 +104,18 @@ class SetResult:
 
 @dataclass
 class SceneResult:
-    """One scene.
+    """Results of one scene.
 
     Attributes
     ----------
     scene : str
-        As asked for.
+        Its name as requested.
     triangle_count : int
     builds : dict of str to BuildResult
         By contender.
     sets : list of SetResult
     failures : dict of str to str
-        By contender: why it could not build.
+        By contender: why its build failed.
     """
 
     scene: str
@@ -127,23 +127,23 @@ class SceneResult:
 
 @dataclass
 class BenchResult:
-    """A whole benchmark, or what there was of it when it was interrupted.
+    """A benchmark's results, possibly partial if interrupted.
 
     Attributes
     ----------
     machine : dict
         See `describe_machine`.
     size : (int, int)
-        Width and height of the pictures.
+        Image width and height.
     repeats : int
         Rounds after the warm-up.
     own, peers : list of str
-        Contenders that took part, in the order of the columns: raystream's configurations,
-        of which ratios mean the first; and the others.
+        Contenders that took part, in column order: raystream's configurations, the first of
+        which is the numerator of ratios; and the peers.
     versions, notes : dict of str to str
         By contender.
     absent : dict of str to str
-        By peer: why it is not there, and what to do.
+        By peer: why it is unavailable, and what to do.
     skipped : dict of str to str
         By scene: why it could not be loaded.
     scenes : list of SceneResult
@@ -166,7 +166,7 @@ class BenchResult:
         return [*self.own, *self.peers]
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, raw, and with the figures that follow."""
+        """All raw measurements, and the figures derived from them."""
         raw = asdict(self)
         raw["size"] = list(self.size)
         raw["scenes"] = [self._scene_as_json(scene) for scene in self.scenes]

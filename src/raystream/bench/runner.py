@@ -1,4 +1,4 @@
-"""Runner: builds and traces with all contenders in turn, and keeps the time."""
+"""Runner: builds and traces with all contenders in turn, and measures times."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 from raystream.bench.agreement import Agreement, compare, count_hits
 from raystream.bench.contenders import Entry, make_contender
 from raystream.bench.contenders.base import (
-    AbsentError,
-    Answer,
     Contender,
     Geometry,
-    practice_geometry,
+    Result,
+    UnavailableError,
+    warmup_geometry,
 )
 from raystream.bench.contenders.own import Raystream
 from raystream.bench.machine import describe_machine
@@ -31,31 +31,31 @@ Item = TypeVar("Item")
 
 __all__ = ["Bench", "Plan", "geometry_of"]
 
-#: Who took longer than this for one call takes part in one round only, seconds.
-PATIENCE = 10.0
+#: Contenders that take longer than this for one call, in seconds, are timed in one round only.
+MAX_CALL_SECONDS = 10.0
 
-#: Builds are repeated until they took this long together, seconds, or as often as rounds are.
-BUILD_PATIENCE = 3.0
+#: Builds are repeated until they took this long in total, in seconds, or once per round.
+MAX_BUILD_SECONDS = 3.0
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to measure.
+    """Configuration of a benchmark.
 
     Attributes
     ----------
     entries : sequence of Entry
-        The first is raystream's: it finds where rays start, and others are compared with it.
+        The first is raystream's: it generates the rays, and is the reference for the others.
     sets : sequence of str
         Keys of `RAY_SETS`.
     size : (int, int)
-        Width and height of the pictures.
+        Image width and height.
     repeats : int
-        Rounds after one for warming up.
+        Rounds after a warm-up round.
     threads : int
     seed : int
     with_memory : bool
-        Whether to measure memory: builds everything once more, each in its own process.
+        Whether to measure memory: repeats every build in a separate process.
     """
 
     entries: Sequence[Entry]
@@ -67,7 +67,7 @@ class Plan:
     with_memory: bool = True
 
 
-class _Turn(NamedTuple):
+class _Configuration(NamedTuple):
     """One contender in one of its modes."""
 
     label: str
@@ -76,7 +76,7 @@ class _Turn(NamedTuple):
 
 
 @dataclass
-class _Steps:
+class _StepCounter:
     """Counts a scene's steps for a progress bar."""
 
     total: int
@@ -90,7 +90,7 @@ class _Steps:
 
 
 class Bench:
-    """A benchmark in progress; what is measured so far is in `result`, at any time.
+    """A running benchmark; `result` holds the measurements so far at any time.
 
     Parameters
     ----------
@@ -103,8 +103,8 @@ class Bench:
 
     Notes
     -----
-    In each round every contender does the same once, one after another; each round begins
-    with another one. So what disturbs the machine for a while disturbs all of them.
+    In each round every contender runs once, in turn, starting with a different one. A
+    disturbance of the machine therefore affects all of them.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -116,23 +116,23 @@ class Bench:
         self._contenders: dict[str, Contender] = {}
 
     def open(self) -> None:
-        """Import the contenders, and try them; those that are not there are listed as absent.
+        """Import the contenders and try them; unavailable ones are listed as absent.
 
         Raises
         ------
         ValueError, TypeError
-            If an option does not suit raystream.
+            If an option is not valid for raystream.
         """
         result = self.result
         for entry in self._plan.entries:
             try:
                 contender = make_contender(entry, self._plan.threads)
-                contender.build(practice_geometry())  # what is compiled or loaded once
+                contender.build(warmup_geometry())  # triggers compilation and loading
                 contender.release()
-            except AbsentError as error:
+            except UnavailableError as error:
                 result.absent[entry.label] = str(error)
                 continue
-            except Exception as error:  # anything, from a package of others
+            except Exception as error:  # third-party packages can raise anything
                 if entry.name == "raystream":
                     raise
                 result.absent[entry.label] = _reason(error)
@@ -150,7 +150,7 @@ class Bench:
         Parameters
         ----------
         name : str
-            What the tables call it.
+            Name of the scene in the tables.
         scene : Scene
         progress : callable, optional
             Called with (steps done, steps).
@@ -159,7 +159,7 @@ class Bench:
         entry_count = len(self._contenders)
         turns_of_set = sum(len(c.modes) for c in self._contenders.values()) * (plan.repeats + 1)
         total = entry_count * (1 + plan.with_memory) + turns_of_set * len(plan.sets)
-        steps = _Steps(total, progress)
+        steps = _StepCounter(total, progress)
         geometry = geometry_of(scene)
         found = SceneResult(name, len(geometry.faces))
         self.result.scenes.append(found)
@@ -177,7 +177,7 @@ class Bench:
             for contender in self._contenders.values():
                 contender.release()
 
-    def _build(self, geometry: Geometry, found: SceneResult, steps: _Steps) -> None:
+    def _build(self, geometry: Geometry, found: SceneResult, steps: _StepCounter) -> None:
         plan, own = self._plan, self._plan.entries[0].label
         if plan.with_memory:
             for label, entry in self._entries.items():
@@ -187,19 +187,21 @@ class Bench:
         for repeat in range(plan.repeats):
             for label, contender in _rotated(list(self._contenders.items()), repeat):
                 build = found.builds.setdefault(label, BuildResult())
-                is_done = sum(build.seconds) > BUILD_PATIENCE
+                is_done = sum(build.seconds) > MAX_BUILD_SECONDS
                 if label in found.failures or (repeat and is_done):
                     continue
                 contender.release()
                 try:
                     build.seconds.append(_timed(contender.build, geometry)[0])
-                except Exception as error:  # anything, from a package of others
+                except Exception as error:  # third-party packages can raise anything
                     if label == own:
                         raise
                     found.failures[label] = _reason(error)
         steps.forward(len(self._contenders))
 
-    def _trace(self, rays: RaySet, measured: SetResult, found: SceneResult, steps: _Steps) -> None:
+    def _trace(
+        self, rays: RaySet, measured: SetResult, found: SceneResult, steps: _StepCounter
+    ) -> None:
         turns = list(self._turns(rays, measured, found))
         rounds = self._plan.repeats
         slow = self._warm_up(rays, measured, turns, steps)
@@ -209,13 +211,15 @@ class Bench:
                 if turn.label in measured.failures or (number and turn in slow):
                     continue
                 contender = turn.contender
-                seconds, _ = _timed(contender.ask, rays.query, rays.rays, turn.mode)
+                seconds, _ = _timed(contender.run, rays.query, rays.rays, turn.mode)
                 measured.seconds.setdefault(turn.label, {}).setdefault(turn.mode, []).append(
                     seconds
                 )
 
-    def _turns(self, rays: RaySet, measured: SetResult, found: SceneResult) -> Iterator[_Turn]:
-        """Those that can answer."""
+    def _turns(
+        self, rays: RaySet, measured: SetResult, found: SceneResult
+    ) -> Iterator[_Configuration]:
+        """Iterate over the contenders that support the query."""
         for label, contender in self._contenders.items():
             if label in found.failures:
                 measured.failures[label] = found.failures[label]
@@ -225,42 +229,46 @@ class Bench:
                 measured.failures[label] = NO_QUERY
             else:
                 for mode in contender.modes:
-                    yield _Turn(label, mode, contender)
+                    yield _Configuration(label, mode, contender)
 
     def _warm_up(
-        self, rays: RaySet, measured: SetResult, turns: Sequence[_Turn], steps: _Steps
-    ) -> list[_Turn]:
-        """Let each answer once; compare the answers. Returns the turns that take long."""
+        self,
+        rays: RaySet,
+        measured: SetResult,
+        turns: Sequence[_Configuration],
+        steps: _StepCounter,
+    ) -> list[_Configuration]:
+        """Run each contender once and compare the results; returns the slow ones."""
         slow = []
-        reference: Answer | None = None
+        reference: Result | None = None
         for turn in turns:
             steps.forward()
             try:
-                seconds, answer = _timed(turn.contender.ask, rays.query, rays.rays, turn.mode)
-            except Exception as error:  # anything, from a package of others
+                seconds, result = _timed(turn.contender.run, rays.query, rays.rays, turn.mode)
+            except Exception as error:  # third-party packages can raise anything
                 if reference is None:
                     raise
                 measured.failures[turn.label] = _reason(error)
                 continue
-            if seconds > PATIENCE:
+            if seconds > MAX_CALL_SECONDS:
                 slow.append(turn)
             if reference is None:
-                reference = answer
-                measured.hit_count = count_hits(answer)
+                reference = result
+                measured.hit_count = count_hits(result)
             else:
-                agreement = compare(reference, answer)
+                agreement = compare(reference, result)
                 before = measured.agreement.get(turn.label, Agreement(0.0, agreement.hits))
                 measured.agreement[turn.label] = max(before, agreement)
         return slow
 
 
 def geometry_of(scene: Scene) -> Geometry:
-    """Put a scene's meshes together, as float32 in world space; faces are `prim_id`.
+    """Merge a scene's meshes, as float32 in world space; face indices are `prim_id`.
 
     Raises
     ------
     ValueError
-        If the scene has no triangles: there would be nothing to compare.
+        If the scene has no triangles, so that there is nothing to compare.
     """
     meshes = [mesh for mesh in scene.meshes if len(mesh.faces)]
     if not meshes:
@@ -277,14 +285,14 @@ def _timed(call: Callable[..., Item], *arguments: Any) -> tuple[float, Item]:
     gc.disable()
     try:
         started = time.perf_counter()
-        answer = call(*arguments)
-        return time.perf_counter() - started, answer
+        result = call(*arguments)
+        return time.perf_counter() - started, result
     finally:
         gc.enable()
 
 
 def _rotated(items: Sequence[Item], count: int) -> Sequence[Item]:
-    """Begin with another one in every round."""
+    """Rotate items so that each round starts with a different one."""
     first = count % len(items) if items else 0
     return [*items[first:], *items[:first]]
 

@@ -14,16 +14,16 @@ import typer
 from raystream._version import __version__
 from raystream.cli.bench import bench
 from raystream.cli.compare import compare
-from raystream.cli.info import info
-from raystream.cli.lab import lab
-from raystream.cli.messages import (
-    BrokenOffError,
+from raystream.cli.console import (
+    InterruptedRunError,
     one_line,
     open_streams,
     show_warnings,
     silence_stdout,
     write_note,
 )
+from raystream.cli.info import info
+from raystream.cli.lab import lab
 from raystream.cli.query import query
 from raystream.cli.render import render
 from raystream.cli.view import view
@@ -41,7 +41,7 @@ INTERRUPTED = 130
 UsageError: type[Exception] = typer.BadParameter.mro()[1]
 
 app = typer.Typer(
-    help="Trace rays against triangles, and render pictures.",
+    help="Trace rays against triangles, and render images.",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     rich_markup_mode=None,  # help is plain text: Rich reads ":100:" and "[more]" as its own codes
 )
@@ -56,8 +56,8 @@ app.command()(warm)
 
 
 @dataclass
-class _Settings:
-    """What the options before the command decide."""
+class _GlobalSettings:
+    """Options given before the command name."""
 
     debug: bool
 
@@ -78,11 +78,11 @@ def before_command(
     debug: Annotated[
         bool,
         typer.Option(
-            "--debug", help="Show tracebacks for bad input, too; so does RAYSTREAM_DEBUG=1."
+            "--debug", help="Show tracebacks for bad input too, as RAYSTREAM_DEBUG=1 does."
         ),
     ] = False,
 ) -> None:
-    """Trace rays against triangles, and render pictures."""
+    """Trace rays against triangles, and render images."""
     context.obj.debug = context.obj.debug or debug
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -94,15 +94,15 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Without them, the arguments of the process.
+        Default: the arguments of the process.
 
     Raises
     ------
     SystemExit
         Always: with 0, with 2 after bad input (one line on stderr), with 130 after Ctrl-C,
-        or with 1 when nobody reads stdout any more. A bug shows as any other exception.
+        or with 1 when stdout has been closed. A bug shows as any other exception.
     """
-    settings = _Settings(debug=os.environ.get("RAYSTREAM_DEBUG", "") not in ("", "0"))
+    settings = _GlobalSettings(debug=os.environ.get("RAYSTREAM_DEBUG", "") not in ("", "0"))
     command = typer.main.get_command(app)
     given = None if arguments is None else list(arguments)
     open_streams()
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             code = command.main(given, "raystream", standalone_mode=False, obj=settings)
     except KeyboardInterrupt:
         code = INTERRUPTED
-    except BrokenOffError as error:
+    except InterruptedRunError as error:
         write_note(f"interrupted; {error}")
         sys.exit(INTERRUPTED)
     except (RaystreamError, MemoryError, UsageError) as error:
@@ -122,13 +122,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except BrokenPipeError:
         silence_stdout()
         sys.exit(1)
-    if code == INTERRUPTED:  # typer makes it of a KeyboardInterrupt
+    if code == INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
         print("interrupted", file=sys.stderr)  # noqa: T201
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _message(error: Exception) -> str:
-    """One line for a person."""
+    """Format an error as one line."""
     if isinstance(error, UsageError):
         text = one_line(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
         context = getattr(error, "ctx", None)

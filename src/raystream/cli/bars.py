@@ -1,4 +1,4 @@
-"""Progress bars on stderr: for people who wait, and for nobody else."""
+"""Progress bars, shown only on an interactive stderr."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Bars"]
 
-#: Seconds of work after which a bar appears.
+#: Seconds of work before a bar appears.
 DELAY = 1.0
 
 
 class Bars:
-    """Shows the step that a command is at, once it has taken a second, on a terminal.
+    """Shows a command's current step on a terminal, once it has run for a second.
 
-    A context manager; nothing of the bars stays on the screen after it.
+    A context manager; it clears the bars from the screen on exit.
     """
 
     def __init__(self) -> None:
@@ -58,20 +58,20 @@ class Bars:
 
     @contextlib.contextmanager
     def step(self, title: str, unit: str = "") -> Iterator[Callable[[int, int], None] | None]:
-        """Show a step while the block runs.
+        """Show a step during the block.
 
         Parameters
         ----------
         title : str
             Such as "tracing".
         unit : str, optional
-            What is counted, such as "rays": shows how many millions of them a second.
+            Unit of the count, such as "rays": shows the speed in millions per second.
 
         Yields
         ------
         callable or None
             The progress callback, called with (done, total); until it is called, the step
-            shows as a spinner. None where nobody would see it.
+            shows a spinner. None if stderr is not interactive.
         """
         progress = self._progress
         if progress is None:
@@ -99,7 +99,7 @@ def _make_progress() -> RichProgress:
     from rich.text import Text
 
     class SpeedColumn(ProgressColumn):
-        """Millions of what a step counts, in a second."""
+        """Speed in millions of units per second."""
 
         def render(self, task: Task) -> Text:
             unit = task.fields["unit"]
@@ -109,7 +109,7 @@ def _make_progress() -> RichProgress:
 
     return Progress(
         SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),  # nor emoji codes
+        TextColumn("{task.description}", markup=False),  # no markup or emoji codes
         BarColumn(),
         TaskProgressColumn(),
         TimeRemainingColumn(),

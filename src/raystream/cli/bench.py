@@ -1,4 +1,4 @@
-"""``raystream bench``: the same rays through raystream and its peers."""
+"""``raystream bench``: trace the same rays with raystream and its peers."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.keywords import parse_keywords
-from raystream.cli.messages import (
+from raystream.cli.console import (
     BadInputError,
     one_line,
     refuse,
     write_json,
     write_line,
 )
-from raystream.cli.opening import choose_threads
-from raystream.cli.tables import set_table
+from raystream.cli.load import choose_threads
+from raystream.cli.tables import format_table
+from raystream.cli.tracer_options import parse_keywords
 
 if TYPE_CHECKING:
     from raystream.bench.contenders import Entry
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DEFAULT_SCENES", "bench"]
 
-#: Public models, and generated scenes of a million and of ten million triangles.
+#: Public models, and generated scenes of one and ten million triangles.
 DEFAULT_SCENES = (
     *("bunny", "sponza", "sibenik", "conference", "kitchen", "bart_robots"),
     *("robots:1000000", "forest:1000000", "robots:10000000", "forest:10000000"),
@@ -43,7 +43,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[SCENE]...",
-            help="As for render, but no saved structures. Without any: "
+            help="Scenes, as for render, but not saved structures. Default: "
             + ", ".join(DEFAULT_SCENES),
             autocompletion=options.complete_scenes,
             show_default=False,
@@ -52,14 +52,14 @@ def bench(
     sets: Annotated[
         str,
         typer.Option(
-            metavar="NAMES", help=f"Which rays, of {', '.join(options.RAY_SETS)}; with commas."
+            metavar="NAMES", help=f"Comma-separated ray sets, from {', '.join(options.RAY_SETS)}."
         ),
     ] = ",".join(options.RAY_SETS[:-1]),
     peers: Annotated[
         str,
         typer.Option(
             metavar="NAMES",
-            help="Whom to compare with, with commas; 'none' for nobody. Those that are not "
+            help="Comma-separated peers to compare against, or 'none'. Peers that are not "
             "installed are listed as absent.",
         ),
     ] = ",".join(options.PEERS),
@@ -67,7 +67,7 @@ def bench(
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUE",
-            help="An option of Tracer, such as max_leaf_size=8; can be repeated.",
+            help="A Tracer option, such as max_leaf_size=8. Repeatable.",
             show_default=False,
         ),
     ] = None,
@@ -75,15 +75,19 @@ def bench(
         list[str] | None,
         typer.Option(
             metavar="NAME:KEY=VALUE,...",
-            help="Another raystream with these options of Tracer, as one more contender; can "
-            "be repeated.",
+            help="An additional raystream contender with these Tracer options. Repeatable.",
             show_default=False,
         ),
     ] = None,
-    width: Annotated[int, typer.Option(min=1, max=1 << 14, metavar="N", help="In pixels.")] = 1024,
-    height: Annotated[int, typer.Option(min=1, max=1 << 14, metavar="N", help="In pixels.")] = 768,
+    width: Annotated[
+        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image width in pixels.")
+    ] = 1024,
+    height: Annotated[
+        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image height in pixels.")
+    ] = 768,
     repeats: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Rounds after the warm-up; medians count.")
+        int,
+        typer.Option(min=1, metavar="N", help="Rounds after the warm-up; medians are reported."),
     ] = 5,
     threads: Annotated[
         int | None,
@@ -91,38 +95,41 @@ def bench(
             min=1,
             metavar="N",
             show_default=False,
-            help="Threads for everybody, on as many cores; without it, what RAYSTREAM_THREADS "
-            "says, or one a core.",
+            help="Threads of every contender, on as many cores [default: RAYSTREAM_THREADS, else "
+            "one per core]",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Of random rays.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the random rays.")] = 0,
     memory: Annotated[
-        bool, typer.Option(help="Measure memory too: builds once more, in other processes.")
+        bool, typer.Option(help="Also measure memory: builds again, in separate processes.")
     ] = True,
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Write the tables: .md, .rst, or all as .json."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write the tables: .md, .rst, or .json with all figures.",
         ),
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Compare the speed with other ray tracers. All trace the same rays, in turns."""
+    """Compare speed with other ray tracers. All trace the same rays, taking turns."""
     chosen_sets = _names("--sets", sets, options.RAY_SETS)
     chosen_peers = [] if peers == "none" else _names("--peers", peers, options.PEERS)
     if output is not None:
         options.check_output(output, (".md", ".rst", ".json"), inputs=scenes or ())
     entries = _entries(chosen_peers, option or [], variant or [])
     choose_threads(threads)
-    from raystream.bench.cores import limited_to
+    from raystream.bench.cores import limit_cores
     from raystream.bench.runner import Bench, Plan
     from raystream.jit.threads import thread_count
 
     plan = Plan(
         entries, chosen_sets, (width, height), repeats, thread_count(), seed, with_memory=memory
     )
-    # What packages print is not part of the figures.
-    with limited_to(plan.threads), contextlib.redirect_stdout(sys.stderr):
+    # Output printed by packages is not part of the figures.
+    with limit_cores(plan.threads), contextlib.redirect_stdout(sys.stderr):
         running = Bench(plan)
         interrupted = False
         try:
@@ -162,7 +169,7 @@ def _run(running: Bench, scenes: list[str], by_default: bool) -> None:
 
 
 def _names(option: str, text: str, known: tuple[str, ...]) -> list[str]:
-    """Read names between commas."""
+    """Split comma-separated names."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in known:
@@ -187,7 +194,7 @@ def _entries(peers: list[str], option: list[str], variants: list[str]) -> list[E
     labels = [entry.label for entry in entries]
     for label in labels:
         if labels.count(label) > 1:
-            raise BadInputError(f"--variant or --peers: {label!r} is there twice")
+            raise BadInputError(f"--variant or --peers: {label!r} is given twice")
     return entries
 
 
@@ -199,7 +206,7 @@ def _show(result: BenchResult, json: bool) -> None:
 
     for table in make_tables(result):
         write_line(one_line(table.title))
-        write_line(set_table(table.columns, table.rows, right=range(1, len(table.columns))))
+        write_line(format_table(table.columns, table.rows, right=range(1, len(table.columns))))
         write_line()
     for note in make_notes(result):
         write_line(one_line(note))

@@ -1,4 +1,4 @@
-"""Clusters on the command line: ``raystream render --cluster``."""
+"""Dask clusters on the command line: ``raystream render --cluster``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from raystream.cli.messages import BadInputError, refuse
+from raystream.cli.console import BadInputError, refuse
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from raystream.rendering.image import Image
     from raystream.tracer import Tracer
 
-__all__ = ["Cluster", "Rendering", "check_cluster", "joined"]
+__all__ = ["Cluster", "ImageRenderer", "check_cluster", "cluster_client"]
 
 LOCAL = "local:"
 
@@ -27,44 +27,44 @@ Cluster = Annotated[
         "--cluster",
         metavar="ADDRESS",
         show_default=False,
-        help="Have the workers of a Dask cluster render: the address of its scheduler, such as "
-        "tcp://127.0.0.1:8786; or local:2, two workers of this machine. The picture is the same, "
-        "to the bit.",
+        help="Render on the workers of a Dask cluster: the address of its scheduler, such as "
+        "tcp://127.0.0.1:8786; or local:2 for two workers on this machine. The image is "
+        "identical to the bit.",
     ),
 ]
 
 
 def check_cluster(cluster: str | None, threads: int | None) -> None:
-    """Refuse ``--threads`` where it has no say."""
+    """Reject ``--threads`` when it would have no effect."""
     if cluster is not None and threads is not None and not cluster.startswith(LOCAL):
-        raise BadInputError("--threads: a cluster's workers have threads of their own; leave it")
+        raise BadInputError("--threads: has no effect on a running cluster's workers; omit it")
 
 
 @contextlib.contextmanager
-def joined(cluster: str | None, threads: int | None = None) -> Iterator[Client | None]:
-    """The client of a cluster while the block runs; None without one.
+def cluster_client(cluster: str | None, threads: int | None = None) -> Iterator[Client | None]:
+    """Connect to a cluster during the block; None without one.
 
     Parameters
     ----------
     cluster : str or None
-        What ``--cluster`` was given.
+        Value of ``--cluster``.
     threads : int, optional
-        Of each worker that is started here.
+        Threads of each worker started here.
 
     Raises
     ------
     BadInputError
-        If it is no address, or Dask is not installed.
+        If the address is malformed, or Dask is not installed.
     ClusterError
-        If nobody answers there.
+        If the scheduler does not answer.
     """
     if cluster is None:
         yield None
         return
     with refuse(ImportError, where="--cluster"):
-        import raystream.cluster as room
+        import raystream.cluster as cluster_api
 
-        _ = room.render
+        _ = cluster_api.render
     from raystream.cluster.clients import client_of, close
 
     with refuse(ValueError, where="--cluster"):
@@ -76,8 +76,8 @@ def joined(cluster: str | None, threads: int | None = None) -> Iterator[Client |
 
 
 @dataclass(frozen=True)
-class Rendering:
-    """Who renders a picture: this process, or a cluster.
+class ImageRenderer:
+    """Renders an image in this process or on a cluster.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Rendering:
     structure : str or None
     device : str
     chosen : mapping
-        Options of the tracer.
+        Tracer options.
     """
 
     client: Client | None
@@ -94,23 +94,23 @@ class Rendering:
     chosen: Mapping[str, Any]
 
     @property
-    def builds_elsewhere(self) -> bool:
-        """Whether workers build the structure, on a device that this machine may not have."""
+    def builds_on_workers(self) -> bool:
+        """Whether workers build the structure, on a device that this machine may lack."""
         return self.client is not None and self.device != "cpu"
 
-    def structure_of(self, tracer: Tracer) -> str:
-        """What traces the picture: this machine's tracer, or one of the workers'."""
-        return (self.structure or "bvh") if self.builds_elsewhere else tracer.structure.name
+    def structure_name(self, tracer: Tracer) -> str:
+        """Name the structure that traces the image, here or on the workers."""
+        return (self.structure or "bvh") if self.builds_on_workers else tracer.structure.name
 
     def __call__(self, tracer: Tracer, mode: str, **arguments: Any) -> Image:
-        """Render, as `raystream.render` with these arguments."""
+        """Render with the arguments of `raystream.render`."""
         if self.client is None:
             from raystream.rendering.picture import render
 
             return render(tracer, mode, **arguments)
-        import raystream.cluster as room
+        import raystream.cluster as cluster_api
 
-        if not self.builds_elsewhere:
-            return room.render(tracer, mode, client=self.client, **arguments)
+        if not self.builds_on_workers:
+            return cluster_api.render(tracer, mode, client=self.client, **arguments)
         own = {"structure": self.structure or "bvh", "device": self.device, **self.chosen}
-        return room.render(tracer.scene, mode, client=self.client, **own, **arguments)
+        return cluster_api.render(tracer.scene, mode, client=self.client, **own, **arguments)

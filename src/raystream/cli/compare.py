@@ -1,4 +1,4 @@
-"""``raystream compare``: the errors of a picture against another."""
+"""``raystream compare``: error metrics of an image against a reference."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.messages import BadInputError, mute, refuse, write_json, write_line
-from raystream.cli.tables import set_table
+from raystream.cli.console import BadInputError, mute, refuse, write_json, write_line
+from raystream.cli.tables import format_table
 
 if TYPE_CHECKING:
     from raystream.rendering.compare import Comparison
@@ -25,12 +25,12 @@ SUFFIXES = (".png", ".exr")
 def compare(
     image: Annotated[
         Path,
-        typer.Argument(metavar="IMAGE", help="A picture: .png or .exr.", show_default=False),
+        typer.Argument(metavar="IMAGE", help="An image: .png or .exr.", show_default=False),
     ],
     reference: Annotated[
         Path,
         typer.Argument(
-            metavar="REFERENCE", help="What it should be, of the same size.", show_default=False
+            metavar="REFERENCE", help="The reference image, of the same size.", show_default=False
         ),
     ],
     output: Annotated[
@@ -39,21 +39,21 @@ def compare(
             "--output",
             "-o",
             metavar="FILE",
-            help="Draw the difference in false colours, with scales below: .png or .exr.",
+            help="Write the difference in false colours, with a scale below: .png or .exr.",
         ),
     ] = None,
     maximum: Annotated[
         float | None,
         typer.Option(
             metavar="DIFFERENCE",
-            help="With --output: the top of the scales; the largest difference without it.",
+            help="With --output: the top of the scale [default: the largest difference]",
             show_default=False,
             callback=options.positive_if_given,
         ),
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Compare two pictures. Shows errors of linear colours, and where they are."""
+    """Compare two images. Shows errors of linear colours, and where they are."""
     if output is not None:
         options.check_output(output, SUFFIXES, inputs=[str(image), str(reference)])
     elif maximum is not None:
@@ -63,7 +63,7 @@ def compare(
     from raystream.rendering.image import Image
 
     with Bars() as bars, bars.step("comparing"):
-        with mute():  # OpenEXR, which prints a line for each damaged block
+        with mute():  # OpenEXR prints a line for each damaged block
             found, wanted = Image.load(image), Image.load(reference)
         with refuse(ValueError, where=f"{image}, {reference}"):
             comparison = found.compare(wanted)
@@ -80,7 +80,7 @@ def compare(
         drawn_to = None if output is None else str(output)
         write_json({**files, "output": drawn_to, "width": width, "height": height, **figures})
     else:
-        write_line(set_table(["", ""], _rows(comparison, (width, height)), right=()))
+        write_line(format_table(["", ""], _rows(comparison, (width, height)), right=()))
 
 
 def _rows(found: Comparison, size: tuple[int, int]) -> list[tuple[str, str]]:
@@ -96,5 +96,5 @@ def _rows(found: Comparison, size: tuple[int, int]) -> list[tuple[str, str]]:
         ("bias", f"{found.bias:+.6g}"),
     ]
     if found.invalid_count:
-        rows.append(("not finite", f"{found.invalid_count:,} pixels, left out"))
+        rows.append(("not finite", f"{found.invalid_count:,} pixels, excluded"))
     return rows

@@ -1,4 +1,4 @@
-"""The first use of a command on a machine: its kernels are compiled, on several cores."""
+"""First use of a command on a machine: compile its kernels on several cores."""
 
 from __future__ import annotations
 
@@ -7,50 +7,50 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-from raystream.cli.messages import write_note
-from raystream.cli.opening import Stopwatch
+from raystream.cli.console import write_note
+from raystream.cli.load import Stopwatch
 from raystream.core.cache_folder import cache_folder
 from raystream.jit.threads import thread_count
 from raystream.jit.watching import watch
 
 __all__ = ["compiling"]
 
-#: Seconds of compilation after which the user is told.
+#: Seconds of compilation before a note is printed.
 DELAY = 1.0
 
-#: Processes that help: a command's kernels keep no more busy.
-MOST_HELPERS = 3
+#: Maximum helper processes: a command's kernels do not keep more busy.
+MAX_HELPERS = 3
 
 
 @contextlib.contextmanager
 def compiling(
     task: str, structure: str | None, device: str, stopwatch: Stopwatch
 ) -> Iterator[None]:
-    """While the block runs, say what is compiled if that takes more than a second.
+    """During the block, report compilation that takes more than a second.
 
-    When the first kernel is missing, all that the task is going to need are compiled, on as many
-    cores as there are threads.
+    When the first kernel is missing, all kernels of the task are compiled, on as many cores as
+    there are threads.
 
     Parameters
     ----------
     task : str
-        Of `jit.warm.TASKS`, or a part of one.
+        One of `jit.warm.TASKS`, or a part of one.
     structure, device : str or None
-        Other ones than the default have other kernels, which are compiled here as they are needed.
+        Kernels of other structures and devices than the default are compiled when first needed.
     stopwatch : Stopwatch
-        Gets a step "compile", if there is one.
+        Records a step "compile", if anything is compiled.
     """
     is_listed = structure in (None, "bvh") and device == "cpu"
-    first_use = _FirstUse(task if is_listed else None, stopwatch)
+    watcher = _CompileWatcher(task if is_listed else None, stopwatch)
     try:
-        with watch(first_use):
+        with watch(watcher):
             yield
     finally:
-        first_use.stop()
+        watcher.stop()
 
 
-class _FirstUse:
-    """Watches what is compiled; see `jit.watching.Watcher`."""
+class _CompileWatcher:
+    """Watches compilation; see `jit.watching.Watcher`."""
 
     def __init__(self, task: str | None, stopwatch: Stopwatch) -> None:
         self._task = task
@@ -75,21 +75,21 @@ class _FirstUse:
             self._tell("kernels")
 
     def stop(self) -> None:
-        """End the helpers: the command needs nothing more."""
+        """Stop the helper processes: the command needs nothing more."""
         if self._helpers:
             from raystream.jit.warm import stop_helpers
 
             stop_helpers(self._helpers)
 
     def _compile_all(self, task: str, kernel: str) -> None:
-        """Compile a task's kernels but one, which the caller is going to compile."""
+        """Compile a task's kernels except one, which the caller is about to compile."""
         from raystream.jit import warm
 
         left = warm.missing(warm.entries_of(task))
         if sum(entry.seconds for entry in left) > DELAY:
             self._tell(f"{len(left)} kernels")
-        count = min(thread_count() - 1, MOST_HELPERS, len(left) - 1)
-        with contextlib.suppress(OSError):  # no more processes: this one does it alone
+        count = min(thread_count() - 1, MAX_HELPERS, len(left) - 1)
+        with contextlib.suppress(OSError):  # no more processes: compile in this one alone
             self._helpers = warm.start_helpers(task, count)
         with self._stopwatch.measure("compile"):
             warm.compile_kernels([entry for entry in left if entry.kernel != kernel])
@@ -98,4 +98,4 @@ class _FirstUse:
         with self._lock:
             is_news, self._has_told = not self._has_told, True
         if is_news:
-            write_note(f"compiling {what} on their first use; kept in {cache_folder()}")
+            write_note(f"compiling {what} on first use; cached in {cache_folder()}")

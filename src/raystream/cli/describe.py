@@ -1,4 +1,4 @@
-"""Figures about a scene and its structure, as ``raystream info --json`` prints them."""
+"""Figures about a scene and its structure, as printed by ``raystream info --json``."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from raystream.cli.opening import Stopwatch
+    from raystream.cli.load import Stopwatch
     from raystream.scene.mesh import Mesh
     from raystream.scene.scene import Scene
     from raystream.tracer import Tracer
 
 __all__ = ["describe"]
 
-#: What a mesh may have for each vertex.
+#: Optional vertex attributes of a mesh.
 ATTRIBUTES = ("normals", "colors", "texcoords")
 
 
 def describe(source: str, tracer: Tracer, watch: Stopwatch) -> dict[str, Any]:
-    """Collect the figures, as ``--json`` prints them.
+    """Collect the figures printed by ``--json``.
 
     Returns
     -------
     dict
-        ``scene``, ``name``: as asked for; as the file says.
+        ``scene``, ``name``: as requested; as in the file.
         ``triangles``, ``degenerate_triangles``, ``nonfinite_triangles``, ``vertices``.
-        ``bounds``: ``low`` and ``high`` of what can be hit; null where nothing can.
+        ``bounds``: ``low`` and ``high`` of the triangles that can be hit; null if there are none.
         ``camera``: the fields of `Camera`. ``background``.
         ``meshes``: ``name``, ``triangles``, ``vertices``, ``attributes`` of each.
         ``materials``: ``name``, ``triangles``, colours, ``textures`` of each.
-        ``lights``: ``type`` of each, and what it has; area lights come last.
-        ``memory``: bytes of the ``scene`` (its meshes), the ``triangles`` as structures
-        share them, and the ``structure``.
+        ``lights``: ``type`` and parameters of each; area lights come last.
+        ``memory``: bytes of the ``scene`` (its meshes), the ``triangles`` shared by
+        structures, and the ``structure``.
         ``structure``: ``name``, ``seconds``, ``quality``. ``seconds``: ``load``, ``build``.
     """
     scene, structure = tracer.scene, tracer.structure

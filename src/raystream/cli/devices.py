@@ -1,15 +1,15 @@
-"""``raystream info --devices``: where rays can be traced here."""
+"""``raystream info --devices``: list the devices that can trace rays."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from raystream.cli.messages import one_line, write_json, write_line
-from raystream.cli.tables import set_table
+from raystream.cli.console import one_line, write_json, write_line
+from raystream.cli.tables import format_table
 
 __all__ = ["show_devices"]
 
-#: What an adapter's limits mean for a scene or a picture, by wgpu's names.
+#: Adapter limits that bound a scene or an image, by wgpu's names.
 LIMITS = {
     "max-buffer-size": "buffer",
     "max-storage-buffer-binding-size": "array",
@@ -18,7 +18,7 @@ LIMITS = {
 
 
 def show_devices(json: bool) -> None:
-    """Print the processor, the graphics adapters and the CUDA GPUs, or why there are none."""
+    """Print the processor, the graphics adapters and the CUDA GPUs, or why one is unavailable."""
     figures = {"cpu": _processor(), "graphics": _graphics(), "cuda": _cuda()}
     if json:
         write_json(figures)
@@ -27,11 +27,11 @@ def show_devices(json: bool) -> None:
     facts = [("cpu", cpu["name"]), ("  threads", cpu["threads"])]
     if cpu["features"]:
         facts.append(("  vectors", " ".join(cpu["features"])))
-    write_line(set_table(["", ""], facts))
+    write_line(format_table(["", ""], facts))
     write_line()
     if graphics["adapters"]:
         columns = ["graphics adapter", "kind", "backend", "driver", *LIMITS.values(), ""]
-        write_line(set_table(columns, [_row(one) for one in graphics["adapters"]]))
+        write_line(format_table(columns, [_row(one) for one in graphics["adapters"]]))
     if graphics["error"]:
         write_line(f"no graphics: {graphics['error']}")
     _show_cuda(figures["cuda"])
@@ -56,7 +56,7 @@ def _show_cuda(cuda: dict[str, Any]) -> None:
     ]
     driver = f", driver for CUDA {cuda['driver']}" if cuda["driver"] else ""
     columns = ["gpu", f"CUDA GPU{driver}", "capability", "memory", "not usable"]
-    write_line(set_table(columns if any(row[-1] for row in rows) else [*columns[:-1], ""], rows))
+    write_line(format_table(columns if any(row[-1] for row in rows) else [*columns[:-1], ""], rows))
 
 
 def _processor() -> dict[str, Any]:
@@ -67,7 +67,7 @@ def _processor() -> dict[str, Any]:
     return {name: machine[key] for name, key in _PROCESSOR.items()}
 
 
-#: What is told of the processor, by the names of `bench.machine`.
+#: Printed figures of the processor, with the names of `bench.machine`.
 _PROCESSOR = {"name": "cpu", "cores": "cores", "threads": "threads", "features": "features"}
 
 
@@ -76,11 +76,11 @@ def _graphics() -> dict[str, Any]:
     from raystream.graphics.errors import GraphicsError
 
     found: list[Adapter] = []
-    usual: Adapter | None = None
+    default: Adapter | None = None
     reason: str | None = None
     try:
         found = adapters()
-        usual = choose_adapter()
+        default = choose_adapter()
     except GraphicsError as error:
         reason = one_line(str(error))
     listed = [
@@ -90,7 +90,7 @@ def _graphics() -> dict[str, Any]:
             "backend": one.backend,
             "driver": one_line(one.description),
             "limits": {limit: int(one.handle.limits[limit]) for limit in LIMITS},
-            "is_usual": str(one) == str(usual),
+            "is_default": str(one) == str(default),
         }
         for one in found
     ]
@@ -129,5 +129,5 @@ def _row(adapter: dict[str, Any]) -> tuple[str, ...]:
     shown = [
         f"{limits[name]:,}" if "dimension" in name else decimal(limits[name]) for name in LIMITS
     ]
-    usual = "taken without --adapter" if adapter["is_usual"] else ""
-    return *(adapter[name] for name in ("name", "kind", "backend", "driver")), *shown, usual
+    default = "default" if adapter["is_default"] else ""
+    return *(adapter[name] for name in ("name", "kind", "backend", "driver")), *shown, default

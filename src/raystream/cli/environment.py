@@ -1,4 +1,4 @@
-"""Light on the command line: environment maps, and whether weak lights get help."""
+"""Lighting on the command line: environment maps, and an extra light for dim scenes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from raystream.cli import options
-from raystream.cli.messages import BadInputError, write_note
+from raystream.cli.console import BadInputError, write_note
 
 if TYPE_CHECKING:
     from raystream.scene.scene import Scene
@@ -19,11 +19,11 @@ __all__ = [
     "Lights",
     "Rotation",
     "check_environment",
-    "tell_added_light",
+    "report_added_light",
     "with_environment",
 ]
 
-#: The library's, for help; a test compares them.
+#: The library's extensions, for help; a test compares them.
 SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
 
 Environment = Annotated[
@@ -31,8 +31,8 @@ Environment = Annotated[
     typer.Option(
         metavar="FILE",
         show_default=False,
-        help="An image all around (equirectangular: .hdr, .exr, .png or .jpg) in place of the "
-        "scene's own sky; its top is where the scene has up.",
+        help="An environment map (equirectangular: .hdr, .exr, .png or .jpg) that replaces the "
+        "scene's own sky; its top is the scene's up direction.",
     ),
 ]
 Rotation = Annotated[
@@ -41,7 +41,7 @@ Rotation = Annotated[
         metavar="DEGREES",
         show_default=False,
         callback=options.finite_if_given,
-        help="With --environment: turns it counterclockwise, as seen from above.",
+        help="With --environment: rotation of the map, counterclockwise as seen from above.",
     ),
 ]
 
@@ -53,14 +53,14 @@ Lights = Annotated[
         show_default=False,
         callback=options.one_of(options.LIGHTS),
         autocompletion=options.complete(options.LIGHTS),
-        help="auto adds a light where the scene's own are too weak to see by: at the eye, or for "
-        "kajiya and path a white sky; file takes the scene's own alone. auto without it.",
+        help="auto adds a light when the scene's own are too weak to see by: at the eye, or for "
+        "kajiya and path a white sky; file uses the scene's own lights only [default: auto]",
     ),
 ]
 
 
 def check_environment(path: Path | None, rotation: float | None) -> None:
-    """Refuse a map that cannot be read by its name, and a rotation of none."""
+    """Check a map's extension, and reject a rotation without a map."""
     if path is None:
         if rotation is not None:
             raise BadInputError("--environment-rotation: only with --environment")
@@ -69,16 +69,16 @@ def check_environment(path: Path | None, rotation: float | None) -> None:
 
 
 def with_environment(scene: Scene, path: Path, rotation: float) -> Scene:
-    """Read a map, and put it in the place of a scene's environment lights and background.
+    """Replace a scene's environment lights and background with a map, and read the map.
 
-    In all frames of a scene that moves.
+    Applies to every frame of an animated scene.
 
     Raises
     ------
     FileFormatError
-        If it cannot be read.
+        If the map cannot be read.
     MemoryError
-        If it does not fit into memory.
+        If the map does not fit in memory.
     """
     from raystream.rendering.environment import texels_of
     from raystream.scene.lights import EnvironmentLight
@@ -97,13 +97,13 @@ def with_environment(scene: Scene, path: Path, rotation: float) -> Scene:
     return lit.replace(animation=replace(scene.animation, at=lambda time: light_up(pose(time))))
 
 
-def tell_added_light(scene: Scene, mode: str, lights: str) -> None:
-    """Say on stderr if a light is added to a scene's own; see `lighting.needs_light`."""
+def report_added_light(scene: Scene, mode: str, lights: str) -> None:
+    """Report a light added to the scene's own on stderr; see `lighting.needs_light`."""
     from raystream.rendering.lighting import added_light
 
     added = added_light(scene, mode, lights)
     if added:
         write_note(
-            f"the scene's own lights are too weak to see by: added {added} (--lights file takes "
-            "the scene's own alone)"
+            f"the scene's own lights are too weak to see by: added {added} (--lights file uses "
+            "the scene's own only)"
         )

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from raystream.cli import options
-from raystream.cli.messages import BadInputError
+from raystream.cli.console import BadInputError
 
 if TYPE_CHECKING:
     from raystream.rendering.heatmap import Heatmap
 
-__all__ = ["Maximum", "What", "check_heatmap", "heatmap_figures"]
+__all__ = ["HeatmapKind", "Maximum", "check_heatmap", "heatmap_figures"]
 
-What = Annotated[
+HeatmapKind = Annotated[
     str | None,
     typer.Option(
         "--heatmap",
-        help="Instead of a picture of the scene, what the first hit of each pixel costs: "
+        help="Instead of an image of the scene, draw the cost of each pixel's first hit: "
         f"{' or '.join(options.HEATMAPS)}, in false colours, with a scale below.",
-        metavar="WHAT",
+        metavar="NAME",
         show_default=False,
         callback=options.one_of(options.HEATMAPS),
         autocompletion=options.complete(options.HEATMAPS),
@@ -31,7 +31,7 @@ What = Annotated[
 Maximum = Annotated[
     float | None,
     typer.Option(
-        help="With --heatmap: the top of the scale; the largest count without it.",
+        help="With --heatmap: the top of the scale [default: the largest count]",
         metavar="COUNT",
         show_default=False,
         callback=options.positive_if_given,
@@ -45,16 +45,16 @@ def check_heatmap(
     others: Mapping[str, Any],
     chosen: dict[str, Any],
 ) -> None:
-    """Refuse what does not go with a heat map, and let the tracer count for one.
+    """Reject options that contradict a heat map, and enable the tracer's counters for one.
 
     Parameters
     ----------
     what, maximum
-        Options as given; None for those that were not.
+        Options as given; None if omitted.
     others : mapping
-        Those that only a picture takes, by name, as given.
+        Options that apply only to images, by name, as given.
     chosen : dict
-        Options of `Tracer`; gets ``counters``.
+        `Tracer` options; gets ``counters``.
 
     Raises
     ------
@@ -67,21 +67,19 @@ def check_heatmap(
         return
     for name, value in others.items():
         if value is not None:
-            raise BadInputError(
-                f"--{name.replace('_', '-')}: not with --heatmap, which shows counts"
-            )
+            raise BadInputError(f"--{name.replace('_', '-')}: cannot be combined with --heatmap")
     if chosen.setdefault("counters", True) is not True:
-        raise BadInputError("--option: --heatmap needs counters")
+        raise BadInputError("--option: --heatmap needs counters=true")
 
 
 def heatmap_figures(heat: Heatmap) -> dict[str, Any]:
-    """Figures about a heat map, as ``--json`` prints them.
+    """Return the figures of a heat map that ``--json`` prints.
 
     Returns
     -------
     dict
-        ``heatmap``: what it shows; ``counts``: ``mean``, ``most`` and ``total`` of each; of a
-        multipass machine ``passes``: their ``count`` and ``optimal_count``.
+        ``heatmap``: the quantity shown; ``counts``: ``mean``, ``most`` and ``total`` of each; for
+        a multipass machine ``passes``: ``count`` and ``optimal_count``.
     """
     counts = {
         name: {"mean": round(cost.mean, 6), "most": cost.most, "total": cost.total}

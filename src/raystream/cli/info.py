@@ -1,4 +1,4 @@
-"""``raystream info``: what is in a scene, and what a structure makes of it."""
+"""``raystream info``: contents of a scene, and figures of its structure."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.compiling import compiling
+from raystream.cli.console import BadInputError, write_json, write_line
 from raystream.cli.devices import show_devices
-from raystream.cli.keywords import machine_figures, tracer_options
-from raystream.cli.messages import BadInputError, write_json, write_line
-from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer
-from raystream.cli.tables import set_table
+from raystream.cli.load import Source, Stopwatch, choose_threads, open_tracer
+from raystream.cli.tables import format_table
+from raystream.cli.tracer_options import machine_figures, tracer_options
 
 __all__ = ["info"]
 
-#: Meshes and materials that people see; ``--json`` lists all.
+#: Maximum rows of meshes and materials on the console; ``--json`` lists all.
 MAX_ROWS = 12
 
 
@@ -45,13 +45,13 @@ def info(
     triangles: options.Triangles = None,
     devices: Annotated[
         bool,
-        typer.Option("--devices", help="Show where rays can be traced; then without SCENE."),
+        typer.Option("--devices", help="List the available devices; without SCENE."),
     ] = False,
     json: options.Json = False,
 ) -> None:
-    """Show what is in a scene. Also the time, memory and quality of its structure."""
+    """Show the contents of a scene. Also the time, memory and quality of its structure."""
     if devices == (scene is not None):
-        raise BadInputError("info: expected SCENE or --devices, one of them")
+        raise BadInputError("info: expected either SCENE or --devices")
     chosen = tracer_options(
         option or [],
         device,
@@ -92,7 +92,7 @@ def _show(figures: dict[str, Any]) -> None:
         )
         for i, material in enumerate(figures["materials"])
     ]
-    write_line(set_table(["", ""], _facts(figures)))
+    write_line(format_table(["", ""], _facts(figures)))
     if meshes:
         write_line()
         write_line(_largest("meshes", ["id", "mesh", "triangles", "vertices", "has"], meshes))
@@ -102,7 +102,7 @@ def _show(figures: dict[str, Any]) -> None:
 
 
 def _camera_parts(camera: dict[str, Any]) -> list[str]:
-    """The parts as ``--camera`` takes them; of projection and lens, what is not as usual."""
+    """Format the camera as ``--camera`` takes it; projection and lens only if not default."""
     parts = [f"{part}={_vector(camera[part], ',')}" for part in ("eye", "look_at", "up")]
     parts.append(f"fov={camera['fov']:g}")
     if camera["projection"] != "perspective":
@@ -112,7 +112,7 @@ def _camera_parts(camera: dict[str, Any]) -> list[str]:
 
 
 def _facts(figures: dict[str, Any]) -> list[tuple[str, str]]:
-    """What there is one of, by name."""
+    """Collect the scene's single figures, by name."""
     from rich.filesize import decimal
 
     bounds, camera = figures["bounds"], figures["camera"]
@@ -144,9 +144,9 @@ def _vector(numbers: Sequence[float], separator: str = " ") -> str:
 
 
 def _largest(what: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> str:
-    """Set the rows with the most triangles, which are the third column."""
+    """Format the rows with the most triangles (the third column)."""
     shown = sorted(rows, key=lambda row: -row[2])[:MAX_ROWS]
-    text = set_table(columns, shown)
+    text = format_table(columns, shown)
     if len(rows) > len(shown):
         text += f"\nand {len(rows) - len(shown):,} more {what} (--json lists all)"
     return text

@@ -1,4 +1,4 @@
-"""``raystream lab``: the papers' experiments, re-run beside what they published."""
+"""``raystream lab``: re-run the papers' experiments, beside the published results."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ import typer
 from raystream._version import __version__
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.messages import (
-    BrokenOffError,
+from raystream.cli.console import (
+    InterruptedRunError,
     refuse,
     write_json,
     write_line,
     write_note,
 )
-from raystream.cli.opening import choose_threads
-from raystream.cli.tables import set_table
+from raystream.cli.load import choose_threads
+from raystream.cli.tables import format_table
 
 if TYPE_CHECKING:
     from raystream.lab.experiments import Experiment, Outcome
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["lab"]
 
-#: Where a report goes, unless told otherwise.
+#: Default folder of the report.
 _FOLDER = Path("raystream-lab")
 
 
@@ -49,16 +49,16 @@ def lab(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Only this experiment; can be repeated. See --list.",
+            help="Run only this experiment. Repeatable; see --list.",
             show_default=False,
         ),
     ] = None,
     show_list: Annotated[
-        bool, typer.Option("--list", help="Say which experiments there are, and end.")
+        bool, typer.Option("--list", help="List the experiments and exit.")
     ] = False,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FOLDER", help="Where the report goes."),
+        typer.Option("--output", "-o", metavar="FOLDER", help="Folder of the report."),
     ] = _FOLDER,
     size: Annotated[
         int | None,
@@ -67,36 +67,36 @@ def lab(
             max=4096,
             metavar="N",
             show_default=False,
-            help="Width and height of pictures, instead of each paper's own.",
+            help="Width and height of images [default: those of each paper]",
         ),
     ] = None,
     quick: Annotated[
         bool,
-        typer.Option(help="Small pictures, scenes and sweeps: to see that everything works."),
+        typer.Option(help="Small images, scenes and sweeps, as a smoke test."),
     ] = False,
     resume: Annotated[
         bool,
-        typer.Option(help="Go on with the measurements that a run before left in the folder."),
+        typer.Option(help="Reuse the measurements of an earlier run in the folder."),
     ] = False,
     device: Annotated[
         str,
         typer.Option(
             metavar="DEVICE",
-            help="cpu, or graphics: the experiments that run on a GPU's graphics pipeline.",
+            help="cpu, or graphics for the experiments that run on a GPU's graphics pipeline.",
             autocompletion=options.complete(("cpu", "graphics")),
         ),
     ] = "cpu",
     threads: options.Threads = None,
     json: options.Json = False,
 ) -> None:
-    """Re-run the experiments of four papers. Shows our results beside theirs."""
+    """Re-run the experiments of four papers. Shows our results beside the published ones."""
     from raystream.lab.experiments import choose
 
     with refuse(ValueError):
         experiments = choose(papers or ["all"], only or [], device)
     if show_list:
         rows = [[one.name, one.title] for one in experiments]
-        write_json(dict(rows)) if json else write_line(set_table(["", ""], rows))
+        write_json(dict(rows)) if json else write_line(format_table(["", ""], rows))
         return
     choose_threads(threads)
     with refuse(OSError, where=str(output)):
@@ -118,8 +118,9 @@ def lab(
         try:
             outcomes = run_all(laboratory, experiments, _progress(experiments))
         except KeyboardInterrupt:
-            raise BrokenOffError(
-                f"{len(store.values)} measurements are kept in {output}; --resume goes on"
+            raise InterruptedRunError(
+                f"{len(store.values)} measurements are saved in {output}; rerun with --resume to "
+                "continue"
             ) from None
     about = _about(papers or ["all"], only or [], output, device, settings, store.foreign_count)
     with refuse(OSError, where=str(output)):
@@ -139,7 +140,7 @@ def _source() -> str:
 
 
 def _watch(bars: Bars) -> Any:
-    """Each measurement is a step of the bars."""
+    """Show each measurement as a step of the bars."""
 
     def begin(title: str) -> AbstractContextManager[Any]:
         return bars.step(title)
@@ -148,7 +149,7 @@ def _watch(bars: Bars) -> Any:
 
 
 def _progress(experiments: list[Experiment]) -> Callable[[int, int], None] | None:
-    """A line for each experiment, where there are no bars: for logs."""
+    """Write a line for each experiment to a log; None where bars are shown instead."""
     if sys.stderr.isatty():
         return None
     return lambda done, total: write_note(f"{done} of {total}: {experiments[done - 1].name}")
@@ -184,7 +185,7 @@ def _about(
 
 
 def _show(outcomes: list[Outcome], about: About, json: bool) -> None:
-    """Print what was found: every table, and the verdicts."""
+    """Print every table, and the verdicts."""
     from raystream.lab.report.cells import are_numbers, cell_text
     from raystream.lab.report.write import as_json
 
@@ -198,7 +199,7 @@ def _show(outcomes: list[Outcome], about: About, json: bool) -> None:
             right = [k for k, one in enumerate(are_numbers(table)) if one]
             rows = [[cell_text(cell) for cell in row] for row in table.rows]
             if rows:
-                write_line(set_table(table.columns, rows, right))
+                write_line(format_table(table.columns, rows, right))
         for claim in result.claims:
             write_line(f"\n{claim.verdict}: {claim.text} ({claim.source}); {claim.evidence}")
         for note in result.notes:

@@ -1,4 +1,4 @@
-"""Layers of a picture on the command line, and the filter that they guide."""
+"""Image layers on the command line, and the denoiser that uses them as guides."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from raystream.cli.messages import BadInputError
+from raystream.cli.console import BadInputError
 
 if TYPE_CHECKING:
     from raystream.rendering.image import Image
 
-__all__ = ["Denoise", "Kept", "Layers"]
+__all__ = ["Denoise", "LayerSelection", "Layers"]
 
 NAMES = ("depth", "normal", "albedo", "prim_id", "emission")
 
-#: What `Image.denoise` uses.
+#: Layers that `Image.denoise` uses.
 GUIDES = ("depth", "normal", "albedo", "emission")
 
 Layers = Annotated[
@@ -26,22 +26,22 @@ Layers = Annotated[
         "--layers",
         metavar="NAMES",
         show_default=False,
-        help="What an EXR also says of the first surface in each pixel: some of "
-        f"{','.join(NAMES)}, with commas, or none; all without it.",
+        help="Extra layers (AOVs) of the first hit to write to an EXR: comma-separated from "
+        f"{','.join(NAMES)}, or none [default: all]",
     ),
 ]
 Denoise = Annotated[
     bool,
     typer.Option(
         "--denoise",
-        help="Smooth the noise of the finished picture, and keep edges of surfaces and textures.",
+        help="Denoise the finished image, preserving edges of surfaces and textures.",
     ),
 ]
 
 
 @dataclass(frozen=True)
-class Kept:
-    """The layers that a picture is rendered with, and those that its file has.
+class LayerSelection:
+    """The layers to render, and the layers to save.
 
     Attributes
     ----------
@@ -52,17 +52,17 @@ class Kept:
     saved: tuple[str, ...]
 
     @classmethod
-    def of(cls, output: Path, layers: str | None, is_denoised: bool) -> Kept:
-        """The layers for an output, as ``--layers`` and ``--denoise`` ask for them.
+    def of(cls, output: Path, layers: str | None, is_denoised: bool) -> LayerSelection:
+        """Choose the layers for an output from ``--layers`` and ``--denoise``.
 
         Raises
         ------
         BadInputError
-            If the output cannot have layers, or there is none of a name.
+            If the output format does not support layers, or a name is unknown.
         """
         has_room = output.suffix.lower() == ".exr"
         if layers is not None and not has_room:
-            raise BadInputError("--layers: only with an --output of .exr, which has room for them")
+            raise BadInputError("--layers: only with an .exr --output")
         saved: tuple[str, ...] = NAMES if has_room else ()
         if layers is not None:
             given = [] if layers.strip() == "none" else [n.strip() for n in layers.split(",")]
@@ -76,7 +76,7 @@ class Kept:
         return cls(rendered, saved)
 
     def denoised(self, image: Image) -> Image:
-        """The picture without noise, and without layers that were only to guide the filter."""
+        """Denoise an image, and drop the layers that only guided the filter."""
         from raystream.rendering.image import Image
 
         smooth = image.denoise()

@@ -1,6 +1,6 @@
-"""Options that commands share: their types, how their text is read, and how it is completed.
+"""Options shared by several commands: their types, parsing and completion.
 
-Nothing here imports the library's heavy rooms, so that ``--help`` and completion are quick.
+Nothing here imports the library's heavy modules, which keeps ``--help`` and completion fast.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from typing import Annotated, Any
 
 import typer
 
-from raystream.cli.messages import BadInputError
+from raystream.cli.console import BadInputError
 from raystream.core.choices import MACHINES, SCHEDULERS
 from raystream.structures import STRUCTURES
 from raystream.structures.kdtree.options import TRAVERSALS
 
 __all__ = [
+    "DEFAULT_MACHINES",
     "DEVICES",
     "HEATMAPS",
     "LIGHTS",
@@ -36,7 +37,6 @@ __all__ = [
     "STRUCTURES",
     "TONES",
     "TRAVERSALS",
-    "USUAL_MACHINES",
     "Adapter",
     "Device",
     "Gpu",
@@ -62,7 +62,7 @@ __all__ = [
     "positive_if_given",
 ]
 
-#: The names that the library has, for help and completion; a test compares them.
+#: The library's names, for help and completion; a test compares them.
 SCENES = ("cornell", "cornell_mirrors", "spheres", "boxes", "building", "forest", "robots")
 MODES = ("raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path")
 SAMPLERS = ("sobol", "stratified", "random")
@@ -70,8 +70,8 @@ TONES = ("linear", "reinhard", "aces")
 HEATMAPS = ("cells", "tests", "steps")
 LIGHTS = ("auto", "file")
 DEVICES = ("cpu", "graphics", "cuda")
-#: Of each device, the machine that traces without --machine.
-USUAL_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
+#: Default machine of each device.
+DEFAULT_MACHINES = {"cpu": "branching", "graphics": "compute", "cuda": "branching"}
 RAY_SETS = ("primary", "shadow", "ao", "bounce", "random", "multi", "random_multi")
 PAPERS = ("purcell", "foley", "rayforce", "christen")
 PEERS = ("open3d", "embreex", "mitsuba", "warp", "fcpw")
@@ -94,7 +94,7 @@ def complete(names: Collection[str]) -> Callable[[str], list[str]]:
 
 
 def complete_scenes(incomplete: str) -> Iterator[tuple[str, str]]:
-    """Complete names of scenes; where none begins so, the shell goes on to files."""
+    """Complete scene names; the shell falls back to files if none matches."""
     from raystream.scene.procedural import BUILTIN
     from raystream.scene.samples import SAMPLES
 
@@ -118,14 +118,14 @@ def one_of(names: Collection[str]) -> Callable[[str | None], str | None]:
 
 
 def finite(value: float) -> float:
-    """Accept a number that is neither NaN nor infinite."""
+    """Accept a finite number."""
     if not math.isfinite(value):
         raise typer.BadParameter(f"expected a finite number, got {value}")
     return value
 
 
 def finite_if_given(value: float | None) -> float | None:
-    """Accept a finite number, or that the option was left out."""
+    """Accept a finite number or an omitted option."""
     return None if value is None else finite(value)
 
 
@@ -137,14 +137,14 @@ def positive(value: float) -> float:
 
 
 def positive_if_given(value: float | None) -> float | None:
-    """Accept a finite number above 0, or that the option was left out."""
+    """Accept a finite number above 0 or an omitted option."""
     return None if value is None else positive(value)
 
 
 SCENE_HELP = (
-    "A model file (OBJ, PLY, STL, OFF, glTF, GLB, AFF, NFF; also packed as .gz), a structure "
-    f"saved by Tracer.save (.npz), a built-in scene ({', '.join(SCENES)}; 'forest:1000000' has "
-    "about a million triangles), or a sample, such as bunny."
+    "A model file (OBJ, PLY, STL, OFF, glTF, GLB, AFF, NFF; optionally compressed as .gz), a "
+    f"structure saved by Tracer.save (.npz), a built-in scene ({', '.join(SCENES)}; "
+    "'forest:1000000' has about a million triangles), or a sample, such as bunny."
 )
 
 SceneName = Annotated[
@@ -156,7 +156,7 @@ SceneName = Annotated[
 Structure = Annotated[
     str | None,
     typer.Option(
-        help=f"Acceleration structure: {' or '.join(STRUCTURES)} [default: bvh].",
+        help=f"Acceleration structure: {' or '.join(STRUCTURES)} [default: bvh]",
         metavar="NAME",
         show_default=False,
         callback=one_of(STRUCTURES),
@@ -166,7 +166,7 @@ Structure = Annotated[
 Traversal = Annotated[
     str | None,
     typer.Option(
-        help=f"How a kd-tree is searched: {' or '.join(TRAVERSALS)}; {TRAVERSALS[0]} without it.",
+        help=f"kd-tree traversal: {' or '.join(TRAVERSALS)} [default: {TRAVERSALS[0]}]",
         metavar="NAME",
         show_default=False,
         callback=one_of(TRAVERSALS),
@@ -176,9 +176,9 @@ Traversal = Annotated[
 Machine = Annotated[
     str | None,
     typer.Option(
-        help="How rays are traced: branching, each from start to end; multipass, all a step at "
-        "a time; or compute, each in a compute shader, which is usual on graphics. branching "
-        "without it.",
+        help="Execution model: branching runs each ray from start to end; multipass advances all "
+        "rays one step per pass; compute runs each ray in a compute shader (--device graphics "
+        "only) [default: branching; on graphics, compute]",
         metavar="NAME",
         show_default=False,
         callback=one_of(MACHINES),
@@ -188,8 +188,8 @@ Machine = Annotated[
 Scheduler = Annotated[
     str | None,
     typer.Option(
-        help="With --machine multipass: which rays a pass takes, "
-        f"{' or '.join(SCHEDULERS)}; {SCHEDULERS[0]} without it.",
+        help="With --machine multipass: selects the rays of each pass, "
+        f"{' or '.join(SCHEDULERS)} [default: {SCHEDULERS[0]}]",
         metavar="NAME",
         show_default=False,
         callback=one_of(SCHEDULERS),
@@ -200,7 +200,7 @@ TracerOption = Annotated[
     list[str] | None,
     typer.Option(
         help="An option of the structure or the machine, such as resolution=50, quality=high or "
-        "threshold=0.3; can be repeated.",
+        "threshold=0.3. Repeatable.",
         metavar="KEY=VALUE",
         show_default=False,
     ),
@@ -208,7 +208,7 @@ TracerOption = Annotated[
 Device = Annotated[
     str,
     typer.Option(
-        help="Where rays are traced: cpu; or graphics, a GPU by way of Vulkan, Metal or Direct3D "
+        help="Device that traces rays: cpu; graphics, any GPU through Vulkan, Metal or Direct3D "
         "12; or cuda, an NVIDIA GPU (see raystream info --devices).",
         metavar="NAME",
         callback=one_of(DEVICES),
@@ -218,8 +218,8 @@ Device = Annotated[
 Adapter = Annotated[
     str | None,
     typer.Option(
-        help="With --device graphics: a part of the adapter's name; without it, what "
-        "RAYSTREAM_ADAPTER says, or the best one.",
+        help="With --device graphics: part of the adapter's name [default: RAYSTREAM_ADAPTER, "
+        "else the best one]",
         metavar="NAME",
         show_default=False,
     ),
@@ -228,7 +228,7 @@ Gpu = Annotated[
     int | None,
     typer.Option(
         min=0,
-        help="With --device cuda: which GPU, as CUDA numbers them; without it, 0.",
+        help="With --device cuda: the GPU's CUDA device number [default: 0]",
         metavar="N",
         show_default=False,
     ),
@@ -239,13 +239,13 @@ Threads = Annotated[
         min=1,
         metavar="N",
         show_default=False,
-        help="Number of threads; without it, what RAYSTREAM_THREADS says, or one a core.",
+        help="Number of threads [default: RAYSTREAM_THREADS, else one per core]",
     ),
 ]
 Time = Annotated[
     float,
     typer.Option(
-        metavar="T", callback=finite, help="For scenes that move (AFF, glTF): the time to show."
+        metavar="T", callback=finite, help="For animated scenes (AFF, glTF): the time to show."
     ),
 ]
 Triangles = Annotated[
@@ -254,19 +254,19 @@ Triangles = Annotated[
         min=1,
         metavar="N",
         show_default=False,
-        help="For built-in scenes: about how many triangles.",
+        help="For built-in scenes: approximate number of triangles.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Read a picture's size, such as ``1024x768``.
+    """Parse an image size such as ``1024x768``.
 
     Raises
     ------
     BadInputError
-        If it is none.
+        If the text is not a size.
     """
     match = re.fullmatch(r"0*([1-9]\d{0,8})x0*([1-9]\d{0,8})", text.strip().lower(), re.ASCII)
     if match is None:
@@ -275,18 +275,18 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_camera(text: str) -> dict[str, Any]:
-    """Read parts of a camera, such as ``eye=3,2,1 look_at=0,0,0 up=0,1,0 fov=40``.
+    """Parse camera parameters such as ``eye=3,2,1 look_at=0,0,0 up=0,1,0 fov=40``.
 
     Returns
     -------
     dict of str to tuple of float, float, int or str
-        The parts that are there; `Camera` checks their range. Words before them are the name
-        or the number of one of the scene's cameras, ``"which"``.
+        The parameters given; `Camera` checks their range. Words before them are the name
+        or the number of one of the scene's cameras, under ``"which"``.
 
     Raises
     ------
     BadInputError
-        If a part is unknown, given twice, or not made of as many finite numbers as it needs.
+        If a parameter is unknown, given twice, or has the wrong number of finite numbers.
     """
     parts: dict[str, Any] = {}
     words = text.split()
@@ -324,50 +324,50 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def check_output(path: Path, suffixes: Sequence[str], inputs: Sequence[str] = ()) -> None:
-    """Refuse an output that could not be written, before any work is done for it.
+    """Check that an output can be written, before any work is done for it.
 
     Parameters
     ----------
     path : Path
     suffixes : sequence of str
-        What its name may end in.
+        Accepted extensions.
     inputs : sequence of str, optional
         Files that must not be overwritten.
 
     Raises
     ------
     BadInputError
-        As `check_suffix`; or if the name is a folder's or an input's, or the folder is not
-        there or not writable.
+        As `check_suffix`; or if the path is a folder or one of the inputs, or its folder does
+        not exist or is not writable.
     """
     check_suffix(path, suffixes, "writing")
     folder = path.parent
     if not folder.is_dir():
-        raise BadInputError(f"{path}: there is no folder {folder}")
+        raise BadInputError(f"{path}: folder {folder} does not exist")
     if path.is_dir():
         raise BadInputError(f"{path}: is a folder, not a file")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise BadInputError(f"{path}: the folder {folder} is not writable")
     if path.exists() and any(os.path.exists(name) and path.samefile(name) for name in inputs):
-        raise BadInputError(f"{path}: is an input, and would be overwritten")
+        raise BadInputError(f"{path}: is an input and would be overwritten")
 
 
 def check_suffix(path: Path, suffixes: Sequence[str], purpose: str) -> None:
-    """Refuse a file by its name.
+    """Check a file's extension.
 
     Parameters
     ----------
     path : Path
     suffixes : sequence of str
-        What its name may end in.
+        Accepted extensions.
     purpose : {"reading", "writing"}
 
     Raises
     ------
     BadInputError
-        If the name ends in something else, or in .exr and OpenEXR is not installed.
+        If the extension is not accepted, or is .exr and OpenEXR is not installed.
     """
     if path.suffix.lower() not in suffixes:
-        raise BadInputError(f"{path}: the name must end in {' or '.join(suffixes)}")
+        raise BadInputError(f"{path}: file extension must be {' or '.join(suffixes)}")
     if path.suffix.lower() == ".exr" and importlib.util.find_spec("OpenEXR") is None:
         raise BadInputError(f"{path}: {purpose} .exr needs OpenEXR: pip install 'raystream[exr]'")

@@ -11,9 +11,9 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.compiling import compiling
-from raystream.cli.keywords import machine_figures, tracer_options
-from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
-from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
+from raystream.cli.console import BadInputError, one_line, refuse, write_json, write_line
+from raystream.cli.load import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
+from raystream.cli.tracer_options import machine_figures, tracer_options
 from raystream.cli.zarr_query import check_stores, is_store, trace_store
 
 if TYPE_CHECKING:
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
     from raystream.core.hits import Hits, MultiHits
     from raystream.jit.threads import Progress
+    from raystream.ray_files import QueryReport
     from raystream.tracer import Tracer
-    from raystream.zarr_queries import QueryReport
 
 __all__ = ["query"]
 
 CROSSINGS = ("triangles", "surfaces")
 
-#: What a file of rays may hold; the first two it must.
+#: Arrays of a ray file; the first two are required.
 RAY_ARRAYS = ("origins", "directions", "t_min", "t_max")
 
-#: What is written of the hits that a query finds.
+#: Arrays written for each kind of query.
 COLUMNS = {
     "first": ("t", "u", "v", "prim_id", "mesh_id", "status"),
     "multi": ("ray_splits", "t", "u", "v", "prim_id", "status"),
@@ -45,7 +45,7 @@ def query(
         typer.Argument(
             metavar="RAYS",
             help="An .npz file, or a Zarr store of any size (.zarr, a folder, or .zip), with "
-            "arrays origins and directions of shape (..., 3), and perhaps t_min and t_max.",
+            "arrays origins and directions of shape (..., 3), and optionally t_min and t_max.",
             show_default=False,
         ),
     ],
@@ -55,30 +55,30 @@ def query(
             "--output",
             "-o",
             metavar="FILE",
-            help="The hits: .npz, or .zarr for rays in a Zarr store.",
+            help="Output file for the hits: .npz, or .zarr for rays in a Zarr store.",
             show_default=False,
         ),
     ],
     first: Annotated[
-        bool, typer.Option("--first", help="The nearest hit of each ray; the default.")
+        bool, typer.Option("--first", help="Nearest hit of each ray (the default).")
     ] = False,
     anything: Annotated[
-        bool, typer.Option("--any", help="Whether anything is in each ray's way.")
+        bool, typer.Option("--any", help="Whether each ray hits anything.")
     ] = False,
     multi: Annotated[bool, typer.Option("--multi", help="All hits of each ray.")] = False,
-    count: Annotated[bool, typer.Option("--count", help="The number of hits of each ray.")] = False,
+    count: Annotated[bool, typer.Option("--count", help="Number of hits of each ray.")] = False,
     max_hits: Annotated[
         int | None,
         typer.Option(
-            min=0, metavar="K", show_default=False, help="With --multi: the nearest K of each ray."
+            min=0, metavar="K", show_default=False, help="With --multi: keep the nearest K hits."
         ),
     ] = None,
     crossings: Annotated[
         str | None,
         typer.Option(
-            metavar="WHAT",
-            help="With --multi or --count: triangles, a ray through an edge meets all that share "
-            "it; or surfaces, it meets one for each surface. triangles without it.",
+            metavar="NAME",
+            help="With --multi or --count: triangles, a ray through an edge hits every triangle "
+            "that shares it; or surfaces, it crosses each surface once [default: triangles]",
             show_default=False,
             callback=options.one_of(CROSSINGS),
             autocompletion=options.complete(CROSSINGS),
@@ -99,7 +99,7 @@ def query(
         bool,
         typer.Option(
             "--resume",
-            help="With .zarr: go on from the hits of a query that was broken off, if any.",
+            help="With .zarr: resume an interrupted query, if there is one.",
         ),
     ] = False,
     block_rays: Annotated[
@@ -108,26 +108,26 @@ def query(
             min=1,
             metavar="N",
             show_default=False,
-            help="With .zarr: about how many rays are in memory at a time; 1048576 without it.",
+            help="With .zarr: approximate number of rays in memory at a time [default: 1048576]",
         ),
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Trace the rays of a file, and write their hits to a file.
+    """Trace the rays of a file and write their hits to a file.
 
     The hits are arrays: t, u, v, prim_id, mesh_id, status with --first; hit with --any;
     ray_splits, t, u, v, prim_id, status with --multi; count with --count.
 
-    Rays in a Zarr store are traced block by block, in bounded memory.
+    Rays in a Zarr store are traced block by block in bounded memory.
     """
     chosen = {"first": first, "any": anything, "multi": multi, "count": count}
-    question = _Question(_only(chosen), max_hits, crossings)
+    request = _QueryOptions(_only(chosen), max_hits, crossings)
     in_store = is_store(rays, output)
     if in_store:
         check_stores(rays, output)
     elif resume or block_rays is not None:
         name = "--resume" if resume else "--block-rays"
-        raise BadInputError(f"{name}: only with rays in a Zarr store, and hits that go to one")
+        raise BadInputError(f"{name}: only with rays and hits in Zarr stores")
     else:
         options.check_output(output, (".npz",), inputs=[scene, str(rays)])
     tracing = tracer_options(
@@ -141,20 +141,27 @@ def query(
     )
     choose_threads(threads)
     watch = Stopwatch()
-    with Bars() as bars, compiling(f"query-{question.kind}", structure, device, watch):
+    with Bars() as bars, compiling(f"query-{request.kind}", structure, device, watch):
         given = {} if in_store else _read_rays(rays)
         source = Source(scene, structure, device, time, triangles, tracing)
         tracer = open_tracer(source, bars, watch)
-        found: QueryReport | _Answer
+        found: QueryReport | _Results
         if in_store:
-            asked = question.options
+            options_given = request.options
             if block_rays is not None:
-                asked["block_rays"] = block_rays
+                options_given["block_rays"] = block_rays
             found = trace_store(
-                tracer, rays, output, question.kind, asked, resume=resume, bars=bars, watch=watch
+                tracer,
+                rays,
+                output,
+                request.kind,
+                options_given,
+                resume=resume,
+                bars=bars,
+                watch=watch,
             )
         else:
-            found = _trace_file(tracer, given, output, question, bars, watch)
+            found = _trace_file(tracer, given, output, request, bars, watch)
     speed = rays_per_second(found.rays - found.rays_before, watch.seconds["trace"])
     triangle_count = len(tracer.structure.triangles)
     if json:
@@ -162,7 +169,7 @@ def query(
             {
                 "output": str(output),
                 "scene": scene,
-                "query": question.kind,
+                "query": request.kind,
                 "structure": tracer.structure.name,
                 **machine_figures(tracing, device),
                 "triangles": triangle_count,
@@ -177,10 +184,10 @@ def query(
         )
     else:
         invalid = f" ({found.invalid_rays:,} invalid)" if found.invalid_rays else ""
-        hits = f", {found.hits:,} hits" if question.kind in ("multi", "count") else ""
+        hits = f", {found.hits:,} hits" if request.kind in ("multi", "count") else ""
         write_line(
             f"{one_line(str(output))}: {found.rays:,} rays{invalid}, {found.rays_hit:,} "
-            f"of them hit{hits}; {triangle_count:,} triangles; {watch.text()}; {speed:g} Mrays/s"
+            f"hit{hits}; {triangle_count:,} triangles; {watch.text()}; {speed:g} Mrays/s"
         )
 
 
@@ -188,18 +195,18 @@ def _trace_file(
     tracer: Tracer,
     rays: dict[str, NDArray[Any]],
     output: Path,
-    question: _Question,
+    request: _QueryOptions,
     bars: Bars,
     watch: Stopwatch,
-) -> _Answer:
-    """Trace rays that are in memory, and write the hits to an ``.npz``."""
+) -> _Results:
+    """Trace rays that are in memory, and write the hits to an ``.npz`` file."""
     from raystream.core.npz import write_npz
 
     with watch.measure("trace"), bars.step("tracing") as progress:
-        answer = question.ask(tracer, rays, progress)
+        results = request.run(tracer, rays, progress)
     with watch.measure("save"), bars.step("saving"), refuse(OSError, where=str(output)):
-        write_npz(output, answer.arrays)
-    return answer
+        write_npz(output, results.arrays)
+    return results
 
 
 def _only(chosen: dict[str, bool]) -> str:
@@ -210,7 +217,7 @@ def _only(chosen: dict[str, bool]) -> str:
 
 
 def _read_rays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read a file of rays, and check their shapes and dtypes."""
+    """Read a ray file, checking shapes and dtypes."""
     from raystream.core.errors import FileFormatError
     from raystream.core.npz import read_npz
     from raystream.core.rays import RayBatch
@@ -221,27 +228,27 @@ def _read_rays(path: Path) -> dict[str, NDArray[Any]]:
             raise FileFormatError(path, f"holds {name!r}; expected {', '.join(RAY_ARRAYS)}")
     for name in RAY_ARRAYS[:2]:
         if name not in arrays:
-            raise FileFormatError(path, f"lacks the array {name!r}")
+            raise FileFormatError(path, f"array {name!r} is missing")
     with refuse(ValueError, TypeError, where=str(path)):
         RayBatch(**arrays)
     return arrays
 
 
 @dataclass(frozen=True)
-class _Answer:
-    """Arrays for the file, and figures about them."""
+class _Results:
+    """Output arrays, and figures about them."""
 
     arrays: dict[str, NDArray[Any]]
     rays: int
-    invalid_rays: int | None  # where the query tells
+    invalid_rays: int | None  # None if the query does not report them
     rays_hit: int
     hits: int
     rays_before: int = 0
 
 
 @dataclass(frozen=True)
-class _Question:
-    """A query with its options."""
+class _QueryOptions:
+    """A kind of query with its options."""
 
     kind: str
     max_hits: int | None
@@ -255,20 +262,20 @@ class _Question:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Those that were given, by the tracer's names."""
+        """Return the options that were given, by the tracer's names."""
         given = {"max_hits": self.max_hits, "crossings": self.crossings}
         return {name: value for name, value in given.items() if value is not None}
 
-    def ask(
+    def run(
         self, tracer: Tracer, rays: dict[str, NDArray[Any]], progress: Progress | None
-    ) -> _Answer:
+    ) -> _Results:
         """Trace the rays.
 
         Parameters
         ----------
         tracer : Tracer
         rays : dict of str to ndarray
-            Arguments of a query, by name.
+            Ray arguments of a query, by name.
         progress : callable or None
         """
         import numpy as np
@@ -277,11 +284,11 @@ class _Question:
         if self.kind == "any":
             seen = tracer.any_hit(**options)
             hit_count = int(np.count_nonzero(seen))
-            return _Answer({"hit": seen}, seen.size, None, hit_count, hit_count)
+            return _Results({"hit": seen}, seen.size, None, hit_count, hit_count)
         if self.kind == "count":
             counts = tracer.count_hits(**options)
             rays_hit, hit_count = int(np.count_nonzero(counts)), int(counts.sum())
-            return _Answer({"count": counts}, counts.size, None, rays_hit, hit_count)
+            return _Results({"count": counts}, counts.size, None, rays_hit, hit_count)
         hits: Hits | MultiHits
         if self.kind == "multi":
             hits = tracer.multi_hit(**options)
@@ -291,4 +298,4 @@ class _Question:
             rays_hit = hit_count = int(np.count_nonzero(hits.is_hit))
         arrays = {name: getattr(hits, name) for name in COLUMNS[self.kind]}
         invalid_count = int(np.count_nonzero(hits.status))
-        return _Answer(arrays, hits.status.size, invalid_count, rays_hit, hit_count)
+        return _Results(arrays, hits.status.size, invalid_count, rays_hit, hit_count)

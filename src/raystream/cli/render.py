@@ -1,4 +1,4 @@
-"""``raystream render``: a picture of a scene."""
+"""``raystream render``: render an image or an animation of a scene."""
 
 from __future__ import annotations
 
@@ -10,41 +10,41 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from raystream.cli import options
+from raystream.cli.animations import (
+    AnimationOptions,
+    Fps,
+    Frames,
+    is_animation,
+    refuse_beside_frames,
+    render_animation,
+)
 from raystream.cli.bars import Bars
-from raystream.cli.clusters import Cluster, Rendering, check_cluster, joined
+from raystream.cli.checkpoint import PathProgress, Resume, checkpoint_path, sample_checkpoint
+from raystream.cli.clusters import Cluster, ImageRenderer, check_cluster, cluster_client
 from raystream.cli.compiling import compiling
+from raystream.cli.console import BadInputError, one_line, refuse, write_json, write_line
 from raystream.cli.environment import (
     Environment,
     Lights,
     Rotation,
     check_environment,
-    tell_added_light,
+    report_added_light,
     with_environment,
 )
-from raystream.cli.films import (
-    FilmAsked,
-    Fps,
-    Frames,
-    is_film,
-    refuse_beside_frames,
-    render_film,
-)
-from raystream.cli.heatmaps import Maximum, What, check_heatmap, heatmap_figures
-from raystream.cli.keywords import machine_figures, tracer_options
-from raystream.cli.layers import Denoise, Kept, Layers
-from raystream.cli.messages import BadInputError, one_line, refuse, write_json, write_line
-from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
-from raystream.cli.resuming import Paths, Resume, checkpoint_beside, keeping_samples
+from raystream.cli.heatmaps import HeatmapKind, Maximum, check_heatmap, heatmap_figures
+from raystream.cli.layers import Denoise, Layers, LayerSelection
+from raystream.cli.load import Source, Stopwatch, choose_threads, open_tracer, rays_per_second
 from raystream.cli.sampling import (
-    Asked,
     MaxBounces,
     Noise,
     SamplerName,
     Samples,
+    SamplingOptions,
     Seed,
     TimeLimit,
     mode_arguments,
 )
+from raystream.cli.tracer_options import machine_figures, tracer_options
 
 if TYPE_CHECKING:
     from raystream.rendering.heatmap import Heatmap
@@ -63,20 +63,20 @@ def render(
             "--output",
             "-o",
             metavar="FILE",
-            help="The picture: .png or .exr; or frames and videos, see --frames.",
+            help="Output file: .png or .exr; frames and videos with --frames.",
         ),
     ] = Path("out.png"),
     mode: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Renderer: {' or '.join(options.MODES)}; {options.MODES[0]} without it.",
+            help=f"Renderer: {' or '.join(options.MODES)} [default: {options.MODES[0]}]",
             show_default=False,
             callback=options.one_of(options.MODES),
             autocompletion=options.complete(options.MODES),
         ),
     ] = None,
-    heatmap: What = None,
+    heatmap: HeatmapKind = None,
     maximum: Maximum = None,
     frames: Frames = None,
     fps: Fps = None,
@@ -92,10 +92,10 @@ def render(
         str | None,
         typer.Option(
             metavar="PARTS",
-            help="One of the scene's cameras by name or number, from 0; and parts of the view "
-            "that replace the scene's own, as in 'eye=3,2,1 "
-            "look_at=0,0,0 up=0,1,0 fov=40' (degrees, vertical); also projection=orthographic "
-            "height=3 (or equirectangular), or a lens of some width: aperture=0.1 focus=5.",
+            help="One of the scene's cameras by name or number (from 0), followed by the "
+            "parameters to override, as in 'eye=3,2,1 look_at=0,0,0 up=0,1,0 fov=40' (vertical "
+            "field of view in degrees); also projection=orthographic height=3 (or "
+            "equirectangular), or a thin lens: aperture=0.1 focus=5.",
             show_default=False,
         ),
     ] = None,
@@ -104,7 +104,7 @@ def render(
         typer.Option(
             metavar="FACTOR",
             callback=options.positive_if_given,
-            help="Factor on the colours of a PNG; 1 without it.",
+            help="Exposure factor for PNG output [default: 1]",
             show_default=False,
         ),
     ] = None,
@@ -112,8 +112,8 @@ def render(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Curve on the colours of a PNG, after the exposure: "
-            f"{' or '.join(options.TONES)}; {options.TONES[0]} without it.",
+            help="Tone curve for PNG output, applied after the exposure: "
+            f"{' or '.join(options.TONES)} [default: {options.TONES[0]}]",
             show_default=False,
             callback=options.one_of(options.TONES),
             autocompletion=options.complete(options.TONES),
@@ -138,11 +138,11 @@ def render(
     triangles: options.Triangles = None,
     json: options.Json = False,
 ) -> None:
-    """Render a picture of a scene. Without SCENE, of robots in a city."""
+    """Render an image of a scene. Without SCENE, renders robots in a city."""
     width, height = options.parse_size(size)
     parts = {} if camera is None else options.parse_camera(camera)
-    films = is_film(output, frames)
-    if not films:
+    animated = is_animation(output, frames)
+    if not animated:
         options.check_output(output, (".png", ".exr"), inputs=[scene, str(environment or scene)])
     chosen = tracer_options(
         option or [],
@@ -153,16 +153,16 @@ def render(
         machine=machine,
         scheduler=scheduler,
     )
-    kept = (resume or None) if not films else None
-    asked = Asked(samples, seed, max_bounces, noise, time_limit, sampler, kept)
-    wanted = Kept.of(output, layers, denoise)
+    resume_given = (resume or None) if not animated else None
+    sampling = SamplingOptions(samples, seed, max_bounces, noise, time_limit, sampler, resume_given)
+    wanted = LayerSelection.of(output, layers, denoise)
     check_environment(environment, environment_rotation)
-    of_pictures = {
+    image_only = {
         **{"mode": mode, "exposure": exposure, "tone": tone, "environment": environment},
         **{"lights": lights, "layers": layers, "denoise": denoise or None, "cluster": cluster},
-        **asked.of_pictures(),
+        **sampling.for_images(),
     }
-    check_heatmap(heatmap, maximum, of_pictures, chosen)
+    check_heatmap(heatmap, maximum, image_only, chosen)
     mode = mode or options.MODES[0]
     check_cluster(cluster, threads)
     choose_threads(threads)
@@ -173,12 +173,12 @@ def render(
         raise BadInputError(f"--size: at most {MAX_PIXELS:,} pixels, got {width}x{height}")
     arguments: dict[str, Any] = {"samples": samples or 1, "seed": seed}
     if heatmap is None:
-        arguments = mode_arguments(mode, asked, chosen)
+        arguments = mode_arguments(mode, sampling, chosen)
         arguments["lights"] = lights or options.LIGHTS[0]
-    if films:
+    if animated:
         arguments["layers"] = wanted.rendered
         refuse_beside_frames({"heatmap": heatmap, "maximum": maximum, "time": time})
-        film = FilmAsked(
+        animation = AnimationOptions(
             scene,
             output,
             frames,
@@ -200,24 +200,24 @@ def render(
             cluster,
             threads,
         )
-        render_film(film, json)
+        render_animation(animation, json)
         return
     if fps is not None:
         raise BadInputError("--fps: only with --frames")
     which = parts.pop("which", None)
-    checkpoint = checkpoint_beside(output, resume) if heatmap is None else None
+    checkpoint = checkpoint_path(output, resume) if heatmap is None else None
     save = _saver(output, exposure or 1.0, tone or options.TONES[0])
     watch = Stopwatch()
     heat: Heatmap | None = None
     with (
         Bars() as bars,
         compiling(f"render-{mode}", structure, device, watch),
-        joined(cluster, threads) as client,
-        keeping_samples(checkpoint) as kept_samples,
+        cluster_client(cluster, threads) as client,
+        sample_checkpoint(checkpoint) as samples_file,
     ):
-        render_with = Rendering(client, structure, device, chosen)
+        render_with = ImageRenderer(client, structure, device, chosen)
         source = Source(scene, structure, device, time, triangles, chosen)
-        if render_with.builds_elsewhere:
+        if render_with.builds_on_workers:
             source = Source(scene, None, "cpu", time, triangles)
         tracer = open_tracer(source, bars, watch)
         if environment is not None:
@@ -234,9 +234,9 @@ def render(
         unit = "paths" if heatmap is None else "rays"
         with watch.measure("trace"), bars.step("rendering", unit) as progress:
             if heatmap is None:
-                tell_added_light(tracer.scene, mode, arguments["lights"])
-                paths = Paths(output, width * height, progress)
-                arguments |= {"checkpoint": kept_samples, "on_pass": save}
+                report_added_light(tracer.scene, mode, arguments["lights"])
+                paths = PathProgress(output, width * height, progress)
+                arguments |= {"checkpoint": samples_file, "on_pass": save}
                 arguments["layers"] = wanted.rendered
                 with refuse(OSError, where=str(checkpoint)):
                     image = render_with(tracer, mode, progress=paths, **arguments)
@@ -267,7 +267,7 @@ def render(
                 "width": width,
                 "height": height,
                 "samples": arguments["samples"],
-                "structure": render_with.structure_of(tracer),
+                "structure": render_with.structure_name(tracer),
                 **machine_figures(chosen, device),
                 "triangles": triangle_count,
                 "rays": ray_count,

@@ -1,4 +1,4 @@
-"""Samples on the command line: what the modes of ``raystream render`` are asked for."""
+"""Sampling options of ``raystream render``, and their translation for each mode."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from raystream.cli import options
-from raystream.cli.messages import BadInputError
+from raystream.cli.console import BadInputError
 
 if TYPE_CHECKING:
     from raystream.rendering.sampled import SampledRenderer
 
 __all__ = [
-    "Asked",
     "MaxBounces",
     "Noise",
     "SamplerName",
     "Samples",
+    "SamplingOptions",
     "Seed",
     "TimeLimit",
     "mode_arguments",
 ]
 
-#: Samples at most where noise or time decide, and no number is given.
-MOST_SAMPLES = 1 << 16
+#: Maximum samples when noise or time decide, and no number is given.
+MAX_SAMPLES = 1 << 16
 
 Samples = Annotated[
     int | None,
@@ -35,8 +35,7 @@ Samples = Annotated[
         min=1,
         metavar="N",
         show_default=False,
-        help="Paths for each pixel; 1 without it, and with --noise or --time-limit at most "
-        f"{MOST_SAMPLES:,}.",
+        help=f"Paths per pixel [default: 1; with --noise or --time-limit, at most {MAX_SAMPLES:,}]",
     ),
 ]
 Seed = Annotated[
@@ -45,7 +44,7 @@ Seed = Annotated[
         min=0,
         max=(1 << 32) - 1,
         metavar="N",
-        help="For the places of samples: the same seed gives the same picture.",
+        help="Seed of the sampler: the same seed gives the same image.",
     ),
 ]
 SamplerName = Annotated[
@@ -54,8 +53,7 @@ SamplerName = Annotated[
         "--sampler",
         metavar="NAME",
         show_default=False,
-        help=f"Where the numbers of samples come from: {' or '.join(options.SAMPLERS)}; "
-        f"{options.SAMPLERS[0]} without it.",
+        help=f"Sampler: {' or '.join(options.SAMPLERS)} [default: {options.SAMPLERS[0]}]",
         callback=options.one_of(options.SAMPLERS),
         autocompletion=options.complete(options.SAMPLERS),
     ),
@@ -66,9 +64,9 @@ MaxBounces = Annotated[
         min=0,
         metavar="N",
         show_default=False,
-        help="Modes whitted, kajiya and path: surfaces that may scatter light on its way; 8, 3 "
-        "and 8 without it. Other options of a mode go by --option, such as distance=2 of ao, the "
-        "length of its rays: a tenth of the scene's diagonal without it, inf for no end.",
+        help="Modes whitted, kajiya and path: maximum number of bounces [default: 8, 3 and 8]. "
+        "Other options of a mode are passed with --option, such as distance=2 for ao, the "
+        "length of its rays [default: a tenth of the scene's diagonal; inf for unlimited]",
     ),
 ]
 Noise = Annotated[
@@ -77,7 +75,7 @@ Noise = Annotated[
         metavar="X",
         show_default=False,
         callback=options.positive_if_given,
-        help="Stop once the estimated relative error of the picture is as small; 0.01 is one "
+        help="Stop once the estimated relative error of the image falls below X; 0.01 is one "
         "per cent.",
     ),
 ]
@@ -87,14 +85,14 @@ TimeLimit = Annotated[
         metavar="SECONDS",
         show_default=False,
         callback=options.positive_if_given,
-        help="Take no new sample after so many seconds.",
+        help="Start no new sample after this many seconds.",
     ),
 ]
 
 
 @dataclass(frozen=True)
-class Asked:
-    """Options about samples, as given: None for those that were not.
+class SamplingOptions:
+    """Sampling options as given on the command line; None where omitted.
 
     Attributes
     ----------
@@ -114,8 +112,8 @@ class Asked:
     sampler: str | None
     resume: bool | None
 
-    def of_pictures(self) -> dict[str, Any]:
-        """Those that only pictures have a use for, not heat maps, by name."""
+    def for_images(self) -> dict[str, Any]:
+        """Return the options that apply to images only, not to heat maps, by name."""
         return {
             name: value
             for name, value in dataclasses.asdict(self).items()
@@ -123,15 +121,15 @@ class Asked:
         }
 
 
-def mode_arguments(mode: str, asked: Asked, chosen: dict[str, Any]) -> dict[str, Any]:
-    """What `raystream.render` is to be given for a mode.
+def mode_arguments(mode: str, sampling: SamplingOptions, chosen: dict[str, Any]) -> dict[str, Any]:
+    """Collect the arguments of `raystream.render` for a mode.
 
     Parameters
     ----------
     mode : str
-    asked : Asked
+    sampling : SamplingOptions
     chosen : dict
-        What ``--option`` was given; the mode's own options are taken out of it.
+        Parsed ``--option`` values; the mode's own options are removed from it.
 
     Returns
     -------
@@ -141,13 +139,13 @@ def mode_arguments(mode: str, asked: Asked, chosen: dict[str, Any]) -> dict[str,
     Raises
     ------
     BadInputError
-        If the mode has no use for something that was given, or it is out of range.
+        If the mode does not accept a given option, or a value is out of range.
     """
     from raystream.rendering.picture import RENDERERS
 
-    given = _own_options(mode, asked, chosen, RENDERERS)
-    _check_own(RENDERERS[mode], given, asked)
-    return {**given, **_sample_arguments(asked)}
+    given = _own_options(mode, sampling, chosen, RENDERERS)
+    _check_own(RENDERERS[mode], given, sampling)
+    return {**given, **_sample_arguments(sampling)}
 
 
 def _only_with(what: str, modes: Mapping[str, Any]) -> BadInputError:
@@ -155,9 +153,12 @@ def _only_with(what: str, modes: Mapping[str, Any]) -> BadInputError:
 
 
 def _own_options(
-    mode: str, asked: Asked, chosen: dict[str, Any], renderers: Mapping[str, SampledRenderer]
+    mode: str,
+    sampling: SamplingOptions,
+    chosen: dict[str, Any],
+    renderers: Mapping[str, SampledRenderer],
 ) -> dict[str, Any]:
-    """Take the modes' options out of `chosen`; refuse those of other modes."""
+    """Take the modes' options out of `chosen`; reject those of other modes."""
     owners: dict[str, dict[str, SampledRenderer]] = {}
     for renderer in renderers.values():
         for name in renderer.options:
@@ -166,60 +167,62 @@ def _own_options(
     for name in [name for name in chosen if name in owners]:
         if mode not in owners[name]:
             raise _only_with(f"--option: {name}", owners[name])
-        usual = owners[name][mode].options[name]
-        given[name] = _like(f"--option: {name}", chosen.pop(name), usual)
-    if asked.max_bounces is not None:
+        default = owners[name][mode].options[name]
+        given[name] = _converted(f"--option: {name}", chosen.pop(name), default)
+    if sampling.max_bounces is not None:
         if mode not in owners["max_bounces"]:
             raise _only_with("--max-bounces", owners["max_bounces"])
-        if given.setdefault("max_bounces", asked.max_bounces) != asked.max_bounces:
-            raise BadInputError("--option: another max_bounces than --max-bounces")
+        if given.setdefault("max_bounces", sampling.max_bounces) != sampling.max_bounces:
+            raise BadInputError("--option: max_bounces differs from --max-bounces")
     return given
 
 
-def _like(where: str, value: Any, usual: Any) -> Any:
-    """The value, if it is of the kind of the usual one; infinity comes as text."""
+def _converted(where: str, value: Any, default: Any) -> Any:
+    """Convert a value to the type of its default; infinity arrives as text."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if isinstance(usual, bool):
+    if isinstance(default, bool):
         kind, is_right = "true or false", isinstance(value, bool)
-    elif isinstance(usual, int):
+    elif isinstance(default, int):
         kind, is_right = "an integer", is_number and isinstance(value, int)
     else:
         kind, is_right = "a number", is_number or value == "inf"
     if not is_right:
         raise BadInputError(f"{where}: expected {kind}, got {value!r}")
     try:
-        return float(value) if usual is None else type(usual)(value)
+        return float(value) if default is None else type(default)(value)
     except OverflowError:
         raise BadInputError(f"{where}: is too large") from None
 
 
-def _check_own(renderer: SampledRenderer, given: Mapping[str, Any], asked: Asked) -> None:
+def _check_own(
+    renderer: SampledRenderer, given: Mapping[str, Any], sampling: SamplingOptions
+) -> None:
     try:
         renderer.check({**renderer.options, **given})
     except ValueError as error:
         name, _, reason = str(error).partition(": ")
-        by_name = name == "max_bounces" and asked.max_bounces is not None
+        by_name = name == "max_bounces" and sampling.max_bounces is not None
         raise BadInputError(
             f"--max-bounces: {reason}" if by_name else f"--option: {error}"
         ) from error
 
 
-def _sample_arguments(asked: Asked) -> dict[str, Any]:
+def _sample_arguments(sampling: SamplingOptions) -> dict[str, Any]:
     from raystream.rendering.sampling.sampler import Sampler
 
-    is_limited = asked.noise is not None or asked.time_limit is not None
-    sampler = asked.sampler or options.SAMPLERS[0]
-    if asked.samples is None and is_limited and sampler == "stratified":
-        raise BadInputError("--sampler: stratified needs --samples, to divide each pixel by")
-    samples = asked.samples or (MOST_SAMPLES if is_limited else 1)
+    is_limited = sampling.noise is not None or sampling.time_limit is not None
+    sampler = sampling.sampler or options.SAMPLERS[0]
+    if sampling.samples is None and is_limited and sampler == "stratified":
+        raise BadInputError("--sampler: stratified needs --samples, to stratify each pixel")
+    samples = sampling.samples or (MAX_SAMPLES if is_limited else 1)
     try:
-        Sampler.of(sampler, asked.seed, samples)
-    except ValueError as error:  # its names are those of the options
+        Sampler.of(sampler, sampling.seed, samples)
+    except ValueError as error:  # argument names equal option names
         raise BadInputError(f"--{error}") from error
     return {
         "samples": samples,
-        "seed": asked.seed,
+        "seed": sampling.seed,
         "sampler": sampler,
-        "noise": asked.noise,
-        "time_limit": asked.time_limit,
+        "noise": sampling.noise,
+        "time_limit": sampling.time_limit,
     }

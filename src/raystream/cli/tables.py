@@ -1,4 +1,4 @@
-"""Tables on stdout: aligned, bold and wrapped for a terminal only."""
+"""Tables on stdout: aligned always, bold and wrapped only on a terminal."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import sys
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from raystream.cli.messages import one_line
+from raystream.cli.console import one_line
 
-__all__ = ["set_table"]
+__all__ = ["format_table"]
 
-#: Nothing is wrapped for a program that reads the table.
+#: Width when piped: nothing is wrapped.
 PIPED_WIDTH = 10_000
 
 
-def set_table(
+def format_table(
     columns: Sequence[str], rows: Sequence[Sequence[Any]], right: Collection[int] | None = None
 ) -> str:
-    """Align columns.
+    """Format rows as aligned columns.
 
     Parameters
     ----------
     columns : sequence of str
-        Titles; without any text, there is no line for them.
+        Titles; if all are empty, the header line is omitted.
     rows : sequence of sequences
         At least one; integers get commas.
     right : collection of int, optional
-        Columns that align to the right; without it, those whose first cell is an integer.
+        Right-aligned columns. Default: those whose first cell is an integer.
 
     Returns
     -------
@@ -59,6 +59,6 @@ def set_table(
 
 
 def _printable(text: str) -> str:
-    """Keep the indent, and nothing that could move the cursor."""
+    """Keep the indent, but nothing that could move the cursor."""
     indent = len(text) - len(text.lstrip(" "))
     return " " * indent + one_line(text)

@@ -1,4 +1,4 @@
-"""``raystream view``: a scene in the browser, live."""
+"""``raystream view``: explore a scene live in the browser."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.keywords import tracer_options
-from raystream.cli.messages import one_line, refuse, write_line, write_note
-from raystream.cli.opening import Source, Stopwatch, choose_threads, open_tracer
+from raystream.cli.console import one_line, refuse, write_line, write_note
+from raystream.cli.load import Source, Stopwatch, choose_threads, open_tracer
 from raystream.cli.render import DEFAULT_SCENE
+from raystream.cli.tracer_options import tracer_options
 
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
@@ -37,8 +37,8 @@ def view(
         str,
         typer.Option(
             metavar="ADDRESS",
-            help="Where to be found: by this machine only, or with one of its addresses, or "
-            "0.0.0.0, by others too, who then need the token.",
+            help="Address to listen on. The default serves this machine only; one of the machine's "
+            "addresses, or 0.0.0.0, also serves others, who then need the token.",
         ),
     ] = "127.0.0.1",
     port: Annotated[
@@ -48,7 +48,7 @@ def view(
             max=65535,
             metavar="N",
             show_default=False,
-            help="Without it, 8008 or any that is free.",
+            help="Port [default: 8008, or any free one]",
         ),
     ] = None,
     token: Annotated[
@@ -56,8 +56,8 @@ def view(
         typer.Option(
             metavar="TEXT",
             show_default=False,
-            help="What a browser must show first: 16 or more letters and digits. Without it one "
-            "is made wherever others can reach the viewer.",
+            help="Access token: 16 or more letters and digits [default: generated if others can "
+            "reach the viewer]",
         ),
     ] = None,
     browser: Annotated[
@@ -65,7 +65,7 @@ def view(
         typer.Option(
             "--open/--no-open",
             show_default=False,
-            help="Open the page in a browser; without it, if there is a screen.",
+            help="Open the page in a browser [default: if there is a screen]",
         ),
     ] = None,
     upload_limit: Annotated[
@@ -74,14 +74,14 @@ def view(
             min=1,
             max=1 << 20,
             metavar="MIB",
-            help="Size of a model that is dropped on the page, with all its files, in MiB.",
+            help="Maximum size of a model dropped on the page, with all its files, in MiB.",
         ),
     ] = 256,
     mode: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Renderer at first: {' or '.join(options.MODES)}; {options.MODES[0]} without it.",
+            help=f"Initial renderer: {' or '.join(options.MODES)} [default: {options.MODES[0]}]",
             show_default=False,
             callback=options.one_of(options.MODES),
             autocompletion=options.complete(options.MODES),
@@ -89,7 +89,7 @@ def view(
     ] = None,
     camera: Annotated[
         str | None,
-        typer.Option(metavar="PARTS", help="The view at first, as for render.", show_default=False),
+        typer.Option(metavar="PARTS", help="Initial camera, as for render.", show_default=False),
     ] = None,
     structure: options.Structure = None,
     traversal: options.Traversal = None,
@@ -103,7 +103,7 @@ def view(
     time: options.Time = 0.0,
     triangles: options.Triangles = None,
 ) -> None:
-    """Look around in a scene, in the browser. Without SCENE, robots in a city."""
+    """Explore a scene in the browser. Without SCENE, shows robots in a city."""
     parts = {} if camera is None else options.parse_camera(camera)
     chosen = tracer_options(
         option or [],
@@ -118,16 +118,16 @@ def view(
     from raystream.viewer.serve import ViewServer, bind, require_packages
 
     require_packages()
-    with ending_cleanly(), bind(host, port) as listener:
+    with exiting_on_signals(), bind(host, port) as listener:
         with Bars() as bars:
             source = Source(scene, structure, device, time, triangles, chosen)
             tracer = open_tracer(source, bars, Stopwatch())
         _set_camera(tracer, parts)
-        from raystream.viewer.studio import Studio
+        from raystream.viewer.render_service import RenderService
 
         settings: dict[str, Any] = {} if mode is None else {"mode": mode}
         with ViewServer(
-            Studio(tracer, one_line(scene), settings=settings),
+            RenderService(tracer, one_line(scene), settings=settings),
             listener,
             host=host,
             token=token,
@@ -138,7 +138,7 @@ def view(
 
 
 def _set_camera(tracer: Tracer, parts: dict[str, Any]) -> None:
-    """Begin with the view that was asked for."""
+    """Set the initial camera."""
     scene, which = tracer.scene, parts.pop("which", None)
     with refuse(ValueError, where="--camera"):
         if which is not None:
@@ -149,23 +149,23 @@ def _set_camera(tracer: Tracer, parts: dict[str, Any]) -> None:
 
 
 def _announce(server: ViewServer, browser: bool | None) -> None:
-    """Say where the viewer is, and show it."""
+    """Print the viewer's address, and open it in a browser."""
     write_line(server.url)
     if not server.is_loopback:
         write_note(
-            "warning: what goes over the network is not encrypted, the token included; ssh -L is "
-            "the way to this viewer over a network that is not yours"
+            "warning: network traffic is not encrypted, including the token; on an untrusted "
+            "network, reach this viewer through ssh -L"
         )
     if browser is None:
         browser = server.is_loopback and _has_screen()
     if browser:
-        # Some browsers do not return before they are closed.
+        # Some browsers block until they are closed.
         threading.Thread(target=webbrowser.open, args=(server.local_url,), daemon=True).start()
-    write_note("Ctrl-C ends the viewer")
+    write_note("press Ctrl-C to stop the viewer")
 
 
 def _has_screen() -> bool:
-    """Whether somebody would see a browser; without a screen, one would open in the terminal."""
+    """Whether a browser would be visible; without a screen, one would open in the terminal."""
     if not sys.stdout.isatty():
         return False
     if sys.platform in ("win32", "darwin"):
@@ -174,10 +174,10 @@ def _has_screen() -> bool:
 
 
 @contextmanager
-def ending_cleanly() -> Iterator[None]:
-    """Let SIGTERM, and a terminal that goes away, end the block as Ctrl-C does.
+def exiting_on_signals() -> Iterator[None]:
+    """Make SIGTERM and a closed terminal end the block as Ctrl-C does.
 
-    Otherwise uploaded files would stay.
+    Otherwise uploaded files would be left behind.
     """
 
     def end(number: int, _: FrameType | None) -> None:

@@ -8,8 +8,8 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.bars import Bars
-from raystream.cli.messages import BadInputError, write_json, write_line
-from raystream.cli.opening import Stopwatch, choose_threads
+from raystream.cli.console import BadInputError, write_json, write_line
+from raystream.cli.load import Stopwatch, choose_threads
 from raystream.core.cache_folder import cache_folder
 
 TASKS = ("render", "query", "build", "all")
@@ -20,7 +20,7 @@ def warm(
         str,
         typer.Argument(
             metavar="TASK",
-            help="render, query, build or all: which commands' kernels.",
+            help="Commands whose kernels to compile: render, query, build or all.",
             autocompletion=options.complete(TASKS),
             show_default=True,
         ),
@@ -30,9 +30,9 @@ def warm(
 ) -> None:
     """Compile kernels before they are needed. Uses all cores; --threads limits the processes.
 
-    Compiled kernels are kept in the cache folder (RAYSTREAM_CACHE_DIR, or the user's), so that
-    the first picture or query begins at once. Only the default structure's are listed; others
-    are compiled when they are first used.
+    Compiled kernels are cached in RAYSTREAM_CACHE_DIR, or the user's cache folder, so that
+    the first image or query starts at once. Only kernels of the default structure are listed;
+    others are compiled on first use.
     """
     if task not in TASKS:
         raise BadInputError(f"TASK: expected one of {', '.join(TASKS)}; got {task!r}")
@@ -55,5 +55,5 @@ def warm(
     else:
         write_line(
             f"{len(entries)} kernels, {count} of them compiled now; "
-            f"kept in {cache_folder()}; {watch.text()}"
+            f"cached in {cache_folder()}; {watch.text()}"
         )

@@ -1,4 +1,4 @@
-"""``raystream query`` of rays in a Zarr store: block by block, and resumed."""
+"""``raystream query`` for rays in a Zarr store: block by block, resumable."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raystream.cli.bars import Bars
-from raystream.cli.messages import BadInputError, BrokenOffError, write_note
-from raystream.cli.opening import Stopwatch
+from raystream.cli.console import BadInputError, InterruptedRunError, write_note
+from raystream.cli.load import Stopwatch
 
 if TYPE_CHECKING:
+    from raystream.ray_files import QueryReport
     from raystream.tracer import Tracer
-    from raystream.zarr_queries import QueryReport
 
 __all__ = ["check_stores", "is_store", "trace_store"]
 
-#: The tracer's queries, by the command line's names.
+#: The tracer's queries, by their command-line names.
 QUERIES = {"first": "first_hit", "any": "any_hit", "multi": "multi_hit", "count": "count_hits"}
 
 
 def is_store(rays: Path, output: Path) -> bool:
-    """Whether rays are in a Zarr store, as names tell."""
+    """Whether the rays or hits are in a Zarr store, judging by their names."""
     names = (rays.suffix.lower(), output.suffix.lower())
     return ".zarr" in names or names[0] == ".zip" or rays.is_dir()
 
 
 def check_stores(rays: Path, output: Path) -> None:
-    """Refuse rays and an output before any work is done for them.
+    """Check rays and output before any work is done for them.
 
     Raises
     ------
     BadInputError
-        If the output is no ``.zarr``, its folder is not there, or it is a file.
+        If the output is not named ``.zarr``, is a file, or its folder does not exist.
     RaystreamError
-        If the rays are none, or Zarr is not installed.
+        If the rays cannot be read, or Zarr is not installed.
     """
-    from raystream.zarr_queries.ray_store import RayStore
+    from raystream.ray_files.ray_store import RayStore
 
     if output.suffix.lower() != ".zarr":
-        raise BadInputError(f"{output}: hits of rays in a Zarr store go to one; name it .zarr")
+        raise BadInputError(f"{output}: hits of rays in a Zarr store must be written to a .zarr")
     if not output.parent.is_dir():
-        raise BadInputError(f"{output}: there is no folder {output.parent}")
+        raise BadInputError(f"{output}: folder {output.parent} does not exist")
     if output.exists() and not output.is_dir():
         raise BadInputError(f"{output}: is a file, not a folder")
     RayStore(rays)
@@ -53,43 +53,43 @@ def trace_store(
     rays: Path,
     output: Path,
     kind: str,
-    asked: dict[str, Any],
+    query_options: dict[str, Any],
     *,
     resume: bool,
     bars: Bars,
     watch: Stopwatch,
 ) -> QueryReport:
-    """Trace the rays of a store.
+    """Trace the rays of a store block by block.
 
     Parameters
     ----------
     tracer : Tracer
     rays, output : Path
     kind : str
-        Of the query: a key of `QUERIES`.
-    asked : dict
+        Kind of query: a key of `QUERIES`.
+    query_options : dict
         Options of the query.
     resume : bool
     bars : Bars
     watch : Stopwatch
-        Gets "trace", "read" and "write": the last two are waits, and part of the first.
+        Records "trace", "read" and "write": the last two are waits included in the first.
 
     Raises
     ------
-    BrokenOffError
-        After Ctrl-C, says how much is done.
+    InterruptedRunError
+        After Ctrl-C; its message says how much is done.
     """
-    from raystream.zarr_queries import query_zarr
+    from raystream.ray_files import query_zarr
 
-    with bars.step("tracing", "rays") as progress, _keeping(output):
+    with bars.step("tracing", "rays") as progress, _reporting_progress(output):
         report = query_zarr(
             tracer,
             rays,
             output,
             QUERIES[kind],
-            **asked,
+            **query_options,
             resume=resume,
-            progress=_Noted(output, progress),
+            progress=_ResumeProgress(output, progress),
         )
     watch.seconds["trace"] = report.seconds
     watch.seconds["read"] = report.reading_wait
@@ -97,8 +97,8 @@ def trace_store(
     return report
 
 
-class _Noted:
-    """Progress that tells where a query goes on."""
+class _ResumeProgress:
+    """Progress callback that reports where a query resumes."""
 
     def __init__(self, output: Path, shown: Callable[[int, int], None] | None) -> None:
         self._output, self._shown = output, shown
@@ -106,31 +106,30 @@ class _Noted:
 
     def __call__(self, done: int, total: int) -> None:
         if self._is_first and done:
-            write_note(f"{self._output}: goes on from {done:,} of {total:,} rays")
+            write_note(f"{self._output}: resumed at {done:,} of {total:,} rays")
         self._is_first = False
         if self._shown is not None:
             self._shown(done, total)
 
 
 @contextlib.contextmanager
-def _keeping(output: Path) -> Iterator[None]:
-    """After Ctrl-C, say how much is done; and after a full disk, how to go on."""
-    from raystream.zarr_queries import StoreWritingError, progress_beside
-    from raystream.zarr_queries.progress_file import read_progress
+def _reporting_progress(output: Path) -> Iterator[None]:
+    """After Ctrl-C, report how much is done; after a write error, say how to resume."""
+    from raystream.ray_files import StoreWriteError, journal_path
+    from raystream.ray_files.journal import read_journal
 
-    record = progress_beside(output)
+    record = journal_path(output)
     try:
         yield
     except KeyboardInterrupt:
         if not record.exists():
             raise
-        done = read_progress(record).done.rays
-        raise BrokenOffError(
-            f"{done:,} rays are done, and their hits in {output}: the same command with --resume "
-            "goes on from them"
+        done = read_journal(record).done.rays
+        raise InterruptedRunError(
+            f"{done:,} rays are done, with their hits in {output}; rerun with --resume to continue"
         ) from None
-    except StoreWritingError as error:
-        kept = "; what is done is kept: the same command with --resume goes on from it"
+    except StoreWriteError as error:
+        note = "; finished blocks are saved; rerun with --resume to continue"
         raise BadInputError(
-            f"{output}: {error.strerror}{kept if record.exists() else ''}"
+            f"{output}: {error.strerror}{note if record.exists() else ''}"
         ) from error

@@ -1,6 +1,6 @@
-"""The cluster: rays and pictures over the workers of a Dask cluster, with one machine's bits.
+"""Distributed tracing and rendering on a Dask cluster, with the same bits as one machine.
 
-Needs ``pip install "raystream[cluster]"``. What is here is loaded when it is first asked for.
+Needs ``pip install "raystream[cluster]"``. Names are imported lazily.
 """
 
 from __future__ import annotations
@@ -9,27 +9,27 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from raystream.cluster.films import render_frames
+    from raystream.cluster.animations import render_frames
     from raystream.cluster.hits import LazyHits, LazyMultiHits
-    from raystream.cluster.pictures import render
+    from raystream.cluster.images import render
     from raystream.cluster.tracer import Tracer
 
 __all__ = ["LazyHits", "LazyMultiHits", "Tracer", "render", "render_frames"]
 
-_HOMES = {
+_MODULES = {
     "LazyHits": "hits",
     "LazyMultiHits": "hits",
     "Tracer": "tracer",
-    "render": "pictures",
-    "render_frames": "films",
+    "render": "images",
+    "render_frames": "animations",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'raystream.cluster' has no attribute {name!r}")
     try:
-        module = importlib.import_module(f"raystream.cluster.{_HOMES[name]}")
+        module = importlib.import_module(f"raystream.cluster.{_MODULES[name]}")
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("dask", "distributed"):
             raise

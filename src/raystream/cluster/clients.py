@@ -1,4 +1,4 @@
-"""Clients: the connection to a cluster, from what a caller has of one."""
+"""Client connections to a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin, default_clie
 
 from raystream.cluster.errors import ClusterError
 
-__all__ = ["client_of", "opened", "thread_total"]
+__all__ = ["client_of", "open_client", "thread_total"]
 
 #: Seconds to wait for the first worker.
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
-#: More workers than this on one machine are taken for a mistake.
+#: More local workers than this are treated as a mistake.
 MAX_LOCAL = 1024
 
 _LOCAL = re.compile(r"local:(\d+)", re.ASCII)
@@ -27,33 +27,33 @@ _LOCAL = re.compile(r"local:(\d+)", re.ASCII)
 def client_of(
     client: Client | str | None, is_default: bool = False, threads: int | None = None
 ) -> Client:
-    """A client that is there, or one for an address.
+    """Return an existing client, or connect one to an address.
 
     Parameters
     ----------
     client : distributed.Client, str, or None
-        None is the client that was opened last. A text is a scheduler's address, such as
-        ``"tcp://127.0.0.1:8786"``, or ``"local:2"``: two workers on this machine, started now.
+        None is the most recently opened client. A string is a scheduler's address, such as
+        ``"tcp://127.0.0.1:8786"``, or ``"local:2"``: two workers started on this machine.
     is_default : bool
-        Whether one for an address is to be the one that Dask's ``compute`` uses.
+        Whether a client opened here becomes the default for Dask's ``compute``.
     threads : int, optional
-        Of each worker that is started here; without it, they share the cores.
+        Threads of each worker started here. Default: the cores divided among them.
 
     Raises
     ------
     ClusterError
-        If there is none, or nobody answers.
+        If there is no client, or the scheduler does not answer.
     ValueError
-        If the text is no address.
+        If the string is not an address.
     TypeError
-        If it is something else, or an asynchronous client.
+        If it is another type, or an asynchronous client.
     """
     if client is None:
         try:
             client = default_client()
         except ValueError:
             raise ClusterError(
-                "client: there is none yet; make one with distributed.Client(...), or give the "
+                "client: none is open; create one with distributed.Client(...), or pass the "
                 'address of a scheduler, or "local:2" for two workers on this machine'
             ) from None
     if isinstance(client, str):
@@ -63,15 +63,15 @@ def client_of(
             f"client: expected a distributed.Client or an address, got {type(client).__name__}"
         )
     if client.asynchronous:
-        raise TypeError("client: expected one that waits for answers, not asynchronous=True")
+        raise TypeError("client: expected a synchronous client, not asynchronous=True")
     if client.status != "running":
-        raise ClusterError("client: its connection is closed; make a new one")
+        raise ClusterError("client: its connection is closed; create a new one")
     return client
 
 
 @contextlib.contextmanager
-def opened(client: Client | str | None) -> Iterator[Client]:
-    """As `client_of`, and close at the end what was opened for it."""
+def open_client(client: Client | str | None) -> Iterator[Client]:
+    """Like `client_of`, but closes a client opened here on exit."""
     is_own = isinstance(client, str)
     found = client_of(client)
     try:
@@ -82,7 +82,7 @@ def opened(client: Client | str | None) -> Iterator[Client]:
 
 
 def close(client: Client) -> None:
-    """End a connection, and the workers that were started for it."""
+    """Close a connection, and stop the workers started for it."""
     cluster = client.cluster
     with contextlib.suppress(OSError, TimeoutError):
         client.close()
@@ -91,16 +91,16 @@ def close(client: Client) -> None:
 
 
 def thread_total(client: Client) -> int:
-    """Threads of all workers; waits for the first worker.
+    """Return the thread count of all workers; waits for the first worker.
 
     Raises
     ------
     ClusterError
-        If none comes, or the scheduler does not answer.
+        If no worker appears, or the scheduler does not answer.
     """
     try:
         if not client.nthreads():
-            client.wait_for_workers(1, timeout=PATIENCE)
+            client.wait_for_workers(1, timeout=TIMEOUT)
         return max(1, sum(client.nthreads().values()))
     except TimeoutError:
         raise ClusterError(
@@ -125,13 +125,13 @@ def _connected(address: str, is_default: bool, threads: int | None) -> Client:
             f"{address!r:.80}"
         )
     try:
-        return Client(address, timeout=PATIENCE / 3.0, set_as_default=is_default)
+        return Client(address, timeout=TIMEOUT / 3.0, set_as_default=is_default)
     except (OSError, ValueError, ImportError) as error:
-        raise ClusterError(f"{address}: no Dask scheduler answers there ({error})") from error
+        raise ClusterError(f"{address}: no Dask scheduler answers ({error})") from error
 
 
 def _local(count: int, is_default: bool, threads: int | None) -> Client:
-    """Workers of this machine, which share its cores, seen by nobody else."""
+    """Start workers on this machine that share its cores and listen on loopback only."""
     if not 1 <= count <= MAX_LOCAL:
         raise ValueError(f"client: expected local:1 to local:{MAX_LOCAL}, got local:{count}")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
@@ -145,12 +145,12 @@ def _local(count: int, is_default: bool, threads: int | None) -> Client:
         silence_logs=logging.CRITICAL,
     )
     client = Client(cluster, set_as_default=is_default)
-    client.register_plugin(_LeaveInterrupts())
+    client.register_plugin(_IgnoreInterrupts())
     return client
 
 
-class _LeaveInterrupts(WorkerPlugin):
-    """Ctrl-C in a terminal goes to all processes in it: what is to be done, this one says."""
+class _IgnoreInterrupts(WorkerPlugin):
+    """Workers ignore Ctrl-C, which a terminal sends to all its processes; the client decides."""
 
     name = "raystream-interrupts"
 

@@ -1,4 +1,4 @@
-"""ClusterError: what goes wrong between machines."""
+"""ClusterError: failures of a cluster."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ __all__ = ["ClusterError"]
 
 
 class ClusterError(RaystreamError, RuntimeError):
-    """A cluster that cannot be reached, has no workers, lost them too often, or does not fit."""
+    """A cluster is unreachable, has no workers, loses them repeatedly, or does not match."""

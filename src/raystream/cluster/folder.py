@@ -1,4 +1,4 @@
-"""SharedFolder: arrays in files that processes of one machine map into their memory."""
+"""SharedFolder: array files that processes of one machine map into memory."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.cluster.parcels import ArrayPlace
+from raystream.cluster.bundles import ArrayRef
 
 __all__ = ["SharedFolder", "machine_name", "map_array"]
 
 _TOKEN = "token"
 
-#: Part of a disk's free space that is left to others.
+#: Share of a disk's free space left unused.
 _SPARE = 0.1
 
 
 def machine_name() -> str:
-    """A name that only processes of this machine, since it was started, give."""
+    """Return a name shared only by processes of this machine since it booted."""
     try:
         system = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
@@ -37,18 +37,18 @@ def machine_name() -> str:
 
 
 class SharedFolder:
-    """A temporary folder of ``.npy`` files, named by their content, for this user alone.
+    """A temporary folder of ``.npy`` files, named by content and private to this user.
 
-    It is removed by `close`, or when this process ends. Where nothing can be written, it stays
-    empty: arrays then travel as they do to other machines.
+    It is deleted by `close`, or when this process ends. If it cannot be written, it stays
+    empty, and arrays are sent as they are to other machines.
 
     Attributes
     ----------
     path : str
-        Empty if there is none.
+        Empty if there is no folder.
     token : str
-        What the file ``token`` in it says. Who can read it there has the same file before him:
-        a name alone could be another machine's folder.
+        Content of the file ``token`` in the folder. A process that reads it there sees the same
+        folder: the path alone could be a folder of another machine.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class SharedFolder:
         self._end = weakref.finalize(self, _remove, self.path, owner)
 
     def add(self, digest: str, array: NDArray[Any]) -> None:
-        """Write an array; one that does not fit is left out."""
+        """Write an array; skipped if it does not fit."""
         if not self.path:
             return
         place = Path(self.path) / f"{digest}.npy"
@@ -73,41 +73,41 @@ class SharedFolder:
             part = place.with_suffix(".part")
             with part.open("wb") as stream:
                 np.save(stream, np.ascontiguousarray(array), allow_pickle=False)
-            part.replace(place)  # as a whole: nobody maps half of it
+            part.replace(place)  # atomically: no process maps half of it
         except OSError:
             return
 
     def remove(self, digest: str) -> None:
-        """Remove an array; who has mapped it keeps it."""
+        """Delete an array; processes that have mapped it keep their mapping."""
         if self.path:
-            with contextlib.suppress(OSError):  # Windows keeps what is mapped, until `close`
+            with contextlib.suppress(OSError):  # Windows keeps mapped files until `close`
                 (Path(self.path) / f"{digest}.npy").unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Remove the folder."""
+        """Delete the folder."""
         self._end()
         self.path = ""
 
 
 def _remove(path: str, owner: int) -> None:
-    if path and os.getpid() == owner:  # not a forked child at its end
+    if path and os.getpid() == owner:  # not a forked child that exits
         shutil.rmtree(path, ignore_errors=True)
 
 
-def map_array(where: Mapping[str, str], place: ArrayPlace) -> NDArray[Any] | None:
+def map_array(where: Mapping[str, str], ref: ArrayRef) -> NDArray[Any] | None:
     """Map an array of a shared folder into memory.
 
     Parameters
     ----------
     where : mapping
         ``machine``, ``path`` and ``token`` of a folder.
-    place : ArrayPlace
+    ref : ArrayRef
 
     Returns
     -------
     ndarray or None
-        Its pages are shared until somebody writes to them, and then one's own. None if this is
-        another machine, or there is no such file here.
+        Mapped copy-on-write: pages are shared until written to. None on another machine, or
+        if the file does not exist here.
     """
     if not where.get("path") or where.get("machine") != machine_name():
         return None
@@ -115,9 +115,9 @@ def map_array(where: Mapping[str, str], place: ArrayPlace) -> NDArray[Any] | Non
     try:
         if (folder / _TOKEN).read_text(encoding="ascii") != where.get("token"):
             return None
-        mapped = np.load(folder / f"{place.digest}.npy", mmap_mode="c", allow_pickle=False)
+        mapped = np.load(folder / f"{ref.digest}.npy", mmap_mode="c", allow_pickle=False)
     except (OSError, ValueError, EOFError):  # empty arrays cannot be mapped
         return None
-    if mapped.dtype.str != place.dtype or mapped.shape != place.shape:
+    if mapped.dtype.str != ref.dtype or mapped.shape != ref.shape:
         return None
     return np.asarray(mapped)

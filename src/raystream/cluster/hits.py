@@ -1,4 +1,4 @@
-"""LazyHits and LazyMultiHits: what a cluster's queries return before anything is traced."""
+"""LazyHits and LazyMultiHits: results of a cluster's queries before they are traced."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["LazyHits", "LazyMultiHits"]
 
 
 class _LazyColumns:
-    """Columns of hits in Dask arrays, and what follows from them, in chunks like theirs."""
+    """Columns of hits in Dask arrays, and properties derived from them, in the same chunks."""
 
     u: da.Array
     v: da.Array
@@ -28,8 +28,8 @@ class _LazyColumns:
     _digest: str
     _client: Client
 
-    def _there(self, options: dict[str, Any]) -> dict[str, Any]:
-        """Options of Dask's ``compute``, for the tracer's cluster if they name no other place."""
+    def _compute_options(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Return options of Dask's ``compute``, by default on the tracer's cluster."""
         is_open = self._client.status == "running"
         return {"scheduler": self._client, **options} if is_open else options
 
@@ -70,7 +70,7 @@ class _LazyColumns:
 
 
 class LazyHits(_LazyColumns):
-    """The nearest hit of each ray, not traced yet, in the rays' leading shape S and chunks.
+    """The nearest hit of each ray, untraced, in the rays' leading shape S and chunks.
 
     Attributes
     ----------
@@ -81,9 +81,9 @@ class LazyHits(_LazyColumns):
 
     Notes
     -----
-    To compute two columns at once traces once: ``dask.compute(hits.t, hits.prim_id)``, or
-    `compute` for all. One after the other traces twice, unless `persist` keeps them on the
-    workers.
+    Computing two columns together traces once: ``dask.compute(hits.t, hits.prim_id)``, or
+    `compute` for all. Computing them separately traces twice, unless `persist` keeps them on
+    the workers.
     """
 
     def __init__(
@@ -116,22 +116,23 @@ class LazyHits(_LazyColumns):
         return self.prim_id >= 0
 
     def compute(self, **options: Any) -> Hits:
-        """Trace, and bring the hits here.
+        """Trace the rays and return the hits.
 
         Parameters
         ----------
         **options
-            As of Dask's ``compute``; on the tracer's cluster, if ``scheduler`` says nothing else.
+            Options of Dask's ``compute``; runs on the tracer's cluster unless ``scheduler``
+            is given.
         """
-        (records,) = dask.compute(self._records, **self._there(options))
+        (records,) = dask.compute(self._records, **self._compute_options(options))
         t, u, v, prim_id, status = (
             blocks.column(np.asarray(records), name) for name in blocks.RECORD.names or ()
         )
         return Hits(t, u, v, prim_id, status, self._triangles)
 
     def persist(self, **options: Any) -> LazyHits:
-        """Trace, and keep the hits on the workers."""
-        (records,) = dask.persist(self._records, **self._there(options))
+        """Trace the rays and keep the hits on the workers."""
+        (records,) = dask.persist(self._records, **self._compute_options(options))
         return LazyHits(records, self._digest, self._triangles, self._client)
 
     def __repr__(self) -> str:
@@ -139,15 +140,14 @@ class LazyHits(_LazyColumns):
 
 
 class LazyMultiHits(_LazyColumns):
-    """Many hits of each ray, not traced yet, as rows delimited by `ray_splits`.
+    """All hits of each ray, untraced, as rows delimited by `ray_splits`.
 
     Attributes
     ----------
     ray_splits : dask.array.Array of shape (N + 1,), int64
         As `MultiHits`; rays are numbered in the C order of their leading shape.
     t, u, v : dask.array.Array of shape (nan,), float32
-        A chunk for each chunk of rays; how many rows they have, nobody knows before they are
-        computed.
+        One chunk per chunk of rays; their numbers of rows are unknown until computed.
     prim_id : dask.array.Array of shape (nan,), int32
     counts : dask.array.Array of shape S, int64
     status : dask.array.Array of shape S, uint8
@@ -186,14 +186,15 @@ class LazyMultiHits(_LazyColumns):
         )
 
     def compute(self, **options: Any) -> MultiHits:
-        """Trace, and bring the hits here.
+        """Trace the rays and return the hits.
 
         Parameters
         ----------
         **options
-            As of Dask's ``compute``; on the tracer's cluster, if ``scheduler`` says nothing else.
+            Options of Dask's ``compute``; runs on the tracer's cluster unless ``scheduler``
+            is given.
         """
-        (found,) = dask.compute(self._found, **self._there(options))
+        (found,) = dask.compute(self._found, **self._compute_options(options))
         parts = list(found)
         counts = np.concatenate([part["counts"] for part in parts])
         splits = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -204,8 +205,8 @@ class LazyMultiHits(_LazyColumns):
         return MultiHits(splits, t, u, v, prim_id, status, self._triangles)
 
     def persist(self, **options: Any) -> LazyMultiHits:
-        """Trace, and keep the hits on the workers."""
-        (found,) = dask.persist(self._found, **self._there(options))
+        """Trace the rays and keep the hits on the workers."""
+        (found,) = dask.persist(self._found, **self._compute_options(options))
         source = self._digest, self._triangles, self._client
         return LazyMultiHits(found, self._lengths, self._shape, *source)
 

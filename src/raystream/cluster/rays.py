@@ -1,4 +1,4 @@
-"""Rays in Dask arrays: what a cluster's queries are given, checked as `Tracer` checks it."""
+"""Rays in Dask arrays: inputs of a cluster's queries, validated as by `Tracer`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from raystream.core.arrays import as_real_array
 
 __all__ = ["LazyRays"]
 
-#: Rays of NumPy's arrays that go to a worker together.
+#: Rays per chunk made from NumPy arrays.
 CHUNK_RAYS = 1 << 20
 
 
@@ -30,7 +30,7 @@ class LazyRays(NamedTuple):
     shape : tuple of int
         S.
     chunks : tuple of tuple of int
-        Those of S.
+        Chunks of S.
     """
 
     origins: da.Array
@@ -42,7 +42,7 @@ class LazyRays(NamedTuple):
 
     @classmethod
     def of(cls, origins: Any, directions: Any, t_min: Any, t_max: Any) -> LazyRays:
-        """Rays from Dask arrays, or from whatever `Tracer` takes.
+        """Make rays from Dask arrays, or from any array that `Tracer` accepts.
 
         Raises
         ------
@@ -67,7 +67,7 @@ class LazyRays(NamedTuple):
         return cls(o, d, limits[0], limits[1], shape[:-1], chunks[:-1])
 
     def flat(self) -> LazyRays:
-        """The same as one axis of N rays, in the C order of S: chunks hold neighbours in it."""
+        """Flatten to one axis of N rays in C order, so that chunks hold contiguous rays."""
         if len(self.shape) == 1:
             return self
         first = self.chunks[0] if self.shape else (1,)
@@ -84,15 +84,13 @@ class LazyRays(NamedTuple):
 
 
 def _checked(name: str, values: Any) -> da.Array | NDArray[Any]:
-    """Real numbers in an array; Dask's stay where they are."""
+    """Check that values are real numbers; Dask arrays are not computed."""
     if not isinstance(values, da.Array):
         return as_real_array(name, values)
     if values.dtype.kind not in "fiu":
         raise TypeError(f"{name}: expected real numbers, got dtype {values.dtype}")
     if any(math.isnan(length) for length in values.shape):
-        raise ValueError(
-            f"{name}: the sizes of its chunks are unknown; call compute_chunk_sizes() on it first"
-        )
+        raise ValueError(f"{name}: chunk sizes are unknown; call compute_chunk_sizes() on it first")
     return values
 
 
@@ -107,7 +105,7 @@ def _vectors(name: str, array: da.Array | NDArray[Any]) -> da.Array | NDArray[An
 def _chunks_of(
     vectors: Sequence[da.Array | NDArray[Any]], shape: tuple[int, ...]
 ) -> tuple[tuple[int, ...], ...]:
-    """Chunks of the rays: those of Dask's arrays, the finest of both; or chosen for NumPy's."""
+    """Choose chunks: the finer of two Dask arrays', or automatic for NumPy arrays."""
     lazy = [array for array in vectors if isinstance(array, da.Array)]
     if not lazy:
         limit = CHUNK_RAYS * 3 * 8
@@ -117,7 +115,7 @@ def _chunks_of(
     pairs = [item for pair in zip(lazy, indices, strict=True) for item in pair]
     found, _ = da.core.unify_chunks(*pairs)
     chunks = [found.get(axis, (length,)) for axis, length in enumerate(shape)]
-    # An axis of 1 that is repeated has no chunks of its own.
+    # A broadcast axis of length 1 has no chunks of its own.
     for axis, length in enumerate(shape):
         if sum(chunks[axis]) != length:
             chunks[axis] = (length,)
@@ -127,7 +125,7 @@ def _chunks_of(
 def _chunked(
     array: da.Array | NDArray[Any], shape: tuple[int, ...], chunks: tuple[tuple[int, ...], ...]
 ) -> da.Array:
-    """The array in these chunks; axes of 1 stay."""
+    """Rechunk an array, except for axes of length 1."""
     own = chunks[len(shape) - array.ndim :]
     wanted = tuple(
         c if length == sum(c) else (length,) for c, length in zip(own, array.shape, strict=True)
@@ -155,13 +153,13 @@ def _limit(
 
 
 def _rows(array: da.Array, whole: tuple[int, ...], first: tuple[int, ...]) -> da.Array:
-    """Broadcast to the whole shape, as rows; one vector for all rays stays one.
+    """Broadcast to the whole shape, as rows; a single vector for all rays stays single.
 
     Parameters
     ----------
     array : dask.array.Array
     whole : tuple of int
-        S, and the width.
+        S, followed by the width.
     first : tuple of int
         Chunks of the first axis of S.
     """

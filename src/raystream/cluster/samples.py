@@ -1,4 +1,4 @@
-"""Samples: pictures in pieces, on a worker that takes some rows of one sample at a time."""
+"""Samples: images in tasks, each one sample of some rows."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.cluster.clients import thread_total
-from raystream.cluster.fetching import Kept, tracer_of
-from raystream.cluster.shares import own_share
+from raystream.cluster.fetch import OnceCache, tracer_of
 from raystream.cluster.tasks import OrderedTasks
+from raystream.cluster.thread_budget import shared_threads
 from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
 from raystream.rendering.picture import RENDERERS
@@ -29,25 +29,25 @@ from raystream.scene.camera import Camera
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Samples", "picture_text", "trace_rows"]
+__all__ = ["Samples", "image_spec", "trace_rows"]
 
-#: Pixels of a task at most: some megabytes of light, and less than some seconds of work.
+#: Maximum pixels per task: some megabytes of light, and a few seconds of work at most.
 TASK_PIXELS = 1 << 19
 
-#: Tasks for each thread of the workers, under way or done: while one is handed out and its worker
-#: asks for the next, others go on.
+#: Tasks in flight per worker thread, running or done: while one result is returned and its worker
+#: requests the next task, others continue.
 TASKS_PER_THREAD = 3
 
-#: Tasks for each thread of which a picture of few samples is made, so that they end together.
-SHARES = 4
+#: Tasks per thread that an image with few samples is split into, for load balance.
+MIN_TASKS_PER_THREAD = 4
 
-#: Settings that a process keeps.
-_settings = Kept(2)
+#: Cached settings per process.
+_settings = OnceCache(2)
 
-Piece = tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]
+RowSamples = tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]
 
 
-def picture_text(
+def image_spec(
     mode: str,
     size: tuple[int, int],
     camera: Camera,
@@ -56,14 +56,14 @@ def picture_text(
     layers: Sequence[str],
     lights: str,
 ) -> str:
-    """All that a picture depends on beside its scene, as JSON.
+    """Serialize everything that an image depends on beside its scene, as JSON.
 
     Parameters
     ----------
     mode, size, camera, options, layers, lights
         See `raystream.render`.
     sampler : (str, int, int)
-        Its name, the seed, and how many samples.
+        Its name, the seed, and the number of samples.
     """
     return json.dumps(
         {
@@ -80,15 +80,15 @@ def picture_text(
     )
 
 
-def trace_rows(digest: str, picture: str, sample: int, first: int, end: int) -> Piece:
-    """Take one sample of the pixels of some rows; on a worker.
+def trace_rows(digest: str, image_spec: str, sample: int, first: int, end: int) -> RowSamples:
+    """Trace one sample of the pixels of some rows, on a worker.
 
     Parameters
     ----------
     digest : str
-        A tracer's parcel, with its scene.
-    picture : str
-        See `picture_text`.
+        Bundle of a tracer with its scene.
+    image_spec : str
+        See `image_spec`.
     sample : int
     first, end : int
         Rows.
@@ -99,18 +99,18 @@ def trace_rows(digest: str, picture: str, sample: int, first: int, end: int) -> 
     seen : tuple of ndarray, or None
         As `SeenSurfaces`.
     """
-    with own_share():
-        setting = _settings.get((digest, picture), lambda: _setting(digest, picture))
-        renderer = RENDERERS[json.loads(picture)["mode"]]
+    with shared_threads():
+        setting = _settings.get((digest, image_spec), lambda: _setting(digest, image_spec))
+        renderer = RENDERERS[json.loads(image_spec)["mode"]]
         light, seen = trace_sample(renderer, setting, sample, rows=range(first, end))
     return light, None if seen is None else tuple(seen)
 
 
-def _setting(digest: str, picture: str) -> Setting:
-    asked = json.loads(picture)
+def _setting(digest: str, image_spec: str) -> Setting:
+    asked = json.loads(image_spec)
     renderer = RENDERERS[asked["mode"]]
     width, height = asked["size"]
-    with warnings.catch_warnings():  # the client has said so
+    with warnings.catch_warnings():  # the client has already warned
         warnings.simplefilter("ignore", RaystreamWarning)
         return make_setting(
             tracer_of(digest),
@@ -124,24 +124,24 @@ def _setting(digest: str, picture: str) -> Setting:
 
 
 class Samples:
-    """Whole samples of a picture, one after another, put together from workers' rows.
+    """Complete samples of an image in order, assembled from the rows that workers trace.
 
     Parameters
     ----------
     client : distributed.Client
-    digest, picture : str
+    digest, image_spec : str
         See `trace_rows`.
     setting : Setting
-        For the size and the layers.
+        Determines the size and the layers.
     sample_count : int
-        Of each pixel, at most.
+        Maximum samples per pixel.
     """
 
     def __init__(
-        self, client: Client, digest: str, picture: str, setting: Setting, sample_count: int
+        self, client: Client, digest: str, image_spec: str, setting: Setting, sample_count: int
     ) -> None:
         self._client = client
-        self._of = digest, picture
+        self._of = digest, image_spec
         self._width, self._height = setting.width, setting.height
         self._has_layers = bool(setting.layers)
         self._sample_count = sample_count
@@ -150,7 +150,7 @@ class Samples:
         self._next = 0
 
     def take(self, sample: int, progress: Progress | None) -> Sampled:
-        """The next sample of every pixel; see `render_samples`."""
+        """Return the next sample of every pixel; see `render_samples`."""
         if self._tasks is None:
             self._begin(sample)
         assert self._tasks is not None
@@ -171,7 +171,7 @@ class Samples:
         return light, seen
 
     def close(self) -> None:
-        """Cancel what nobody will ask for."""
+        """Cancel outstanding tasks."""
         if self._tasks is not None:
             self._tasks.close()
 
@@ -179,7 +179,9 @@ class Samples:
         threads = thread_total(self._client)
         left = self._sample_count - first
         pixel_count = self._width * self._height
-        count = max(math.ceil(pixel_count / TASK_PIXELS), math.ceil(SHARES * threads / left))
+        count = max(
+            math.ceil(pixel_count / TASK_PIXELS), math.ceil(MIN_TASKS_PER_THREAD * threads / left)
+        )
         count = min(count, self._height)
         ends = [self._height * i // count for i in range(count + 1)]
         self._bands = [range(a, b) for a, b in itertools.pairwise(ends)]

@@ -1,4 +1,4 @@
-"""Tasks: calls that workers make, whose results come in order, however many workers are lost."""
+"""Tasks: calls on workers whose results arrive in order, even if workers are lost."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ if TYPE_CHECKING:
 
 __all__ = ["OrderedTasks"]
 
-#: Times that a call is made anew after Dask gave it up: as many as it took workers with it, each
-#: counted `allowed-failures` (3) and one times. What kills that many is not bad luck.
-MOST_TRIES = 10
+#: Attempts after Dask gave a task up. Dask does so once it lost `allowed-failures` (3) plus one
+#: workers to the task; more attempts than this cannot be bad luck.
+MAX_ATTEMPTS = 10
 
-#: Seconds between two looks at a task, and until a cluster without workers is reported.
-PAUSE, SILENCE = 1.0, 10.0
+#: Seconds between polls of a task, and before a cluster without workers is reported.
+POLL_SECONDS, WARN_SECONDS = 1.0, 10.0
 
-#: Kept apart from those of everyone else.
+#: Distinguishes our task keys from those of other users.
 _PREFIX = "raystream-"
 
 Call = tuple[Any, ...]
 
 
 class OrderedTasks:
-    """Makes calls on workers and hands out their results in the order of the calls.
+    """Runs calls on workers and returns their results in the order of the calls.
 
     Parameters
     ----------
     client : distributed.Client
     function : callable
-        Of a module; its arguments and results travel by Dask's own serialization.
+        A module-level function; arguments and results use Dask's own serialization.
     calls : iterable of tuple
-        Arguments; taken as they are needed.
+        Arguments; consumed lazily.
     window : int
-        Most calls under way or done, and not handed out: what waits for its turn waits on the
-        workers, and takes no memory here.
+        Maximum calls running or done but not returned. Results wait on the workers and take
+        no memory in this process.
     name : str
-        What Dask's dashboard calls them.
+        Name shown on Dask's dashboard.
     """
 
     def __init__(
@@ -71,14 +71,14 @@ class OrderedTasks:
         return self
 
     def __next__(self) -> Any:
-        """The result of the next call.
+        """Return the result of the next call.
 
         Raises
         ------
         ClusterError
-            If the scheduler is gone, or a call ends its workers again and again.
+            If the scheduler is gone, or a call kills its workers repeatedly.
         Exception
-            What the call raised.
+            Whatever the call raised.
         """
         self._fill()
         if not self._waiting:
@@ -90,7 +90,7 @@ class OrderedTasks:
         return result
 
     def close(self) -> None:
-        """Cancel what is under way; what a worker has begun, it ends for nobody."""
+        """Cancel outstanding calls; calls already running finish, and are discarded."""
         futures = [future for _, future in self._waiting]
         self._waiting.clear()
         self._calls = iter(())
@@ -109,7 +109,7 @@ class OrderedTasks:
         return self._client.submit(self._function, *call, key=key, pure=False, priority=priority)
 
     def _result(self, call: Call, future: Future) -> Any:
-        for _ in range(MOST_TRIES):
+        for _ in range(MAX_ATTEMPTS):
             self._wait(future)
             try:
                 result = future.result()
@@ -121,30 +121,30 @@ class OrderedTasks:
             future = self._submit(call, priority=1)
             self._waiting[0] = call, future
         raise ClusterError(
-            "the same piece of work kills worker after worker: they may lack memory; give them "
+            "one task kills worker after worker: workers may lack memory; give them "
             "more, or fewer threads"
         )
 
     def _wait(self, future: Future) -> None:
-        """Wait until there is a result or an error, and listen to Ctrl-C."""
+        """Wait for a result or an error, staying responsive to Ctrl-C."""
         looked = time.monotonic()
         is_told = False
         while not future.done():
             try:
                 with self._client.as_current():
-                    wait([future], timeout=PAUSE)
+                    wait([future], timeout=POLL_SECONDS)
             except TimeoutError:
                 pass
             except CancelledError:
                 return
             now = time.monotonic()
-            if now - looked >= SILENCE and not future.done():
+            if now - looked >= WARN_SECONDS and not future.done():
                 looked = now
                 self._check_connection()
                 if not is_told and not self._has_workers():
                     is_told = True
                     warnings.warn(
-                        "the cluster has no workers any more; waiting for some to come",
+                        "the cluster has no workers left; waiting for new ones",
                         RaystreamWarning,
                         stacklevel=2,
                     )
@@ -153,12 +153,12 @@ class OrderedTasks:
         try:
             return bool(self._client.nthreads())
         except (OSError, ValueError) as error:
-            raise _gone() from error
+            raise _connection_lost() from error
 
     def _check_connection(self) -> None:
         if self._client.status != "running":
-            raise _gone()
+            raise _connection_lost()
 
 
-def _gone() -> ClusterError:
+def _connection_lost() -> ClusterError:
     return ClusterError("the connection to the cluster's scheduler is lost")

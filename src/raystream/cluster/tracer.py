@@ -1,4 +1,4 @@
-"""Tracer: the queries of `raystream.Tracer`, on the workers of a cluster."""
+"""Tracer: the queries of `raystream.Tracer` on a cluster."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 from raystream.cluster.blocks import BLOCKS
 from raystream.cluster.clients import client_of, close
 from raystream.cluster.hits import LazyHits, LazyMultiHits
-from raystream.cluster.post import post_of
 from raystream.cluster.rays import LazyRays
-from raystream.cluster.tracers import pack_tracer
+from raystream.cluster.tracer_bundles import pack_tracer
+from raystream.cluster.uploader import uploader_of
 from raystream.core.choices import DeviceOptions
 from raystream.core.query import UNLIMITED, Crossings, counts_surfaces
 from raystream.scene.scene import Scene
@@ -32,37 +32,36 @@ __all__ = ["Tracer"]
 
 
 class Tracer:
-    """Traces Dask arrays of rays against a scene, on the workers of a cluster.
+    """Traces Dask arrays of rays against a scene on the workers of a cluster.
 
-    The triangles and the built structure go to each worker once, when it first needs them: in
-    files that are mapped into memory where a worker shares this machine, else by way of the
-    scheduler. Workers that join later, or start again, fetch them likewise.
+    The triangles and the built structure are sent to each worker once, when it first needs
+    them: as memory-mapped files on this machine, otherwise through the scheduler. Workers
+    that join later, or restart, fetch them in the same way.
 
     Parameters
     ----------
     scene : Scene or raystream.Tracer
-        A tracer of the CPU saves building the structure again.
+        Passing a CPU tracer avoids rebuilding the structure.
     client : distributed.Client or str, optional
-        The cluster: a client; the address of a scheduler; ``"local:2"``, two workers that are
-        started on this machine; or without it, the client that was opened last.
+        The cluster: a client; the address of a scheduler; or ``"local:2"``, two workers started
+        on this machine. Default: the most recently opened client.
     structure, device, machine, **options
-        See `raystream.Tracer`. For devices other than the CPU, workers build the structure.
+        See `raystream.Tracer`. On devices other than the CPU, workers build the structure.
 
     Raises
     ------
     ClusterError
         If there is no cluster, or its scheduler does not answer or lacks raystream.
     ValueError, TypeError
-        As `raystream.Tracer`; or if it is asked to count what rays meet, or the tracer given
-        traces on a GPU.
+        As `raystream.Tracer`; or if counters are requested, or the given tracer is on a GPU.
 
     Notes
     -----
-    Answers have the bits of one process, in the order of the rays, however many workers there
-    are and whichever of them fail. Nothing is traced before ``compute()``. Each task traces one
-    chunk of rays, with a share of its worker's threads.
+    Results are in the order of the rays, with the bits of a single process, regardless of the
+    number of workers and their failures. Nothing is traced before ``compute()``. Each task
+    traces one chunk of rays with a share of its worker's threads.
 
-    Answers can be computed until `close`, or until the client leaves.
+    Results can be computed until `close` is called or the client leaves.
 
     Examples
     --------
@@ -87,14 +86,14 @@ class Tracer:
         self.client = client_of(client, is_default=True)
         self._is_own = isinstance(client, str)
         try:
-            parcel = pack_tracer(scene, structure, device, options, for_pictures=False)
-            self._post = post_of(self.client)
-            self._digest = self._post.send(parcel)
+            bundle = pack_tracer(scene, structure, device, options, for_rendering=False)
+            self._uploader = uploader_of(self.client)
+            self._digest = self._uploader.send(bundle)
         except BaseException:
             if self._is_own:
                 close(self.client)
             raise
-        self._header: Mapping[str, Any] = parcel.header
+        self._header: Mapping[str, Any] = bundle.header
         if isinstance(scene, LocalTracer):
             self._triangles = scene.structure.triangles
         else:
@@ -104,13 +103,13 @@ class Tracer:
     def first_hit(
         self, origins: Any, directions: Any, *, t_min: Any = 0.0, t_max: Any = np.inf
     ) -> LazyHits:
-        """Find the nearest triangle along each ray, when it is computed.
+        """Find the nearest triangle along each ray, lazily.
 
         Parameters
         ----------
         origins, directions : dask.array.Array or array_like of shape S + (3,), real
-            Other arrays than Dask's become chunks of a million rays, which travel to the
-            workers: many rays are better made there.
+            NumPy arrays become chunks of a million rays that are sent to the workers; large
+            numbers of rays are better generated on the workers.
         t_min, t_max : float, or dask.array.Array or array_like that broadcasts to S
             Closed search interval, in direction lengths.
 
@@ -125,19 +124,19 @@ class Tracer:
             As `raystream.Tracer.first_hit`; or if the size of a chunk is unknown.
         """
         rays = LazyRays.of(origins, directions, t_min, t_max)
-        records = self._asked("first_hit", rays, {})
+        records = self._map_query("first_hit", rays, {})
         return LazyHits(records, self._digest, self._triangles, self.client)
 
     def any_hit(
         self, origins: Any, directions: Any, *, t_min: Any = 0.0, t_max: Any = np.inf
     ) -> da.Array:
-        """Find whether anything is in each ray's way; see `first_hit`.
+        """Test whether each ray hits anything; see `first_hit`.
 
         Returns
         -------
         dask.array.Array of shape S, bool
         """
-        return self._asked("any_hit", LazyRays.of(origins, directions, t_min, t_max), {})
+        return self._map_query("any_hit", LazyRays.of(origins, directions, t_min, t_max), {})
 
     def count_hits(
         self,
@@ -148,7 +147,7 @@ class Tracer:
         t_max: Any = np.inf,
         crossings: Crossings = "triangles",
     ) -> da.Array:
-        """Count what lies along each ray; see `first_hit` and `raystream.Tracer.count_hits`.
+        """Count the hits of each ray; see `first_hit` and `raystream.Tracer.count_hits`.
 
         Returns
         -------
@@ -156,7 +155,7 @@ class Tracer:
         """
         counts_surfaces(crossings)
         rays = LazyRays.of(origins, directions, t_min, t_max)
-        return self._asked("count_hits", rays, {"crossings": crossings})
+        return self._map_query("count_hits", rays, {"crossings": crossings})
 
     def multi_hit(
         self,
@@ -173,8 +172,8 @@ class Tracer:
         Parameters
         ----------
         origins, directions, t_min, t_max
-            See `first_hit`. Rays of more than one leading axis are put into chunks of whole
-            rows, since hits are numbered in the order of rays.
+            See `first_hit`. Rays with several leading axes are rechunked to whole rows, since
+            hits are numbered in the order of the rays.
         max_hits, crossings
             See `raystream.Tracer.multi_hit`.
 
@@ -189,14 +188,14 @@ class Tracer:
         rays = LazyRays.of(origins, directions, t_min, t_max)
         flat = rays.flat()
         options = {"crossings": crossings, "max_hits": limit}
-        found = self._asked("multi_hit", flat, options)
+        found = self._map_query("multi_hit", flat, options)
         source = self._digest, self._triangles, self.client
         return LazyMultiHits(found, flat.chunks[0], rays.shape, *source)
 
-    def _asked(self, query: str, rays: LazyRays, options: Mapping[str, Any]) -> da.Array:
-        """A query's answers, chunk by chunk."""
+    def _map_query(self, query: str, rays: LazyRays, options: Mapping[str, Any]) -> da.Array:
+        """Build the Dask array of a query's results, chunk by chunk."""
         if self._is_closed:
-            raise ValueError("tracer: was closed; make a new one")
+            raise ValueError("tracer: is closed; create a new one")
         block, dtype = BLOCKS[query]
         given = {"t_min": rays.t_min, "t_max": rays.t_max}
         arrays = [v for v in given.values() if isinstance(v, da.Array)]
@@ -218,14 +217,14 @@ class Tracer:
         )
 
     def close(self) -> None:
-        """Let the scheduler and the workers forget it: what was not computed never will be.
+        """Release the tracer on the scheduler and the workers; pending results are lost.
 
-        Also ends workers that were started for it.
+        Also stops workers that were started for it.
         """
         if self._is_closed:
             return
         self._is_closed = True
-        self._post.release(self._digest)
+        self._uploader.release(self._digest)
         if self._is_own:
             close(self.client)
 

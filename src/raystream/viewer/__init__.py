@@ -1,7 +1,7 @@
-"""The viewer: a scene that renders itself while people look around in it, in a browser."""
+"""The viewer: interactive progressive rendering in a browser."""
 
+from raystream.viewer.client import Client
 from raystream.viewer.messages import Frame, Send
-from raystream.viewer.studio import Studio
-from raystream.viewer.visitor import Visitor
+from raystream.viewer.render_service import RenderService
 
-__all__ = ["Frame", "Send", "Studio", "Visitor"]
+__all__ = ["Client", "Frame", "RenderService", "Send"]

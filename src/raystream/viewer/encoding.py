@@ -1,4 +1,4 @@
-"""Encoding: from linear colours to the bytes of image files, beside the rendering."""
+"""Encoding: convert linear colours to image files, in parallel with rendering."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from PIL import Image as PillowImage
 from raystream.rendering.image import Image
 from raystream.rendering.png import write_png
 from raystream.viewer.messages import Frame, Message
-from raystream.viewer.settings import Look
+from raystream.viewer.settings import DisplaySettings
 
 __all__ = ["Encoder", "encode_jpeg", "encode_png"]
 
-#: Qualities of JPEG while the camera moves and while it is still.
+#: JPEG quality while the camera moves and while it rests.
 MOVING_QUALITY, STILL_QUALITY = 80, 92
 
 
-def encode_jpeg(pixels: NDArray[np.float32], look: Look, quality: int) -> bytes:
-    """A JPEG of linear colours, of shape (H, W, 3)."""
-    shown = PillowImage.fromarray(Image(pixels).to_bytes(look.exposure, look.tone))
+def encode_jpeg(pixels: NDArray[np.float32], display: DisplaySettings, quality: int) -> bytes:
+    """Encode linear colours of shape (H, W, 3) as a JPEG."""
+    shown = PillowImage.fromarray(Image(pixels).to_bytes(display.exposure, display.tone))
     buffer = io.BytesIO()
     shown.save(buffer, "JPEG", quality=quality, subsampling=0 if quality > 90 else 2)
     return buffer.getvalue()
 
 
-def encode_png(pixels: NDArray[np.float32], look: Look) -> bytes:
-    """A PNG of linear colours, of shape (H, W, 3)."""
+def encode_png(pixels: NDArray[np.float32], display: DisplaySettings) -> bytes:
+    """Encode linear colours of shape (H, W, 3) as a PNG."""
     buffer = io.BytesIO()
-    write_png(buffer, Image(pixels).to_bytes(look.exposure, look.tone))
+    write_png(buffer, Image(pixels).to_bytes(display.exposure, display.tone))
     return buffer.getvalue()
 
 
 class Encoder:
-    """A thread that encodes pictures one after another, while the next ones are rendered."""
+    """A thread that encodes images in order, while the next ones are rendered."""
 
     def __init__(self) -> None:
         self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -55,7 +55,7 @@ class Encoder:
         done: Callable[[Frame], object],
         failed: Callable[[Exception], object],
     ) -> None:
-        """Encode a picture when it is its turn.
+        """Queue an image for encoding.
 
         Parameters
         ----------
@@ -64,7 +64,7 @@ class Encoder:
         header : dict
             Gets ``encode_ms``.
         done, failed : callable
-            Called from the encoder's thread with the frame, or with what went wrong.
+            Called on the encoder's thread with the frame or the error.
         """
 
         def work() -> None:
@@ -72,7 +72,7 @@ class Encoder:
                 started = time.perf_counter()
                 content = encode()
                 header["encode_ms"] = round(1e3 * (time.perf_counter() - started), 3)
-            except Exception as error:  # too large for memory, say: the others go on
+            except Exception as error:  # out of memory, say: other images continue
                 failed(error)
             else:
                 done(Frame(header, content))
@@ -80,7 +80,7 @@ class Encoder:
         self._waiting.put(work)
 
     def close(self, timeout: float = 10.0) -> None:
-        """End the thread, after what waits."""
+        """Stop the thread once its queue is empty."""
         self._waiting.put(None)
         self._thread.join(timeout)
 

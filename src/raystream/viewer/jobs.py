@@ -1,4 +1,4 @@
-"""Jobs: long work beside the pictures, such as builds, which ends when nobody wants it any more."""
+"""Jobs: long background work, such as builds, that can be cancelled."""
 
 from __future__ import annotations
 
@@ -8,57 +8,57 @@ from collections.abc import Callable
 
 from raystream.jit.threads import Progress
 from raystream.viewer.messages import error_text
-from raystream.viewer.pictures import BrokenOffError
+from raystream.viewer.progressive_images import WorkCancelledError
 
 __all__ = ["Job", "Jobs"]
 
-#: Jobs that run at the same time; others wait.
-_AT_ONCE = 4
+#: Maximum jobs that run at the same time; others wait.
+_MAX_RUNNING = 4
 
-#: Seconds between two reports of progress, and until a job that waits notices that it need not.
+#: Seconds between progress reports, and between a waiting job's checks for cancellation.
 _REPORT_SECONDS = 0.1
 
-#: Called with what is done, and how much of it, from 0 to 1.
+#: Called with the current activity, and its progress from 0 to 1.
 Report = Callable[[str, float], object]
 
 
 class Job:
-    """Something long that can be broken off.
+    """A piece of background work that can be cancelled.
 
     Parameters
     ----------
     report : callable
-        Called with what is being done, and how much of that, from 0 to 1.
+        Called with the current activity, and its progress from 0 to 1.
     """
 
     def __init__(self, report: Report) -> None:
         self._report = report
-        self._unwanted = threading.Event()
+        self._cancelled = threading.Event()
 
-    def break_off(self) -> None:
-        """End it soon; what it has done so far is dropped."""
-        self._unwanted.set()
+    def cancel(self) -> None:
+        """Cancel the job; it ends soon, and its results are discarded."""
+        self._cancelled.set()
 
     @property
     def is_wanted(self) -> bool:
-        """Whether it has not been broken off."""
-        return not self._unwanted.is_set()
+        """Whether the job has not been cancelled."""
+        return not self._cancelled.is_set()
 
     def begin(self, what: str) -> Progress:
-        """Say what is done next; returns the callback for its progress.
+        """Report the next activity; returns the callback for its progress.
 
         Raises
         ------
-        BrokenOffError
-            Here and from the callback, if the job has been broken off.
+        WorkCancelledError
+            Here and from the callback, if the job has been cancelled.
         """
-        self._go_on()
+        self._check_cancelled()
         self._report(what, 0.0)
         shown = time.monotonic()
 
         def progress(done: int, total: int) -> None:
             nonlocal shown
-            self._go_on()
+            self._check_cancelled()
             now = time.monotonic()
             if now - shown >= _REPORT_SECONDS and total > 0:
                 shown = now
@@ -66,32 +66,32 @@ class Job:
 
         return progress
 
-    def _go_on(self) -> None:
-        if self._unwanted.is_set():
-            raise BrokenOffError
+    def _check_cancelled(self) -> None:
+        if self._cancelled.is_set():
+            raise WorkCancelledError
 
 
 class Jobs:
-    """Runs jobs on threads of their own."""
+    """Runs each job on its own thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._places = threading.BoundedSemaphore(_AT_ONCE)
+        self._places = threading.BoundedSemaphore(_MAX_RUNNING)
         self._running: dict[Job, threading.Thread] = {}
         self._is_closed = False
 
     def start(
         self, job: Job, work: Callable[[Job], object], failed: Callable[[str], object]
     ) -> None:
-        """Begin a job.
+        """Start a job.
 
         Parameters
         ----------
         job : Job
         work : callable
-            Is given the job, and ends by itself where it is broken off.
+            Called with the job; checks for cancellation itself.
         failed : callable
-            Called with a line of text if the work raises an error.
+            Called with a one-line message if the work raises an error.
         """
 
         def run() -> None:
@@ -103,9 +103,9 @@ class Jobs:
                         finally:
                             self._places.release()
                         break
-            except BrokenOffError:
+            except WorkCancelledError:
                 pass
-            except Exception as error:  # whatever it is, the studio goes on
+            except Exception as error:  # of any kind: the service must continue
                 if job.is_wanted:
                     failed(error_text(error))
             finally:
@@ -120,12 +120,12 @@ class Jobs:
         thread.start()
 
     def close(self, timeout: float = 10.0) -> None:
-        """Break all jobs off, and wait for them."""
+        """Cancel all jobs, and wait for them."""
         with self._lock:
             self._is_closed = True
             running = dict(self._running)
         for job in running:
-            job.break_off()
+            job.cancel()
         end = time.monotonic() + timeout
         for thread in running.values():
             thread.join(max(0.0, end - time.monotonic()))

@@ -1,4 +1,4 @@
-"""Messages between a visitor's page and the studio: what goes out, and checks of what comes in."""
+"""Messages between a page and the render service: types, and validation of incoming fields."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ __all__ = [
     "Send",
     "error_text",
     "finite_or_none",
+    "read_bool",
     "read_choice",
-    "read_flag",
+    "read_integer",
     "read_number",
-    "read_triple",
-    "read_whole",
+    "read_vector",
 ]
 
-#: A JSON object; ``"type"`` says what it is.
+#: A JSON object; ``"type"`` names its kind.
 Message = dict[str, Any]
 
 
 class Frame(NamedTuple):
-    """A picture on its way to a page.
+    """An encoded image for a page.
 
     Attributes
     ----------
     header : dict
-        What is known of it, for JSON.
+        Metadata, for JSON.
     content : bytes
         A JPEG or PNG file.
     """
@@ -39,32 +39,32 @@ class Frame(NamedTuple):
     content: bytes
 
 
-#: How a visitor is reached. It is called from the studio's threads, and must return at once.
+#: Sends to a client. Called from the service's threads; must return at once.
 Send = Callable[[Message | Frame], None]
 
 
 class MessageError(ValueError):
-    """A message that cannot be used: one line that names the field and says what it should be."""
+    """An invalid message: one line that names the field and the expected value."""
 
 
 def read_number(
     message: Mapping[str, Any], name: str, low: float, high: float, *, above: bool = False
 ) -> float:
-    """A number of a message.
+    """Read a number from a message.
 
     Parameters
     ----------
     message : mapping
     name : str
-        Of the field.
+        Name of the field.
     low, high : float
-        Between which it must be; both are allowed, but for `low` if `above`.
+        Closed range of valid values; `low` itself is excluded if `above`.
     above : bool
 
     Raises
     ------
     MessageError
-        If the field is missing, no number, or out of range.
+        If the field is missing, not a number, or out of range.
     """
     value = _field(message, name)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -79,26 +79,26 @@ def read_number(
     return number
 
 
-def read_whole(message: Mapping[str, Any], name: str, low: int, high: int) -> int:
-    """An integer of a message, from `low` to `high`; see `read_number`."""
+def read_integer(message: Mapping[str, Any], name: str, low: int, high: int) -> int:
+    """Read an integer from `low` to `high` from a message; see `read_number`."""
     value = _field(message, name)
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise MessageError(f"{name}: expected an integer from {low} to {high}, got {value!r:.40}")
     return value
 
 
-def read_triple(message: Mapping[str, Any], name: str) -> tuple[float, float, float]:
-    """Three finite numbers of a message; see `read_number`."""
+def read_vector(message: Mapping[str, Any], name: str) -> tuple[float, float, float]:
+    """Read three finite numbers from a message; see `read_number`."""
     value = _field(message, name)
     if not isinstance(value, list | tuple) or len(value) != 3:
         raise MessageError(f"{name}: expected three numbers, got {value!r:.40}")
-    most = 1e30  # as far as distances can still be squared
+    most = 1e30  # so that squared distances stay finite
     x, y, z = (read_number({name: part}, name, -most, most) for part in value)
     return x, y, z
 
 
-def read_flag(message: Mapping[str, Any], name: str) -> bool:
-    """True or false of a message; see `read_number`."""
+def read_bool(message: Mapping[str, Any], name: str) -> bool:
+    """Read a boolean from a message; see `read_number`."""
     value = _field(message, name)
     if not isinstance(value, bool):
         raise MessageError(f"{name}: expected true or false, got {value!r:.40}")
@@ -106,7 +106,7 @@ def read_flag(message: Mapping[str, Any], name: str) -> bool:
 
 
 def read_choice(message: Mapping[str, Any], name: str, names: Collection[str]) -> str:
-    """One of some names of a message; see `read_number`."""
+    """Read one of several names from a message; see `read_number`."""
     value = _field(message, name)
     if not isinstance(value, str) or value not in names:
         known = ", ".join(map(repr, names))
@@ -121,7 +121,7 @@ def _field(message: Mapping[str, Any], name: str) -> Any:
 
 
 def error_text(error: BaseException) -> str:
-    """What an error says, in one line that is never empty nor endless."""
+    """Return an error's message as one line of limited length, never empty."""
     text = " ".join(str(error).split())
     if isinstance(error, MemoryError):
         text = f"out of memory: {text}" if text else "out of memory"
@@ -129,6 +129,6 @@ def error_text(error: BaseException) -> str:
 
 
 def finite_or_none(number: float) -> float | None:
-    """A number for JSON, which knows neither infinity nor NaN: None for these."""
+    """Convert a number for JSON: None for infinity and NaN, which JSON lacks."""
     number = float(number)
     return number if math.isfinite(number) else None

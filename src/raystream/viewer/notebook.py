@@ -11,50 +11,50 @@ from typing import TYPE_CHECKING, Any
 from raystream.core.options import Options
 from raystream.scene.load import load
 from raystream.scene.scene import Scene
+from raystream.viewer.render_service import RenderService
 from raystream.viewer.serve import ViewServer, bind, require_packages
-from raystream.viewer.studio import Studio
 
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
 
 __all__ = ["View", "view"]
 
-#: Views that are open: they go on when the notebook forgets them, since a page may still show
-#: them, and end with the process.
+#: Open views: they stay open when the notebook drops its reference, since a page may still show
+#: them, and close with the process.
 _OPEN: set[View] = set()
 
 #: Settings that are arguments of `Tracer`.
 _OF_TRACER = ("structure", "device", "machine", "traversal", "scheduler")
 
-#: Heights that a frame in a notebook can have, in pixels.
+#: Height limits of a frame in a notebook, in pixels.
 MIN_HEIGHT, MAX_HEIGHT = 100, 4000
 
 
 def view(
     scene: Scene | Tracer | str | PathLike[str], *, height: int = 600, **settings: Any
 ) -> View:
-    """Show a scene in the notebook, to look around in it.
+    """Show a scene interactively in the notebook.
 
-    Starts a server on a free port of the loopback address, in a thread; it ends with the
-    process, or with `View.close`. Several can be open at once.
+    Starts a server on a free port of the loopback address, in a thread; it stops with the
+    process, or with `View.close`. Several views can be open at once.
 
     Parameters
     ----------
     scene : Scene, Tracer, str or path
-        What to show; `raystream.load` loads what is a name. A tracer saves building its
-        structure once more.
+        The scene to show; names are loaded by `raystream.load`. Passing a tracer avoids
+        rebuilding its structure.
     height : int, optional
-        Of the frame in the notebook, in pixels.
+        Height of the frame in the notebook, in pixels.
     **settings
-        What to begin with: ``mode``, ``structure``, ``traversal``, ``machine``, ``scheduler``,
+        Initial settings: ``mode``, ``structure``, ``traversal``, ``machine``, ``scheduler``,
         ``device``, ``max_bounces``, ``exposure``, ``tone``, ``heatmap``, ``maximum`` or
-        ``samples``, as the page has them. Structure, device and machine may also be options as
+        ``samples``, as on the page. Structure, device and machine may also be options as
         `Tracer` takes them, such as ``structure=rs.Bvh(quality="high")``.
 
     Returns
     -------
     View
-        Shows itself at the end of a cell; elsewhere its ``url`` can be opened in a browser on
+        Displayed as the output of a cell; elsewhere, its ``url`` opens in a browser on
         this machine.
 
     Raises
@@ -62,9 +62,9 @@ def view(
     RaystreamError
         If the packages of ``raystream[view]`` are not installed.
     FileFormatError
-        If a name is none of a scene, or the file cannot be used.
+        If a name is not a scene, or the file cannot be read.
     ValueError
-        If a setting is none, or does not go with the others.
+        If a setting is unknown, or conflicts with the others.
 
     Examples
     --------
@@ -83,11 +83,11 @@ def view(
     name = getattr(shown, "name", "") or "scene"
     listener = bind("127.0.0.1", 0)
     try:
-        studio = Studio(scene, name, settings=settings)
+        service = RenderService(scene, name, settings=settings)
     except BaseException:
         listener.close()
         raise
-    return View(ViewServer(studio, listener), name, height)
+    return View(ViewServer(service, listener), name, height)
 
 
 def _traced(scene: Scene | Tracer, settings: dict[str, Any]) -> Scene | Tracer:
@@ -104,7 +104,7 @@ def _traced(scene: Scene | Tracer, settings: dict[str, Any]) -> Scene | Tracer:
 
 
 class View:
-    """A viewer that is open; `view` makes it. A context manager, which closes it."""
+    """An open viewer, made by `view`. A context manager that closes it."""
 
     def __init__(self, server: ViewServer, name: str, height: int) -> None:
         self._server = server
@@ -114,11 +114,11 @@ class View:
 
     @property
     def url(self) -> str:
-        """Where a browser on this machine finds it."""
+        """Address for a browser on this machine."""
         return self._server.url
 
     def close(self) -> None:
-        """End it; a page that shows it says so. Again has no effect."""
+        """Close the viewer, and notify its page. Idempotent."""
         self._server.close()
         _OPEN.discard(self)
 
@@ -144,7 +144,7 @@ class View:
         return (
             f'<iframe src="{url}" title="raystream: {name}" width="100%" height="{self._height}" '
             'style="border: 0" allow="fullscreen"></iframe>'
-            f'<p><a href="{url}" target="_blank" rel="noopener">open in a window of its own</a></p>'
+            f'<p><a href="{url}" target="_blank" rel="noopener">open in a new window</a></p>'
         )
 
 

@@ -1,4 +1,4 @@
-"""Picking: what lies along the ray of a pixel."""
+"""Picking: the hits along the ray of a pixel."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from raystream.core.hits import MultiHits
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
-from raystream.viewer.messages import Message, finite_or_none, read_number, read_whole
+from raystream.viewer.messages import Message, finite_or_none, read_integer, read_number
 
 __all__ = ["MAX_ROWS", "PixelRay", "hits_along", "pixel_ray"]
 
-#: Hits that are told; the total says how many there are.
+#: Maximum hits reported in detail; the total counts all.
 MAX_ROWS = 1000
 
-_WHOLE = 1 << 53  # integers that a page can count
-_LONGEST_NAME = 200
+_MAX_INTEGER = 1 << 53  # largest exact integer in JavaScript
+_MAX_NAME_LENGTH = 200
 
 
 class PixelRay(NamedTuple):
-    """The ray through the middle of a pixel.
+    """The ray through the centre of a pixel.
 
     Attributes
     ----------
     number : int
-        Of the message that asked for it.
+        Number of the message that requested it.
     origin : ndarray of shape (3,), float64
     direction : ndarray of shape (3,), float32
         Unit length.
@@ -40,7 +40,7 @@ class PixelRay(NamedTuple):
     direction: NDArray[np.float32]
 
     def message(self) -> Message:
-        """Where it runs."""
+        """Describe the ray for the page."""
         return {
             "type": "hits",
             "number": self.number,
@@ -50,22 +50,22 @@ class PixelRay(NamedTuple):
 
 
 def pixel_ray(message: Mapping[str, Any], camera: Camera, size: tuple[int, int]) -> PixelRay:
-    """The ray that a message asks for.
+    """Return the ray requested by a message.
 
     Parameters
     ----------
     message : mapping
-        With ``number``, and ``x`` and ``y`` from 0 to 1: across and down the picture.
+        With ``number``, and ``x`` and ``y`` from 0 to 1, across and down the image.
     camera : Camera
     size : (int, int)
-        Width and height of the picture in pixels.
+        Image width and height in pixels.
 
     Raises
     ------
     MessageError
-        If it asks for none.
+        If the message is invalid.
     """
-    number = read_whole(message, "number", 0, _WHOLE)
+    number = read_integer(message, "number", 0, _MAX_INTEGER)
     x, y = (read_number(message, name, 0.0, 1.0) for name in ("x", "y"))
     width, height = size
     column, row = min(int(x * width), width - 1), min(int(y * height), height - 1)
@@ -74,7 +74,7 @@ def pixel_ray(message: Mapping[str, Any], camera: Camera, size: tuple[int, int])
 
 
 def hits_along(tracer: Tracer, ray: PixelRay) -> Message:
-    """All hits of a ray by increasing distance, the first `MAX_ROWS` of them in detail.
+    """Find all hits of a ray by increasing distance, the first `MAX_ROWS` in detail.
 
     Returns
     -------
@@ -106,8 +106,8 @@ def _rows(scene: Scene, found: MultiHits) -> list[Message]:
                 "t": finite_or_none(t),
                 "prim_id": prim_id,
                 "mesh_id": mesh_id,
-                "mesh": mesh.name[:_LONGEST_NAME],
-                "material": material.name[:_LONGEST_NAME],
+                "mesh": mesh.name[:_MAX_NAME_LENGTH],
+                "material": material.name[:_MAX_NAME_LENGTH],
                 "position": [finite_or_none(part) for part in position],
                 "normal": [finite_or_none(part) for part in normal],
             }

@@ -1,4 +1,4 @@
-"""Scenes as visitors are told of them."""
+"""Scenes of the viewer, and their messages."""
 
 from __future__ import annotations
 
@@ -10,43 +10,43 @@ from raystream.scene.load import load
 from raystream.scene.projections import PROJECTIONS
 from raystream.scene.scene import Scene
 from raystream.viewer.jobs import Job, Jobs
-from raystream.viewer.messages import Message, MessageError, read_choice, read_number, read_triple
-from raystream.viewer.tracers import Tracers
+from raystream.viewer.messages import Message, MessageError, read_choice, read_number, read_vector
+from raystream.viewer.tracers import TracerCache
 
-__all__ = ["Staged", "camera_message", "read_camera", "stage"]
+__all__ = ["LoadedScene", "camera_message", "load_model", "read_camera"]
 
-#: Names in messages are cut off here, and of many cameras only the first are told.
-_LONGEST_NAME, _MOST_CAMERAS = 200, 100
+#: Limits of messages: length of names, and number of cameras.
+_MAX_NAME_LENGTH, _MAX_CAMERAS = 200, 100
 
 
-class Staged(NamedTuple):
-    """A scene that is shown.
+class LoadedScene(NamedTuple):
+    """A scene that is loaded and can be shown.
 
     Attributes
     ----------
     scene : Scene
     name : str
     is_own : bool
-        Whether it is one visitor's, and not everybody's.
-    tracers : Tracers
+        Whether it belongs to one client rather than to all.
+    tracers : TracerCache
     """
 
     scene: Scene
     name: str
     is_own: bool
-    tracers: Tracers
+    tracers: TracerCache
 
     def message(self) -> Message:
-        """What is in it."""
+        """Describe the scene."""
         scene = self.scene
         low, high = scene.bounds.tolist()
         cameras = [
-            {"name": name[:_LONGEST_NAME], **camera_message(camera)}
-            for name, camera in list(scene.cameras.items())[:_MOST_CAMERAS]
+            {"name": name[:_MAX_NAME_LENGTH], **camera_message(camera)}
+            for name, camera in list(scene.cameras.items())[:_MAX_CAMERAS]
         ]
         return {
             "type": "scene",
-            "name": self.name[:_LONGEST_NAME],
+            "name": self.name[:_MAX_NAME_LENGTH],
             "triangles": scene.triangle_count,
             "vertices": sum(len(mesh.vertices) for mesh in scene.meshes),
             "meshes": len(scene.meshes),
@@ -60,34 +60,34 @@ class Staged(NamedTuple):
         }
 
 
-def stage(path: Path, name: str, jobs: Jobs, job: Job) -> Staged:
-    """Load a model that a visitor brings.
+def load_model(path: Path, name: str, jobs: Jobs, job: Job) -> LoadedScene:
+    """Load a model uploaded by a client.
 
     Parameters
     ----------
     path : Path
     name : str
     jobs : Jobs
-        Where its tracers will be built.
+        Runs the building of its tracers.
     job : Job
-        That loads it.
+        The job that loads it.
 
     Raises
     ------
     FileFormatError
-        If the file cannot be used.
-    BrokenOffError
-        If the job has been broken off.
+        If the file cannot be read.
+    WorkCancelledError
+        If the job has been cancelled.
     """
-    job.begin(f"loading {name[:_LONGEST_NAME]}")
+    job.begin(f"loading {name[:_MAX_NAME_LENGTH]}")
     scene = load(path)
-    _ = scene.triangles  # made when first asked for
-    job.begin(f"loading {name[:_LONGEST_NAME]}")  # or not, if it is not wanted any more
-    return Staged(scene, name, True, Tracers(scene, jobs))
+    _ = scene.triangles  # computed on first use
+    job.begin(f"loading {name[:_MAX_NAME_LENGTH]}")  # checks for cancellation
+    return LoadedScene(scene, name, True, TracerCache(scene, jobs))
 
 
 def camera_message(camera: Camera) -> Message:
-    """A camera, for a message."""
+    """Describe a camera in a message."""
     return {
         "eye": list(camera.eye),
         "look_at": list(camera.look_at),
@@ -101,12 +101,12 @@ def camera_message(camera: Camera) -> Message:
 
 
 def read_camera(message: Message) -> Camera:
-    """The camera of a message.
+    """Read the camera of a message.
 
     Raises
     ------
     MessageError
-        If it is none.
+        If it is invalid.
     """
     projection = "perspective"
     if message.get("projection") is not None:
@@ -118,9 +118,9 @@ def read_camera(message: Message) -> Camera:
     }
     try:
         return Camera(
-            eye=read_triple(message, "eye"),
-            look_at=read_triple(message, "look_at"),
-            up=read_triple(message, "up"),
+            eye=read_vector(message, "eye"),
+            look_at=read_vector(message, "look_at"),
+            up=read_vector(message, "up"),
             fov=read_number(message, "fov", 0.0, 180.0, above=True),
             projection=projection,
             **lengths,

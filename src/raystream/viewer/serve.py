@@ -1,4 +1,4 @@
-"""Serve: a studio on an address of this machine, in a thread, with a clean end."""
+"""Serve: run a render service on an address of this machine, in a thread."""
 
 from __future__ import annotations
 
@@ -20,47 +20,47 @@ from raystream.viewer.server.access import Access
 if TYPE_CHECKING:
     from uvicorn import Server as UvicornServer
 
-    from raystream.viewer.server.visits import Visits
-    from raystream.viewer.studio import Studio
+    from raystream.viewer.render_service import RenderService
+    from raystream.viewer.server.connections import Connections
 
 __all__ = ["DEFAULT_UPLOAD_LIMIT", "PREFERRED_PORT", "ViewServer", "bind", "require_packages"]
 
-#: The port that is tried first when none is asked for.
+#: Default port, if it is free.
 PREFERRED_PORT = 8008
 
-#: Bytes of one upload, all its files together.
+#: Maximum bytes of one upload, including all its files.
 DEFAULT_UPLOAD_LIMIT = 256 << 20
 
-#: Seconds that connections have to end when the server does; and that a page has, of these, to
-#: hear why.
-END_TIMEOUT = 5
-GOODBYE_TIMEOUT = 1.0
+#: Seconds for connections to close on shutdown, and seconds of these for pages to receive the
+#: reason.
+SHUTDOWN_TIMEOUT = 5
+NOTIFY_TIMEOUT = 1.0
 
 
 def bind(host: str = "127.0.0.1", port: int | None = None) -> socket.socket:
-    """Take an address of this machine.
+    """Bind a socket to an address of this machine.
 
     Parameters
     ----------
     host : str
-        An address, or a name that has one.
+        An address, or a name that resolves to one.
     port : int, optional
-        Without it, 8008, or any that is free.
+        Default: 8008, or any free port.
 
     Returns
     -------
     socket
-        Bound, not yet listening.
+        Bound and listening.
 
     Raises
     ------
     RaystreamError
-        If there is no such address here, or the port is taken.
+        If the address is not one of this machine, or the port is in use.
     """
     try:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (OSError, UnicodeError):
-        raise RaystreamError(f"--host: {host!r} is no address of this machine") from None
+        raise RaystreamError(f"--host: {host!r} is not an address of this machine") from None
     family, _, _, _, address = found[0]
     if port is not None:
         return _bind_to(family, str(address[0]), port)
@@ -79,63 +79,63 @@ def _bind_to(family: int, address: str, port: int) -> socket.socket:
         listener.listen(128)
     except OSError as error:
         listener.close()
-        raise RaystreamError(_why_not(error, address, port)) from error
+        raise RaystreamError(_bind_error(error, address, port)) from error
     return listener
 
 
-def _why_not(error: OSError, address: str, port: int) -> str:
+def _bind_error(error: OSError, address: str, port: int) -> str:
     if error.errno == errno.EADDRINUSE:
-        return f"--port: {port} is in use on {address}; leave it out to take any that is free"
+        return f"--port: {port} is in use on {address}; omit it to use any free port"
     if error.errno in (errno.EACCES, errno.EPERM):
-        return f"--port: {port} may not be used by this user; choose one above 1023"
+        return f"--port: {port} requires privileges; choose one above 1023"
     if error.errno == errno.EADDRNOTAVAIL:
-        return f"--host: {address} is no address of this machine"
+        return f"--host: {address} is not an address of this machine"
     return f"--host, --port: cannot use {address}, port {port} ({error.strerror})"
 
 
 class ViewServer:
-    """A studio that can be reached at an address, until it is closed.
+    """Serves a render service at an address until it is closed.
 
-    It runs in a thread of its own, which ends with the process; a context manager.
+    Runs in a daemon thread. A context manager.
 
     Parameters
     ----------
-    studio : Studio
+    service : RenderService
         Closed with the server.
     listener : socket
         From `bind`; closed with the server.
     host : str, optional
-        What the user called the listener's address.
+        The host as the user specified it.
     token : str, optional
-        What a browser must show first. Made if it is left out and the address is not the
-        loopback one: no other can be used without a token.
+        Token that browsers must present first. Generated if omitted and the address is not
+        loopback: other addresses always require a token.
     upload_limit : int
-        Bytes of one upload, all its files together.
+        Maximum bytes of one upload, including all its files.
 
     Raises
     ------
     RaystreamError
-        If the extra packages are not installed, or the token is too easy to guess.
+        If the extra packages are not installed, or the token is too weak.
     """
 
     def __init__(
         self,
-        studio: Studio,
+        service: RenderService,
         listener: socket.socket,
         *,
         host: str = "",
         token: str | None = None,
         upload_limit: int = DEFAULT_UPLOAD_LIMIT,
     ) -> None:
-        self._studio = studio
+        self._service = service
         self._listener = listener
         self.address, self.port = listener.getsockname()[:2]
         try:
             self._access = Access(self.address, self.port, host=host, token=token)
-            self._server, self._visits = _make_server(studio, self._access, upload_limit)
+            self._server, self._connections = _make_server(service, self._access, upload_limit)
         except BaseException:
             listener.close()
-            studio.close()
+            service.close()
             raise
         self._started = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -152,10 +152,10 @@ class ViewServer:
 
     @property
     def url(self) -> str:
-        """Where a browser finds the page, with the token if there is one."""
+        """Address of the page, including the token if there is one."""
         address = ipaddress.ip_address(self.address)
         if address.is_unspecified:
-            return self._url(own_address() or socket.gethostname().lower())
+            return self._url(lan_address() or socket.gethostname().lower())
         return self._url(f"[{address}]" if address.version == 6 else str(address))
 
     @property
@@ -169,38 +169,38 @@ class ViewServer:
         return f"http://{host}:{self.port}/{query}"
 
     @property
-    def visit_count(self) -> int:
-        """How many are connected."""
-        return len(self._visits)
+    def connection_count(self) -> int:
+        """Number of live connections."""
+        return len(self._connections)
 
     @property
     def is_running(self) -> bool:
-        """Whether it can be reached."""
+        """Whether the server is running."""
         return self._thread.is_alive()
 
     def wait(self) -> None:
-        """Return when the server has ended; signals are handled meanwhile."""
+        """Block until the server stops; signals are still handled."""
         while self._thread.is_alive():
             self._thread.join(1.0)
 
     def close(self) -> None:
-        """End all connections, the server and the studio; again has no effect."""
+        """Close all connections, the server and the service. Idempotent."""
         with self._lock:
             if self._is_closed:
                 return
             self._is_closed = True
-        self._send_away()
+        self._close_connections()
         self._server.should_exit = True
-        self._thread.join(2 * END_TIMEOUT)
-        self._studio.close()
+        self._thread.join(2 * SHUTDOWN_TIMEOUT)
+        self._service.close()
 
-    def _send_away(self) -> None:
-        """Tell all that are connected, and give them a moment to hear it."""
+    def _close_connections(self) -> None:
+        """Notify all clients, and give them a moment to receive it."""
         if self._loop is not None:
-            with contextlib.suppress(RuntimeError):  # it has ended by itself
-                self._loop.call_soon_threadsafe(self._visits.close)
-        end = time.monotonic() + GOODBYE_TIMEOUT
-        while self.visit_count and self.is_running and time.monotonic() < end:
+            with contextlib.suppress(RuntimeError):  # the loop has already stopped
+                self._loop.call_soon_threadsafe(self._connections.close)
+        end = time.monotonic() + NOTIFY_TIMEOUT
+        while self.connection_count and self.is_running and time.monotonic() < end:
             time.sleep(0.01)
 
     def __enter__(self) -> ViewServer:
@@ -228,11 +228,11 @@ class ViewServer:
         await self._server.serve(sockets=[self._listener])
 
 
-def own_address() -> str | None:
-    """The address by which this machine is found in its network; None if there is none.
+def lan_address() -> str | None:
+    """Return this machine's address in its network; None without a network.
 
-    It is the one that a packet to somewhere else would have. None is sent: the destination is
-    an address for documentation, and UDP sends nothing before there is something to send.
+    That is the source address of a packet to another network. No packet is sent: the
+    destination is reserved for documentation, and connecting a UDP socket sends nothing.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         try:
@@ -244,39 +244,41 @@ def own_address() -> str | None:
 
 
 def require_packages() -> None:
-    """Find out whether the packages of the extra are there.
+    """Check that the packages of the extra are installed.
 
     Raises
     ------
     RaystreamError
-        If one is not.
+        If one is missing.
     """
     for name in ("starlette", "uvicorn", "websockets"):
         if importlib.util.find_spec(name) is None:
             raise RaystreamError(f"the viewer needs {name}: pip install 'raystream[view]'")
 
 
-def _make_server(studio: Studio, access: Access, upload_limit: int) -> tuple[UvicornServer, Visits]:
+def _make_server(
+    service: RenderService, access: Access, upload_limit: int
+) -> tuple[UvicornServer, Connections]:
     require_packages()
     import uvicorn
 
     from raystream.viewer.server.app import make_app
-    from raystream.viewer.server.messages import MAX_MESSAGE_BYTES
+    from raystream.viewer.server.connections import Connections
+    from raystream.viewer.server.protocol import MAX_MESSAGE_BYTES
     from raystream.viewer.server.transport import HttpProtocol, WebSocketProtocol
-    from raystream.viewer.server.visits import Visits
 
-    visits = Visits(upload_limit)
+    connections = Connections(upload_limit)
     config = uvicorn.Config(
-        make_app(studio, visits, access),
+        make_app(service, connections, access),
         loop="asyncio",
         http=HttpProtocol,
         ws=WebSocketProtocol,
         ws_max_size=MAX_MESSAGE_BYTES,
-        ws_per_message_deflate=False,  # pictures are packed, and a small message may unpack to much
+        ws_per_message_deflate=False,  # images are compressed already; avoids decompression bombs
         lifespan="off",
         log_config=None,
         proxy_headers=False,
         server_header=False,
-        timeout_graceful_shutdown=END_TIMEOUT,
+        timeout_graceful_shutdown=SHUTDOWN_TIMEOUT,
     )
-    return uvicorn.Server(config), visits
+    return uvicorn.Server(config), connections

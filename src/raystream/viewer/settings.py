@@ -1,4 +1,4 @@
-"""Settings: what a visitor asks to see, apart from the scene, the camera and the canvas."""
+"""Settings: everything that a client can choose, except scene, camera and canvas."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from raystream.viewer.messages import (
     Message,
     MessageError,
     read_choice,
+    read_integer,
     read_number,
-    read_whole,
 )
 
 __all__ = [
     "MACHINES",
     "MAX_SAMPLES",
-    "Look",
+    "DisplaySettings",
     "Settings",
     "TracerKey",
     "traversals_of",
 ]
 
-#: Machines by device, the usual one first; here because to ask a device is to import it.
+#: Machines by device, the default first; listed here because asking a device imports it.
 MACHINES: dict[str, tuple[str, ...]] = {
     "cpu": ("branching", "multipass"),
     "graphics": ("compute", "branching", "multipass"),
     "cuda": ("branching", "multipass"),
 }
 
-#: Most samples of a pixel that can be asked for.
+#: Maximum samples per pixel that can be requested.
 MAX_SAMPLES = 4096
 
-#: Samples of a pixel without more being asked for: of modes that draw numbers for more than
-#: the place in the pixel, and of the others.
+#: Default samples per pixel: for noisy modes, and for modes that sample only the position within
+#: the pixel.
 _MANY_SAMPLES, _FEW_SAMPLES = 64, 16
-_NOISY = ("path", "kajiya", "ao")
+_NOISY_MODES = ("path", "kajiya", "ao")
 
 
 def traversals_of(structure: str) -> tuple[str, ...]:
-    """The ways to search a structure, the default first; none where there is no choice."""
+    """Return the traversals of a structure, the default first; empty if it has only one."""
     return STRUCTURES[structure].choices("traversal")
 
 
@@ -55,7 +55,7 @@ def _all_traversals() -> tuple[str, ...]:
 
 
 class TracerKey(NamedTuple):
-    """What tells the tracers of one scene apart."""
+    """Identifies a tracer of a scene."""
 
     structure: str
     traversal: str | None
@@ -73,8 +73,8 @@ class TracerKey(NamedTuple):
         return chosen
 
 
-class Look(NamedTuple):
-    """What changes how samples are shown, and not the samples."""
+class DisplaySettings(NamedTuple):
+    """Settings that affect how samples are displayed, but not the samples."""
 
     exposure: float
     tone: str
@@ -83,24 +83,24 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True)
 class Settings:
-    """What a visitor asks to see.
+    """The settings of a client.
 
     Attributes
     ----------
     mode, structure, device, tone : str
-        Names that `raystream.render` takes.
+        Names as for `raystream.render`.
     traversal, machine, scheduler : str, optional
-        None takes the usual one, also where there is no choice.
+        None for the default, and where there is no choice.
     max_bounces : int, optional
-        For modes that have it; None takes the mode's own.
+        For modes that support it; None for the mode's default.
     exposure : float
-        Factor on the light, above 0.
+        Factor on the radiance, above 0.
     heatmap : str, optional
-        Show what rays cost instead of the mode's picture; see `HEATMAPS`.
+        Show the cost of rays instead of the mode's image; see `HEATMAPS`.
     maximum : float, optional
-        Top of the heat map's scale; None takes the largest count of a pixel.
+        Top of the heat map's scale; None for the largest count of a pixel.
     samples : int, optional
-        Samples of a pixel at which a picture is done; None takes what suits the mode.
+        Target samples per pixel; None for the mode's default.
     """
 
     mode: str = "raycast"
@@ -117,20 +117,20 @@ class Settings:
     samples: int | None = None
 
     def changed(self, message: Mapping[str, Any]) -> Settings:
-        """The settings with those that a message names.
+        """Return the settings updated by a message.
 
-        What depends on another one goes back to the usual with it: a traversal with its
-        structure, a machine with its device, a scheduler with its machine.
+        Dependent settings are reset to their defaults: a traversal with its structure, a
+        machine with its device, a scheduler with its machine.
 
         Raises
         ------
         MessageError
-            If a value is no such setting, or does not go with the others.
+            If a setting is unknown, invalid, or conflicts with the others.
         """
         given = {name: message[name] for name in _READERS if name in message}
         unknown = [name for name in message if name not in _READERS and name != "type"]
         if unknown:
-            raise MessageError(f"{unknown[0]!r:.40}: there is no such setting")
+            raise MessageError(f"{unknown[0]!r:.40}: is not a setting")
         read: dict[str, Any] = {
             name: None if value is None and name in _OPTIONAL else _READERS[name](given)
             for name, value in given.items()
@@ -140,24 +140,26 @@ class Settings:
                 read.setdefault(name, None)
         made = replace(self, **read)
         made._check_together()
-        _ = made.mode_options  # which checks them
+        _ = made.mode_options  # validates them
         return made
 
     def _check_together(self) -> None:
         traversals = traversals_of(self.structure)
         if self.traversal is not None and self.traversal not in traversals:
-            has = f"has {', '.join(traversals)}" if traversals else "has no choice of them"
+            has = f"supports {', '.join(traversals)}" if traversals else "has no traversal option"
             raise MessageError(f"traversal: {self.structure} {has}, got {self.traversal!r}")
         machines = MACHINES[self.device]
         if self.machine is not None and self.machine not in machines:
             known = ", ".join(machines)
-            raise MessageError(f"machine: device {self.device} has {known}, got {self.machine!r}")
+            raise MessageError(
+                f"machine: device {self.device} supports {known}, got {self.machine!r}"
+            )
         if self.scheduler is not None and self.machine != "multipass":
             raise MessageError("scheduler: only with machine multipass")
 
     @property
     def tracer_key(self) -> TracerKey:
-        """The tracer that it needs, with the names of what is usual."""
+        """Key of the tracer for these settings, with defaults filled in."""
         traversals = traversals_of(self.structure)
         machine = self.machine or MACHINES[self.device][0]
         is_multipass = machine == "multipass"
@@ -171,18 +173,18 @@ class Settings:
         )
 
     @property
-    def look(self) -> Look:
-        """How samples are shown."""
-        return Look(self.exposure, self.tone, self.maximum)
+    def display(self) -> DisplaySettings:
+        """How to display samples."""
+        return DisplaySettings(self.exposure, self.tone, self.maximum)
 
     @property
     def mode_options(self) -> Mapping[str, Any]:
-        """Options of the mode, as its stages take them."""
+        """Options of the mode, in the form its stages use."""
         return RENDERERS[self.mode].check(self._named_options)
 
     @property
     def _named_options(self) -> dict[str, Any]:
-        """The same as `raystream.render` takes them."""
+        """Options of the mode, in the form `raystream.render` accepts."""
         options = dict(RENDERERS[self.mode].options)
         if self.max_bounces is not None and "max_bounces" in options:
             options["max_bounces"] = self.max_bounces
@@ -190,15 +192,15 @@ class Settings:
 
     @property
     def target_samples(self) -> int:
-        """Samples of a pixel at which the picture is done."""
+        """Samples per pixel at which the image is complete."""
         if self.heatmap is not None:
             return 1
         if self.samples is not None:
             return self.samples
-        return _MANY_SAMPLES if self.mode in _NOISY else _FEW_SAMPLES
+        return _MANY_SAMPLES if self.mode in _NOISY_MODES else _FEW_SAMPLES
 
     def message(self) -> Message:
-        """All of them as they are in effect, and what can be chosen with them."""
+        """Describe the effective settings, and the choices they leave."""
         key = self.tracer_key
         shown = {field.name: getattr(self, field.name) for field in fields(self)}
         shown |= {"traversal": key.traversal, "machine": key.machine, "scheduler": key.scheduler}
@@ -214,7 +216,7 @@ class Settings:
         return {"type": "settings", **shown, "possible": possible}
 
 
-#: How each setting is read; those of `_OPTIONAL` may be null.
+#: Readers of each setting; those of `_OPTIONAL` may be null.
 _READERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "mode": lambda given: read_choice(given, "mode", RENDERERS),
     "structure": lambda given: read_choice(given, "structure", STRUCTURES),
@@ -222,12 +224,12 @@ _READERS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "machine": lambda given: read_choice(given, "machine", MACHINES["graphics"]),
     "scheduler": lambda given: read_choice(given, "scheduler", SCHEDULERS),
     "device": lambda given: read_choice(given, "device", MACHINES),
-    "max_bounces": lambda given: read_whole(given, "max_bounces", 0, MAX_BOUNCES),
+    "max_bounces": lambda given: read_integer(given, "max_bounces", 0, MAX_BOUNCES),
     "exposure": lambda given: read_number(given, "exposure", 0.0, 1e9, above=True),
     "tone": lambda given: read_choice(given, "tone", TONES),
     "heatmap": lambda given: read_choice(given, "heatmap", HEATMAPS),
     "maximum": lambda given: read_number(given, "maximum", 0.0, 1e9, above=True),
-    "samples": lambda given: read_whole(given, "samples", 1, MAX_SAMPLES),
+    "samples": lambda given: read_integer(given, "samples", 1, MAX_SAMPLES),
 }
 _OPTIONAL = (
     "traversal",
@@ -239,7 +241,7 @@ _OPTIONAL = (
     "samples",
 )
 
-#: What goes back to the usual where another setting changes.
+#: Settings that are reset when another one changes.
 _DEPENDS = {
     "traversal": ("structure",),
     "machine": ("device",),

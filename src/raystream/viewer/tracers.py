@@ -1,4 +1,4 @@
-"""The tracers of one scene: built in the background, and kept for switching back."""
+"""The tracers of a scene: built in the background, and cached."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from raystream.viewer.jobs import Job, Jobs
 from raystream.viewer.messages import Message, finite_or_none
 from raystream.viewer.settings import Settings, TracerKey
 
-__all__ = ["Prepared", "Tracers", "Waiter", "device_is_free", "device_lock"]
+__all__ = ["PreparedTracer", "TracerCache", "Waiter", "device_is_free", "device_lock"]
 
-#: Tracers that are kept of a scene, and their structures' bytes together; the ones that were
-#: used last, and at least one.
-_MOST_TRACERS = 8
-_MOST_BYTES = 2 << 30
+#: Limits of the cache per scene: tracers, and bytes of their structures; evicts the least recently
+#: used, but keeps at least one.
+_MAX_TRACERS = 8
+_MAX_BYTES = 2 << 30
 
-#: Width and height of the picture that is rendered to compile what is not yet. Of a BVH, rows of
-#: a large one: few rays, or rays far apart, would compile other kernels than frames take.
-_TRIAL = 16
-_LARGE, _ROWS = (1024, 768), range(383, 386)
+#: Size of the warm-up image, which triggers compilation. A BVH uses some rows of a large image
+#: instead: few or distant rays would compile other kernels than frames need.
+_WARMUP_SIZE = 16
+_BVH_WARMUP_SIZE, _BVH_WARMUP_ROWS = (1024, 768), range(383, 386)
 
 
-class Prepared(NamedTuple):
-    """A tracer, and its scene's tables for shading.
+class PreparedTracer(NamedTuple):
+    """A tracer with the shading tables of its scene.
 
     Attributes
     ----------
     key : TracerKey
     tracer : Tracer
     setting : Setting
-        Of no mode yet, and seen by some camera.
+        Without a mode, and with some camera.
     """
 
     key: TracerKey
@@ -49,7 +49,7 @@ class Prepared(NamedTuple):
     setting: Setting
 
     def message(self) -> Message:
-        """Figures about its structure."""
+        """Describe its structure."""
         structure, key = self.tracer.structure, self.key
         return {
             "type": "structure",
@@ -67,16 +67,16 @@ class Prepared(NamedTuple):
 
 
 class Waiter(Protocol):
-    """Who waits for a tracer; it is called from other threads."""
+    """A listener for the completion of a tracer, called from other threads."""
 
     def on_progress(self, what: str, done: float) -> None:
-        """Take note of how far it is."""
+        """Report progress."""
 
-    def on_ready(self, prepared: Prepared) -> None:
-        """Go on with it."""
+    def on_ready(self, prepared: PreparedTracer) -> None:
+        """Receive the tracer."""
 
     def on_failure(self, reason: str) -> None:
-        """Do without."""
+        """Receive the reason of a failure."""
 
 
 class _Build(NamedTuple):
@@ -84,16 +84,16 @@ class _Build(NamedTuple):
     waiters: list[Waiter]
 
 
-class Tracers:
-    """The tracers of one scene.
+class TracerCache:
+    """A cache of the tracers of one scene.
 
     Parameters
     ----------
     scene : Scene
     jobs : Jobs
-        Where they are built.
+        Runs the builds.
     tracer : Tracer, optional
-        One that is there already.
+        An existing tracer of the scene.
     key : TracerKey, optional
         Its key.
     """
@@ -106,84 +106,84 @@ class Tracers:
         self._tables = threading.Lock()
         self._setting: Setting | None = None
         self._tracers: OrderedDict[TracerKey, Tracer] = OrderedDict()
-        self._ready: dict[tuple[TracerKey, str], Prepared] = {}
+        self._ready: dict[tuple[TracerKey, str], PreparedTracer] = {}
         self._builds: dict[tuple[TracerKey, str], _Build] = {}
         self._figures: dict[TracerKey, Message] = {}
         if tracer is not None and key is not None:
             self._tracers[key] = tracer
 
-    def ready(self, settings: Settings) -> Prepared | None:
-        """What there is for these settings, with all that it needs compiled; else None."""
-        wanted = _wanted(settings)
+    def ready(self, settings: Settings) -> PreparedTracer | None:
+        """Return the tracer for these settings if it is built and compiled; else None."""
+        cache_key = _cache_key(settings)
         with self._lock:
-            prepared = self._ready.get(wanted)
-            if prepared is not None and wanted[0] in self._tracers:
-                self._tracers.move_to_end(wanted[0])
+            prepared = self._ready.get(cache_key)
+            if prepared is not None and cache_key[0] in self._tracers:
+                self._tracers.move_to_end(cache_key[0])
             return prepared
 
-    def want(self, settings: Settings, waiter: Waiter) -> None:
-        """Prepare what these settings need, beside other work; then tell who waits for it."""
-        wanted = _wanted(settings)
+    def request(self, settings: Settings, waiter: Waiter) -> None:
+        """Build the tracer for these settings in the background; then notify the waiter."""
+        cache_key = _cache_key(settings)
         with self._lock:
-            build = self._builds.get(wanted)
+            build = self._builds.get(cache_key)
             if build is not None and build.job.is_wanted:
                 build.waiters.append(waiter)
                 return
             waiters = [waiter]
-            job = Job(lambda what, done: self._tell(waiters, lambda w: w.on_progress(what, done)))
-            self._builds[wanted] = _Build(job, waiters)
+            job = Job(lambda what, done: self._notify(waiters, lambda w: w.on_progress(what, done)))
+            self._builds[cache_key] = _Build(job, waiters)
 
         def work(job: Job) -> None:
             prepared = self._prepare(settings, job)
-            self._end(wanted, job)
-            self._tell(waiters, lambda w: w.on_ready(prepared))
+            self._end(cache_key, job)
+            self._notify(waiters, lambda w: w.on_ready(prepared))
 
         def failed(reason: str) -> None:
-            self._end(wanted, job)
-            self._tell(waiters, lambda w: w.on_failure(reason))
+            self._end(cache_key, job)
+            self._notify(waiters, lambda w: w.on_failure(reason))
 
         self._jobs.start(job, work, failed)
 
     def forget(self, waiter: Waiter) -> None:
-        """Tell it nothing more; what nobody else waits for is broken off."""
+        """Stop notifying a waiter; builds without waiters are cancelled."""
         with self._lock:
-            for wanted, build in list(self._builds.items()):
+            for cache_key, build in list(self._builds.items()):
                 if waiter in build.waiters:
                     build.waiters.remove(waiter)
                     if not build.waiters:
-                        build.job.break_off()
-                        del self._builds[wanted]
+                        build.job.cancel()
+                        del self._builds[cache_key]
 
-    def describe(self, prepared: Prepared, tell: Callable[[Message], object]) -> None:
-        """Tell figures about a structure; some take a while to find, and are then told later."""
+    def describe(self, prepared: PreparedTracer, send: Callable[[Message], object]) -> None:
+        """Send figures about a structure; expensive ones are computed in the background."""
         with self._lock:
             found = self._figures.get(prepared.key)
         if found is not None:
-            tell(found)
+            send(found)
             return
 
         def work(_: Job) -> None:
             message = prepared.message()
             with self._lock:
                 self._figures[prepared.key] = message
-            tell(message)
+            send(message)
 
         self._jobs.start(Job(lambda *_: None), work, lambda _: None)
 
-    def _tell(self, waiters: list[Waiter], call: Callable[[Waiter], None]) -> None:
+    def _notify(self, waiters: list[Waiter], call: Callable[[Waiter], None]) -> None:
         with self._lock:
             present = list(waiters)
         for waiter in present:
             call(waiter)
 
-    def _end(self, wanted: tuple[TracerKey, str], job: Job) -> None:
+    def _end(self, cache_key: tuple[TracerKey, str], job: Job) -> None:
         with self._lock:
-            build = self._builds.get(wanted)
+            build = self._builds.get(cache_key)
             if build is not None and build.job is job:
-                del self._builds[wanted]
+                del self._builds[cache_key]
 
-    def _prepare(self, settings: Settings, job: Job) -> Prepared:
-        key, trial = _wanted(settings)
+    def _prepare(self, settings: Settings, job: Job) -> PreparedTracer:
+        key, warmup = _cache_key(settings)
         with self._lock:
             tracer = self._tracers.get(key)
         with device_lock(key.device):
@@ -192,23 +192,23 @@ class Tracers:
                 tracer = Tracer(self._scene, progress=progress, **key.options)
             job.begin("preparing the scene")
             setting = self._setting_for(tracer)
-            job.begin(f"preparing {trial}")
-            _try(settings, setting)
-        prepared = Prepared(key, tracer, setting)
+            job.begin(f"preparing {warmup}")
+            _warm_up(settings, setting)
+        prepared = PreparedTracer(key, tracer, setting)
         with self._lock:
             if not job.is_wanted:
                 return prepared
             self._tracers[key] = tracer
             self._tracers.move_to_end(key)
-            self._ready[key, trial] = prepared
+            self._ready[key, warmup] = prepared
             self._drop_oldest()
         return prepared
 
     def _setting_for(self, tracer: Tracer) -> Setting:
-        """The scene's tables are made once: they take longer than some structures."""
+        """Return the scene's tables, shared by all tracers: making them can be expensive."""
         with self._tables:
             if self._setting is None:
-                camera, size = self._scene.camera, (_TRIAL, _TRIAL)
+                camera, size = self._scene.camera, (_WARMUP_SIZE, _WARMUP_SIZE)
                 self._setting = make_setting(tracer, camera, size, Sampler.of("sobol"), {})
             elif self._setting.tracer is not tracer:
                 setting = replace(self._setting, tracer=tracer)
@@ -218,30 +218,30 @@ class Tracers:
     def _drop_oldest(self) -> None:
         def is_too_much() -> bool:
             sizes = [tracer.structure.report.byte_count for tracer in self._tracers.values()]
-            return len(sizes) > _MOST_TRACERS or sum(sizes) > _MOST_BYTES
+            return len(sizes) > _MAX_TRACERS or sum(sizes) > _MAX_BYTES
 
         while len(self._tracers) > 1 and is_too_much():
             oldest, _ = self._tracers.popitem(last=False)
-            for wanted in [wanted for wanted in self._ready if wanted[0] == oldest]:
-                del self._ready[wanted]
+            for cache_key in [cache_key for cache_key in self._ready if cache_key[0] == oldest]:
+                del self._ready[cache_key]
 
 
-def _wanted(settings: Settings) -> tuple[TracerKey, str]:
-    """The tracer, and what is to be done with it."""
-    trial = settings.mode if settings.heatmap is None else "heat map"
-    return settings.tracer_key, trial
+def _cache_key(settings: Settings) -> tuple[TracerKey, str]:
+    """Identify the tracer, and the rendering to compile for."""
+    warmup = settings.mode if settings.heatmap is None else "heat map"
+    return settings.tracer_key, warmup
 
 
-def _try(settings: Settings, setting: Setting) -> None:
-    """Render a small picture, so that kernels are compiled and nothing waits for that later."""
+def _warm_up(settings: Settings, setting: Setting) -> None:
+    """Render a small image, so that kernels are compiled before the first frame."""
     if settings.heatmap is not None:
-        origins, directions = setting.camera.rays(_TRIAL, _TRIAL)
+        origins, directions = setting.camera.rays(_WARMUP_SIZE, _WARMUP_SIZE)
         setting.tracer.first_hit(origins, directions)
         return
     chosen = replace(setting, options=settings.mode_options)
-    size, rows = (_TRIAL, _TRIAL), range(_TRIAL)
+    size, rows = (_WARMUP_SIZE, _WARMUP_SIZE), range(_WARMUP_SIZE)
     if setting.tracer.structure.name == "bvh":
-        size, rows = _LARGE, _ROWS
+        size, rows = _BVH_WARMUP_SIZE, _BVH_WARMUP_ROWS
     chosen = chosen.seen_by(setting.camera, size)
     light = RENDERERS[settings.mode].trace(chosen, rows, 0)
     Accumulation(size[0], len(rows)).add_samples(0, light)
@@ -252,11 +252,11 @@ _LOCKS: dict[str, threading.Lock] = {"graphics": threading.Lock(), "cuda": threa
 
 
 def device_is_free(device: str) -> bool:
-    """Whether `device_lock` can be had at once."""
+    """Whether `device_lock` is free."""
     return device not in _LOCKS or not _LOCKS[device].locked()
 
 
 def device_lock(device: str) -> AbstractContextManager[Any]:
-    """To be held while a device is used, where only one thread may do so at a time."""
+    """Return the lock of a device that only one thread may use at a time."""
     lock: AbstractContextManager[Any] = _LOCKS.get(device, nullcontext())
     return lock

@@ -1,4 +1,4 @@
-"""Walks: one ray's way through a structure, for messages."""
+"""Walks: one ray's traversal of a structure, for messages."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from raystream.viewer.picking import PixelRay
 
 __all__ = ["MAX_STEPS", "MAX_TESTED", "walk_along"]
 
-#: Steps that are told, and triangles that one tells of.
+#: Maximum steps sent, and maximum tested triangles listed per step.
 MAX_STEPS, MAX_TESTED = 300, 32
 
-#: Structures whose walks say nothing.
-_NO_WALK = {"brute": "brute force has no structure to walk through: it tests every triangle"}
+#: Structures without a meaningful walk.
+_NO_WALK = {"brute": "brute force has no structure to traverse: it tests every triangle"}
 
 
 def walk_along(tracer: Tracer, ray: PixelRay) -> Message:
-    """A ray's way to its nearest hit, step by step, and what it met in all.
+    """Record a ray's traversal up to its nearest hit, step by step, and its counters.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ def walk_along(tracer: Tracer, ray: PixelRay) -> Message:
     Returns
     -------
     dict
-        ``walk``: see `_walk_message`; None where there is none, with ``walk_reason``. And
-        ``counts`` of the ray, by the names of `RayCounters`; None on devices that keep theirs.
+        ``walk``: see `_walk_message`; None if not available, with ``walk_reason``. And
+        ``counts`` of the ray, by the names of `RayCounters`; None on CUDA.
     """
     if tracer.device == "cuda":
-        reason = "walks are followed on the cpu: choose that device"
+        reason = "walks are recorded on the CPU only: choose device cpu"
         return {"walk": None, "walk_reason": reason, "counts": None}
     counts = _counts(tracer, ray)
     if tracer.structure.name in _NO_WALK:
@@ -57,7 +57,7 @@ def _counts(tracer: Tracer, ray: PixelRay) -> dict[str, int]:
 
 
 def _walk_message(way: Walk, counts: dict[str, int]) -> Message:
-    """A walk: ``more`` is how many steps are left out, None where nobody has counted them."""
+    """Describe a walk: ``more`` is the number of omitted steps, None if unknown."""
     return {
         "structure": way.structure,
         "traversal": way.traversal,

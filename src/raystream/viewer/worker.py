@@ -1,4 +1,4 @@
-"""The worker: gives visitors their turns, and lets nobody wait for one that takes too long."""
+"""Worker: time-slices rendering between connected clients."""
 
 from __future__ import annotations
 
@@ -7,89 +7,89 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Protocol
 
-from raystream.viewer.turns import Turns
+from raystream.viewer.fair_scheduler import FairScheduler
 
-__all__ = ["Customer", "Worker"]
+__all__ = ["RenderTask", "Worker"]
 
-#: What a slice of work may take: alone, and while others wait for their turn.
-_ALONE, _AMONG_OTHERS = 0.1, 0.04
+#: Time limit of a slice: for a single client, and while others wait.
+_SLICE_ALONE, _SLICE_SHARED = 0.1, 0.04
 
-#: A slice that takes so long goes on beside the others' turns: what it is at cannot be divided,
-#: as a row of brute force, or is being compiled. So many may do so; more are waited for.
-_PATIENCE, _MOST_BESIDE = 0.25, 2
+#: A slice that exceeds this many seconds continues in parallel with the others' turns: it is
+#: compiling, or cannot be divided. At most this many run so; further ones are waited for.
+_OVERDUE_SECONDS, _MAX_OVERDUE = 0.25, 2
 
-#: The worker looks again after so long, for cameras that have come to rest.
-_LOOK_SECONDS = 0.1
+#: Polling interval, to notice cameras that have come to rest.
+_POLL_SECONDS = 0.1
 
 
-class Customer(Protocol):
-    """Who gets turns; a visitor."""
+class RenderTask(Protocol):
+    """A source of rendering work; implemented by `Client`."""
 
     def __hash__(self) -> int: ...
 
     def has_work(self) -> bool:
-        """Whether there is anything to do."""
+        """Whether there is work to do."""
 
     def step(self, seconds: float) -> None:
-        """Do a slice of it, which may take so long."""
+        """Render one slice within a time limit."""
 
-    def rest(self) -> None:
-        """Drop what was done."""
+    def release(self) -> None:
+        """Free resources."""
 
 
 class Worker:
-    """A thread that gives turns to those who have work, until it is closed.
+    """A thread that gives turns to tasks with work, until it is closed.
 
-    No two slices of one customer run at a time, and mostly no two at all.
+    Slices of one task never overlap, and slices of different tasks rarely do.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._customers: list[Customer] = []
-        self._left: list[Customer] = []
+        self._tasks: list[RenderTask] = []
+        self._left: list[RenderTask] = []
         self._is_closed = self._is_woken = False
-        # What follows is the thread's own.
-        self._turns: Turns[Customer] = Turns()
-        self._beside: dict[Future[float], Customer] = {}
-        self._hands = ThreadPoolExecutor(1 + _MOST_BESIDE, "raystream viewer turn")
+        # Accessed by the thread only.
+        self._scheduler: FairScheduler[RenderTask] = FairScheduler()
+        self._overdue: dict[Future[float], RenderTask] = {}
+        self._pool = ThreadPoolExecutor(1 + _MAX_OVERDUE, "raystream viewer turn")
         self._thread = threading.Thread(target=self._run, name="raystream viewer", daemon=True)
         self._thread.start()
 
     @property
-    def customers(self) -> list[Customer]:
-        """Those who are there."""
+    def tasks(self) -> list[RenderTask]:
+        """The current tasks."""
         with self._changed:
-            return list(self._customers)
+            return list(self._tasks)
 
-    def add(self, customer: Customer) -> bool:
-        """Give turns to one more; returns whether the worker is still there to do so."""
+    def add(self, task: RenderTask) -> bool:
+        """Add a task; returns False if the worker is closed."""
         with self._changed:
             if not self._is_closed:
-                self._customers.append(customer)
+                self._tasks.append(task)
             return not self._is_closed
 
-    def drop(self, customer: Customer) -> None:
-        """Give no more turns to one that has left."""
+    def drop(self, task: RenderTask) -> None:
+        """Remove a task."""
         with self._changed:
-            if customer in self._customers:
-                self._customers.remove(customer)
-            self._left.append(customer)
+            if task in self._tasks:
+                self._tasks.remove(task)
+            self._left.append(task)
             self._changed.notify_all()
 
     def wake(self) -> None:
-        """Look for work."""
+        """Check for work now."""
         with self._changed:
             self._is_woken = True
             self._changed.notify_all()
 
     def close(self, timeout: float = 10.0) -> None:
-        """End the threads, after the slices that are being done."""
+        """Stop the threads, after the slices in progress."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
         self._thread.join(timeout)
-        wait(list(self._beside), timeout)
-        self._hands.shutdown(wait=False)
+        wait(list(self._overdue), timeout)
+        self._pool.shutdown(wait=False)
 
     def _run(self) -> None:
         while True:
@@ -97,43 +97,43 @@ class Worker:
                 if self._is_closed:
                     return
                 self._is_woken = False
-                customers, left = list(self._customers), list(self._left)
+                tasks, left = list(self._tasks), list(self._left)
                 self._left.clear()
-            for turn in [turn for turn in self._beside if turn.done()]:
-                self._turns.charge(self._beside.pop(turn), turn.result())
-            busy = list(self._beside.values())
-            self._say_goodbye(left, busy)
-            ready = [one for one in customers if one not in busy and one.has_work()]
+            for turn in [turn for turn in self._overdue if turn.done()]:
+                self._scheduler.charge(self._overdue.pop(turn), turn.result())
+            busy = list(self._overdue.values())
+            self._remove_left(left, busy)
+            ready = [one for one in tasks if one not in busy and one.has_work()]
             if ready:
-                self._take_turn(self._turns.choose(ready), len(ready) + len(busy))
+                self._take_turn(self._scheduler.choose(ready), len(ready) + len(busy))
                 continue
             with self._changed:
                 if not self._is_woken and not self._is_closed:
-                    self._changed.wait(_LOOK_SECONDS if customers or self._left else None)
+                    self._changed.wait(_POLL_SECONDS if tasks or self._left else None)
 
-    def _say_goodbye(self, left: list[Customer], busy: list[Customer]) -> None:
-        for customer in left:
-            if customer in busy:  # later, then
+    def _remove_left(self, left: list[RenderTask], busy: list[RenderTask]) -> None:
+        for task in left:
+            if task in busy:  # retry later
                 with self._changed:
-                    self._left.append(customer)
+                    self._left.append(task)
             else:
-                customer.rest()
-                self._turns.forget(customer)
+                task.release()
+                self._scheduler.forget(task)
 
-    def _take_turn(self, customer: Customer, count: int) -> None:
-        seconds = _ALONE if count == 1 else _AMONG_OTHERS
-        turn = self._hands.submit(_timed_step, customer, seconds)
-        is_last = len(self._beside) >= _MOST_BESIDE
-        done, _ = wait([turn], None if is_last else _PATIENCE)
+    def _take_turn(self, task: RenderTask, count: int) -> None:
+        seconds = _SLICE_ALONE if count == 1 else _SLICE_SHARED
+        turn = self._pool.submit(_timed_step, task, seconds)
+        is_last = len(self._overdue) >= _MAX_OVERDUE
+        done, _ = wait([turn], None if is_last else _OVERDUE_SECONDS)
         if done:
-            self._turns.charge(customer, turn.result())
+            self._scheduler.charge(task, turn.result())
         else:
-            self._beside[turn] = customer
+            self._overdue[turn] = task
             turn.add_done_callback(lambda _: self.wake())
 
 
-def _timed_step(customer: Customer, seconds: float) -> float:
-    """Do a slice; returns the seconds that it took."""
+def _timed_step(task: RenderTask, seconds: float) -> float:
+    """Run a slice; returns its duration in seconds."""
     started = time.perf_counter()
-    customer.step(seconds)
+    task.step(seconds)
     return time.perf_counter() - started

@@ -64,6 +64,6 @@ def make_home(no_leaks):
 
 @pytest.fixture
 def home(shared_home, no_leaks):
-    """A server that nobody else uses while the test runs."""
+    """A server that no other test uses while the test runs."""
     yield shared_home
     shared_home.drop_clients()

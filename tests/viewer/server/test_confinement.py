@@ -12,7 +12,7 @@ need("starlette", "uvicorn", "websockets")
 
 import raystream as rs
 from raystream.core.errors import FileFormatError, RaystreamWarning
-from raystream.viewer.server.upload_folder import RefusedError, TooLargeError, UploadFolder
+from raystream.viewer.server.upload_folder import RejectedError, TooLargeError, UploadFolder
 
 ID = "0123456789abcdef"
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n"
@@ -34,7 +34,7 @@ OUTSIDE = [
 
 @pytest.fixture
 def folder(temporary):
-    """An upload folder, and files outside of it that nobody may see."""
+    """An upload folder, and files outside of it that no client may see."""
     folder = UploadFolder(1 << 20)
     yield folder
     folder.remove()
@@ -43,9 +43,9 @@ def folder(temporary):
 
 
 def put(folder, name, content, upload=ID):
-    with folder.receive(upload, name, None) as arriving:
-        arriving.write(content.encode() if isinstance(content, str) else content)
-        arriving.finish()
+    with folder.receive(upload, name, None) as incoming:
+        incoming.write(content.encode() if isinstance(content, str) else content)
+        incoming.finish()
     return folder.find(upload, name)
 
 
@@ -149,18 +149,18 @@ def test_links_are_not_followed_when_written(folder, temporary):
 
 
 def test_nothing_comes_after_the_end(folder):
-    arriving = folder.receive(ID, "a.obj", None)
-    with arriving:
-        arriving.write(b"v")
+    incoming = folder.receive(ID, "a.obj", None)
+    with incoming:
+        incoming.write(b"v")
         folder.remove()
-        with pytest.raises(RefusedError, match="has ended"):
-            arriving.write(b"v")
-    with pytest.raises(RefusedError, match="has ended"):
+        with pytest.raises(RejectedError, match="has ended"):
+            incoming.write(b"v")
+    with pytest.raises(RejectedError, match="has ended"):
         folder.receive(ID, "b.obj", None)
 
 
 def test_claims_are_not_believed(folder):
-    with folder.receive(ID, "a.bin", 10) as arriving, pytest.raises(TooLargeError):
-        arriving.write(bytes((1 << 20) + 1))
-    with pytest.raises(TooLargeError, match="1,048,576 bytes at most"):
+    with folder.receive(ID, "a.bin", 10) as incoming, pytest.raises(TooLargeError):
+        incoming.write(bytes((1 << 20) + 1))
+    with pytest.raises(TooLargeError, match="at most 1,048,576 bytes"):
         folder.receive(ID, "b.bin", (1 << 20) + 1)

@@ -101,7 +101,7 @@ def test_wrong_host_is_refused(home, host):
         assert answer.status in (400, 403)
         assert b"page" not in answer.body
     assert home.upgrade(Host=host, Origin=f"http://{host}").status in (400, 403)
-    assert home.studio.visitors == []
+    assert home.service.clients == []
 
 
 def test_host_must_be_there_once(home):
@@ -123,18 +123,18 @@ def test_wrong_origin_opens_no_websocket(home, origin):
     answer = home.upgrade(Origin=origin and origin.format(port=home.port))
     assert answer.status == 403
     assert "content-security-policy" in answer.headers
-    assert home.studio.visitors == []
+    assert home.service.clients == []
 
 
 def test_refusal_of_a_websocket_is_no_fault_of_the_server(home, caplog):
     assert home.upgrade(Origin="http://evil.example").status == 403
-    home.get()  # the task of the refusal has ended
+    home.get()  # the task of the rejection has ended
     assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
 def test_two_origins_open_no_websocket(home):
     assert home.upgrade(Origin=f"{home.origin}\nOrigin: {home.origin}").status in (400, 403)
-    assert home.studio.visitors == []
+    assert home.service.clients == []
 
 
 @pytest.mark.parametrize("origin", WRONG_ORIGINS)
@@ -218,7 +218,7 @@ def test_without_token_nothing_is_served(guarded):
         assert b"page" not in answer.body
         assert "set-cookie" not in answer.headers
     assert guarded.upgrade().status == 401
-    assert guarded.studio.visitors == []
+    assert guarded.service.clients == []
 
 
 def test_token_becomes_a_strict_cookie_that_opens_all(guarded):
@@ -287,9 +287,9 @@ def test_tokens_differ():
 def test_access_of_addresses(address, has_token, right, wrong):
     access = Access(address, 8008)
     assert (access.token is not None) == has_token
-    assert [host for host in right if not access.knows_host(host)] == []
-    assert [host for host in wrong if access.knows_host(host)] == []
+    assert [host for host in right if not access.accepts_host(host)] == []
+    assert [host for host in wrong if access.accepts_host(host)] == []
 
 
 def test_name_that_the_user_gave_is_right():
-    assert Access("10.1.2.3", 8008, host="Viewer.Example").knows_host("viewer.example:8008")
+    assert Access("10.1.2.3", 8008, host="Viewer.Example").accepts_host("viewer.example:8008")

@@ -72,7 +72,7 @@ def test_nonsense_is_refused(home):
     assert home.get().status == 200
 
 
-@pytest.mark.parametrize("limit", ["MAX_SOCKETS", "MAX_SOCKETS_OF_ONE"])
+@pytest.mark.parametrize("limit", ["MAX_SOCKETS", "MAX_SOCKETS_PER_ADDRESS"])
 def test_connections_are_bounded(home, monkeypatch, limit):
     monkeypatch.setattr(transport, limit, 5)
     kept = [home.open_socket() for _ in range(5)]

@@ -18,7 +18,7 @@ from extras import need
 need("starlette", "uvicorn", "websockets")
 
 from raystream.viewer.server import upload_folder, uploads
-from raystream.viewer.server.names import is_upload_id, safe_name
+from raystream.viewer.server.file_names import is_upload_id, safe_name
 from viewer_home import LIMIT, read_answer, wait_until
 
 ID = "0123456789abcdef"
@@ -87,7 +87,7 @@ def test_model_is_opened_with_the_name_that_it_had(home, temporary):
     assert (answer.status, answer.body) == (204, b"")
     open_model(client, "Grüße (2).OBJ")
     assert read_until(client, "opened")["content"] == OBJ.decode()
-    ((path, name),) = home.studio.visitors[0].opened
+    ((path, name),) = home.service.clients[0].opened
     assert name == "Grüße (2).OBJ"
     assert path.parent.parent.parent == temporary
     if hasattr(stat, "S_IRWXU"):
@@ -199,7 +199,7 @@ def test_bad_names_are_refused(home, temporary, name):
     assert list(temporary.rglob("*")) == []
     open_model(client, name)
     assert read_until(client, "error")["about"] == "open"
-    assert home.studio.visitors[0].opened == []
+    assert home.service.clients[0].opened == []
 
 
 @pytest.mark.parametrize("upload", ["short", ID.upper(), "..", f"..%2f{ID}", f"{ID}.", "a" * 33])
@@ -231,7 +231,7 @@ def test_only_whole_own_models_are_opened(home):
         wait_until(lambda: uploading(home))
         open_model(client, "b.obj")
         assert "has not been uploaded" in read_until(client, "error")["message"]
-    assert [visitor.opened for visitor in home.studio.visitors] == [[], []]
+    assert [joined.opened for joined in home.service.clients] == [[], []]
 
 
 def test_upload_key_must_be_that_of_a_live_connection(home, temporary):
@@ -241,7 +241,7 @@ def test_upload_key_must_be_that_of_a_live_connection(home, temporary):
     for wrong in ("", "x", key[:-1], f"{key}x", key.swapcase(), None):
         assert home.put(client, path, OBJ, X_Upload_Key=wrong).status == 403
     client.close()
-    wait_until(lambda: home.server.visit_count == 0)
+    wait_until(lambda: home.server.connection_count == 0)
     assert home.put(client, path, OBJ).status == 403
     assert list(temporary.iterdir()) == []
 
@@ -259,7 +259,9 @@ def begin_upload(home, client, name, length=1000):
 
 
 def uploading(home):
-    return sum(visit.uploads.arriving_count for visit in home.server._visits._visits)
+    return sum(
+        connection.uploads.incoming_count for connection in home.server._connections._connections
+    )
 
 
 def test_upload_that_stops_is_given_up(home, temporary, monkeypatch):
@@ -303,14 +305,14 @@ def test_upload_ends_when_its_connection_does(home, temporary):
         wait_until(lambda: list(temporary.rglob("a.obj")))
         client.close()
         wait_until(lambda: list(temporary.iterdir()) == [])
-        assert home.studio.present == []
+        assert home.service.present == []
         raw.sendall(b"v 0")
         assert read_answer(raw).status == 409
     assert list(temporary.iterdir()) == []
 
 
 def test_uploads_at_once_are_bounded_for_each_connection(home, monkeypatch):
-    monkeypatch.setattr(upload_folder, "MAX_ARRIVING", 1)
+    monkeypatch.setattr(upload_folder, "MAX_INCOMING", 1)
     client, other = home.connect(), home.connect()
     with begin_upload(home, client, "a.obj"):
         wait_until(lambda: uploading(home) == 1)

@@ -12,8 +12,8 @@ from extras import need
 need("starlette", "uvicorn", "websockets")
 
 import raystream as rs
+from raystream.viewer.render_service import RenderService
 from raystream.viewer.serve import ViewServer, bind
-from raystream.viewer.studio import Studio
 from viewer_home import Guest, no_view_threads_left, wait_until
 
 ID = "0123456789abcdef"
@@ -29,12 +29,12 @@ def no_threads_left():
 @pytest.fixture
 def guest(temporary, no_threads_left):
     """A page of a viewer of the Cornell box."""
-    studio = Studio(rs.load("cornell"), "cornell", settings={"mode": "vis"})
-    with ViewServer(studio, bind("127.0.0.1", 0)) as server:
+    service = RenderService(rs.load("cornell"), "cornell", settings={"mode": "vis"})
+    with ViewServer(service, bind("127.0.0.1", 0)) as server:
         guest = Guest(server.port)
         yield guest
         guest.leave()
-        wait_until(lambda: server.visit_count == 0)
+        wait_until(lambda: server.connection_count == 0)
         assert list(temporary.iterdir()) == []
 
 

@@ -1,4 +1,4 @@
-"""Contenders: raystream and its peers behind one interface, each imported when it is made."""
+"""Contenders: raystream and its peers behind one interface, imported on demand."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from raystream.bench.contenders.base import AbsentError, Contender
+from raystream.bench.contenders.base import Contender, UnavailableError
 
 __all__ = ["PEERS", "Entry", "Peer", "make_contender"]
 
 
 class Peer(NamedTuple):
-    """Where a peer's adapter is, and how to get the peer.
+    """A peer's adapter, and how to install the peer.
 
     Parameters
     ----------
-    place : str
+    adapter : str
         Module and class of the adapter.
     packages : tuple of str
-        What it imports.
-    remedy : str
-        What to do where that fails.
+        Packages it imports.
+    install_hint : str
+        Installation hint, shown if the import fails.
     """
 
-    place: str
+    adapter: str
     packages: tuple[str, ...]
-    remedy: str
+    install_hint: str
 
 
 _FOLDER = "raystream.bench.contenders"
@@ -45,7 +45,7 @@ PEERS: Mapping[str, Peer] = MappingProxyType(
             f"{_FOLDER}.mitsuba:Mitsuba",
             ("mitsuba", "drjit"),
             "pip install mitsuba; it also needs LLVM's shared library (Debian: libllvm15; "
-            "elsewhere, let DRJIT_LIBLLVM_PATH name it)",
+            "elsewhere, set DRJIT_LIBLLVM_PATH)",
         ),
         "warp": Peer(f"{_FOLDER}.warp:Warp", ("warp",), "pip install warp-lang"),
         "fcpw": Peer(f"{_FOLDER}.fcpw:Fcpw", ("fcpw",), "pip install fcpw"),
@@ -57,16 +57,16 @@ _OWN = f"{_FOLDER}.own:Raystream"
 
 
 class Entry(NamedTuple):
-    """Somebody to enter for a benchmark.
+    """An entry of a benchmark.
 
     Parameters
     ----------
     label : str
-        What the tables call it; no two are alike.
+        Its unique name in the tables.
     name : str
         ``"raystream"`` or a key of `PEERS`.
     options : dict
-        For raystream: options of its `Tracer`.
+        `Tracer` options, for raystream only.
     """
 
     label: str
@@ -75,26 +75,26 @@ class Entry(NamedTuple):
 
 
 def make_contender(entry: Entry, threads: int) -> Contender:
-    """Import a contender and make it ready to build.
+    """Import a contender and prepare it for a build.
 
     Parameters
     ----------
     entry : Entry
     threads : int
-        How many threads it may use.
+        Number of threads it may use.
 
     Raises
     ------
-    AbsentError
-        If it is not installed, or what it needs is not: says what to do.
+    UnavailableError
+        If it or one of its requirements is not installed; the message says what to do.
     """
-    place = _OWN if entry.name == "raystream" else PEERS[entry.name].place
+    place = _OWN if entry.name == "raystream" else PEERS[entry.name].adapter
     module, _, kind = place.partition(":")
     try:
         adapter: type[Contender] = getattr(importlib.import_module(module), kind)
         return adapter(threads, entry.options)
-    except (ImportError, OSError, AbsentError) as error:
+    except (ImportError, OSError, UnavailableError) as error:
         if entry.name == "raystream":
             raise
         reason = " ".join(str(error).split())
-        raise AbsentError(f"{reason} ({PEERS[entry.name].remedy})") from error
+        raise UnavailableError(f"{reason} ({PEERS[entry.name].install_hint})") from error

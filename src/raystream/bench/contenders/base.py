@@ -1,4 +1,4 @@
-"""Contender: what every ray tracer in a benchmark is asked to do."""
+"""Contender: the interface of every ray tracer in a benchmark."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "MISS_FROM",
-    "AbsentError",
+    "MISS_T",
     "AllHits",
-    "Answer",
     "Contender",
     "FirstHits",
     "Geometry",
     "Query",
     "Rays",
-    "practice_geometry",
+    "Result",
+    "UnavailableError",
+    "warmup_geometry",
 ]
 
 Query = Literal["first", "any", "multi"]
 
-#: Packages say "no hit" with infinity, float32's largest number or 1e37; no scene is so large.
-MISS_FROM = 1e30
+#: Packages report a miss as infinity, float32's maximum or 1e37; no scene is this large.
+MISS_T = 1e30
 
 
-class AbsentError(Exception):
-    """A contender is not there: says why, and what to do."""
+class UnavailableError(Exception):
+    """A contender is not available; the message says why, and what to do."""
 
 
 class Geometry(NamedTuple):
-    """A scene's triangles, as a user has them.
+    """A scene's triangles, in a user's arrays.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class Geometry(NamedTuple):
     faces: NDArray[np.int32]
 
 
-def practice_geometry() -> Geometry:
-    """Make triangles for a first build, which loads and compiles what large scenes need too."""
+def warmup_geometry() -> Geometry:
+    """Generate triangles for a first build, which triggers the loading and compiling."""
     count = 20_000
     generator = np.random.default_rng(0)
     corners = generator.random((count, 1, 3)) + 0.01 * generator.normal(size=(count, 3, 3))
@@ -55,14 +55,14 @@ def practice_geometry() -> Geometry:
 
 
 class Rays(NamedTuple):
-    """Rays, as a user has them: plain C-contiguous NumPy arrays.
+    """Rays, in a user's plain C-contiguous NumPy arrays.
 
     Parameters
     ----------
     origins, directions : ndarray of shape S + (3,), float32
         World space; directions need not be unit length.
     t_max : float
-        Where all of them end, in direction lengths.
+        End of all rays, in direction lengths.
     """
 
     origins: NDArray[np.float32]
@@ -74,7 +74,7 @@ class Rays(NamedTuple):
         return self.origins.size // 3
 
     def rows(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Origins and directions of shape (N, 3), not copied."""
+        """Return origins and directions of shape (N, 3), not copied."""
         return self.origins.reshape(-1, 3), self.directions.reshape(-1, 3)
 
 
@@ -84,9 +84,9 @@ class FirstHits(NamedTuple):
     Parameters
     ----------
     t : ndarray of N floats
-        `MISS_FROM` or more is a miss.
+        `MISS_T` or more for a miss.
     prim_id : ndarray of N ints
-        Of no meaning for a miss.
+        Undefined for a miss.
     """
 
     t: NDArray[Any]
@@ -101,30 +101,30 @@ class AllHits(NamedTuple):
     prim_id: NDArray[Any]
 
 
-Answer = FirstHits | AllHits | NDArray[np.bool_]
+Result = FirstHits | AllHits | NDArray[np.bool_]
 
 
 class Contender(ABC):
     """A ray tracer with one built structure.
 
-    Every call starts from the user's arrays and ends with NumPy arrays: what a package needs
-    in between, such as tensors of its own, is made within the call, and so within the time.
+    Every call starts from the user's arrays and ends with NumPy arrays: conversions that a
+    package needs, such as to tensors of its own, happen within the call and count as time.
 
     Parameters
     ----------
     threads : int
-        How many threads to use, where the package can be told.
+        Number of threads to use, if the package has such a setting.
     options : mapping
-        The package's own.
+        Options of the package.
 
     Attributes
     ----------
     modes : tuple of str
-        Ways to ask that are all tried; the fastest counts.
+        Ways to run a query, all timed; the fastest counts.
     queries : frozenset of str
-        What it can answer.
+        Supported queries.
     notes : str
-        What a reader of its figures should know.
+        A note for readers of its figures.
     """
 
     modes: ClassVar[tuple[str, ...]] = ("",)
@@ -142,11 +142,11 @@ class Contender(ABC):
 
     @abstractmethod
     def build(self, geometry: Geometry) -> None:
-        """Make ready for queries, in place of what was built before."""
+        """Build the structure, replacing the previous one."""
 
     @abstractmethod
     def release(self) -> None:
-        """Forget what was built."""
+        """Free the structure."""
 
     @abstractmethod
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:
@@ -154,14 +154,14 @@ class Contender(ABC):
 
     @abstractmethod
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way."""
+        """Test whether each ray hits anything."""
 
     def multi_hit(self, rays: Rays, mode: str) -> AllHits:
         """Find all hits of each ray, sorted."""
         raise NotImplementedError
 
-    def ask(self, query: Query, rays: Rays, mode: str) -> Answer:
-        """Ask one of the queries.
+    def run(self, query: Query, rays: Rays, mode: str) -> Result:
+        """Run one of the queries.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""embreex, the binding of Embree that trimesh uses, as a contender."""
+"""embreex, the Embree binding used by trimesh, as a contender."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from raystream.bench.contenders.base import (
-    MISS_FROM,
+    MISS_T,
     AllHits,
     Contender,
     FirstHits,
@@ -23,11 +23,11 @@ from raystream.bench.contenders.base import (
 
 __all__ = ["Embreex"]
 
-#: Rays that one call gets, so that threads end together.
+#: Rays per call, small enough for load balance.
 _CHUNK = 1 << 15
 
-#: How far behind a hit the next ray starts, relative to t and to the scene's size; as trimesh
-#: does, which uses 1e-6 of the size.
+#: Offset of the next ray behind a hit, relative to t and to the scene's size; trimesh also uses
+#: 1e-6 of the size.
 _STEP = 1e-6
 
 
@@ -35,9 +35,9 @@ class Embreex(Contender):
     """``EmbreeScene.run`` on blocks of rays, from several Python threads."""
 
     notes = (
-        "a call runs on one thread, but without the interpreter lock: it is called from several "
-        "threads here; all hits are found by starting again behind each hit, as trimesh does, "
-        "which can lose hits that are close together"
+        "a call runs on one thread but releases the GIL, so it is called from several threads "
+        "here; all hits are found by restarting behind each hit, as in trimesh, which can miss "
+        "hits that are close together"
     )
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
@@ -52,7 +52,7 @@ class Embreex(Contender):
         return version("embreex")
 
     def build(self, geometry: Geometry) -> None:
-        """Add the triangles; the first ray makes Embree build."""
+        """Add the triangles; the first ray triggers the build."""
         scene = EmbreeScene()
         TriangleMesh(scene=scene, vertices=geometry.vertices, indices=geometry.faces)
         one = np.ones((1, 3), np.float32)
@@ -62,7 +62,7 @@ class Embreex(Contender):
         self._step = _STEP * float(np.linalg.norm(size))
 
     def release(self) -> None:
-        """Forget what was built."""
+        """Free the structure."""
         self._scene = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
@@ -70,7 +70,7 @@ class Embreex(Contender):
         return self._first(*rays.rows(), rays.t_max)
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
-        """Find whether anything is in each ray's way."""
+        """Test whether each ray hits anything."""
         origins, directions = rays.rows()
         seen = np.empty(len(origins), np.bool_)
         limit = _limit(rays.t_max)
@@ -93,10 +93,10 @@ class Embreex(Contender):
         found: list[tuple[NDArray[Any], ...]] = []
         while len(live):
             t, prim_id = self._first(starts, along, np.inf)
-            hit = t < MISS_FROM
+            hit = t < MISS_T
             live, along, steps = live[hit], along[hit], steps[hit]
             t = reached[hit] + t[hit]
-            is_new = prim_id[hit] != last[hit]  # else it did not get past the triangle
+            is_new = prim_id[hit] != last[hit]  # otherwise the ray hit the same triangle again
             last = prim_id[hit]
             found.append((live[is_new], t[is_new], last[is_new]))
             reached = t * np.float32(1.0 + _STEP) + steps
@@ -127,5 +127,5 @@ class Embreex(Contender):
 
 
 def _limit(t_max: float) -> float | None:
-    """As ``dists`` wants it: none has a default of its own, 1e37."""
+    """Convert t_max for ``dists``: None is its default, 1e37."""
     return t_max if np.isfinite(t_max) else None

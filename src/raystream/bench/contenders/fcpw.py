@@ -10,7 +10,7 @@ import fcpw
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import MISS_FROM, Contender, FirstHits, Geometry, Rays
+from raystream.bench.contenders.base import MISS_T, Contender, FirstHits, Geometry, Rays
 
 __all__ = ["Fcpw"]
 
@@ -20,8 +20,8 @@ class Fcpw(Contender):
 
     queries = frozenset(("first", "any"))
     notes = (
-        "hits come as a list of objects, which is read one by one; its queries for occlusion do "
-        "not return which rays are occluded, so first hits answer those"
+        "hits are returned as a list of objects and read one by one; its occlusion queries do not "
+        "report which rays are occluded, so first hits are used instead"
     )
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:  # noqa: ARG002
@@ -33,7 +33,7 @@ class Fcpw(Contender):
         return version("fcpw")
 
     def build(self, geometry: Geometry) -> None:
-        """Build the tree that its page on ray queries recommends."""
+        """Build the tree recommended by FCPW's documentation for ray queries."""
         scene = fcpw.scene_3D()
         scene.set_object_count(1)
         scene.set_object_vertices(np.asfortranarray(geometry.vertices), 0)
@@ -42,7 +42,7 @@ class Fcpw(Contender):
         self._scene = scene
 
     def release(self) -> None:
-        """Forget what was built."""
+        """Free the structure."""
         self._scene = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
@@ -54,9 +54,9 @@ class Fcpw(Contender):
         )
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
-        """Find whether anything is in each ray's way."""
+        """Test whether each ray hits anything."""
         found = self._intersect(rays)
-        return np.fromiter((hit.d for hit in found), np.float32, len(rays)) < MISS_FROM
+        return np.fromiter((hit.d for hit in found), np.float32, len(rays)) < MISS_T
 
     def _intersect(self, rays: Rays) -> Any:
         origins, directions = rays.rows()

@@ -10,7 +10,7 @@ import mitsuba
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import AbsentError, Contender, FirstHits, Geometry, Rays
+from raystream.bench.contenders.base import Contender, FirstHits, Geometry, Rays, UnavailableError
 
 __all__ = ["Mitsuba"]
 
@@ -18,7 +18,7 @@ _VARIANT = "llvm_ad_rgb"
 
 
 class Mitsuba(Contender):
-    """``ray_intersect_preliminary`` and ``ray_test``, with both hints about coherence."""
+    """``ray_intersect_preliminary`` and ``ray_test``, with both coherence hints."""
 
     modes = ("incoherent", "coherent")
     queries = frozenset(("first", "any"))
@@ -29,8 +29,8 @@ class Mitsuba(Contender):
         drjit.set_thread_count(threads)
         try:
             mitsuba.Float([1.0, 2.0]).numpy()
-        except RuntimeError as error:  # LLVM is not there
-            raise AbsentError(str(error)) from error
+        except RuntimeError as error:  # LLVM is missing
+            raise UnavailableError(str(error)) from error
         self._scene: Any = None
 
     @property
@@ -39,7 +39,7 @@ class Mitsuba(Contender):
         return str(mitsuba.__version__)
 
     def build(self, geometry: Geometry) -> None:
-        """Make a mesh, and a scene of it."""
+        """Make a scene with one mesh."""
         mesh = mitsuba.Mesh("triangles", len(geometry.vertices), len(geometry.faces))
         parameters = mitsuba.traverse(mesh)
         parameters["vertex_positions"] = geometry.vertices.ravel()
@@ -49,18 +49,18 @@ class Mitsuba(Contender):
         drjit.sync_thread()
 
     def release(self) -> None:
-        """Forget what was built."""
+        """Free the structure."""
         self._scene = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:
         """Find the nearest hit of each ray."""
         found = self._scene.ray_intersect_preliminary(_rays(rays), coherent=mode == "coherent")
-        drjit.eval(found.t, found.prim_index)  # both by one kernel
+        drjit.eval(found.t, found.prim_index)  # both in one kernel
         return FirstHits(found.t.numpy(), found.prim_index.numpy())
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:
-        """Find whether anything is in each ray's way."""
-        # Named, since without the name it would be the mask of active rays.
+        """Test whether each ray hits anything."""
+        # By keyword: the second positional argument is the mask of active rays.
         seen: NDArray[np.bool_] = self._scene.ray_test(
             _rays(rays), coherent=mode == "coherent"
         ).numpy()

@@ -32,7 +32,7 @@ class Open3D(Contender):
         return str(open3d.__version__)
 
     def build(self, geometry: Geometry) -> None:
-        """Add the triangles; the first rays make Open3D build."""
+        """Add the triangles; the first rays trigger the build."""
         tensor = open3d.core.Tensor.from_numpy
         scene = open3d.t.geometry.RaycastingScene(nthreads=self._threads)
         scene.add_triangles(tensor(geometry.vertices), tensor(geometry.faces.view(np.uint32)))
@@ -40,7 +40,7 @@ class Open3D(Contender):
         self._scene = scene
 
     def release(self) -> None:
-        """Forget what was built."""
+        """Free the structure."""
         self._scene = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
@@ -49,7 +49,7 @@ class Open3D(Contender):
         return FirstHits(found["t_hit"].numpy(), found["primitive_ids"].numpy())
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
-        """Find whether anything is in each ray's way."""
+        """Test whether each ray hits anything."""
         seen: NDArray[np.bool_] = self._scene.test_occlusions(
             _tensor(rays), tfar=rays.t_max, nthreads=self._threads
         ).numpy()
@@ -59,7 +59,7 @@ class Open3D(Contender):
         """Find all hits of each ray, sorted."""
         found = self._scene.list_intersections(_tensor(rays), nthreads=self._threads)
         t = found["t_hit"].numpy()
-        # Positive floats sort as their bits do: one key for ray and t, one fast sort.
+        # Positive floats sort like their bits: one key for ray and t, one fast sort.
         key = found["ray_ids"].numpy().astype(np.uint64)
         key <<= np.uint64(32)
         key |= t.view(np.uint32)
@@ -68,7 +68,7 @@ class Open3D(Contender):
 
 
 def _tensor(rays: Rays) -> Any:
-    """Six numbers a ray, as Open3D wants them; the tensor shares the array's memory."""
+    """Pack six numbers per ray, as Open3D expects; the tensor shares the array's memory."""
     together = np.empty((*rays.origins.shape[:-1], 6), np.float32)
     together[..., :3] = rays.origins
     together[..., 3:] = rays.directions

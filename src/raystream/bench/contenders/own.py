@@ -18,7 +18,7 @@ __all__ = ["Raystream"]
 
 
 class Raystream(Contender):
-    """A `Tracer`; the options are its own."""
+    """A `Tracer` with the given options."""
 
     def __init__(self, threads: int, options: Mapping[str, Any]) -> None:
         set_thread_count(threads)
@@ -32,16 +32,16 @@ class Raystream(Contender):
 
     @property
     def tracer(self) -> Tracer:
-        """What was built."""
+        """The tracer that was built."""
         assert self._tracer is not None, "build first"
         return self._tracer
 
     def build(self, geometry: Geometry) -> None:
-        """Make a scene of the arrays, and its structure."""
+        """Make a scene from the arrays, and its structure."""
         self._tracer = Tracer(Scene.from_arrays(*geometry), **self._options)
 
     def release(self) -> None:
-        """Forget what was built."""
+        """Free the structure."""
         self._tracer = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
@@ -50,7 +50,7 @@ class Raystream(Contender):
         return FirstHits(hits.t, hits.prim_id)
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
-        """Find whether anything is in each ray's way."""
+        """Test whether each ray hits anything."""
         return self.tracer.any_hit(rays.origins, rays.directions, t_max=rays.t_max)
 
     def multi_hit(self, rays: Rays, mode: str) -> AllHits:  # noqa: ARG002

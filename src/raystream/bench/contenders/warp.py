@@ -1,6 +1,6 @@
 """NVIDIA Warp on the CPU or on a GPU, as a contender."""
 
-# No postponed annotations: Warp reads those of its kernels.
+# No postponed annotations: Warp evaluates those of its kernels.
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from raystream.bench.contenders.base import AbsentError, Contender, FirstHits, Geometry, Rays
+from raystream.bench.contenders.base import Contender, FirstHits, Geometry, Rays, UnavailableError
 
 __all__ = ["Warp"]
 
@@ -49,15 +49,15 @@ class Warp(Contender):
     Parameters
     ----------
     threads : int
-        Of no effect.
+        No effect.
     options : mapping
-        ``device``, ``"cpu"`` without it, or ``"cuda"``; and ``constructor``, how the mesh's tree is
-        built, such as ``"sah"``: without it, as Warp does.
+        ``device``: ``"cpu"`` (default) or ``"cuda"``; ``constructor``: Warp's BVH constructor,
+        such as ``"sah"`` (default: Warp's own).
 
     Attributes
     ----------
     kernel_seconds : float or None
-        Of the latest query's kernel on a GPU, without what is copied.
+        Kernel time of the latest query on a GPU, without copies.
     """
 
     queries = frozenset(("first", "any"))
@@ -69,7 +69,7 @@ class Warp(Contender):
         self._constructor = options.get("constructor")
         self.kernel_seconds: float | None = None
         if self._device != "cpu" and not wp.is_cuda_available():
-            raise AbsentError("Warp finds no GPU")
+            raise UnavailableError("Warp finds no GPU")
 
     @property
     def version(self) -> str:
@@ -77,7 +77,7 @@ class Warp(Contender):
         return str(wp.config.version)
 
     def build(self, geometry: Geometry) -> None:
-        """Make a mesh, with the default way to build unless told otherwise."""
+        """Make a mesh, with Warp's default constructor unless specified."""
         self._mesh = wp.Mesh(
             points=self._array(geometry.vertices, wp.vec3),
             indices=self._array(geometry.faces.ravel(), wp.int32),
@@ -86,7 +86,7 @@ class Warp(Contender):
         wp.synchronize()
 
     def release(self) -> None:
-        """Forget what was built."""
+        """Free the structure."""
         self._mesh = None
 
     def first_hit(self, rays: Rays, mode: str) -> FirstHits:  # noqa: ARG002
@@ -97,11 +97,11 @@ class Warp(Contender):
         return FirstHits(t.numpy(), prim_id.numpy())
 
     def any_hit(self, rays: Rays, mode: str) -> NDArray[np.bool_]:  # noqa: ARG002
-        """Find whether anything is in each ray's way."""
+        """Test whether each ray hits anything."""
         seen = wp.empty(len(rays), dtype=wp.bool, device=self._device)
         self._launch(_any, rays, [seen])
-        answer: NDArray[np.bool_] = seen.numpy()
-        return answer
+        result: NDArray[np.bool_] = seen.numpy()
+        return result
 
     def _launch(self, kernel: Any, rays: Rays, outputs: list[Any]) -> None:
         origins, directions = rays.rows()

@@ -1,11 +1,11 @@
-// The line to the server: JSON both ways, pictures from there; opened anew when it is lost.
+// The websocket connection: JSON both ways, images from the server; reconnects when lost.
 
 const FIRST_WAIT = 500;
 const LONGEST_WAIT = 10000;
 
 export class Connection {
   /**
-   * Handlers: open(), text(message), picture(header, bytes), lost(seconds until the next try,
+   * Handlers: open(), text(message), image(header, bytes), lost(seconds until the next attempt,
    * reason).
    */
   constructor(address, handlers) {
@@ -22,14 +22,14 @@ export class Connection {
     return this.socket.readyState === WebSocket.OPEN;
   }
 
-  /** Say something; false if nobody hears it. */
+  /** Send a message; false if not connected. */
   send(message) {
     if (!this.isOpen) return false;
     this.socket.send(JSON.stringify(message));
     return true;
   }
 
-  /** Try at once, if the line is down. */
+  /** Reconnect now, if disconnected. */
   retry() {
     if (this.timer === null) return;
     clearTimeout(this.timer);
@@ -63,6 +63,6 @@ export class Connection {
     }
     const size = new DataView(content).getUint32(0, true);
     const header = JSON.parse(new TextDecoder().decode(new Uint8Array(content, 4, size)));
-    this.handlers.picture(header, new Uint8Array(content, 4 + size));
+    this.handlers.image(header, new Uint8Array(content, 4 + size));
   }
 }

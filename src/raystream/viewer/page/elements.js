@@ -1,8 +1,8 @@
-// Elements of the page: finding and making them.
+// Helpers to find and make elements of the page.
 
 export const byId = id => document.getElementById(id);
 
-/** An element with a class, text or children. */
+/** Make an element with a class, text or children. */
 export function make(tag, className = "", content = "") {
   const element = document.createElement(tag);
   if (className) element.className = className;
@@ -11,7 +11,7 @@ export function make(tag, className = "", content = "") {
   return element;
 }
 
-/** Fill a select with [value, text] pairs; what is chosen stays so where it is still there. */
+/** Fill a select with [value, text] pairs; keeps the selection if it still exists. */
 export function fillSelect(select, choices) {
   const said = JSON.stringify(choices);
   if (select.dataset.choices === said) return;
@@ -21,7 +21,7 @@ export function fillSelect(select, choices) {
   if (choices.some(([value]) => value === chosen)) select.value = chosen;
 }
 
-/** Fill a list of terms and figures, and touch only what changed. */
+/** Fill a list of terms and figures, updating only what changed. */
 export function fillFigures(list, rows) {
   const names = rows.map(([name]) => name).join("\n");
   if (list.dataset.names !== names) {

@@ -1,23 +1,23 @@
-// Figures: what the server measured, what the page did, and what was built.
+// Figures: measurements of the server and the page, and statistics of the structure.
 
 import {byId, fillFigures} from "./elements.js";
 import {bytes, capital, count, many, milliseconds, number, seconds, words} from "./format.js";
 
-const PERIOD = 160; // ms between two refreshes: figures should be readable
+const PERIOD = 160; // ms between refreshes, so that figures stay readable
 const WINDOW = 1000; // ms over which frames are counted
 
 export class Figures {
   constructor() {
     this.times = [];
     this.header = null;
-    this.rate = null; // the page's own; the server's is of its last frames in motion
+    this.rate = null; // measured by the page; the server reports that of its last moving frames
     this.serverRate = null;
     this.timer = null;
     this.built = null;
     this.titles = {}; // of heat maps, by name
   }
 
-  /** A frame was drawn, or passed over. */
+  /** Record a frame that was drawn or skipped. */
   drew(header, isDrawn) {
     if (isDrawn && header.moving) this.count();
     if (!header.moving) this.times = [];
@@ -25,7 +25,7 @@ export class Figures {
     if (this.timer === null) this.timer = setTimeout(() => this.show(), PERIOD);
   }
 
-  /** One more frame of a moving camera. */
+  /** Count a frame of a moving camera. */
   count() {
     const now = performance.now();
     this.times.push(now);
@@ -63,20 +63,20 @@ export class Figures {
     const rate = n => (n ? n.toFixed(1) : "–");
     const canvas = byId("picture");
     const rows = [
-      ["Frames per second", this.serverRate ? `${rate(this.serverRate)} · page ${rate(this.rate)}` : "–", "The server's own timer, and frames that the page drew while moving"],
+      ["Frames per second", this.serverRate ? `${rate(this.serverRate)} · page ${rate(this.rate)}` : "–", "Measured by the server, and by the page while the camera moves"],
       ["Render", milliseconds(header.render_ms)],
       ["Encode", milliseconds(header.encode_ms)],
       ["Rays", Number.isFinite(header.rays) ? many(header.rays) : "–"],
       ["Rays per second", Number.isFinite(header.mrays_per_second) ? many(header.mrays_per_second * 1e6) : "–"],
       ["Samples", `${count(header.samples)} of ${count(header.target_samples)}${header.done ? ", done" : ""}`],
-      ["Noise", Number.isFinite(header.noise) ? `${number(100 * header.noise)} %` : "–", "Estimated relative error of the picture"],
+      ["Noise", Number.isFinite(header.noise) ? `${number(100 * header.noise)} %` : "–", "Estimated relative error of the image"],
       ["Pixels", header.width === canvas.width ? `${header.width} × ${header.height}` : `${header.width} × ${header.height} of ${canvas.width} × ${canvas.height}`],
     ];
     if (this.built) rows.push(["Build", seconds(this.built.seconds)], ["Memory", bytes(this.built.bytes)]);
     return rows;
   }
 
-  /** A structure is there. */
+  /** Show the statistics of a structure. */
   showStructure(message) {
     this.built = message;
     const rows = Object.entries(message.statistics || {})

@@ -1,11 +1,11 @@
-// Numbers as people read them.
+// Number formatting.
 
 const grouped = text => text.replace(/\B(?=(\d{3})+$)/g, ",");
 
-/** A whole number: 1,234,567. */
+/** Format an integer: 1,234,567. */
 export const count = n => (Number.isFinite(n) ? grouped(String(Math.round(n))) : "–");
 
-/** Three digits that count: 0.00123, 1.23, 123, 12,346. */
+/** Format with three significant digits: 0.00123, 1.23, 123, 12,346. */
 export function number(n) {
   if (n === null || n === undefined) return "–";
   if (!Number.isFinite(n)) return n > 0 ? "∞" : n < 0 ? "−∞" : "–";
@@ -17,15 +17,15 @@ export function number(n) {
   return String(Number(n.toPrecision(3))).replace("-", "−");
 }
 
-/** A coordinate or distance: enough digits to use it. */
+/** Format a coordinate or distance with six significant digits. */
 export const coordinate = n => (Number.isFinite(n) ? String(Number(n.toPrecision(6))) : number(n));
 
 export const point = p => (p ? p.map(coordinate).join(", ") : "–");
 
-/** The same with fewer digits, for a table. */
+/** The same with four digits, for a table. */
 export const shortPoint = p => (p ? p.map(n => String(Number(n.toPrecision(4)))).join(", ") : "–");
 
-/** Many of them: 12.3 M. */
+/** Format a large number with a unit: 12.3 M. */
 export function many(n) {
   if (!Number.isFinite(n)) return "–";
   const units = [[1e9, " G"], [1e6, " M"], [1e3, " k"]];
@@ -52,7 +52,7 @@ export function seconds(n) {
   return n < 1 ? `${(n * 1000).toFixed(n < 0.1 ? 1 : 0)} ms` : `${n.toFixed(n < 10 ? 2 : 1)} s`;
 }
 
-/** A name in code as words: "ray_count" is "ray count". */
+/** Turn an identifier into words: "ray_count" becomes "ray count". */
 export const words = name => String(name).replaceAll("_", " ");
 
 export const capital = text => text.charAt(0).toUpperCase() + text.slice(1);

@@ -1,14 +1,14 @@
-// Pointers on the picture: drags orbit, pan and look, wheels and pinches zoom, taps pick.
+// Pointer gestures on the image: drags orbit, pan and look; wheels and pinches zoom; taps pick.
 
-const STILL = 5; // CSS pixels that a hand moves in a click
+const STILL = 5; // CSS pixels of movement within a click
 const LONGEST_TAP = 500;
 const DOUBLE = 280;
 
 export class Gestures {
   /**
-   * Handlers get shifts in picture heights and places as fractions of the picture: orbit(dx,
+   * Handlers receive shifts in image heights, and positions as fractions of the image: orbit(dx,
    * dy), pan(dx, dy), look(dx, dy), zoom(factor, x, y), tap(x, y), doubleTap(x, y);
-   * looking() says whether a plain drag looks about instead of orbiting.
+   * looking() decides whether a plain drag looks around instead of orbiting.
    */
   constructor(element, handlers) {
     this.element = element;
@@ -65,7 +65,7 @@ export class Gestures {
     this.pinch(event.pointerId, now, height);
   }
 
-  /** Two fingers: what lies below them stays below them. */
+  /** Two fingers: keep the points below them fixed. */
   pinch(id, now, height) {
     const [first, second] = [...this.pointers.keys()];
     if (id !== first && id !== second) return;
@@ -91,7 +91,7 @@ export class Gestures {
     this.tap(...this.place(event), event.timeStamp);
   }
 
-  /** One tap waits a little: another may follow. */
+  /** Delay a tap, in case a second one follows. */
   tap(x, y, time) {
     const last = this.lastTap;
     this.lastTap = null;
@@ -112,7 +112,7 @@ export class Gestures {
     event.preventDefault();
     const unit = [1, 16, 400][event.deltaMode] || 1;
     const amount = Math.max(-240, Math.min(event.deltaY * unit, 240));
-    // A pinch on a touch pad comes as a wheel with ctrl, in small amounts.
+    // A touchpad pinch arrives as a wheel event with ctrl, in small amounts.
     const factor = Math.exp(amount * (event.ctrlKey ? 0.01 : 0.0015));
     this.handlers.zoom(factor, ...this.place(event));
   }

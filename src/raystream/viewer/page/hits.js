@@ -1,4 +1,4 @@
-// The picked ray: every hit along it, and its walk through the structure.
+// The picked ray: all hits along it, and its walk through the structure.
 
 import {byId, make} from "./elements.js";
 import {capital, coordinate, count, number, point, shortPoint, words} from "./format.js";
@@ -41,7 +41,7 @@ function rayLines(message) {
   return list;
 }
 
-/** What a step did, in words. */
+/** Describe a step in words. */
 function stepLine(step) {
   const item = make("li");
   item.append(make("b", "", words(step.kernel)));
@@ -70,24 +70,24 @@ function walkPart(message) {
   const {walk} = message;
   const part = make("section", "walk", [make("h3", "", "Walk through the structure")]);
   if (!walk) {
-    const reason = message.walk_reason || "there is no walk to show";
+    const reason = message.walk_reason || "no walk available";
     part.append(make("p", "says", capital(reason) + "."), chips(message.counts));
     return part;
   }
   const way = walk.traversal ? `${walk.structure}, ${words(walk.traversal)}` : walk.structure;
-  part.append(make("p", "says", `The search for the nearest hit in ${way}, step by step.`));
+    part.append(make("p", "says", `Step-by-step search for the nearest hit in ${way}.`));
   part.append(chips(walk.counts), make("ol", "steps", walk.steps.map(stepLine)));
-  if (!walk.is_whole) part.append(make("p", "says", "… and more steps, which are left out."));
+  if (!walk.is_whole) part.append(make("p", "says", "… further steps omitted."));
   return part;
 }
 
-/** What the ray met in all. */
+/** Show the ray's counters. */
 function chips(counts) {
   const met = Object.entries(counts || {}).filter(([, n]) => n);
   return make("p", "chips", met.map(([name, n]) => make("span", "chip", `${words(name)} ${number(n)}`)));
 }
 
-/** The hits as text that a spreadsheet takes. */
+/** Format the hits as tab-separated text for spreadsheets. */
 export function hitsAsText(message) {
   const rows = message.hits.map(hit => [
     hit.t, hit.prim_id, hit.mesh_id, hit.mesh ?? "", hit.material ?? "", ...hit.position,
@@ -100,7 +100,7 @@ export function hitsAsText(message) {
 }
 
 export class HitsPanel {
-  /** `closed()` is called when the panel goes away. */
+  /** `closed()` is called when the panel is closed. */
   constructor({closed, copied}) {
     this.panel = byId("hits");
     this.closed = closed;
@@ -113,7 +113,7 @@ export class HitsPanel {
     return !this.panel.hidden;
   }
 
-  /** Show hits; the panel stands on the side where the picked place is not. */
+  /** Show hits, on the side opposite to the picked point. */
   show(message, place) {
     this.message = message;
     const {hits} = message;
@@ -123,7 +123,7 @@ export class HitsPanel {
     const body = byId("hits-body");
     const parts = [];
     if (hits.length) parts.push(hitTable(message));
-    else parts.push(make("p", "says", "The ray through this place meets no triangle."));
+    else parts.push(make("p", "says", "The ray through this pixel hits no triangle."));
     if (total > hits.length) parts.push(make("p", "says", `The nearest ${count(hits.length)} of ${count(total)}.`));
     body.replaceChildren(...parts, rayLines(message), walkPart(message));
     body.scrollTop = 0;
@@ -140,7 +140,7 @@ export class HitsPanel {
   }
 }
 
-/** Copy text, also on pages that browsers do not trust with the clipboard. */
+/** Copy text, also on pages without clipboard permission. */
 async function copy(text) {
   try {
     await navigator.clipboard.writeText(text);

@@ -1,6 +1,6 @@
-// Keys: some are held to walk, turn and zoom; others do one thing.
+// Keyboard: some keys are held to walk, turn and zoom; others trigger an action.
 
-// Right, up and ahead; then turns of the view and of the orbit, in picture heights a second.
+// Right, up and forward; then rotations of the view and of the orbit, in image heights per second.
 const HELD = {
   KeyW: {go: [0, 0, 1]}, KeyS: {go: [0, 0, -1]},
   KeyA: {go: [-1, 0, 0]}, KeyD: {go: [1, 0, 0]},
@@ -15,8 +15,8 @@ const TYPED = "input, select, textarea, [contenteditable]";
 
 export class Keys {
   /**
-   * Handlers: walk(going, fast), orbit(dx, dy), look(dx, dy), and press(key), which says
-   * whether it had a use for the key; the crosshair takes arrows while arrows(dx, dy) is true.
+   * Handlers: walk(going, fast), orbit(dx, dy), look(dx, dy), and press(key), which returns
+   * whether it handled the key; arrow keys move the crosshair while arrow(code) returns true.
    */
   constructor(handlers) {
     this.handlers = handlers;
@@ -28,7 +28,7 @@ export class Keys {
     document.addEventListener("visibilitychange", () => this.release());
   }
 
-  /** Keys are for the picture unless a field or a window in front has them. */
+  /** Whether a key is meant for the image, not for an input field or an open dialog. */
   isForUs(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.isComposing) return false;
     const target = event.target instanceof Element ? event.target : document.body;
@@ -42,9 +42,9 @@ export class Keys {
       event.preventDefault();
       return;
     }
-    // Elsewhere arrows scroll or choose, as people expect.
-    const atPicture = event.target === document.body || event.target.id === "picture";
-    if (event.code in HELD && (!arrow || atPicture)) {
+    // Elsewhere arrow keys scroll or select, as usual.
+    const atImage = event.target === document.body || event.target.id === "picture";
+    if (event.code in HELD && (!arrow || atImage)) {
       event.preventDefault();
       this.fast = event.shiftKey;
       this.held.add(event.code);

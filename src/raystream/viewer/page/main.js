@@ -1,6 +1,6 @@
-// The page: puts its parts together, and speaks with the server.
+// Main: assembles the page, and communicates with the server.
 
-import * as address from "./address.js";
+import * as urlState from "./url_state.js";
 import {Connection} from "./connection.js";
 import {byId} from "./elements.js";
 import {Figures} from "./figures.js";
@@ -10,13 +10,13 @@ import {Keys} from "./keys.js";
 import {Models} from "./models.js";
 import {Panels} from "./panels.js";
 import {Picking} from "./picking.js";
-import {Picture} from "./picture.js";
-import {Pilot} from "./pilot.js";
+import {FrameCanvas} from "./frame_canvas.js";
+import {CameraController} from "./camera_controller.js";
 import {Settings} from "./settings.js";
 import {Toasts} from "./toasts.js";
 import {look, lookAt, orbit, pan, toCamera, zoom} from "./view.js";
 import {Views} from "./views.js";
-import {Work} from "./work.js";
+import {ProgressBar} from "./progress.js";
 
 const WRITE_DELAY = 250; // ms
 const KEPT_VIEWS = 64;
@@ -24,54 +24,54 @@ const KEPT_VIEWS = 64;
 const toasts = new Toasts(byId("toasts"));
 const panels = new Panels();
 const figures = new Figures();
-const seen = new Map(); // views by the numbers of their cameras
-let wanted = address.read(location.hash); // what the next scene is to be seen with
+const seen = new Map(); // views by camera number
+let wanted = urlState.read(location.hash); // state to restore with the next scene
 let line = null;
-let isWelcome = false; // hello has come
+let isWelcome = false; // hello has been received
 let screenshots = 0;
 let writing = null;
 
 const send = message => line !== null && isWelcome && line.send(message);
 
-const pilot = new Pilot({
+const controller = new CameraController({
   send(message) {
-    seen.set(message.number, pilot.view);
+    seen.set(message.number, controller.view);
     if (seen.size > KEPT_VIEWS) seen.delete(seen.keys().next().value);
     send(message);
   },
   changed: () => writeAddress(),
 });
-const picture = new Picture(byId("picture"), (header, isDrawn) => {
+const frameCanvas = new FrameCanvas(byId("picture"), (header, isDrawn) => {
   send({type: "shown", frame: header.number});
   if (isDrawn) byId("stage").dataset.frame = header.number;
-  // A picture that was there before its camera was numbered is the view's all the same.
-  const view = seen.get(header.camera) || pilot.view;
+  // A frame from before its camera was numbered belongs to the current view.
+  const view = seen.get(header.camera) || controller.view;
   if (isDrawn && view) picking.follow(view);
   figures.drew(header, isDrawn);
 });
-const views = new Views(pilot, picture, (width, height) => send({type: "size", width, height}));
+const views = new Views(controller, frameCanvas, (width, height) => send({type: "size", width, height}));
 const settings = new Settings(byId("settings"), changed => {
   send({type: "settings", ...changed});
   writeAddress();
 });
 const panel = new HitsPanel({
   closed: () => picking.clear(),
-  copied: done => (done ? toasts.show("The hits are on the clipboard.") : toasts.error("This browser does not let pages copy.")),
+  copied: done => (done ? toasts.show("The hits were copied to the clipboard.") : toasts.error("This browser does not allow pages to copy.")),
 });
 const picking = new Picking({
   ask(message) {
-    if (send(message)) work.show("ray", "Following the ray", undefined);
+    if (send(message)) work.show("ray", "Tracing the ray", undefined);
   },
   picked: (message, place) => panel.show(message, place),
-  centre: point => pilot.view && pilot.go(lookAt(pilot.view, point)),
-  missed: () => toasts.show("There is nothing to orbit about at this place."),
+  centre: point => controller.view && controller.go(lookAt(controller.view, point)),
+  missed: () => toasts.show("Nothing to orbit around at this point."),
 });
-const work = new Work(() => models.cancel());
+const work = new ProgressBar(() => models.cancel());
 const models = new Models({send, error: text => toasts.error(text)}, work);
 
-/** The user moves: no camera of the scene's any more. */
+/** The user moves the camera: the view is no longer one of the scene's cameras. */
 function fly(how) {
-  pilot.change(how);
+  controller.change(how);
   views.mark();
 }
 
@@ -80,7 +80,7 @@ new Gestures(byId("picture"), {
   pan: (dx, dy) => fly(view => pan(view, dx, dy)),
   look: (dx, dy) => fly(view => look(view, dx, dy)),
   zoom: (factor, x, y) => fly(view => zoom(view, factor, x, y)),
-  looking: () => pilot.isWalking,
+  looking: () => controller.isWalking,
   tap: (x, y) => picking.pick(x, y),
   doubleTap: (x, y) => picking.pick(x, y, true),
 });
@@ -112,8 +112,8 @@ function closeOne() {
 
 new Keys({
   walk: (going, fast) => {
-    pilot.walk(going, fast);
-    if (pilot.isWalking) views.mark();
+    controller.walk(going, fast);
+    if (controller.isWalking) views.mark();
   },
   orbit: (dx, dy) => fly(view => orbit(view, dx, dy)),
   look: (dx, dy) => fly(view => look(view, dx, dy)),
@@ -154,12 +154,12 @@ function saveScreenshot(header, bytes) {
 function writeAddress() {
   clearTimeout(writing);
   writing = setTimeout(() => {
-    if (!views.scene || !pilot.view) return;
+    if (!views.scene || !controller.view) return;
     const said = {
-      scene: views.scene.name, camera: toCamera(pilot.view), settings: settings.chosen,
+      scene: views.scene.name, camera: toCamera(controller.view), settings: settings.chosen,
       size: views.choice,
     };
-    history.replaceState(null, "", address.write(said));
+    history.replaceState(null, "", urlState.write(said));
   }, WRITE_DELAY);
 }
 
@@ -174,7 +174,7 @@ const ANSWERS = {
     settings.offer(message);
     settings.restore(wanted.settings);
     views.chooseSize(wanted.size);
-    const {width, height} = picture.canvas;
+    const {width, height} = frameCanvas.canvas;
     send({type: "size", width, height});
     send({type: "pause", paused: document.hidden});
     models.again();
@@ -215,11 +215,11 @@ const ANSWERS = {
   },
 };
 
-/** What is lost with the connection comes back with the next one. */
+/** Remember the state of a lost connection, to restore it with the next one. */
 function lose(seconds, reason) {
   if (isWelcome && views.scene) {
     wanted = {
-      scene: views.scene.name, camera: toCamera(pilot.view), settings: {...settings.chosen},
+      scene: views.scene.name, camera: toCamera(controller.view), settings: {...settings.chosen},
       size: views.choice,
     };
   }
@@ -227,7 +227,7 @@ function lose(seconds, reason) {
   models.uploads.cancel();
   work.clear();
   const why = reason ? ` (${reason})` : "";
-  const text = `No connection to raystream${why}. Trying again in ${Math.ceil(seconds)} s.`;
+  const text = `No connection to raystream${why}. Retrying in ${Math.ceil(seconds)} s.`;
   byId("banner-text").textContent = text;
   byId("banner").hidden = false;
 }
@@ -237,7 +237,7 @@ document.addEventListener("visibilitychange", () => {
   if (!document.hidden) line.retry();
 });
 addEventListener("hashchange", () => {
-  const said = address.read(location.hash);
+  const said = urlState.read(location.hash);
   if (!views.scene) return;
   if (said.camera) views.begin(said.camera);
   settings.restore(said.settings);
@@ -250,9 +250,9 @@ live.hash = "";
 line = new Connection(live, {
   open() {},
   text: message => (ANSWERS[message.type] || (() => {}))(message),
-  picture(header, bytes) {
+  image(header, bytes) {
     if (header.type === "screenshot") saveScreenshot(header, bytes);
-    else picture.take(header, bytes);
+    else frameCanvas.take(header, bytes);
   },
   lost: lose,
 });

@@ -1,10 +1,10 @@
-// Models: files that people drop or choose, and the way back to the first scene.
+// Models: files that the user drops or opens, and the way back to the initial scene.
 
 import {byId} from "./elements.js";
 import {droppedFiles, Uploads} from "./uploads.js";
 
 export class Models {
-  /** Handlers: send(message), error(text); `work` shows how far it is. */
+  /** Handlers: send(message), error(text); `work` shows the progress. */
   constructor(handlers, work) {
     this.handlers = handlers;
     this.work = work;
@@ -59,7 +59,7 @@ export class Models {
     this.handlers.send({type: "open", upload, name});
   }
 
-  /** A scene came, or an error in its place. */
+  /** A scene has arrived, or an error instead. */
   loaded(scene) {
     if (scene) byId("first-scene").hidden = !scene.own;
     if (scene && !scene.own) this.files = null;
@@ -81,7 +81,7 @@ export class Models {
     this.handlers.send({type: "home"});
   }
 
-  /** After a lost connection: what was open goes to the server again. */
+  /** After a lost connection: upload the open model again. */
   again() {
     if (this.files) this.take(this.files);
   }

@@ -1,4 +1,4 @@
-// Panels: the controls, which are a sheet on small screens, and the help.
+// Panels: the controls, which become a sheet on small screens, and the help.
 
 import {byId} from "./elements.js";
 
@@ -41,7 +41,7 @@ export class Panels {
     if (!this.help.open) this.help.showModal();
   }
 
-  /** Close what lies over the picture; false if nothing does. */
+  /** Close the topmost panel over the image; false if there is none. */
   close() {
     if (!small.matches || !this.areOpen) return false;
     this.showControls(false);

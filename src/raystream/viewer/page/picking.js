@@ -1,4 +1,4 @@
-// Picking: asks for the ray through a place, marks what it hits, and moves the crosshair.
+// Picking: requests the ray through a pixel, marks its first hit, and moves the crosshair.
 
 import {byId} from "./elements.js";
 import {add, length, scale} from "./vector.js";
@@ -10,7 +10,7 @@ const LONG_STEP = 0.05;
 export class Picking {
   /**
    * Handlers: ask(message), picked(message, place) for the panel, centre(point), and
-   * missed() where there is nothing to orbit about.
+   * missed() if there is nothing to orbit around.
    */
   constructor(handlers) {
     this.handlers = handlers;
@@ -24,7 +24,7 @@ export class Picking {
     this.canvas = byId("picture");
   }
 
-  /** Ask for the ray through a place of the picture: for its hits, or for a new centre. */
+  /** Request the ray through a point of the image: for its hits, or for a new orbit centre. */
   pick(x, y, forCentre = false) {
     if (!(x >= 0 && x <= 1 && y >= 0 && y <= 1)) return;
     this.number += 1;
@@ -32,7 +32,7 @@ export class Picking {
     this.handlers.ask({type: "pick", number: this.number, x, y});
   }
 
-  /** The answer. */
+  /** Handle the response. */
   take(message) {
     const asked = this.asked.get(message.number);
     this.asked.delete(message.number);
@@ -43,7 +43,7 @@ export class Picking {
       else this.handlers.missed();
       return;
     }
-    if (message.number !== this.number) return; // a newer one is on its way
+    if (message.number !== this.number) return; // a newer one is pending
     this.point = first ? first.position : this.farPoint(message);
     this.marker.classList.toggle("empty", !first);
     this.mark();
@@ -55,7 +55,7 @@ export class Picking {
     return add(origin, scale(direction, 10 * size / (length(direction) || 1)));
   }
 
-  /** The view of what is on the canvas now. */
+  /** Set the view of the frame on the canvas. */
   follow(view) {
     this.view = view;
     this.mark();
@@ -89,7 +89,7 @@ export class Picking {
     if (shown) this.put(this.crosshair, this.aim);
   }
 
-  /** Move the crosshair with an arrow key; false if it is not there. */
+  /** Move the crosshair with an arrow key; false if it is hidden. */
   arrow(code, isLong) {
     if (!this.isAiming) return false;
     const step = isLong ? LONG_STEP : STEP;

@@ -1,4 +1,4 @@
-// The settings' form: shows what is in effect, sends what people change.
+// The settings form: shows the effective settings, and sends the user's changes.
 
 import {fillSelect} from "./elements.js";
 import {capital, number, words} from "./format.js";
@@ -12,14 +12,14 @@ const STRUCTURE_NAMES = {
 const DEVICE_NAMES = {cpu: "CPU", cuda: "CUDA", graphics: "Graphics"};
 
 export class Settings {
-  /** `changed(settings)` is called with what the user changed, by name. */
+  /** `changed(settings)` is called with the user's changes, by name. */
   constructor(form, changed) {
     this.form = form;
     this.changed = changed;
     this.hello = null;
     this.current = {};
     this.chosen = {};
-    this.typed = new Set(); // fields in which somebody is writing
+    this.typed = new Set(); // fields being edited
     form.addEventListener("submit", event => event.preventDefault());
     form.addEventListener("input", event => this.typed.add(event.target.name));
     form.addEventListener("focusout", event => this.typed.delete(event.target.name));
@@ -34,7 +34,7 @@ export class Settings {
     return this.form.elements.namedItem(name);
   }
 
-  /** What there is to choose from. */
+  /** Fill the menus. */
   offer(hello) {
     this.hello = hello;
     const names = (list, say = name => name) =>
@@ -51,7 +51,7 @@ export class Settings {
     this.field("samples").max = hello.limits.samples;
   }
 
-  /** Which devices there are; whether they can be used is known a moment after the rest. */
+  /** Fill the device menu; availability is known a moment after the rest. */
   offerDevices(devices) {
     const field = this.field("device");
     const {value} = field;
@@ -61,14 +61,14 @@ export class Settings {
       const option = [...field.options].find(one => one.value === name);
       option.disabled = available === false;
       option.title = reason || "";
-      if (available === false) option.textContent += " (not here)";
+      if (available === false) option.textContent += " (unavailable)";
     }
     const reasons = devices.filter(one => one.available === false && one.reason);
     field.title = reasons.map(one => `${one.name}: ${one.reason}`).join("\n");
     if (value) field.value = value;
   }
 
-  /** What is in effect. */
+  /** Show the effective settings. */
   show(settings) {
     this.current = settings;
     const possible = settings.possible || {};
@@ -95,11 +95,11 @@ export class Settings {
     this.offerField("max_bounces", possible.max_bounces ?? true);
     for (const name of ["samples", "tone", "exposure"]) {
       this.field(name).disabled = hot;
-      this.field(name).title = hot ? "Not with a heat map" : "";
+      this.field(name).title = hot ? "Not available with a heat map" : "";
     }
   }
 
-  /** Fields without a meaning for the other choices are not there. */
+  /** Hide fields that do not apply to the other settings. */
   offerField(name, meaningful) {
     const field = this.field(name);
     field.disabled = !meaningful;
@@ -128,9 +128,9 @@ export class Settings {
     this.choose({[name]: value});
   }
 
-  /** Ask for settings, and remember that the user wants them. */
+  /** Request settings, and remember them as the user's choice. */
   choose(settings) {
-    // What hangs on another choice is chosen anew with it.
+    // Dependent settings are reset.
     if ("structure" in settings) delete this.chosen.traversal;
     if ("device" in settings) delete this.chosen.machine;
     if ("device" in settings || "machine" in settings) delete this.chosen.scheduler;
@@ -138,7 +138,7 @@ export class Settings {
     this.changed(settings);
   }
 
-  /** Ask for what an address or a lost connection remembers, as far as there is such a thing. */
+  /** Request the settings remembered in a URL or from a lost connection, as far as they exist. */
   restore(settings) {
     const kept = {};
     for (const [name, value] of Object.entries(settings)) {
@@ -153,7 +153,7 @@ export class Settings {
     if (Object.keys(kept).length) this.choose(kept);
   }
 
-  /** A choice could not be had: what is in effect stays. */
+  /** Drop choices that the server has rejected. */
   refuse(settings) {
     for (const name of Object.keys(this.chosen)) {
       if (settings[name] === undefined) continue;

@@ -1,4 +1,4 @@
-// How many pixels the picture has, and how large it is on the screen.
+// The resolution of the image, and its size on the screen.
 
 const LEAST = 16;
 const DENSEST = 2;
@@ -16,8 +16,8 @@ export const SIZES = [
 export const isSize = name => SIZES.some(([known]) => known === name);
 
 /**
- * Pixels of the picture and its size on the screen, in CSS pixels, in a stage of some size.
- * Limits are those of the server: width, height and pixels together.
+ * Compute the image's resolution and its size in CSS pixels for a stage size. Limits are those
+ * of the server: width, height and total pixels.
  */
 export function sizeFor(choice, stage, density, limits) {
   const fixed = /^(\d+)x(\d+)$/.exec(choice);

@@ -1,4 +1,4 @@
-// Toasts: short messages that leave by themselves, and are read out.
+// Toasts: short messages that disappear on their own, and are read by screen readers.
 
 const LIFE = 7000;
 const MOST = 4;
@@ -8,7 +8,7 @@ export class Toasts {
     this.list = list;
   }
 
-  /** Show a line; an error stays longer. */
+  /** Show a message; errors stay longer. */
   show(text, kind = "note") {
     for (const old of this.list.children) {
       if (old.firstChild.textContent === text) old.remove();

@@ -1,10 +1,10 @@
-// Uploads: files of a model go to the server, one after another, and are opened there.
+// Uploads: sends the files of a model to the server, one at a time, and opens the model there.
 
 const MODELS = [".gltf", ".glb", ".obj", ".ply", ".stl", ".off", ".aff", ".nff"];
 
 const bare = name => name.toLowerCase().replace(/\.gz$/, "");
 
-/** The file to open of several: the first model, in the order of kinds above. */
+/** Choose the file to open: the first model, in the order of formats above. */
 export function modelOf(names) {
   for (const suffix of MODELS) {
     const found = names.find(name => bare(name).endsWith(suffix));
@@ -21,8 +21,8 @@ function newName() {
 
 export class Uploads {
   /**
-   * Handlers: progress(text, share), ended(), opened(upload, name), error(text). `key` is what
-   * hello said, `limit` the bytes an upload may have.
+   * Handlers: progress(text, share), ended(), opened(upload, name), error(text). `key` is the
+   * upload key from hello, `limit` the maximum bytes of an upload.
    */
   constructor(handlers) {
     this.handlers = handlers;
@@ -36,19 +36,19 @@ export class Uploads {
     return this.request !== null;
   }
 
-  /** Send files and open the model among them; one at a time. */
+  /** Upload files and open the model among them; one upload at a time. */
   async send(files) {
     const model = modelOf(files.map(file => file.name));
     if (!model) {
-      const what = files.length === 1 ? `${files[0].name} is no model` : "There is no model among these files";
-      this.handlers.error(`${what}: choose one of ${MODELS.join(" ")}, with its materials and textures.`);
+      const what = files.length === 1 ? `${files[0].name} is not a model` : "No model among these files";
+      this.handlers.error(`${what}: choose a file of ${MODELS.join(" ")}, with its materials and textures.`);
       return false;
     }
     const total = files.reduce((sum, file) => sum + file.size, 0);
     if (total > this.limit) {
       const megabytes = bytes => Math.round(bytes / 2 ** 20).toLocaleString("en");
       this.handlers.error(
-        `${model}: ${megabytes(total)} MiB is more than this viewer takes (${megabytes(this.limit)} MiB).`);
+        `${model}: ${megabytes(total)} MiB exceeds this viewer's limit of ${megabytes(this.limit)} MiB.`);
       return false;
     }
     this.cancel();
@@ -59,7 +59,7 @@ export class Uploads {
       for (const file of files) {
         await this.put(upload, file, loaded => {
           const share = total ? Math.min((done + loaded) / total, 1) : 1;
-          this.handlers.progress(`Sending ${file.name}`, share);
+          this.handlers.progress(`Uploading ${file.name}`, share);
         });
         done += file.size;
         if (turn !== this.turn) return false;
@@ -93,7 +93,7 @@ export class Uploads {
         if (request.status < 300) resolve();
         else reject(new Error(refusal(file, request)));
       });
-      request.onerror = () => end(() => reject(new Error(`${file.name} could not be sent: the connection broke.`)));
+      request.onerror = () => end(() => reject(new Error(`${file.name} could not be uploaded: connection lost.`)));
       request.onabort = () => end(() => reject(new Error("")));
       progress(0);
       request.send(file);
@@ -111,10 +111,10 @@ export class Uploads {
 function refusal(file, request) {
   const text = request.responseText.trim();
   const said = text.length < 400 && !text.startsWith("<") ? text : "";
-  return `${file.name} was not taken: ${said || `the server answered ${request.status}`}`;
+  return `${file.name} was rejected: ${said || `the server answered ${request.status}`}`;
 }
 
-/** The files of a drop, those in folders too. */
+/** List the files of a drop, including those in folders. */
 export async function droppedFiles(transfer) {
   const entries = Array.from(transfer.items || [])
     .map(item => (item.webkitGetAsEntry ? item.webkitGetAsEntry() : null))

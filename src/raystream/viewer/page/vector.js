@@ -1,4 +1,4 @@
-// Vectors of three numbers, as arrays.
+// Vectors of three numbers, stored as arrays.
 
 export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 export const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
@@ -13,7 +13,7 @@ export const cross = (a, b) => [
   a[0] * b[1] - a[1] * b[0],
 ];
 
-/** Scale to length 1; a zero vector becomes `otherwise`. */
+/** Normalize; a zero vector becomes `otherwise`. */
 export function unit(a, otherwise = [0, 0, 1]) {
   const size = length(a);
   return size > 0 && Number.isFinite(size) ? scale(a, 1 / size) : otherwise;

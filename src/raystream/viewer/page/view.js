@@ -1,11 +1,12 @@
-// A view: where the eye is, said so that it can be turned without flipping over.
+// A view: a camera parametrized so that it can be rotated without flipping over.
 //
 // {world, target, yaw, pitch, roll, distance, fov, projection, height, aspect}: the eye is
-// `distance` away from the target, toward angles about the world's up; roll turns the picture.
-// Angles are radians, fov is degrees from top to bottom, height is what an orthographic picture
-// shows, aspect is its width over its height. A picture narrower than 4 : 3 shows more above and
-// below instead of less at the sides. All functions give a new view. Shifts on the screen are in
-// picture heights, places are fractions of the picture from its upper left corner.
+// `distance` away from the target, in the direction of angles around the world's up; roll rotates
+// the image. Angles are in radians, fov is the vertical field of view in degrees, height is the
+// vertical extent of an orthographic image, aspect is width over height. An image narrower than
+// 4 : 3 shows more above and below instead of less at the sides. All functions return a new view.
+// Shifts on the screen are in image heights, positions are fractions of the image from its
+// upper left corner.
 
 import {add, cross, dot, length, mix, scale, subtract, unit} from "./vector.js";
 
@@ -16,7 +17,7 @@ const WIDEST_SLOPE = Math.tan(85 * RADIANS);
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-/** Axes of a world: up, front (toward the viewer of a front view) and right. */
+/** Make the axes of a world: up, front (toward the viewer of a front view) and right. */
 export function worldOf(up, size = 1) {
   up = unit(up, [0, 1, 0]);
   const toward = Math.abs(up[1]) >= Math.abs(up[2]) ? [0, 0, 1] : [0, -1, 0];
@@ -24,7 +25,7 @@ export function worldOf(up, size = 1) {
   return {up, right, front: cross(right, up), size: size > 0 ? size : 1};
 }
 
-/** The world's up, where only a camera's is known: the axis next to it, or the one itself. */
+/** Guess the world's up from a camera's: the nearest axis, or the vector itself. */
 export function likelyUp(up) {
   up = unit(up, [0, 1, 0]);
   const [y, z] = [Math.abs(up[1]), Math.abs(up[2])];
@@ -32,7 +33,7 @@ export function likelyUp(up) {
   return y >= z ? [0, Math.sign(up[1]), 0] : [0, 0, Math.sign(up[2])];
 }
 
-/** Axes of the picture: toward the eye, right and up. */
+/** Compute the axes of the image: back (toward the eye), right and up. */
 export function axesOf(view) {
   const {up, front, right} = view.world;
   const [sine, cosine] = [Math.sin(view.yaw), Math.cos(view.yaw)];
@@ -50,7 +51,7 @@ export function axesOf(view) {
 
 export function eyeOf(view) {
   const eye = add(view.target, scale(axesOf(view).back, view.distance));
-  const nothing = 1e-12 * view.world.size; // what cosines of right angles leave
+  const nothing = 1e-12 * view.world.size; // rounding error of cosines at right angles
   return eye.map(part => (Math.abs(part) < nothing ? 0 : part));
 }
 
@@ -58,7 +59,7 @@ const widened = view => Math.max(1, FULL_ASPECT / view.aspect);
 const nominalSlope = view => Math.tan(view.fov * RADIANS / 2);
 const slopeOf = view => Math.min(nominalSlope(view) * widened(view), WIDEST_SLOPE);
 
-/** The camera of a view, whatever the shape of the picture. */
+/** Convert a view to a camera, independent of the image's shape. */
 export function toCamera(view) {
   const camera = {
     eye: eyeOf(view), look_at: view.target, up: axesOf(view).up,
@@ -68,7 +69,7 @@ export function toCamera(view) {
   return camera;
 }
 
-/** The camera for a picture of the view's shape: what the server is told. */
+/** Convert a view to a camera for an image of the view's shape, as sent to the server. */
 export function toShapedCamera(view) {
   const camera = {...toCamera(view), fov: 2 * Math.atan(slopeOf(view)) / RADIANS};
   if (view.projection === "orthographic") camera.height = heightAt(view);
@@ -94,7 +95,7 @@ export function fromCamera(camera, world, aspect = FULL_ASPECT) {
   return {...view, roll: Math.abs(roll) < 1e-6 ? 0 : roll};
 }
 
-/** World units from top to bottom of the picture, at the target. */
+/** World units from top to bottom of the image, at the target. */
 export function heightAt(view) {
   if (view.projection === "orthographic") return view.height * widened(view);
   return 2 * view.distance * slopeOf(view);
@@ -108,7 +109,7 @@ export function orbit(view, dx, dy) {
   };
 }
 
-/** Turn about the eye, so that what is in view follows the pointer. */
+/** Rotate around the eye, so that the image follows the pointer. */
 export function look(view, dx, dy) {
   const eye = eyeOf(view);
   const angle = 2 * Math.atan(slopeOf(view));
@@ -120,7 +121,7 @@ export function look(view, dx, dy) {
   return {...turned, target: subtract(eye, scale(axesOf(turned).back, view.distance))};
 }
 
-/** Look at a point from where the eye is, which is then the centre of orbits. */
+/** Turn toward a point without moving the eye; the point becomes the centre of orbits. */
 export function lookAt(view, point) {
   const camera = toCamera(view);
   const distance = length(subtract(camera.eye, point));
@@ -136,7 +137,7 @@ export function pan(view, dx, dy) {
   return {...view, target: add(view.target, shift)};
 }
 
-/** The point at a place of the picture, in the plane of the target. */
+/** Find the point at a position in the image, in the plane of the target. */
 export function pointAt(view, x, y) {
   const axes = axesOf(view);
   const height = heightAt(view);
@@ -144,7 +145,7 @@ export function pointAt(view, x, y) {
   return add(view.target, add(across, scale(axes.up, (0.5 - y) * height)));
 }
 
-/** Nearer by a factor below 1, or farther; what is at a place of the picture stays there. */
+/** Zoom in by a factor below 1, or out; the point at a position in the image stays fixed. */
 export function zoom(view, factor, x = 0.5, y = 0.5) {
   const flat = view.projection === "orthographic";
   const size = flat ? view.height : view.distance;
@@ -157,14 +158,14 @@ export function zoom(view, factor, x = 0.5, y = 0.5) {
   return {...view, target, distance, height: view.height * kept};
 }
 
-/** Go right, up (the world's) and ahead, by world units. */
+/** Move right, up (the world's) and forward, by world units. */
 export function walk(view, right, up, ahead) {
   const axes = axesOf(view);
   const shift = add(scale(axes.right, right), scale(axes.back, -ahead));
   return {...view, target: add(view.target, add(shift, scale(view.world.up, up)))};
 }
 
-/** Fill the picture with a box, seen from where the view looks now. */
+/** Frame a box in the current viewing direction. */
 export function frame(view, low, high) {
   const target = mix(low, high, 0.5);
   const axes = axesOf(view);
@@ -190,13 +191,13 @@ export function frame(view, low, high) {
 
 const SIDES = {front: [0, 0], right: [STEEPEST, 0], top: [0, STEEPEST]};
 
-/** Turn to "front", "right" or "top". */
+/** Rotate to "front", "right" or "top". */
 export function facing(view, side) {
   const [yaw, pitch] = SIDES[side];
   return {...view, yaw, pitch, roll: 0};
 }
 
-/** Another projection that shows as much at the target. */
+/** Change the projection, keeping the extent at the target. */
 export function projected(view, projection) {
   if (projection === view.projection) return view;
   if (view.projection === "orthographic") {
@@ -205,7 +206,7 @@ export function projected(view, projection) {
   return {...view, projection, height: 2 * view.distance * nominalSlope(view)};
 }
 
-/** Where a point is in the picture, as [x, y]; null behind the eye. */
+/** Project a point into the image, as [x, y]; null behind the eye. */
 export function place(view, point) {
   if (view.projection === "equirectangular") return null;
   const axes = axesOf(view);
@@ -222,7 +223,7 @@ export function place(view, point) {
   ];
 }
 
-/** A view on the way from one to another, which lie in the same world. */
+/** Interpolate between two views of the same world. */
 export function between(from, to, share) {
   const turn = (to.yaw - from.yaw) % (2 * Math.PI);
   const shortest = turn - 2 * Math.PI * Math.round(turn / (2 * Math.PI));

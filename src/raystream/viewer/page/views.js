@@ -1,4 +1,4 @@
-// Views: the scene's cameras, the usual sides, projections, and the picture's size.
+// Views: the scene's cameras, standard views, projections, and the image size.
 
 import {byId, fillSelect} from "./elements.js";
 import {isSize, SIZES, sizeFor} from "./size.js";
@@ -10,10 +10,10 @@ const OWN = "own";
 const FREE = "free";
 
 export class Views {
-  /** `resized(width, height)` is called when the picture's pixels change. */
-  constructor(pilot, picture, resized) {
-    this.pilot = pilot;
-    this.picture = picture;
+  /** `resized(width, height)` is called when the image resolution changes. */
+  constructor(controller, frameCanvas, resized) {
+    this.controller = controller;
+    this.frameCanvas = frameCanvas;
     this.resized = resized;
     this.scene = null;
     this.limits = LIMITS;
@@ -30,7 +30,7 @@ export class Views {
     new ResizeObserver(() => this.fit()).observe(byId("stage"));
   }
 
-  /** A scene is there: its world and its cameras. */
+  /** Set up a new scene: its world and its cameras. */
   take(scene) {
     this.scene = scene;
     const size = length(subtract(scene.high, scene.low));
@@ -40,25 +40,25 @@ export class Views {
   }
 
   viewOf(camera) {
-    const {canvas} = this.picture;
+    const {canvas} = this.frameCanvas;
     return fromCamera(camera, this.world, canvas.width / canvas.height);
   }
 
-  /** Show which of the cameras the view is. */
+  /** Select the camera that matches the view. */
   mark(which = FREE) {
     byId("camera").value = which;
-    if (this.pilot.view) byId("projection").value = this.pilot.view.projection;
+    if (this.controller.view) byId("projection").value = this.controller.view.projection;
   }
 
   begin(camera) {
-    this.pilot.set(this.viewOf(camera || this.scene.camera));
+    this.controller.set(this.viewOf(camera || this.scene.camera));
     this.mark(camera ? FREE : OWN);
   }
 
   toCamera(which) {
     if (!this.scene || which === FREE) return;
     const camera = which === OWN ? this.scene.camera : this.scene.cameras[Number(which)];
-    this.pilot.go(this.viewOf(camera));
+    this.controller.go(this.viewOf(camera));
     byId("camera").value = which;
     byId("projection").value = camera.projection || "perspective";
   }
@@ -69,25 +69,25 @@ export class Views {
 
   frameAll() {
     if (!this.scene) return;
-    this.pilot.go(frame(this.pilot.view, this.scene.low, this.scene.high));
+    this.controller.go(frame(this.controller.view, this.scene.low, this.scene.high));
     this.mark();
   }
 
   side(name) {
     if (!this.scene) return;
-    const turned = facing(this.pilot.view, name);
-    this.pilot.go(frame(turned, this.scene.low, this.scene.high));
+    const turned = facing(this.controller.view, name);
+    this.controller.go(frame(turned, this.scene.low, this.scene.high));
     this.mark();
   }
 
   project(projection) {
     if (!this.scene) return;
-    this.pilot.set(projected(this.pilot.view, projection));
+    this.controller.set(projected(this.controller.view, projection));
     this.mark();
   }
 
   otherProjection() {
-    const {projection} = this.pilot.view || {};
+    const {projection} = this.controller.view || {};
     this.project(projection === "orthographic" ? "perspective" : "orthographic");
   }
 
@@ -97,20 +97,20 @@ export class Views {
     this.fit();
   }
 
-  /** Fit the picture into the stage. */
+  /** Fit the image into the stage. */
   fit() {
     const stage = byId("stage");
     const room = {width: stage.clientWidth, height: stage.clientHeight};
     if (!room.width || !room.height) return;
     const {width, height, shown} = sizeFor(this.choice, room, devicePixelRatio, this.limits);
-    const {canvas} = this.picture;
+    const {canvas} = this.frameCanvas;
     canvas.style.width = `${shown[0]}px`;
     canvas.style.height = `${shown[1]}px`;
     if (canvas.width === width && canvas.height === height) return;
-    this.picture.resize(width, height);
+    this.frameCanvas.resize(width, height);
     this.resized(width, height);
-    if (!this.pilot.view) return;
-    this.pilot.view = {...this.pilot.view, aspect: width / height};
-    this.pilot.rest();
+    if (!this.controller.view) return;
+    this.controller.view = {...this.controller.view, aspect: width / height};
+    this.controller.rest();
   }
 }

@@ -1,1 +1,1 @@
-"""The viewer's server: one page, one websocket, one place for uploads, and who may use them."""
+"""The viewer's server: one page, one websocket, one upload route, and access control."""

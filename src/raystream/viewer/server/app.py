@@ -1,4 +1,4 @@
-"""App: the routes of the viewer, and nothing beside them."""
+"""App: the routes of the viewer."""
 
 from __future__ import annotations
 
@@ -12,49 +12,49 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from raystream.viewer.server.access import Access
+from raystream.viewer.server.connections import Connections
 from raystream.viewer.server.guard import Guard
-from raystream.viewer.server.pages import INDEX, read_page_files
-from raystream.viewer.server.socket import live
+from raystream.viewer.server.page_files import INDEX, read_page_files
 from raystream.viewer.server.uploads import receive_upload
-from raystream.viewer.server.visits import Visits
+from raystream.viewer.server.websocket import serve_connection
 
 if TYPE_CHECKING:
-    from raystream.viewer.studio import Studio
+    from raystream.viewer.render_service import RenderService
 
 __all__ = ["make_app"]
 
 
-def make_app(studio: Studio, visits: Visits, access: Access) -> ASGIApp:
-    """Make the application.
+def make_app(service: RenderService, connections: Connections, access: Access) -> ASGIApp:
+    """Create the application.
 
     Parameters
     ----------
-    studio : Studio
-        What renders.
-    visits : Visits
-        Who is connected.
+    service : RenderService
+        The render service.
+    connections : Connections
+        The live connections.
     access : Access
-        Who may be.
+        The access rules.
 
     Returns
     -------
     ASGI application
         ``GET /``, ``GET /page/NAME``, ``PUT /uploads/ID/NAME`` and the websocket ``/live``;
-        whatever else is asked for is not there.
+        everything else is 404.
     """
     files = read_page_files()
 
     async def page(request: Request) -> Response:
         file = files.get(request.path_params.get("name", INDEX))
         if file is None:
-            return PlainTextResponse("there is no such page\n", 404)
+            return PlainTextResponse("page not found\n", 404)
         return Response(file.content, media_type=file.media_type)
 
     async def upload(request: Request) -> Response:
-        return await receive_upload(request, visits)
+        return await receive_upload(request, connections)
 
     async def socket(websocket: WebSocket) -> None:
-        await live(websocket, studio, visits)
+        await serve_connection(websocket, service, connections)
 
     routes = [
         Route("/", page, methods=["GET"]),

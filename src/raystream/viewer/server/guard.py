@@ -1,4 +1,4 @@
-"""Guard: asked before everything else, whether a request may be answered at all."""
+"""Guard: checks every request before the application sees it."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from raystream.viewer.server.access import Access
 
 __all__ = ["Guard"]
 
-#: The page has no inline scripts and styles, and nothing from other hosts.
+#: Content policy: no inline scripts or styles, and nothing from other hosts.
 _CONTENT = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self'; font-src 'self'; manifest-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors "
 )
 
-#: Notebooks on this machine, in a browser or in an editor.
+#: Notebooks on this machine, in a browser or in an editor, that may frame the page.
 _NOTEBOOKS = (
     "'self' http://localhost:* http://127.0.0.1:* https://localhost:* https://127.0.0.1:* "
     "vscode-webview: vscode-file:"
 )
 
-#: After the token was right. A redirect would not do: a browser that comes by a link from
-#: another site sends no strict cookie along a redirect, but does when this page asks for the next.
-_WELCOME = '<!doctype html><title>raystream</title><p><a href="/">Go on to the viewer</a>'
+#: Sent after a valid token. A redirect would not work: a browser that followed a link from another
+#: site sends no strict cookie along a redirect, but does for a request from this page.
+_WELCOME = '<!doctype html><title>raystream</title><p><a href="/">Continue to the viewer</a>'
 
-#: A query of more parts than this has no token that anybody meant.
+#: Queries with more parts than this are not searched for a token.
 _MAX_QUERY_PARTS = 8
 
 
-class _Refusal(NamedTuple):
+class _Rejection(NamedTuple):
     status: int
     reason: str
 
 
 class Guard:
-    """Lets through what comes from the viewer's own page, and from nowhere else.
+    """Passes requests of the viewer's own page, and rejects all others.
 
-    Every response, a refusal too, says to the browser what the page may load and who may frame
-    it.
+    Every response, including rejections, carries headers that send the browser what the page
+    may load and which sites may frame it.
 
     Parameters
     ----------
@@ -61,11 +61,11 @@ class Guard:
             "Cross-Origin-Resource-Policy": "same-origin",
             "Cache-Control": "no-store",
         }
-        if access.is_loopback:  # browsers know it on trustworthy origins only
+        if access.is_loopback:  # browsers honour it on trustworthy origins only
             self._headers["Cross-Origin-Opener-Policy"] = "same-origin"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or let the application answer."""
+        """Reject the request, or pass it to the application."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -86,30 +86,30 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008, "reason": ""})
 
     def _answer(self, scope: Scope) -> Response | None:
-        """The answer to a request that does not get through; None for one that does."""
+        """Return the response to a rejected request; None if it passes."""
         headers = Headers(scope=scope)
-        refusal = self._fault_of_host(headers) or self._fault_of_origin(scope, headers)
-        if refusal is None and self._access.token is not None:
+        rejection = self._check_host(headers) or self._check_origin(scope, headers)
+        if rejection is None and self._access.token is not None:
             if scope["type"] == "http" and scope["method"] == "GET" and self._has_token(scope):
                 return self._welcome()
-            if not self._has_session(headers):
-                refusal = _Refusal(
-                    401, "this viewer is opened by the address with ?token= that it printed"
+            if not self._has_cookie(headers):
+                rejection = _Rejection(
+                    401, "open this viewer by the address with ?token= that it printed"
                 )
-        if refusal is None:
+        if rejection is None:
             return None
         return PlainTextResponse(
-            f"raystream: {refusal.reason}\n", refusal.status, headers={"Connection": "close"}
+            f"raystream: {rejection.reason}\n", rejection.status, headers={"Connection": "close"}
         )
 
-    def _fault_of_host(self, headers: Headers) -> _Refusal | None:
+    def _check_host(self, headers: Headers) -> _Rejection | None:
         hosts = headers.getlist("host")
-        if len(hosts) == 1 and self._access.knows_host(hosts[0]):
+        if len(hosts) == 1 and self._access.accepts_host(hosts[0]):
             return None
-        return _Refusal(403, "the name in Host is not one of this viewer")
+        return _Rejection(403, "the Host header does not name this viewer")
 
-    def _fault_of_origin(self, scope: Scope, headers: Headers) -> _Refusal | None:
-        """Only the page itself may open a websocket, or send anything."""
+    def _check_origin(self, scope: Scope, headers: Headers) -> _Rejection | None:
+        """Check the origin: only the page itself may open a websocket or send data."""
         origins = headers.getlist("origin")
         must_have = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if not origins and not must_have:
@@ -118,13 +118,13 @@ class Guard:
         own = (f"http://{host}", f"https://{host}")  # the latter behind a tunnel
         if len(origins) == 1 and origins[0].lower() in own:
             return None
-        return _Refusal(403, "the Origin is not this viewer's own page")
+        return _Rejection(403, "the Origin is not this viewer's page")
 
-    def _has_session(self, headers: Headers) -> bool:
+    def _has_cookie(self, headers: Headers) -> bool:
         prefix = f"{self._access.cookie_name}="
         cookies = [part.strip() for line in headers.getlist("cookie") for part in line.split(";")]
         return any(
-            self._access.knows_session(cookie.removeprefix(prefix))
+            self._access.accepts_cookie(cookie.removeprefix(prefix))
             for cookie in cookies
             if cookie.startswith(prefix)
         )
@@ -135,12 +135,12 @@ class Guard:
             parts = parse_qsl(query, max_num_fields=_MAX_QUERY_PARTS)
         except ValueError:
             return False
-        return any(name == "token" and self._access.knows_token(value) for name, value in parts)
+        return any(name == "token" and self._access.accepts_token(value) for name, value in parts)
 
     def _welcome(self) -> Response:
-        """Exchange the token for a cookie that scripts cannot read, and go on to the page."""
+        """Exchange the token for a cookie that scripts cannot read, and load the page."""
         welcome = HTMLResponse(_WELCOME, headers={"Refresh": "0; url=/"})
         welcome.set_cookie(
-            self._access.cookie_name, self._access.session, httponly=True, samesite="strict"
+            self._access.cookie_name, self._access.cookie_value, httponly=True, samesite="strict"
         )
         return welcome

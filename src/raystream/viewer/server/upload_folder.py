@@ -1,4 +1,4 @@
-"""Upload folder: the files that one connection has sent, bounded, gone when it ends."""
+"""Upload folder: a connection's uploaded files, limited in size, deleted at its end."""
 
 from __future__ import annotations
 
@@ -11,67 +11,67 @@ from typing import BinaryIO
 
 __all__ = [
     "MAX_FILES",
-    "ArrivingFile",
     "BusyError",
     "FullError",
-    "RefusedError",
+    "IncomingFile",
+    "RejectedError",
     "TooLargeError",
     "UploadFolder",
 ]
 
-#: Files that one upload may consist of.
+#: Maximum files of one upload.
 MAX_FILES = 256
 
-#: Files of one connection that arrive at once.
-MAX_ARRIVING = 4
+#: Maximum files of one connection in transfer at once.
+MAX_INCOMING = 4
 
-#: Uploads that are kept for a connection: the one that it shows, the one before, in case that
-#: the new one cannot be shown, and the one that arrives.
+#: Uploads kept per connection: the one being shown, the previous one as a fallback, and the one
+#: in transfer.
 MAX_UPLOADS = 3
 
-#: Bytes of the disk that uploads leave free.
+#: Disk space left free by uploads, in bytes.
 DISK_RESERVE = 256 << 20
 
 
-_GIVEN_UP = "the connection of this upload has ended, or has sent others since"
+_REMOVED = "the connection of this upload has ended, or has replaced it by newer uploads"
 
 
-class RefusedError(Exception):
-    """A file that may not come: too many, there already, or its connection is gone."""
+class RejectedError(Exception):
+    """A file that is rejected: too many, a duplicate, or its connection is gone."""
 
 
-class TooLargeError(RefusedError):
-    """A file with which an upload would have too many bytes."""
+class TooLargeError(RejectedError):
+    """A file that exceeds the upload's size limit."""
 
 
-class BusyError(RefusedError):
-    """A file too many at once."""
+class BusyError(RejectedError):
+    """Too many files in transfer at once."""
 
 
-class FullError(RefusedError):
-    """A file for which the disk has no room."""
+class FullError(RejectedError):
+    """A file for which the disk has no space."""
 
 
 class UploadFolder:
-    """A temporary folder, made when the first file comes.
+    """A temporary folder, created with the first file.
 
-    Nobody but this user can look into it. Each upload has a folder of its own in it, so that
-    what a model refers to is looked for among the files that came with it.
+    It is private to this user. Each upload has its own subfolder, so that references in a
+    model resolve among the files uploaded with it.
 
     Parameters
     ----------
     limit : int
-        Bytes of one upload, all its files together.
+        Maximum bytes of one upload, including all its files.
 
     Attributes
     ----------
-    arriving_count : int
-        Files that have begun to come.
+    incoming_count : int
+        Number of files in transfer.
     """
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
-        self.arriving_count = 0
+        self.incoming_count = 0
         self._root: Path | None = None
         self._sizes: dict[str, dict[str, int]] = {}
         self._whole: set[tuple[str, str]] = set()
@@ -79,42 +79,42 @@ class UploadFolder:
         self._is_removed = False
 
     def find(self, upload: str, name: str) -> Path | None:
-        """Find a file that has come as a whole, to be opened; None if there is none.
+        """Find a completely uploaded file, to be opened; None if there is none.
 
         Parameters
         ----------
         upload, name : str
-            Checked by `raystream.viewer.server.names`.
+            Validated by `raystream.viewer.server.file_names`.
         """
         if self._root is None or (upload, name) not in self._whole:
             return None
         self._opened = [one for one in self._opened if one != upload] + [upload]
         return self._root / upload / name
 
-    def receive(self, upload: str, name: str, claimed: int | None) -> ArrivingFile:
-        """Prepare for a file.
+    def receive(self, upload: str, name: str, claimed: int | None) -> IncomingFile:
+        """Prepare to receive a file.
 
         Parameters
         ----------
         upload, name : str
-            Checked by `raystream.viewer.server.names`.
+            Validated by `raystream.viewer.server.file_names`.
         claimed : int or None
-            Bytes that the client says will come, if it does.
+            Size announced by the client, if any.
 
         Raises
         ------
-        RefusedError
-            If the file cannot come.
+        RejectedError
+            If the file is not accepted.
         """
         if self._is_removed:
-            raise RefusedError(_GIVEN_UP)
-        if self.arriving_count >= MAX_ARRIVING:
-            raise BusyError(f"at most {MAX_ARRIVING} files can arrive at once")
+            raise RejectedError(_REMOVED)
+        if self.incoming_count >= MAX_INCOMING:
+            raise BusyError(f"at most {MAX_INCOMING} files can be uploaded at once")
         sizes = self._sizes.get(upload, {})
         if name in sizes:
-            raise RefusedError(f"{name}: is there already")
+            raise RejectedError(f"{name}: exists already")
         if len(sizes) >= MAX_FILES:
-            raise RefusedError(f"an upload may have {MAX_FILES} files at most")
+            raise RejectedError(f"an upload may have at most {MAX_FILES} files")
         self.require_room(upload, claimed or 0)
         root = self._ensure_root()
         if upload not in self._sizes:
@@ -122,36 +122,36 @@ class UploadFolder:
             (root / upload).mkdir(mode=0o700)
             self._sizes[upload] = {}
         self._sizes[upload][name] = 0
-        return ArrivingFile(self, upload, name, root / upload / name)
+        return IncomingFile(self, upload, name, root / upload / name)
 
     def require_room(self, upload: str, count: int) -> None:
-        """Refuse `count` bytes more than an upload may have, or than there is room for.
+        """Check that `count` more bytes fit in the upload's limit and on the disk.
 
         Raises
         ------
         TooLargeError
-            If there are too many for the upload.
+            If they exceed the upload's limit.
         FullError
-            If the disk would become too full.
+            If the disk lacks space.
         """
         if sum(self._sizes.get(upload, {}).values()) + count > self.limit:
             raise TooLargeError(
-                f"too large: an upload may have {self.limit:,} bytes at most (--upload-limit)"
+                f"too large: an upload may have at most {self.limit:,} bytes (--upload-limit)"
             )
         place = self._root or Path(tempfile.gettempdir())
         if shutil.disk_usage(place).free < count + DISK_RESERVE:
-            raise FullError("no room: the disk of this viewer is nearly full")
+            raise FullError("the viewer's disk is nearly full")
 
-    def without_place(self, text: str) -> str:
-        """A text with files called as they were sent, not where they lie."""
+    def without_paths(self, text: str) -> str:
+        """Remove the folder from paths in a text, leaving the names as uploaded."""
         if self._root is None:
             return text
-        for upload in list(self._sizes):  # from another thread than the one that adds
+        for upload in list(self._sizes):  # called from other threads
             text = text.replace(f"{self._root / upload}{os.sep}", "")
         return text
 
     def remove(self) -> None:
-        """Remove all files; files that are still arriving end."""
+        """Delete all files; transfers in progress fail."""
         self._is_removed = True
         self._sizes.clear()
         self._whole.clear()
@@ -159,32 +159,32 @@ class UploadFolder:
             shutil.rmtree(self._root, ignore_errors=True)
 
     def grow(self, upload: str, name: str, count: int) -> None:
-        """Count bytes that have come for a file.
+        """Count received bytes of a file.
 
         Raises
         ------
-        RefusedError
-            If they are too many, or the connection has ended.
+        RejectedError
+            If they exceed a limit, or the connection has ended.
         """
         if name not in self._sizes.get(upload, {}):
-            raise RefusedError(_GIVEN_UP)
+            raise RejectedError(_REMOVED)
         self.require_room(upload, count)
         self._sizes[upload][name] += count
 
     def complete(self, upload: str, name: str) -> None:
-        """Say that a file has come as a whole.
+        """Mark a file as complete.
 
         Raises
         ------
-        RefusedError
-            If its upload has been given up meanwhile.
+        RejectedError
+            If its upload has been removed meanwhile.
         """
         if name not in self._sizes.get(upload, {}):
-            raise RefusedError(_GIVEN_UP)
+            raise RejectedError(_REMOVED)
         self._whole.add((upload, name))
 
     def forget(self, upload: str, name: str) -> None:
-        """Let go of a file that did not come as a whole."""
+        """Remove the record of an incomplete file."""
         self._sizes.get(upload, {}).pop(name, None)
 
     def _ensure_root(self) -> Path:
@@ -193,7 +193,7 @@ class UploadFolder:
         return self._root
 
     def _forget_old(self) -> None:
-        """Make room for one more upload; what was opened last goes last."""
+        """Evict old uploads; the most recently opened ones last."""
         assert self._root is not None
         while len(self._sizes) >= MAX_UPLOADS:
             kept = self._opened[-2:]
@@ -203,8 +203,8 @@ class UploadFolder:
             shutil.rmtree(self._root / oldest, ignore_errors=True)
 
 
-class ArrivingFile:
-    """A file while it comes: a context manager that removes what is not whole.
+class IncomingFile:
+    """A file in transfer: a context manager that deletes incomplete files.
 
     Parameters
     ----------
@@ -222,15 +222,15 @@ class ArrivingFile:
         self._is_whole = False
         self.size = 0
 
-    def __enter__(self) -> ArrivingFile:
-        # Never what is there already, nor through a link.
+    def __enter__(self) -> IncomingFile:
+        # Never overwrite a file or follow a link.
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         try:
             self._file = os.fdopen(os.open(self._path, flags, 0o600), "wb")
         except OSError:
             self._folder.forget(self._upload, self._name)
             raise
-        self._folder.arriving_count += 1
+        self._folder.incoming_count += 1
         return self
 
     def write(self, chunk: bytes) -> None:
@@ -238,8 +238,8 @@ class ArrivingFile:
 
         Raises
         ------
-        RefusedError
-            If they are too many, or the connection has ended.
+        RejectedError
+            If they exceed a limit, or the connection has ended.
         """
         assert self._file is not None
         self._folder.grow(self._upload, self._name, len(chunk))
@@ -247,7 +247,7 @@ class ArrivingFile:
         self.size += len(chunk)
 
     def finish(self) -> None:
-        """Say that the file is whole."""
+        """Mark the file as complete."""
         assert self._file is not None
         self._file.close()
         self._folder.complete(self._upload, self._name)
@@ -260,7 +260,7 @@ class ArrivingFile:
         trace: TracebackType | None,
     ) -> None:
         assert self._file is not None
-        self._folder.arriving_count -= 1
+        self._folder.incoming_count -= 1
         self._file.close()
         if not self._is_whole:
             self._folder.forget(self._upload, self._name)

@@ -1,4 +1,4 @@
-"""Uploads: model files that a page sends for its own connection."""
+"""Uploads: receives model files from a page."""
 
 from __future__ import annotations
 
@@ -7,73 +7,73 @@ import asyncio
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 
-from raystream.viewer.server.names import is_upload_id, safe_name
+from raystream.viewer.server.connections import Connections
+from raystream.viewer.server.file_names import is_upload_id, safe_name
 from raystream.viewer.server.upload_folder import (
-    ArrivingFile,
     BusyError,
     FullError,
-    RefusedError,
+    IncomingFile,
+    RejectedError,
     TooLargeError,
 )
-from raystream.viewer.server.visits import Visits
 
 __all__ = ["KEY_HEADER", "receive_upload"]
 
-#: Says which connection an upload belongs to.
+#: Header that names the connection to which an upload belongs.
 KEY_HEADER = "X-Upload-Key"
 
-#: Seconds without a byte, and bytes a second on average after that, below which an upload ends.
+#: Timeout without data in seconds, and minimum average rate in bytes per second after that.
 IDLE_TIMEOUT = 20.0
-LEAST_RATE = 4096.0
+MIN_RATE = 4096.0
 
 
-async def receive_upload(request: Request, visits: Visits) -> Response:
+async def receive_upload(request: Request, connections: Connections) -> Response:
     """Receive one file.
 
     Parameters
     ----------
     request : Request
         ``PUT /uploads/ID/NAME`` with the file as its body.
-    visits : Visits
+    connections : Connections
 
     Returns
     -------
     Response
-        204, or one line that says why not. What is refused is not read.
+        204, or a one-line reason. The body of a rejected request is not read.
     """
     upload, name = request.path_params["upload"], request.path_params["name"]
-    visit = visits.of_key(request.headers.get(KEY_HEADER, ""))
-    if visit is None:
-        return _refusal(403, "no live connection has this upload key")
+    connection = connections.find(request.headers.get(KEY_HEADER, ""))
+    if connection is None:
+        return _rejection(403, "the upload key does not belong to a live connection")
     if not is_upload_id(upload):
-        return _refusal(400, "upload: expected 16 to 32 small letters and digits")
+        return _rejection(400, "upload: expected 16 to 32 lower-case letters and digits")
     try:
         name = safe_name(name)
         claimed = _claimed(request)
     except ValueError as error:
-        return _refusal(400, str(error))
+        return _rejection(400, str(error))
     try:
-        with visit.uploads.receive(upload, name, claimed) as arriving:
-            await _store(request, arriving)
+        with connection.uploads.receive(upload, name, claimed) as incoming:
+            await _store(request, incoming)
     except TooLargeError as error:
-        return _refusal(413, str(error))
+        return _rejection(413, str(error))
     except BusyError as error:
-        return _refusal(503, str(error))
+        return _rejection(503, str(error))
     except FullError as error:
-        return _refusal(507, str(error))
-    except RefusedError as error:
-        return _refusal(409, str(error))
+        return _rejection(507, str(error))
+    except RejectedError as error:
+        return _rejection(409, str(error))
     except TimeoutError:
-        return _refusal(408, "the file came too slowly")
+        return _rejection(408, "the upload was too slow")
     except OSError as error:
-        return _refusal(507, f"the file could not be kept: {error.strerror}")
+        return _rejection(507, f"the file could not be saved: {error.strerror}")
     except ClientDisconnect:
-        return _refusal(400, "the file did not come as a whole")
+        return _rejection(400, "the upload is incomplete")
     return Response(status_code=204)
 
 
-async def _store(request: Request, arriving: ArrivingFile) -> None:
-    """Write the body down while it comes, counting."""
+async def _store(request: Request, incoming: IncomingFile) -> None:
+    """Write the body to disk as it arrives, checking limits."""
     clock = asyncio.get_running_loop()
     started = clock.time()
     chunks = request.stream()
@@ -82,15 +82,15 @@ async def _store(request: Request, arriving: ArrivingFile) -> None:
             chunk = await anext(chunks, None)
         if chunk is None:
             break
-        arriving.write(chunk)
+        incoming.write(chunk)
         spent = clock.time() - started - IDLE_TIMEOUT
-        if arriving.size < spent * LEAST_RATE:
+        if incoming.size < spent * MIN_RATE:
             raise TimeoutError
-    arriving.finish()
+    incoming.finish()
 
 
 def _claimed(request: Request) -> int | None:
-    """How many bytes the client says that it sends; None for a body in chunks."""
+    """Read the announced size; None for a chunked body."""
     text = request.headers.get("content-length")
     if text is None:
         return None
@@ -99,6 +99,6 @@ def _claimed(request: Request) -> int | None:
     return int(text)
 
 
-def _refusal(status: int, reason: str) -> Response:
-    """Say why not, and read no more of the body."""
+def _rejection(status: int, reason: str) -> Response:
+    """Make an error response, and close the connection without reading the body."""
     return PlainTextResponse(f"{reason}\n", status, headers={"Connection": "close"})

@@ -1,0 +1,99 @@
+"""Output files of an animation: numbered frames, and the video encoded from them."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from raystream.cli import options
+from raystream.cli.console import BadInputError, refuse
+
+__all__ = ["FRAME_NUMBER", "VIDEOS", "FrameFiles"]
+
+#: Video extensions; a test compares them with the library's.
+VIDEOS = (".mp4", ".webm", ".mkv", ".mov", ".gif", ".webp", ".apng")
+IMAGES = (".png", ".exr")
+
+#: The placeholder of the frame number in a file name.
+FRAME_NUMBER = re.compile(r"%0?(\d{0,2})d")
+
+
+@dataclass
+class FrameFiles:
+    """The output files of an animation.
+
+    Attributes
+    ----------
+    folder : Path
+    pattern : str
+        Pattern of the frames' file names.
+    video : Path or None
+        The video to encode; the folder is removed afterwards.
+    """
+
+    folder: Path
+    pattern: str
+    video: Path | None = None
+    made: list[Path] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, output: Path, scene: str, one: bool) -> FrameFiles:
+        """Interpret ``--output``; `BadInputError` if it names neither frames nor a video."""
+        if output.suffix.lower() in VIDEOS:
+            options.check_output(output, VIDEOS, [scene])
+            return cls(output.with_name(f"{output.name}.frames"), "%06d.png", output)
+        found = FRAME_NUMBER.findall(output.name)
+        if output.is_dir() or (not output.suffix and not found):
+            if not output.parent.is_dir():
+                raise BadInputError(f"{output}: folder {output.parent} does not exist")
+            return cls(output, "%04d.png")
+        options.check_suffix(output, IMAGES, "writing")
+        if len(found) > 1 or (not found and not one):
+            raise BadInputError(
+                f"{output}: expected one frame number placeholder, as in name%04d.png, a folder, "
+                f"or a video ({' '.join(VIDEOS)})"
+            )
+        options.check_output(output, IMAGES, [scene])
+        return cls(output.parent, output.name)
+
+    def path(self, number: int) -> Path:
+        """Return the path of a frame."""
+        name = FRAME_NUMBER.sub(lambda found: found[0] % number, self.pattern)
+        return self.folder / name
+
+    def prepare(self, resume: bool) -> None:
+        """Create the folder; reject one that may hold hours of work."""
+        if self.video is not None and self.folder.exists() and not resume:
+            raise BadInputError(
+                f"{self.folder}: contains frames of an interrupted video; pass --resume to "
+                "continue, or delete the folder"
+            )
+        with refuse(OSError, where=str(self.folder)):
+            self.folder.mkdir(exist_ok=True)
+
+    def is_whole(self, number: int, size: tuple[int, int]) -> bool:
+        """Whether a frame exists, is readable, and has the right size."""
+        from raystream.rendering.image import Image
+
+        path = self.path(number)
+        if not path.is_file():
+            return False
+        try:
+            found = Image.load(path).size
+        except ValueError:  # damaged
+            return False
+        if found != size:
+            raise BadInputError(
+                f"{path}: is {found[0]}x{found[1]}, not {size[0]}x{size[1]}: a frame of another "
+                "animation; delete it, or choose another --output"
+            )
+        return True
+
+    def remove(self, numbers: tuple[int, ...]) -> None:
+        """Delete the frames of a finished video."""
+        for number in numbers:
+            self.path(number).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # the folder holds other files
+            self.folder.rmdir()

@@ -1,0 +1,141 @@
+"""render: one image, with its samples traced by the workers of a cluster."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+from raystream.cluster.clients import open_client
+from raystream.cluster.errors import ClusterError
+from raystream.cluster.samples import Samples, image_spec
+from raystream.cluster.tracer_bundles import pack_tracer
+from raystream.cluster.uploader import uploader_of
+from raystream.core.choices import DeviceOptions
+from raystream.jit.threads import Progress
+from raystream.rendering.arguments import check_camera, check_samples, check_size
+from raystream.rendering.image import Image
+from raystream.rendering.layers import choose_layers
+from raystream.rendering.lighting import check_lights
+from raystream.rendering.picture import RENDERERS
+from raystream.rendering.progressive import Limits, render_samples
+from raystream.rendering.sampled import make_setting
+from raystream.rendering.sampling.sampler import Sampler
+from raystream.scene.camera import Camera
+from raystream.scene.scene import Scene
+from raystream.structures import StructureOptions
+from raystream.tracer import Tracer
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["render"]
+
+
+def render(
+    scene: Scene | Tracer,
+    mode: str = "raycast",
+    size: tuple[int, int] = (1024, 768),
+    samples: int = 1,
+    structure: str | StructureOptions = "bvh",
+    device: str | DeviceOptions = "cpu",
+    *,
+    client: Client | str | None = None,
+    camera: Camera | None = None,
+    lights: str = "auto",
+    seed: int = 0,
+    noise: float | None = None,
+    time_limit: float | None = None,
+    sampler: str = "sobol",
+    layers: str | Iterable[str] | None = None,
+    checkpoint: str | PathLike[str] | None = None,
+    on_pass: Callable[[Image], object] | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Image:
+    """Render an image on a cluster, identical to the bit to `raystream.render`.
+
+    Workers trace samples of rows, and this process adds them in order. The image therefore does
+    not depend on the number of workers or on their failures: work of a lost worker is repeated
+    by another. A few samples are in flight at a time; otherwise memory use is that of
+    `raystream.render`.
+
+    Parameters
+    ----------
+    scene : Scene or Tracer
+        Passing a CPU tracer avoids rebuilding the structure.
+    client : distributed.Client or str, optional
+        See `raystream.cluster.Tracer`. Workers started for an address stop with the image.
+    mode, size, samples, structure, device, camera, lights, seed, sampler, layers, **options
+        See `raystream.render`.
+    noise, time_limit : float, optional
+        As `raystream.render`: a noise limit stops at the same sample. When the time limit is
+        reached, samples still in flight are discarded.
+    checkpoint : path, optional
+        A file on this machine, see `raystream.render`: the render can be resumed with a cluster
+        or without. It is also written when the cluster is lost.
+    on_pass, progress : callable, optional
+        As `raystream.render`; called in this process.
+
+    Returns
+    -------
+    Image
+
+    Raises
+    ------
+    ClusterError
+        If there is no cluster or it has no workers; if it is lost; or if one task kills
+        worker after worker.
+    ValueError, TypeError, MemoryError
+        As `raystream.render`.
+
+    Warns
+    -----
+    RaystreamWarning
+        While there are no workers, until one joins.
+
+    Examples
+    --------
+    >>> import raystream as rs
+    >>> image = rs.cluster.render(
+    ...     rs.load("cornell"), "path", samples=64, client="tcp://127.0.0.1:8786"
+    ... )  # doctest: +SKIP
+    """
+    if mode not in RENDERERS:
+        known = ", ".join(repr(known) for known in RENDERERS)
+        raise ValueError(f"mode: expected one of {known}, got {mode!r}")
+    width, height = check_size(size)
+    limits = Limits(check_samples(samples), noise, time_limit)
+    check_camera(camera)
+    check_lights(lights)
+    wanted = choose_layers(layers)
+    renderer = RENDERERS[mode]
+    own = {name: options.pop(name, default) for name, default in renderer.options.items()}
+    chosen = renderer.check(own)
+    numbers = Sampler.of(sampler, seed, limits.samples)
+    bundle = pack_tracer(scene, structure, device, options, for_rendering=True)
+    # Nothing is traced in this process.
+    here = scene if isinstance(scene, Tracer) else Tracer(scene, "brute")
+    view = camera or here.scene.camera_for(width / height)
+    setting = make_setting(here, view, (width, height), numbers, chosen, wanted, lights)
+    drawn = sampler, seed, limits.samples
+    spec = image_spec(mode, (width, height), view, drawn, own, wanted, lights)
+    with open_client(client) as found:
+        uploader = uploader_of(found)
+        digest = uploader.send(bundle)
+        taken = Samples(found, digest, spec, setting, limits.samples)
+        try:
+            return render_samples(
+                renderer,
+                setting,
+                limits,
+                checkpoint=checkpoint,
+                on_pass=on_pass,
+                progress=progress,
+                take=taken.take,
+            )
+        finally:
+            taken.close()
+            with contextlib.suppress(ClusterError):  # returning the image matters more
+                uploader.release(digest)

@@ -1,0 +1,143 @@
+"""Scenes in bundles: meshes, materials, textures, lights and background, for rendering."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from raystream.core.errors import FileFormatError
+from raystream.rendering.environment import texels_of
+from raystream.scene.lights import DirectionalLight, EnvironmentLight, Light, PointLight
+from raystream.scene.material import Material
+from raystream.scene.mesh import Mesh
+from raystream.scene.scene import Scene
+from raystream.scene.texture import Texture
+
+__all__ = ["pack_scene", "unpack_scene"]
+
+_ATTRIBUTES = ("vertices", "faces", "normals", "colors", "texcoords", "material_ids")
+
+_LIGHTS: dict[str, type[Light]] = {
+    "point": PointLight,
+    "directional": DirectionalLight,
+    "environment": EnvironmentLight,
+}
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def pack_scene(scene: Scene) -> tuple[dict[str, Any], Arrays]:
+    """Pack everything that an image of a scene depends on, except triangles and camera.
+
+    Textures and environment maps are sent as texels, so that workers do not need their files.
+    Animations are not sent: see `animations`.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    header : dict
+    arrays : dict of str to ndarray
+    """
+    arrays: Arrays = {}
+    for index, mesh in enumerate(scene.meshes):
+        for name in _ATTRIBUTES:
+            array = getattr(mesh, name)
+            if array is not None:
+                arrays[f"mesh {index} {name}"] = array
+    textures = _textures_of(scene.materials)
+    header = {
+        "meshes": [mesh.name for mesh in scene.meshes],
+        "materials": [_material_fields(material, textures) for material in scene.materials],
+        "textures": [_pack_texture(texture, i, arrays) for i, texture in enumerate(textures)],
+        "lights": [_pack_light(light, i, arrays) for i, light in enumerate(scene.lights)],
+        "background": [float(c) for c in scene.background],
+        "up": scene.up.tolist(),
+        "name": scene.name,
+    }
+    return header, arrays
+
+
+def unpack_scene(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Scene:
+    """Restore the scene packed by `pack_scene`, without camera and animation."""
+    meshes = []
+    for index, name in enumerate(header["meshes"]):
+        found = {key: arrays.get(f"mesh {index} {key}") for key in _ATTRIBUTES}
+        vertices, faces = found.pop("vertices"), found.pop("faces")
+        assert vertices is not None
+        assert faces is not None
+        meshes.append(Mesh(vertices, faces, name=name, **found))  # type: ignore[arg-type]
+    textures = [_unpack_texture(fields, i, arrays) for i, fields in enumerate(header["textures"])]
+    return Scene(
+        meshes,
+        materials=[_material(fields, textures) for fields in header["materials"]],
+        lights=[_unpack_light(fields, i, arrays) for i, fields in enumerate(header["lights"])],
+        up=header["up"],
+        background=tuple(header["background"]),
+        name=header["name"],
+    )
+
+
+def _textures_of(materials: Sequence[Material]) -> list[Texture]:
+    """List each texture once, even if materials share it."""
+    found: dict[int, Texture] = {}
+    for material in materials:
+        for texture in material.textures.values():
+            found.setdefault(id(texture), texture)
+    return list(found.values())
+
+
+def _material_fields(material: Material, textures: Sequence[Texture]) -> dict[str, Any]:
+    fields = {f.name: getattr(material, f.name) for f in dataclasses.fields(material)}
+    refs = {id(texture): i for i, texture in enumerate(textures)}
+    fields["textures"] = {role: refs[id(texture)] for role, texture in fields["textures"].items()}
+    return fields
+
+
+def _material(fields: Mapping[str, Any], textures: Sequence[Texture]) -> Material:
+    roles = {role: textures[i] for role, i in fields["textures"].items()}
+    plain: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in fields.items()
+        if name != "textures"
+    }
+    return Material(**plain, textures=roles)
+
+
+def _pack_texture(texture: Texture, index: int, arrays: Arrays) -> dict[str, Any]:
+    # An unreadable texture is sent without texels, and is missing from the image as usual.
+    with contextlib.suppress(FileFormatError):
+        arrays[f"texture {index}"] = texture.pixels()
+    return {"name": texture.name, "wrap": texture.wrap}
+
+
+def _unpack_texture(
+    fields: Mapping[str, Any], index: int, arrays: Mapping[str, NDArray[Any]]
+) -> Texture:
+    return Texture(arrays.get(f"texture {index}", b""), **fields)
+
+
+def _pack_light(light: Light, index: int, arrays: Arrays) -> dict[str, Any]:
+    kind = next(name for name, kind in _LIGHTS.items() if type(light) is kind)
+    fields = {f.name: getattr(light, f.name) for f in dataclasses.fields(light)}
+    if fields.pop("image", None) is not None:
+        assert isinstance(light, EnvironmentLight)
+        arrays[f"light {index}"] = texels_of(light)
+    return {"kind": kind, **fields}
+
+
+def _unpack_light(
+    fields: Mapping[str, Any], index: int, arrays: Mapping[str, NDArray[Any]]
+) -> Light:
+    plain = dict(fields)
+    kind = _LIGHTS[plain.pop("kind")]
+    image = arrays.get(f"light {index}")
+    if image is not None:
+        plain["image"] = image
+    return kind(**plain)
