@@ -114,7 +114,7 @@ STAGES = {
     "first_hit": (rs.Tracer, "first_hit"),
     "any_hit": (rs.Tracer, "any_hit"),
     "shading of paths": (path, "follow_paths"),
-    "shading of ao": (ao, "look_around"),
+    "shading of ao": (ao, "sample_ambient"),
     "rays from the eye": (sampled, "eye_paths"),
     "adding light": (sampled, "add_unblocked"),
 }

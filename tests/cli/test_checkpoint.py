@@ -15,7 +15,7 @@ import pytest
 import raystream as rs
 from extras import need
 from raystream.rendering import progressive, sample_file
-from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.film import Film
 from raystream.rendering.image import Image
 
 SAMPLES = 200
@@ -153,7 +153,7 @@ def test_quick_picture_leaves_the_disk_and_the_scene_alone(run, tmp_path, monkey
     def forbidden(*_, **__):
         pytest.fail("a checkpoint for a picture of less than ten seconds")
 
-    monkeypatch.setattr(Accumulation, "save", forbidden)
+    monkeypatch.setattr(Film, "save", forbidden)
     monkeypatch.setattr(sample_file, "identity", forbidden)
     for more in ([], ["--resume"]):
         assert run(*ASKED, *more).code == 0
@@ -162,13 +162,13 @@ def test_quick_picture_leaves_the_disk_and_the_scene_alone(run, tmp_path, monkey
 
 def test_checkpoints_come_once_they_are_due(run, monkeypatch):
     written = []
-    save = Accumulation.save
+    save = Film.save
 
     def count(sums, *arguments):
         written.append(int(sums.counts.min()))
         save(sums, *arguments)
 
-    monkeypatch.setattr(Accumulation, "save", count)
+    monkeypatch.setattr(Film, "save", count)
     monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
     assert run(*ASKED).code == 0
     assert written == [1, 2, 3, 4, 5]
@@ -219,7 +219,7 @@ def test_disk_without_room_for_samples_is_one_line(run, monkeypatch):
     def fill_up(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Accumulation, "save", fill_up)
+    monkeypatch.setattr(Film, "save", fill_up)
     monkeypatch.setenv("RAYSTREAM_CHECKPOINT_SECONDS", "0")
     assert run(*ASKED).complaint == "out.png.samples.npz: No space left on device"
 

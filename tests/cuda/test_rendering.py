@@ -17,10 +17,10 @@ from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
 from raystream.lab.asked import AskedTracer
+from raystream.rendering.integrator import make_setting
 from raystream.rendering.picture import RENDERERS
-from raystream.rendering.sampled import make_setting
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.kept import kept_arrays
+from raystream.rendering.shading.keep_alive import kept_arrays
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.tables import SceneTables, tables_of
 

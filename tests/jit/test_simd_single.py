@@ -10,7 +10,7 @@ from raystream.jit.simd import f32x16, f64x16, lane_count, load, single_lane, st
 from raystream.jit.simd.types import VECTORS
 from raystream.rendering.sampling import warp
 from raystream.rendering.shading import rows, shares
-from raystream.rendering.shading.shares import chosen_lanes
+from raystream.rendering.shading.discrete_distribution import chosen_lanes
 
 LANES = 16
 RANDOM = np.random.default_rng(3)

@@ -13,7 +13,7 @@ from extras import need
 from meshes import icosphere
 from raystream.jit.cpu import kernel
 from raystream.rendering.environment import axes_of, mean_radiance, row_heights, texels_of
-from raystream.rendering.shading.classic import classic_lights_of
+from raystream.rendering.shading.punctual_lights import classic_lights_of
 from raystream.rendering.shading.sky import map_sample, relative_pdf, sky_of, sky_toward
 from z_test import assert_equal_means, assert_mean, mean_of
 

@@ -15,7 +15,7 @@ from raystream.rendering import scale_bar
 from raystream.rendering.color import decode_srgb
 from raystream.rendering.false_colors import _ANCHORS, color_ramp, draw_counts
 from raystream.rendering.heatmap import RayCost
-from raystream.rendering.sampled import eye_paths
+from raystream.rendering.integrator import eye_paths
 from raystream.rendering.sampling.sampler import Sampler
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

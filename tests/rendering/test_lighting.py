@@ -10,10 +10,10 @@ import pytest
 import raystream as rs
 from meshes import icosphere
 from raystream.core.errors import FileFormatError
+from raystream.rendering.integrator import make_setting
 from raystream.rendering.lighting import ADDED, LEAST_LIGHT, LIGHTS, added_light, needs_light
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.progressive import trace_sample
-from raystream.rendering.sampled import make_setting
 from raystream.rendering.sampling.sampler import Sampler
 
 BLACK = (0.0, 0.0, 0.0)

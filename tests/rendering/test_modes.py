@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from meshes import cube
 from raystream.rendering import progressive
-from raystream.rendering.sampled import SampledRenderer
+from raystream.rendering.integrator import Integrator
 from raystream.rendering.sampling.sampler import Sampler
 
 DOWN = rs.DirectionalLight((0.0, 0.0, -1.0), (2.0, 1.0, 0.5))
@@ -325,13 +325,13 @@ def test_pictures_do_not_depend_on_bands(mode, monkeypatch):
     )
     whole = rs.render(scene, mode, size=(16, 12), samples=2).pixels
     counted = []
-    trace = SampledRenderer.trace
+    trace = Integrator.trace
 
     def spy(renderer, setting, rows, *others):
         counted.append(len(rows))
         return trace(renderer, setting, rows, *others)
 
-    monkeypatch.setattr(SampledRenderer, "trace", spy)
+    monkeypatch.setattr(Integrator, "trace", spy)
     monkeypatch.setattr(progressive, "MOST_RAYS", 64)
     monkeypatch.setattr(progressive, "MOST_BAND", 64)
     np.testing.assert_array_equal(rs.render(scene, mode, (16, 12), samples=2).pixels, whole)

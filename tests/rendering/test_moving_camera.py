@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.rendering.integrator import make_setting
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.progressive import trace_sample
-from raystream.rendering.sampled import make_setting
 from raystream.rendering.sampling.sampler import Sampler
 
 ONE = Sampler.of("sobol", 0, 1)

@@ -12,7 +12,7 @@ import pytest
 import raystream as rs
 from raystream.jit.threads import set_thread_count
 from raystream.rendering import sample_file
-from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.film import Film
 from raystream.structures.bvh import engine
 
 PIXELS = 16 * 12
@@ -71,7 +71,7 @@ def test_progress_counts_towards_a_time(tracer):
 
 def test_interrupt_waits_for_a_sample_that_is_being_added(tracer, tmp_path, monkeypatch):
     """Sums with half of a sample would make another picture."""
-    add_samples = Accumulation.add_samples
+    add_samples = Film.add_samples
 
     def interrupt_and_add(*arguments):
         signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
@@ -82,7 +82,7 @@ def test_interrupt_waits_for_a_sample_that_is_being_added(tracer, tmp_path, monk
         pytest.skip("needs POSIX signals")
     kept = tmp_path / "a.npz"
     with monkeypatch.context() as patch:
-        patch.setattr(Accumulation, "add_samples", interrupt_and_add)
+        patch.setattr(Film, "add_samples", interrupt_and_add)
         with pytest.raises(KeyboardInterrupt):
             rs.render(tracer, **PICTURE, samples=4, checkpoint=kept)
     with np.load(kept) as file:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import raystream as rs
-from raystream.rendering.sampled import eye_paths
+from raystream.rendering.integrator import eye_paths
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.lens import disk_points
 

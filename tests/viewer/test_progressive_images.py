@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import raystream as rs
+from raystream.rendering.integrator import make_setting
 from raystream.rendering.picture import RENDERERS
-from raystream.rendering.sampled import make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.viewer.adaptive_resolution import Cost
 from raystream.viewer.heatmap_image import HeatmapImage, ramp

@@ -13,7 +13,7 @@ from raystream.cli import options
 from raystream.cli.console import BadInputError
 
 if TYPE_CHECKING:
-    from raystream.rendering.sampled import SampledRenderer
+    from raystream.rendering.integrator import Integrator
 
 __all__ = [
     "MaxBounces",
@@ -156,10 +156,10 @@ def _own_options(
     mode: str,
     sampling: SamplingOptions,
     chosen: dict[str, Any],
-    renderers: Mapping[str, SampledRenderer],
+    renderers: Mapping[str, Integrator],
 ) -> dict[str, Any]:
     """Take the modes' options out of `chosen`; reject those of other modes."""
-    owners: dict[str, dict[str, SampledRenderer]] = {}
+    owners: dict[str, dict[str, Integrator]] = {}
     for renderer in renderers.values():
         for name in renderer.options:
             owners.setdefault(name, {})[renderer.name] = renderer
@@ -194,9 +194,7 @@ def _converted(where: str, value: Any, default: Any) -> Any:
         raise BadInputError(f"{where}: is too large") from None
 
 
-def _check_own(
-    renderer: SampledRenderer, given: Mapping[str, Any], sampling: SamplingOptions
-) -> None:
+def _check_own(renderer: Integrator, given: Mapping[str, Any], sampling: SamplingOptions) -> None:
     try:
         renderer.check({**renderer.options, **given})
     except ValueError as error:

@@ -16,11 +16,11 @@ from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size
 from raystream.rendering.image import Image
+from raystream.rendering.integrator import make_setting
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.progressive import Limits, render_samples
-from raystream.rendering.sampled import make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene

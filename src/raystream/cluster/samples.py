@@ -19,11 +19,11 @@ from raystream.cluster.tasks import OrderedTasks
 from raystream.cluster.thread_budget import shared_threads
 from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
+from raystream.rendering.integrator import RenderContext, make_setting
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.progressive import Sampled, trace_sample
-from raystream.rendering.sampled import Setting, make_setting
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.seen import SeenSurfaces
+from raystream.rendering.shading.first_surfaces import SeenSurfaces
 from raystream.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def trace_rows(digest: str, image_spec: str, sample: int, first: int, end: int) 
     return light, None if seen is None else tuple(seen)
 
 
-def _setting(digest: str, image_spec: str) -> Setting:
+def _setting(digest: str, image_spec: str) -> RenderContext:
     asked = json.loads(image_spec)
     renderer = RENDERERS[asked["mode"]]
     width, height = asked["size"]
@@ -131,14 +131,19 @@ class Samples:
     client : distributed.Client
     digest, image_spec : str
         See `trace_rows`.
-    setting : Setting
+    setting : RenderContext
         Determines the size and the layers.
     sample_count : int
         Maximum samples per pixel.
     """
 
     def __init__(
-        self, client: Client, digest: str, image_spec: str, setting: Setting, sample_count: int
+        self,
+        client: Client,
+        digest: str,
+        image_spec: str,
+        setting: RenderContext,
+        sample_count: int,
     ) -> None:
         self._client = client
         self._of = digest, image_spec

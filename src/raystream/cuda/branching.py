@@ -28,7 +28,7 @@ from raystream.structures import Structure
 
 if TYPE_CHECKING:
     from raystream.cuda.rendering import CudaBands
-    from raystream.rendering.sampled import Setting
+    from raystream.rendering.integrator import RenderContext
 
 __all__ = ["Branching"]
 
@@ -142,7 +142,7 @@ class Branching(Backend):
             self._in_order,
         )
 
-    def bands_on_device(self, setting: Setting) -> CudaBands | None:
+    def bands_on_device(self, setting: RenderContext) -> CudaBands | None:
         """What takes samples of a picture on the device; see `Queries.bands_on_device`."""
         from raystream.cuda.rendering import CudaBands
 

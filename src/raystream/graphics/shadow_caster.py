@@ -15,8 +15,8 @@ from raystream.core.hits import Hits
 from raystream.graphics.raster import Visibility, visibility
 from raystream.rendering.arguments import check_camera, check_size, make_tracer
 from raystream.rendering.image import Image
+from raystream.rendering.integrator import Band, PathStream, RenderContext, eye_paths, make_setting
 from raystream.rendering.picture import RENDERERS
-from raystream.rendering.sampled import Band, PathStream, Setting, eye_paths, make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
@@ -95,7 +95,7 @@ def _tracer_of(
     return make_tracer(scene, structure or "bvh", device or "graphics", options)
 
 
-def _shade(setting: Setting, seen: Visibility, rows: range) -> Any:
+def _shade(setting: RenderContext, seen: Visibility, rows: range) -> Any:
     """Light what is seen in some rows: the shadow renderer's stages without its first."""
     count = len(rows) * setting.width
     size = setting.width, setting.height

@@ -8,9 +8,9 @@ from typing import Any
 
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.results import Picture
+from raystream.rendering.integrator import RenderContext, make_setting
 from raystream.rendering.picture import RENDERERS, render
 from raystream.rendering.progressive import trace_sample
-from raystream.rendering.sampled import Setting, make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -20,7 +20,7 @@ __all__ = ["Size", "affordable", "frame_seconds", "picture", "setting_of"]
 Size = tuple[int, int]
 
 
-def setting_of(tracer: Tracer, size: Size) -> Setting:
+def setting_of(tracer: Tracer, size: Size) -> RenderContext:
     """What all modes need of a tracer's scene, through its own camera, for one sample a pixel.
 
     Tables of materials and lights are made here, once for a scene and not for each frame.
@@ -30,12 +30,14 @@ def setting_of(tracer: Tracer, size: Size) -> Setting:
     return make_setting(tracer, camera, size, Sampler.of("sobol", 0, 1), {})
 
 
-def frame_seconds(setting: Setting, tracer: Tracer, mode: str, size: Size, **options: Any) -> float:
+def frame_seconds(
+    setting: RenderContext, tracer: Tracer, mode: str, size: Size, **options: Any
+) -> float:
     """Time a frame: rays from the eye, traversal, shading; not display.
 
     Parameters
     ----------
-    setting : Setting
+    setting : RenderContext
         See `setting_of`; of the tracer's scene, with any size.
     tracer : Tracer
     mode : str

@@ -343,7 +343,7 @@ class Queries:
 
         Parameters
         ----------
-        setting : rendering.sampled.Setting
+        setting : rendering.sampled.RenderContext
 
         Returns
         -------

@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 
 from raystream.rendering.arguments import check_number, check_whole
-from raystream.rendering.sampled import (
+from raystream.rendering.integrator import (
     Band,
+    Integrator,
     PathStream,
-    SampledRenderer,
-    Setting,
+    RenderContext,
     find_surfaces,
-    reach_lights,
+    trace_shadow_rays,
 )
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.around import look_around
-from raystream.rendering.shading.streams import LightRays
+from raystream.rendering.shading.ambient_rays import sample_ambient
+from raystream.rendering.shading.streams import ShadowRays
 
-__all__ = ["AO", "REACH", "ask_around", "distance_of", "sampler_of"]
+__all__ = ["AO", "REACH", "distance_of", "sampler_of", "spawn_ambient_rays"]
 
 #: Most rays from a point.
 MAX_RAYS = 4096
@@ -33,14 +33,14 @@ MAX_RAYS = 4096
 REACH = 0.1
 
 
-def ask_around(stream: PathStream, band: Band) -> PathStream:
+def spawn_ambient_rays(stream: PathStream, band: Band) -> PathStream:
     """Stage: send rays from the surfaces; the paths end."""
     assert stream.hits is not None
     setting, hits = band.setting, stream.hits
     count = setting.options["rays"]
-    rays = LightRays.empty(len(stream) * count)
+    rays = ShadowRays.empty(len(stream) * count)
     sampler = sampler_of(setting)
-    ray_count = look_around(
+    ray_count = sample_ambient(
         stream.paths,
         (hits.t, hits.u, hits.v, hits.prim_id),
         setting.tables,
@@ -55,13 +55,13 @@ def ask_around(stream: PathStream, band: Band) -> PathStream:
     return PathStream(stream.paths.first(0), rays=rays.first(ray_count))
 
 
-def sampler_of(setting: Setting) -> Sampler:
+def sampler_of(setting: RenderContext) -> Sampler:
     """The setting's sampler, for all rays of a sample."""
     count = setting.sampler.sample_count * setting.options["rays"]
     return setting.sampler._replace(sample_count=count)
 
 
-def distance_of(setting: Setting) -> float:
+def distance_of(setting: RenderContext) -> float:
     """Length of the setting's rays, world space."""
     distance = setting.options["distance"]
     if distance is not None:
@@ -70,7 +70,7 @@ def distance_of(setting: Setting) -> float:
     return REACH * float(np.linalg.norm(high - low))
 
 
-def _rays_per_pixel(setting: Setting) -> int:
+def _rays_per_pixel(setting: RenderContext) -> int:
     return int(setting.options["rays"])
 
 
@@ -84,10 +84,10 @@ def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"rays": rays, "distance": distance}
 
 
-AO = SampledRenderer(
+AO = Integrator(
     "ao",
     "ambient occlusion: 32 rays from the first surface (Rayforce 2013)",
-    (find_surfaces, ask_around, reach_lights),
+    (find_surfaces, spawn_ambient_rays, trace_shadow_rays),
     {"rays": 32, "distance": None},
     _check,
     _rays_per_pixel,

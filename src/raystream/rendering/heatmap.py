@@ -16,7 +16,7 @@ from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.rendering.false_colors import check_maximum, draw_counts
 from raystream.rendering.image import Image
-from raystream.rendering.sampled import eye_paths
+from raystream.rendering.integrator import eye_paths
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 
+from raystream.rendering.integrator import Integrator
 from raystream.rendering.path import PATH_STAGES, check_path
-from raystream.rendering.sampled import SampledRenderer
 
 __all__ = ["KAJIYA"]
 
-KAJIYA = SampledRenderer(
+KAJIYA = Integrator(
     "kajiya",
     "the first surface and two bounces, a shadow ray at each (Rayforce 2013)",
     PATH_STAGES,

@@ -13,28 +13,28 @@ from typing import Any
 import numpy as np
 
 from raystream.rendering.arguments import check_number, check_whole
-from raystream.rendering.sampled import (
+from raystream.rendering.integrator import (
     MAX_BOUNCES,
     Band,
+    Integrator,
     PathStream,
-    SampledRenderer,
     find_surfaces,
-    reach_lights,
+    trace_shadow_rays,
 )
-from raystream.rendering.shading.paths import PathRules, follow_paths
-from raystream.rendering.shading.streams import LightRays
+from raystream.rendering.shading.paths import PathOptions, follow_paths
+from raystream.rendering.shading.streams import ShadowRays
 
-__all__ = ["PATH", "PATH_STAGES", "check_path", "meet_surfaces"]
+__all__ = ["PATH", "PATH_STAGES", "check_path", "shade_surfaces"]
 
 #: From so many bounces on, dim paths end by chance: before, nearly all of the light comes.
 ROULETTE_BOUNCE = 3
 
 
-def meet_surfaces(stream: PathStream, band: Band) -> PathStream:
+def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: add light that surfaces emit, ask for that of lights, and scatter the paths."""
     assert stream.hits is not None
     setting, paths, hits = band.setting, stream.paths, stream.hits
-    rays = LightRays.empty(len(stream))
+    rays = ShadowRays.empty(len(stream))
     path_count, ray_count = follow_paths(
         paths,
         (hits.t, hits.u, hits.v, hits.prim_id),
@@ -63,12 +63,12 @@ def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:
         raise ValueError(f"clamp: expected a number above 0, got {clamp}")
     with np.errstate(over="ignore", under="ignore"):
         most = np.float32(clamp)
-    return {"rules": PathRules(bounces, samples_lights, ROULETTE_BOUNCE, most)}
+    return {"rules": PathOptions(bounces, samples_lights, ROULETTE_BOUNCE, most)}
 
 
-PATH_STAGES = (find_surfaces, meet_surfaces, reach_lights)
+PATH_STAGES = (find_surfaces, shade_surfaces, trace_shadow_rays)
 
-PATH = SampledRenderer(
+PATH = Integrator(
     "path",
     "light by any way, one path for each sample (Kajiya 1986, Purcell 2002)",
     PATH_STAGES,

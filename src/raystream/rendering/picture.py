@@ -11,13 +11,13 @@ from raystream.jit.threads import Progress
 from raystream.rendering.ao import AO
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.rendering.image import Image
+from raystream.rendering.integrator import Integrator, make_setting
 from raystream.rendering.kajiya import KAJIYA
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
 from raystream.rendering.path import PATH
 from raystream.rendering.progressive import Limits, render_samples
 from raystream.rendering.raycast import RAYCAST
-from raystream.rendering.sampled import SampledRenderer, make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shadow import SHADOW
 from raystream.rendering.vis import VIS
@@ -30,7 +30,7 @@ from raystream.tracer import Tracer
 
 __all__ = ["MODES", "RENDERERS", "render"]
 
-RENDERERS: dict[str, SampledRenderer] = {
+RENDERERS: dict[str, Integrator] = {
     renderer.name: renderer for renderer in (RAYCAST, VIS, SHADOW, WHITTED, XRAY, AO, KAJIYA, PATH)
 }
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
-from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.film import Film
 from raystream.rendering.image import Image
+from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.sample_file import SampleFile
-from raystream.rendering.sampled import SampledRenderer, Setting
-from raystream.rendering.shading.seen import SeenSurfaces
+from raystream.rendering.shading.first_surfaces import SeenSurfaces
 from raystream.structures.bvh.engine import SMALL_BATCH
 
 __all__ = [
@@ -57,7 +57,7 @@ class Limits:
     samples : int
         Of each pixel.
     noise : float, optional
-        Relative error of the picture, see `Accumulation.error`; it is looked at from 8 samples
+        Relative error of the picture, see `Film.error`; it is looked at from 8 samples
         on.
     seconds : float, optional
         A sample that was begun is finished. Seconds before a break do not count.
@@ -78,8 +78,8 @@ _FIRST_SAMPLES = 8
 
 
 def render_samples(
-    renderer: SampledRenderer,
-    setting: Setting,
+    renderer: Integrator,
+    setting: RenderContext,
     limits: Limits,
     *,
     checkpoint: str | PathLike[str] | None = None,
@@ -91,8 +91,8 @@ def render_samples(
 
     Parameters
     ----------
-    renderer : SampledRenderer
-    setting : Setting
+    renderer : Integrator
+    setting : RenderContext
     limits : Limits
     checkpoint : path, optional
         A file, ending in ``.npz``, to which all samples go every 10 seconds, at the end (see
@@ -129,7 +129,7 @@ def render_samples(
     if checkpoint is not None:
         file = checkpoint if isinstance(checkpoint, SampleFile) else SampleFile(checkpoint)
     kept = None if file is None else file.open(renderer, setting)
-    sums = Accumulation(setting.width, setting.height) if kept is None else kept
+    sums = Film(setting.width, setting.height) if kept is None else kept
     first = sample = int(sums.counts.min())
     started = time.monotonic()
     if take is None and sample < limits.samples:
@@ -170,7 +170,7 @@ def render_samples(
     return sums.image({"samples": sample, "error": sums.error()})
 
 
-def _compile(renderer: SampledRenderer, setting: Setting, sample: int) -> None:
+def _compile(renderer: Integrator, setting: RenderContext, sample: int) -> None:
     """Trace a few rows for nothing: what they call is compiled on this thread.
 
     See `parallel_for` for the reason. In all but small pictures they are enough rows for a
@@ -208,14 +208,12 @@ def checkpoint_seconds() -> float:
     return seconds
 
 
-def _expected_samples(
-    sums: Accumulation, first: int, sample: int, limits: Limits, seconds: float
-) -> int:
+def _expected_samples(sums: Film, first: int, sample: int, limits: Limits, seconds: float) -> int:
     """Samples that the picture will have, as far as can be told; `sample` or less: it is done.
 
     Parameters
     ----------
-    sums : Accumulation
+    sums : Film
     first, sample : int
         Samples that it had at the start, and has.
     limits : Limits
@@ -241,8 +239,8 @@ def _expected_samples(
 
 
 def trace_sample(
-    renderer: SampledRenderer,
-    setting: Setting,
+    renderer: Integrator,
+    setting: RenderContext,
     sample: int,
     progress: Progress | None = None,
     rows: range | None = None,
@@ -251,8 +249,8 @@ def trace_sample(
 
     Parameters
     ----------
-    renderer : SampledRenderer
-    setting : Setting
+    renderer : Integrator
+    setting : RenderContext
     sample : int
         Its number.
     progress : callable, optional
@@ -289,7 +287,7 @@ def trace_sample(
     return light, seen
 
 
-def _rows_per_band(renderer: SampledRenderer, setting: Setting, rows: int) -> int:
+def _rows_per_band(renderer: Integrator, setting: RenderContext, rows: int) -> int:
     """Most of so many rows that go through the stages together."""
     bands = renderer.bands_of(setting)
     per_pixel = max(renderer.rays_per_pixel(setting), 1)
@@ -302,7 +300,7 @@ def _rows_per_band(renderer: SampledRenderer, setting: Setting, rows: int) -> in
 
 
 def _add(
-    sums: Accumulation,
+    sums: Film,
     layers: Sequence[str],
     light: NDArray[np.float32],
     seen: SeenSurfaces | None,

@@ -6,10 +6,10 @@ material, matte and glossy light of every light, nothing in the way of any.
 
 from __future__ import annotations
 
-from raystream.rendering.sampled import (
+from raystream.rendering.integrator import (
     Band,
+    Integrator,
     PathStream,
-    SampledRenderer,
     find_surfaces,
     take_no_options,
 )
@@ -33,7 +33,7 @@ def shade_by_lights(stream: PathStream, band: Band) -> PathStream:
     return PathStream(stream.paths.first(0))
 
 
-RAYCAST = SampledRenderer(
+RAYCAST = Integrator(
     "raycast",
     "nearest surface under the lights, no shadows (Purcell 2002)",
     (find_surfaces, shade_by_lights),

@@ -15,9 +15,9 @@ import numpy as np
 
 from raystream._version import __version__
 from raystream.core.errors import FileFormatError
-from raystream.rendering.accumulation import Accumulation
 from raystream.rendering.environment import image_light, texels_of
-from raystream.rendering.sampled import SampledRenderer, Setting
+from raystream.rendering.film import Film
+from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 
@@ -43,12 +43,12 @@ class SampleFile(PathLike[str]):
         self._path = fspath(path)
         self._at_end = at_end
         self._identity: Callable[[], str] | None = None
-        self._held: Accumulation | None = None
+        self._held: Film | None = None
 
     def __fspath__(self) -> str:
         return self._path
 
-    def open(self, renderer: SampledRenderer, setting: Setting) -> Accumulation | None:
+    def open(self, renderer: Integrator, setting: RenderContext) -> Film | None:
         """Begin a picture: with the samples that are there, or None.
 
         Raises
@@ -59,19 +59,19 @@ class SampleFile(PathLike[str]):
         self._identity = cache(lambda: identity(renderer, setting))
         if not Path(self._path).exists():
             return None
-        return Accumulation.load(self._path, self._identity())
+        return Film.load(self._path, self._identity())
 
-    def save(self, sums: Accumulation) -> None:
+    def save(self, sums: Film) -> None:
         """Write samples; raises OSError if that fails."""
         assert self._identity is not None, "open comes first"
         sums.save(self._path, self._identity())
 
-    def finish(self, sums: Accumulation, is_due: bool) -> None:
+    def finish(self, sums: Film, is_due: bool) -> None:
         """Take the samples of a complete picture.
 
         Parameters
         ----------
-        sums : Accumulation
+        sums : Film
         is_due : bool
             Whether it is time for a checkpoint.
         """
@@ -86,7 +86,7 @@ class SampleFile(PathLike[str]):
             self.save(self._held)
 
 
-def identity(renderer: SampledRenderer, setting: Setting) -> str:
+def identity(renderer: Integrator, setting: RenderContext) -> str:
     """All on which samples depend, as JSON: pictures that agree in it can be continued."""
     sampler = setting.sampler
     # One sample goes through the pixels' centres. Of samples that do not depend on how many

@@ -6,12 +6,12 @@ is in the way: `whitted` without mirrors and glass.
 
 from __future__ import annotations
 
-from raystream.rendering.sampled import SampledRenderer
+from raystream.rendering.integrator import Integrator
 from raystream.rendering.whitted import WHITTED_STAGES, check_whitted, lights_per_pixel
 
 __all__ = ["SHADOW"]
 
-SHADOW = SampledRenderer(
+SHADOW = Integrator(
     "shadow",
     "the nearest surface under the lights, with shadows (Purcell 2002)",
     WHITTED_STAGES,

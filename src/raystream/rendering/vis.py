@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from raystream.rendering.sampled import (
+from raystream.rendering.integrator import (
     Band,
+    Integrator,
     PathStream,
-    SampledRenderer,
     find_surfaces,
     take_no_options,
 )
@@ -29,7 +29,7 @@ def show_facing(stream: PathStream, band: Band) -> PathStream:
     return PathStream(stream.paths.first(0))
 
 
-VIS = SampledRenderer(
+VIS = Integrator(
     "vis",
     "visible surfaces in grey, N.V shading (Rayforce 2013)",
     (find_surfaces, show_facing),

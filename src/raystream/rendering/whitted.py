@@ -11,27 +11,27 @@ from collections.abc import Mapping
 from typing import Any
 
 from raystream.rendering.arguments import check_number, check_whole
-from raystream.rendering.sampled import (
+from raystream.rendering.integrator import (
     MAX_BOUNCES,
     Band,
+    Integrator,
     PathStream,
-    SampledRenderer,
-    Setting,
+    RenderContext,
     find_surfaces,
-    reach_lights,
+    trace_shadow_rays,
 )
-from raystream.rendering.shading.streams import LightRays, Paths
+from raystream.rendering.shading.streams import Paths, ShadowRays
 from raystream.rendering.shading.whitted import light_surfaces
 
-__all__ = ["WHITTED", "WHITTED_STAGES", "ask_every_light", "check_whitted", "lights_per_pixel"]
+__all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sample_all_lights"]
 
 
-def ask_every_light(stream: PathStream, band: Band) -> PathStream:
+def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: light the surfaces, by rays that are to be tested, and reflect and refract."""
     assert stream.hits is not None
     setting, hits, count = band.setting, stream.hits, len(stream)
     goes_on = stream.bounce < setting.options["max_bounces"]
-    rays = LightRays.empty(count * lights_per_pixel(setting))
+    rays = ShadowRays.empty(count * lights_per_pixel(setting))
     onward = Paths.empty(2 * count if goes_on else 0)
     path_count, ray_count = light_surfaces(
         stream.paths,
@@ -48,7 +48,7 @@ def ask_every_light(stream: PathStream, band: Band) -> PathStream:
     return PathStream(onward.first(path_count), stream.bounce + 1, rays=rays.first(ray_count))
 
 
-def lights_per_pixel(setting: Setting) -> int:
+def lights_per_pixel(setting: RenderContext) -> int:
     """Rays that a pixel's first surface sends to lights."""
     return int(setting.classic.light_count)
 
@@ -62,9 +62,9 @@ def check_whitted(options: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"max_bounces": bounces, "min_weight": weight}
 
 
-WHITTED_STAGES = (find_surfaces, ask_every_light, reach_lights)
+WHITTED_STAGES = (find_surfaces, sample_all_lights, trace_shadow_rays)
 
-WHITTED = SampledRenderer(
+WHITTED = Integrator(
     "whitted",
     "shadows, mirrors and glass, without recursion (Whitted 1980, Christen 2005)",
     WHITTED_STAGES,

@@ -16,8 +16,8 @@ import numpy as np
 from raystream.physics.attenuation import attenuation
 from raystream.physics.segments import thickness
 from raystream.rendering.arguments import check_number
-from raystream.rendering.sampled import Band, PathStream, SampledRenderer
-from raystream.rendering.shading.sheets import look_through
+from raystream.rendering.integrator import Band, Integrator, PathStream
+from raystream.rendering.shading.transparency import look_through
 
 __all__ = ["XRAY"]
 
@@ -59,7 +59,7 @@ def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"opacity": opacity, "absorption": absorption}
 
 
-XRAY = SampledRenderer(
+XRAY = Integrator(
     "xray",
     "all surfaces along each ray, front to back (Rayforce 2013)",
     (look_along,),

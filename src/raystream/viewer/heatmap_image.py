@@ -13,7 +13,7 @@ from raystream.kernels.tally import COLUMNS
 from raystream.rendering.color import encode_srgb
 from raystream.rendering.false_colors import color_ramp, draw_counts
 from raystream.rendering.heatmap import Heatmap, RayCost
-from raystream.rendering.sampled import Setting, eye_paths
+from raystream.rendering.integrator import RenderContext, eye_paths
 from raystream.viewer.adaptive_resolution import Cost
 from raystream.viewer.messages import Message
 from raystream.viewer.progressive_images import Drawing, ProgressiveImage
@@ -33,14 +33,14 @@ class HeatmapImage(ProgressiveImage):
 
     Parameters
     ----------
-    setting : Setting
+    setting : RenderContext
         Of a tracer with counters, with one sample per pixel.
     what : str
         A name in `HEATMAPS`.
     cost : Cost
     """
 
-    def __init__(self, setting: Setting, what: str, cost: Cost) -> None:
+    def __init__(self, setting: RenderContext, what: str, cost: Cost) -> None:
         size = setting.width, setting.height
         super().__init__(size, 1, cost, max(1, _RAYS_AT_ONCE // setting.width))
         self._setting, self._what = setting, what

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.threads import Progress
-from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.film import Film
+from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.progressive import trace_sample
-from raystream.rendering.sampled import SampledRenderer, Setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.viewer.adaptive_resolution import Cost, slice_rows
 from raystream.viewer.messages import Message
@@ -196,21 +196,21 @@ class SampledImage(ProgressiveImage):
 
     Parameters
     ----------
-    renderer : SampledRenderer
-    setting : Setting
+    renderer : Integrator
+    setting : RenderContext
         Its sampler determines the number of samples.
     cost : Cost
     """
 
-    def __init__(self, renderer: SampledRenderer, setting: Setting, cost: Cost) -> None:
+    def __init__(self, renderer: Integrator, setting: RenderContext, cost: Cost) -> None:
         super().__init__((setting.width, setting.height), setting.sampler.sample_count, cost)
         self._renderer, self._setting = renderer, setting
         self._light: NDArray[np.float32] | None = None
-        self._sums: Accumulation | None = None
+        self._sums: Film | None = None
         if self.target == 1:
             self._light = np.zeros((self.width * self.height, 3), np.float32)
         else:
-            self._sums = Accumulation(self.width, self.height)
+            self._sums = Film(self.width, self.height)
 
     def _trace(self, rows: range, sample: int, progress: Progress) -> None:
         light, _ = trace_sample(self._renderer, self._setting, sample, progress, rows)
@@ -237,17 +237,17 @@ class SampledImage(ProgressiveImage):
         return error if math.isfinite(error) else None
 
 
-def centered(setting: Setting) -> Setting:
+def centered(setting: RenderContext) -> RenderContext:
     """Return the same view with one sample, through the pixel centres."""
     return _with(setting, sampler=Sampler.of("sobol", setting.sampler.seed, 1))
 
 
-def with_samples(setting: Setting, samples: int) -> Setting:
+def with_samples(setting: RenderContext, samples: int) -> RenderContext:
     """Return the same view with this many samples per pixel, as taken by `raystream.render`."""
     return _with(setting, sampler=Sampler.of("sobol", setting.sampler.seed, samples))
 
 
-def _with(setting: Setting, **changes: Any) -> Setting:
+def _with(setting: RenderContext, **changes: Any) -> RenderContext:
     """Return a changed setting, also on the device."""
     made = replace(setting, **changes)
     return replace(made, bands=made.tracer.bands_on_device(made))

@@ -9,10 +9,10 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
-from raystream.rendering.accumulation import Accumulation
 from raystream.rendering.color import encode_srgb
+from raystream.rendering.film import Film
+from raystream.rendering.integrator import RenderContext, make_setting
 from raystream.rendering.picture import RENDERERS
-from raystream.rendering.sampled import Setting, make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -40,13 +40,13 @@ class PreparedTracer(NamedTuple):
     ----------
     key : TracerKey
     tracer : Tracer
-    setting : Setting
+    setting : RenderContext
         Without a mode, and with some camera.
     """
 
     key: TracerKey
     tracer: Tracer
-    setting: Setting
+    setting: RenderContext
 
     def message(self) -> Message:
         """Describe its structure."""
@@ -104,7 +104,7 @@ class TracerCache:
         self._scene, self._jobs = scene, jobs
         self._lock = threading.Lock()
         self._tables = threading.Lock()
-        self._setting: Setting | None = None
+        self._setting: RenderContext | None = None
         self._tracers: OrderedDict[TracerKey, Tracer] = OrderedDict()
         self._ready: dict[tuple[TracerKey, str], PreparedTracer] = {}
         self._builds: dict[tuple[TracerKey, str], _Build] = {}
@@ -204,7 +204,7 @@ class TracerCache:
             self._drop_oldest()
         return prepared
 
-    def _setting_for(self, tracer: Tracer) -> Setting:
+    def _setting_for(self, tracer: Tracer) -> RenderContext:
         """Return the scene's tables, shared by all tracers: making them can be expensive."""
         with self._tables:
             if self._setting is None:
@@ -232,7 +232,7 @@ def _cache_key(settings: Settings) -> tuple[TracerKey, str]:
     return settings.tracer_key, warmup
 
 
-def _warm_up(settings: Settings, setting: Setting) -> None:
+def _warm_up(settings: Settings, setting: RenderContext) -> None:
     """Render a small image, so that kernels are compiled before the first frame."""
     if settings.heatmap is not None:
         origins, directions = setting.camera.rays(_WARMUP_SIZE, _WARMUP_SIZE)
@@ -244,7 +244,7 @@ def _warm_up(settings: Settings, setting: Setting) -> None:
         size, rows = _BVH_WARMUP_SIZE, _BVH_WARMUP_ROWS
     chosen = chosen.seen_by(setting.camera, size)
     light = RENDERERS[settings.mode].trace(chosen, rows, 0)
-    Accumulation(size[0], len(rows)).add_samples(0, light)
+    Film(size[0], len(rows)).add_samples(0, light)
     encode_srgb(light)
 
 

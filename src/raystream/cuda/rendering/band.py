@@ -18,8 +18,8 @@ from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.rendering.sampled import Setting, eye_paths
-from raystream.rendering.shading.eyes import view_of
+from raystream.rendering.integrator import RenderContext, eye_paths
+from raystream.rendering.shading.camera_rays import view_of
 
 if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStream
@@ -44,7 +44,7 @@ class DeviceScene:
     frame : SceneFrame
     is_sorted : bool
         Whether the kernels take rays in the order of their keys.
-    setting : Setting
+    setting : RenderContext
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class DeviceScene:
         resident: Resident,
         frame: SceneFrame,
         is_sorted: bool,
-        setting: Setting,
+        setting: RenderContext,
     ) -> None:
         self.gpu, self.kernels, self.resident, self.frame = gpu, kernels, resident, frame
         self.is_sorted = is_sorted

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from raystream.cuda.rendering.band import DeviceBand, DeviceScene
 from raystream.cuda.rendering.stages import STAGES
 from raystream.jit.cuda import Gpu
-from raystream.rendering.whitted import ask_every_light
+from raystream.rendering.whitted import sample_all_lights
 
 if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStreams
     from raystream.cuda.structures import Resident
     from raystream.cuda.threads import ThreadQueries
     from raystream.kernels.local_ray import SceneFrame
-    from raystream.rendering.sampled import PathStage, Setting
+    from raystream.rendering.integrator import PathStage, RenderContext
 
 __all__ = ["CudaBands"]
 
@@ -32,7 +32,7 @@ class CudaBands:
 
     Parameters
     ----------
-    setting : Setting
+    setting : RenderContext
         Of the picture. What shading reads of the scene is copied when the first sample is taken.
     gpu : Gpu
     kernels : ThreadQueries
@@ -48,7 +48,7 @@ class CudaBands:
 
     def __init__(
         self,
-        setting: Setting,
+        setting: RenderContext,
         gpu: Gpu,
         kernels: ThreadQueries,
         resident: Resident,
@@ -71,7 +71,7 @@ class CudaBands:
         two threads have one pixel.
         """
         setting = self._setting
-        if ask_every_light in stages and setting.options.get("max_bounces", 0) > 0:
+        if sample_all_lights in stages and setting.options.get("max_bounces", 0) > 0:
             return False
         return setting.opacity is None and all(stage in STAGES for stage in stages)
 

@@ -20,10 +20,10 @@ from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.collect import HitAddresses
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.classic import classic_lights_of
-from raystream.rendering.shading.eyes import view_of
+from raystream.rendering.shading.camera_rays import view_of
 from raystream.rendering.shading.light_tables import lights_of
-from raystream.rendering.shading.paths import PathRules
+from raystream.rendering.shading.paths import PathOptions
+from raystream.rendering.shading.punctual_lights import classic_lights_of
 from raystream.rendering.shading.streams import StreamAddresses
 from raystream.rendering.shading.tables import tables_of
 from raystream.scene.scene import Scene
@@ -50,7 +50,7 @@ def rendering_catalogue(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any,
     sampler = Sampler.of("sobol")
     numbers = plain((sampler, _NUMBER))
     view = plain(view_of(camera, 1, 1))
-    shading = tables, lights, *numbers, _NUMBER, plain(PathRules(1, True, 1))
+    shading = tables, lights, *numbers, _NUMBER, plain(PathOptions(1, True, 1))
     first = stream, hits, tables, classic, _NUMBER, _AT
     around = stream, hits, tables, *numbers, _NUMBER, 1.0, _NUMBER, _AT, stream, _AT
     return {

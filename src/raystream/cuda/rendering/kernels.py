@@ -11,8 +11,8 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, single_lane, store
-from raystream.rendering.shading.around import look_from
-from raystream.rendering.shading.eyes import begin_block
+from raystream.rendering.shading.ambient_rays import look_from
+from raystream.rendering.shading.camera_rays import begin_block
 from raystream.rendering.shading.first import light_block, view_block
 from raystream.rendering.shading.paths import follow_block
 from raystream.rendering.shading.rows import SINGLE_ROWS

@@ -17,12 +17,12 @@ from raystream.cuda.rendering.band import DeviceBand, DeviceStream
 from raystream.cuda.rendering.kernels import ADD, ASK_LIGHTS, FOLLOW, LIGHT, LOOK_AROUND, VIEW
 from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
-from raystream.rendering.ao import ask_around, distance_of, sampler_of
-from raystream.rendering.path import meet_surfaces
+from raystream.rendering.ao import distance_of, sampler_of, spawn_ambient_rays
+from raystream.rendering.integrator import PathStage, find_surfaces, trace_shadow_rays
+from raystream.rendering.path import shade_surfaces
 from raystream.rendering.raycast import shade_by_lights
-from raystream.rendering.sampled import PathStage, find_surfaces, reach_lights
 from raystream.rendering.vis import show_facing
-from raystream.rendering.whitted import ask_every_light, lights_per_pixel
+from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 
 __all__ = ["STAGES"]
 
@@ -147,11 +147,11 @@ def _reach_lights(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
 STAGES: MappingProxyType[PathStage, DeviceStage] = MappingProxyType(
     {
         find_surfaces: _find_surfaces,
-        meet_surfaces: _meet_surfaces,
+        shade_surfaces: _meet_surfaces,
         shade_by_lights: _shading(LIGHT),
         show_facing: _shading(VIEW),
-        ask_every_light: _ask_every_light,
-        ask_around: _ask_around,
-        reach_lights: _reach_lights,
+        sample_all_lights: _ask_every_light,
+        spawn_ambient_rays: _ask_around,
+        trace_shadow_rays: _reach_lights,
     }
 )

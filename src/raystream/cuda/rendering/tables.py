@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
-from raystream.rendering.shading.kept import AddressRow, kept_arrays
+from raystream.rendering.shading.keep_alive import AddressRow, kept_arrays
 
 __all__ = ["TableMemory", "plain"]
 

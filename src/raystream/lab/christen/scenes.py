@@ -12,8 +12,8 @@ from raystream.lab.asked import AskedTracer
 from raystream.lab.frames import setting_of
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
+from raystream.rendering.integrator import Band, PathStream, RenderContext, eye_paths
 from raystream.rendering.picture import RENDERERS
-from raystream.rendering.sampled import Band, PathStream, Setting, eye_paths
 from raystream.scene.load import load
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -104,13 +104,13 @@ def picture_size(lab: Laboratory) -> int:
 
 
 def timed_iterations(
-    setting: Setting, tracer: Tracer, size: int, iterations: int
+    setting: RenderContext, tracer: Tracer, size: int, iterations: int
 ) -> tuple[list[float], float]:
     """Draw a picture with ``whitted``, all pixels together, and read the clock at each bounce.
 
     Parameters
     ----------
-    setting : Setting
+    setting : RenderContext
         Of the tracer's scene.
     tracer : Tracer
     size : int

@@ -15,7 +15,7 @@ from raystream.lab.frames import affordable, picture, setting_of
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
-from raystream.rendering.sampled import Setting
+from raystream.rendering.integrator import RenderContext
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
@@ -112,7 +112,7 @@ def _multipass(lab: Laboratory, scene: Scene, letter: str, grid: int) -> _Times:
     return values
 
 
-def _timed(setting: Setting, tracer: Tracer, size: int, rounds: int) -> _Times:
+def _timed(setting: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
     """Medians over rounds, after each iteration."""
     runs = [timed_iterations(setting, tracer, size, ITERATIONS) for _ in range(rounds)]
     seconds = [statistics.median(one) for one in zip(*(run[0] for run in runs), strict=True)]

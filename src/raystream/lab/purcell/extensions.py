@@ -22,8 +22,8 @@ from raystream.lab.purcell.pictures import SIZE
 from raystream.lab.results import Cell, Claim, Result, Table, comparison
 from raystream.lab.views import View
 from raystream.machines import RayCounters
+from raystream.rendering.integrator import Integrator, make_setting
 from raystream.rendering.picture import RENDERERS, render
-from raystream.rendering.sampled import SampledRenderer, make_setting
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -226,7 +226,7 @@ def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
         tracer.first_hit(*camera.rays(size, size))
         return tracer.sums
     renderer = RENDERERS[_ROWS[row].mode]
-    assert isinstance(renderer, SampledRenderer)
+    assert isinstance(renderer, Integrator)
     options = renderer.check({**renderer.options, **_ROWS[row].options})
     setting = make_setting(tracer, camera, (size, size), Sampler.of("sobol", 0, samples), options)
     step = max(_BAND // size, 1)

@@ -15,7 +15,7 @@ from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scene
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
 from raystream.rendering.ao import REACH
-from raystream.rendering.sampled import Setting
+from raystream.rendering.integrator import RenderContext
 from raystream.scene.scene import Scene
 
 __all__ = ["MODES", "modes"]
@@ -65,7 +65,7 @@ class _Contenders:
         return {name: AskedTracer(scene, name, progress=progress) for name in STRUCTURES}
 
     @cached_property
-    def setting(self) -> Setting:
+    def setting(self) -> RenderContext:
         return setting_of(self.tracers[REFERENCE], frame_size(self._lab))
 
 

@@ -18,8 +18,8 @@ from raystream.jit.simd import (
     square_root,
 )
 from raystream.rendering.shading.bsdf import emitted, lobes_at, reflected
-from raystream.rendering.shading.classic import arriving
 from raystream.rendering.shading.points import surface_points
+from raystream.rendering.shading.punctual_lights import arriving
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.sky_lanes import sky_toward_lanes
 from raystream.rendering.shading.streams import add_lights, addresses_of, hits_at
@@ -114,7 +114,7 @@ def light_unblocked(paths, hits, tables, lights, first_pixel, radiance):
     ----------
     paths, hits, tables, first_pixel, radiance
         See `paths.follow_paths`.
-    lights : ClassicLights
+    lights : PunctualLights
     """
     places, found, base = addresses_of(paths), hits_at(hits), address(radiance)
     count = len(paths.pixels)
@@ -143,7 +143,7 @@ def shade_by_view(paths, hits, tables, lights, first_pixel, radiance):
     ----------
     paths, hits, tables, first_pixel, radiance
         See `paths.follow_paths`.
-    lights : ClassicLights
+    lights : PunctualLights
         Their sky is what rays that miss see.
     """
     places, found, base = addresses_of(paths), hits_at(hits), address(radiance)

@@ -16,7 +16,7 @@ from raystream.rendering.attributes import check_rows
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import image_light
 from raystream.rendering.lighting import needs_light
-from raystream.rendering.shading.shares import running_sums
+from raystream.rendering.shading.discrete_distribution import running_sums
 from raystream.rendering.shading.sky import Sky, sky_of
 from raystream.rendering.shading.textures import place_of
 from raystream.scene.lights import DirectionalLight, EnvironmentLight

@@ -29,8 +29,8 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.rendering.sampling.warp import sphere, triangle
+from raystream.rendering.shading.discrete_distribution import chosen_lanes
 from raystream.rendering.shading.points import offset_at
-from raystream.rendering.shading.shares import chosen_lanes
 from raystream.rendering.shading.sky_lanes import map_sample_lanes, sky_toward_lanes
 from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
 

@@ -54,7 +54,7 @@ from raystream.rendering.shading.streams import (
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import dot, largest, scaled, times
 
-__all__ = ["PathRules", "follow_block", "follow_paths"]
+__all__ = ["PathOptions", "follow_block", "follow_paths"]
 
 #: Numbers that a path takes at each surface, and those before the first one: for the place in
 #: the pixel and on the lens.
@@ -71,7 +71,7 @@ _NULL, _WHOLE, _INF = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
 _MOST_CHANCE = np.float32(0.95)
 
 
-class PathRules(NamedTuple):
+class PathOptions(NamedTuple):
     """How paths are followed.
 
     Attributes
@@ -260,7 +260,7 @@ def follow_paths(
         Which sample of their pixels they are.
     bounce : int
         Surfaces that have scattered them before.
-    rules : PathRules
+    rules : PathOptions
     first_pixel : int
         The pixel of row 0 of `radiance`.
     radiance : ndarray of shape (P, 3), float32
@@ -268,7 +268,7 @@ def follow_paths(
     onward : Paths
         Room for as many, with slack (`streams.SLACK`); those that go on are written. It may be
         `paths`.
-    rays : LightRays
+    rays : ShadowRays
         Room for as many, with slack; rays to lights are written.
 
     Returns

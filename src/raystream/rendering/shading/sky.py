@@ -21,8 +21,8 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import axes_of, image_light, row_heights, texels_of
-from raystream.rendering.shading.kept import AddressRow
-from raystream.rendering.shading.shares import chosen, double
+from raystream.rendering.shading.discrete_distribution import chosen, double
+from raystream.rendering.shading.keep_alive import AddressRow
 from raystream.rendering.shading.textures import place_of
 from raystream.scene.lights import EnvironmentLight
 from raystream.scene.scene import Scene
@@ -314,7 +314,7 @@ def sky_toward(lights, x, y, z):
 
     Parameters
     ----------
-    lights : LightTables or ClassicLights
+    lights : LightTables or PunctualLights
     x, y, z : float64
         Of any length but 0.
 

@@ -32,8 +32,8 @@ from raystream.rendering.shading.rows import (
 
 __all__ = [
     "SLACK",
-    "LightRays",
     "Paths",
+    "ShadowRays",
     "StreamAddresses",
     "add_if_unblocked",
     "add_light",
@@ -90,7 +90,7 @@ class Paths(NamedTuple):
         return Paths._make(array[:count] for array in self)
 
 
-class LightRays(NamedTuple):
+class ShadowRays(NamedTuple):
     """Rays to lights, and what they bring if nothing is in their way.
 
     Attributes
@@ -110,13 +110,13 @@ class LightRays(NamedTuple):
     t_max: NDArray[np.float32]
 
     @classmethod
-    def empty(cls, count: int) -> LightRays:
+    def empty(cls, count: int) -> ShadowRays:
         """Room for so many, with slack."""
         return cls._make(_room(count))
 
-    def first(self, count: int) -> LightRays:
+    def first(self, count: int) -> ShadowRays:
         """The first `count` of them."""
-        return LightRays._make(array[:count] for array in self)
+        return ShadowRays._make(array[:count] for array in self)
 
 
 class StreamAddresses(NamedTuple):
@@ -125,7 +125,7 @@ class StreamAddresses(NamedTuple):
     Attributes
     ----------
     pixels, origins, directions, colors, numbers : uint64
-        In the order of `Paths` and `LightRays`; colours are weights or light, numbers densities
+        In the order of `Paths` and `ShadowRays`; colours are weights or light, numbers densities
         or ends.
     """
 
@@ -147,7 +147,7 @@ def _room(count: int) -> list[NDArray[Any]]:
 
 @device
 def addresses_of(stream):
-    """Where a stream's columns begin, `Paths` or `LightRays`."""
+    """Where a stream's columns begin, `Paths` or `ShadowRays`."""
     pixels, origins, directions, colors, numbers = stream
     return StreamAddresses(
         address(pixels), address(origins), address(directions), address(colors), address(numbers)
@@ -227,7 +227,7 @@ def put_ray(rays, row, pixel, origin, toward, t_max, light):
     Parameters
     ----------
     rays : StreamAddresses
-        Of `LightRays`.
+        Of `ShadowRays`.
     row : uint64
     pixel : int64
     origin, toward, light : tuple of three float64 or float32
@@ -302,7 +302,7 @@ def put_light_rays(rays, first, mask, pixels, tables, point, found, light):
     Parameters
     ----------
     rays : StreamAddresses
-        Of `LightRays` with slack.
+        Of `ShadowRays` with slack.
     first, mask, pixels, tables, point
         See `put_paths`.
     found : LightSample
@@ -349,7 +349,7 @@ def add_if_unblocked(i, rays, blocked, first_pixel, radiance):
     ----------
     i : uint64
     rays : StreamAddresses
-        Of `LightRays`.
+        Of `ShadowRays`.
     blocked : uint64
         Address of a byte for each ray, 0 where nothing is in its way.
     first_pixel : int
@@ -368,7 +368,7 @@ def add_unblocked(rays, blocked, first_pixel, radiance):
 
     Parameters
     ----------
-    rays : LightRays
+    rays : ShadowRays
     blocked : ndarray of shape (N,), bool
     first_pixel : int
         The pixel of row 0 of `radiance`.

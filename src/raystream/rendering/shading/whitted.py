@@ -15,8 +15,8 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, gather
 from raystream.rendering.shading.absorption import left_of
 from raystream.rendering.shading.bsdf import emitted, fresnel, lobes_at, reflected, refracted
-from raystream.rendering.shading.classic import arriving
 from raystream.rendering.shading.points import surface_point
+from raystream.rendering.shading.punctual_lights import arriving
 from raystream.rendering.shading.sky import sky_toward
 from raystream.rendering.shading.streams import (
     add_light,
@@ -157,14 +157,14 @@ def light_surfaces(
     ----------
     paths, hits, tables, first_pixel, radiance
         See `paths.follow_paths`. What surfaces emit, and ambient light, is added at once.
-    lights : ClassicLights
+    lights : PunctualLights
     goes_on : bool
         Whether mirrors and glass send rays on.
     min_weight : float
         Rays of which no colour weighs more end.
     onward : Paths
         Room for twice as many; reflected and refracted rays are written.
-    rays : LightRays
+    rays : ShadowRays
         Room for one to each light for each ray; written.
 
     Returns

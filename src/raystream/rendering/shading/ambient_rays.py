@@ -38,7 +38,7 @@ from raystream.rendering.shading.streams import (
     weights_of,
 )
 
-__all__ = ["look_around", "look_from"]
+__all__ = ["look_from", "sample_ambient"]
 
 #: The numbers before are for the place in the pixel and on the lens.
 _DIMENSION = 4
@@ -75,7 +75,7 @@ def look_from(
     paths, rays : StreamAddresses
     hits : HitAddresses
     tables, sampler, sample, count, distance, first_pixel
-        See `look_around`.
+        See `sample_ambient`.
     radiance : uint64
         Address of the pixels' light.
     row : uint64
@@ -124,7 +124,9 @@ def look_from(
 
 
 @kernel
-def look_around(paths, hits, tables, sampler, sample, count, distance, first_pixel, radiance, rays):
+def sample_ambient(
+    paths, hits, tables, sampler, sample, count, distance, first_pixel, radiance, rays
+):
     """Send rays from the surfaces that paths meet.
 
     Parameters
@@ -135,7 +137,7 @@ def look_around(paths, hits, tables, sampler, sample, count, distance, first_pix
         Rays from each point.
     distance : float
         Their length, world space; inf for all of the scene.
-    rays : LightRays
+    rays : ShadowRays
         Room for `count` for each path, with slack; written. Each brings its share of white.
 
     Returns

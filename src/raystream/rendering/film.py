@@ -1,4 +1,4 @@
-"""Accumulation: sums over the samples of each pixel, and how far to trust their mean."""
+"""Film: sums over the samples of each pixel, and how far to trust their mean."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from raystream.rendering.image import Image
 from raystream.rendering.layers import LAYERS, LayerKind
 from raystream.rendering.sums import add_light
 
-__all__ = ["Accumulation"]
+__all__ = ["Film"]
 
 #: Of the checkpoints; a file of another version is refused.
 _VERSION = 1
@@ -32,7 +32,7 @@ _BYTES_PER_PIXEL = 56
 _SUM, _SQUARES, _COUNTS = "sum", "squares", "counts"
 
 
-class Accumulation:
+class Film:
     """Sums of samples by pixel, from which come the mean, its variance, and layers.
 
     Threads may add to it at the same time if no two add to one pixel; everything else is for
@@ -217,7 +217,7 @@ class Accumulation:
         write_npz(path, arrays)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], identity: str) -> Accumulation:
+    def load(cls, path: str | PathLike[str], identity: str) -> Film:
         """Read a checkpoint; sums go on from it to the same bits as without a break.
 
         Parameters
@@ -262,7 +262,7 @@ class Accumulation:
     def __repr__(self) -> str:
         fewest, most = int(self.counts.min()), int(self.counts.max())
         samples = f"{fewest}" if fewest == most else f"{fewest} to {most}"
-        return f"Accumulation({self.width}x{self.height}, {samples} samples)"
+        return f"Film({self.width}x{self.height}, {samples} samples)"
 
 
 class _Layer:

@@ -28,7 +28,7 @@ def look_through(paths, splits, rows, tables, opacity, lights, first_pixel, radi
         All hits of the rays, as in `MultiHits`.
     opacity : float
         Of a sheet that is looked at squarely, 0 to 1; at a slant there is more of it.
-    lights : ClassicLights
+    lights : PunctualLights
         Their sky is behind the last sheet.
     """
     us, vs, prim_ids = rows

@@ -28,7 +28,7 @@ from raystream.rendering.shading.rows import put_vectors
 from raystream.rendering.shading.streams import addresses_of
 from raystream.scene.camera import Camera
 
-__all__ = ["View", "begin_block", "begin_paths", "view_of"]
+__all__ = ["View", "begin_block", "generate_camera_rays", "view_of"]
 
 _HALF, _WHOLE, _INF = np.float32(0.5), np.float32(1.0), np.float32(np.inf)
 
@@ -139,7 +139,7 @@ def begin_block(view, first_row, row, first, sampler, sample, paths):
 
 
 @kernel
-def begin_paths(view, first_row, row_count, sampler, sample, paths):
+def generate_camera_rays(view, first_row, row_count, sampler, sample, paths):
     """Begin a path at each pixel of some rows: at its centre if there is one sample, or spread.
 
     Parameters

@@ -22,11 +22,11 @@ from raystream.programs.filters import Bound
 from raystream.rendering.device_bands import DeviceBands
 from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.classic import ClassicLights, classic_lights_of
-from raystream.rendering.shading.eyes import begin_paths, view_of
+from raystream.rendering.shading.camera_rays import generate_camera_rays, view_of
+from raystream.rendering.shading.first_surfaces import SeenSurfaces, see_surfaces
 from raystream.rendering.shading.light_tables import LightTables, lights_of
-from raystream.rendering.shading.seen import SeenSurfaces, see_surfaces
-from raystream.rendering.shading.streams import LightRays, Paths, add_unblocked
+from raystream.rendering.shading.punctual_lights import PunctualLights, classic_lights_of
+from raystream.rendering.shading.streams import Paths, ShadowRays, add_unblocked
 from raystream.rendering.shading.tables import SceneTables, tables_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
@@ -34,15 +34,15 @@ from raystream.tracer import Tracer
 __all__ = [
     "MAX_BOUNCES",
     "Band",
+    "Integrator",
     "PathStage",
     "PathStream",
-    "SampledRenderer",
-    "Setting",
+    "RenderContext",
     "eye_paths",
     "find_surfaces",
     "make_setting",
-    "reach_lights",
     "take_no_options",
+    "trace_shadow_rays",
 ]
 
 #: Most surfaces on a path, for options `max_bounces`.
@@ -50,7 +50,7 @@ MAX_BOUNCES = 1000
 
 
 @dataclass(frozen=True)
-class Setting:
+class RenderContext:
     """What the stages of one picture share.
 
     Attributes
@@ -60,7 +60,7 @@ class Setting:
     width, height : int
     tables : SceneTables
     lights : LightTables
-    classic : ClassicLights
+    classic : PunctualLights
         The same for modes that take each as one place.
     sampler : Sampler
     opacity : Opacity, optional
@@ -83,7 +83,7 @@ class Setting:
     height: int
     tables: SceneTables
     lights: LightTables
-    classic: ClassicLights
+    classic: PunctualLights
     sampler: Sampler
     opacity: Opacity | None
     options: Mapping[str, Any]
@@ -96,7 +96,7 @@ class Setting:
         """What the tracer's queries take as ``on_hit`` for rays of shape (N, 3)."""
         return filter_of(self.opacity, origins, directions)
 
-    def seen_by(self, camera: Camera, size: tuple[int, int] | None = None) -> Setting:
+    def seen_by(self, camera: Camera, size: tuple[int, int] | None = None) -> RenderContext:
         """The same scene from another camera, or in another size.
 
         What of it does not depend on them is shared, which makes this much quicker than
@@ -124,14 +124,14 @@ def make_setting(
     options: Mapping[str, Any],
     layers: Sequence[str] = (),
     chosen_lights: str = "auto",
-) -> Setting:
+) -> RenderContext:
     """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
     tables, kept_tables = tables_of(tracer.scene)
     lights, kept_lights = lights_of(tracer.scene, chosen_lights)
     classic, kept_classic = classic_lights_of(tracer.scene, camera, chosen_lights)
     kept = kept_tables, kept_lights, kept_classic
     opacity = Opacity.of(tracer.scene, sampler.seed)
-    made = Setting(
+    made = RenderContext(
         tracer,
         camera,
         *size,
@@ -154,14 +154,14 @@ class Band:
 
     Attributes
     ----------
-    setting : Setting
+    setting : RenderContext
     sample : int
     first_pixel : int
     radiance : ndarray of shape (P, 3), float32
         Linear RGB of its pixels; stages add to it.
     """
 
-    setting: Setting
+    setting: RenderContext
     sample: int
     first_pixel: int
     radiance: NDArray[np.float32]
@@ -178,14 +178,14 @@ class PathStream:
         Surfaces that have scattered them.
     hits : Hits, optional
         Where they meet surfaces, once it is known.
-    rays : LightRays, optional
+    rays : ShadowRays, optional
         Rays to lights that are to be tested.
     """
 
     paths: Paths
     bounce: int = 0
     hits: Hits | None = None
-    rays: LightRays | None = None
+    rays: ShadowRays | None = None
 
     def __len__(self) -> int:
         return len(self.paths.pixels)
@@ -195,7 +195,7 @@ PathStage = Callable[[PathStream, Band], PathStream]
 
 
 @dataclass(frozen=True)
-class SampledRenderer:
+class Integrator:
     """A mode of rendering by samples.
 
     Attributes
@@ -218,21 +218,21 @@ class SampledRenderer:
     stages: Sequence[PathStage]
     options: Mapping[str, Any]
     check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
-    rays_per_pixel: Callable[[Setting], int] = lambda _: 1
+    rays_per_pixel: Callable[[RenderContext], int] = lambda _: 1
 
-    def bands_of(self, setting: Setting) -> DeviceBands | None:
+    def bands_of(self, setting: RenderContext) -> DeviceBands | None:
         """What takes its samples on a device; None if the host does, as for layers."""
         bands = setting.bands
         return bands if bands and not setting.layers and bands.takes(self.stages) else None
 
     def trace(
-        self, setting: Setting, rows: range, sample: int, seen: SeenSurfaces | None = None
+        self, setting: RenderContext, rows: range, sample: int, seen: SeenSurfaces | None = None
     ) -> NDArray[np.float32]:
         """Take one sample of each pixel of some rows.
 
         Parameters
         ----------
-        setting : Setting
+        setting : RenderContext
         rows : range
         sample : int
         seen : SeenSurfaces, optional
@@ -264,7 +264,7 @@ class SampledRenderer:
 
 
 def take_no_options(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """For `SampledRenderer.check` of modes that have none."""
+    """For `Integrator.check` of modes that have none."""
     return options
 
 
@@ -288,7 +288,7 @@ def eye_paths(
     count = len(rows) * width
     if camera.projection == "perspective":
         paths = Paths.empty(count)
-        begin_paths(view_of(camera, *size), rows.start, len(rows), sampler, sample, paths)
+        generate_camera_rays(view_of(camera, *size), rows.start, len(rows), sampler, sample, paths)
         return paths
     pixels = np.arange(rows.start * width, rows.start * width + count)
     x, y = (pixels % width).astype(np.float64), (pixels // width).astype(np.float64)
@@ -324,7 +324,7 @@ def note_surfaces(stream: PathStream, band: Band, seen: SeenSurfaces) -> None:
     see_surfaces(stream.paths, rows, tables, band.first_pixel, seen)
 
 
-def reach_lights(stream: PathStream, band: Band) -> PathStream:
+def trace_shadow_rays(stream: PathStream, band: Band) -> PathStream:
     """Stage: add what the lights send where nothing is in the way."""
     rays = stream.rays
     assert rays is not None

@@ -1,4 +1,4 @@
-"""Accumulation: the mean, its spread, layers, and checkpoints."""
+"""Film: the mean, its spread, layers, and checkpoints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from raystream.core.errors import FileFormatError
-from raystream.rendering.accumulation import Accumulation
+from raystream.rendering.film import Film
 
 WIDTH, HEIGHT = 6, 4
 PIXELS = WIDTH * HEIGHT
@@ -22,7 +22,7 @@ def samples_of(count, seed=1):
 
 
 def filled(samples, sums=None):
-    sums = sums or Accumulation(WIDTH, HEIGHT)
+    sums = sums or Film(WIDTH, HEIGHT)
     for sample in samples:
         sums.add_samples(0, sample)
     return sums
@@ -43,7 +43,7 @@ def test_variance_is_that_of_means_drawn_again():
     """Unbiased: over many pictures, the mean of the estimates is the spread of the means."""
     rng = np.random.default_rng(7)
     draws = rng.exponential(1.0, (3, 200 * 100, 3)).astype(np.float32)
-    sums = Accumulation(200, 100)
+    sums = Film(200, 100)
     for draw in draws:
         sums.add_samples(0, draw)
     estimate, spread = sums.variance().mean(), sums.mean().var()
@@ -52,7 +52,7 @@ def test_variance_is_that_of_means_drawn_again():
 
 
 def test_pixels_have_numbers_of_samples_of_their_own():
-    sums = Accumulation(WIDTH, HEIGHT)
+    sums = Film(WIDTH, HEIGHT)
     sums.add_samples(5, np.ones((3, 3), np.float32))
     sums.add_samples(6, np.full((1, 3), 3.0, np.float32))
     assert sums.counts[4:9].tolist() == [0, 1, 2, 1, 0]
@@ -65,7 +65,7 @@ def test_pixels_have_numbers_of_samples_of_their_own():
 
 
 def test_samples_that_are_not_finite_count_as_black():
-    sums = Accumulation(WIDTH, HEIGHT)
+    sums = Film(WIDTH, HEIGHT)
     bad = np.ones((PIXELS, 3), np.float32)
     bad[3, 1], bad[8, 0], bad[9] = np.nan, np.inf, -np.inf
     sums.add_samples(0, bad)
@@ -89,7 +89,7 @@ def test_largest_light_leaves_no_nan():
 
 def test_error_foretells_the_distance_from_the_truth():
     rng = np.random.default_rng(3)
-    sums = Accumulation(100, 60)
+    sums = Film(100, 60)
     for _ in range(32):
         sums.add_samples(0, rng.exponential(2.0, (6000, 3)).astype(np.float32))
     actual = np.sqrt(np.mean((sums.mean() - 2.0) ** 2)) / 2.0
@@ -108,7 +108,7 @@ def test_error_is_a_part_of_the_brightness():
 
 
 def test_layers_are_means_and_first_samples():
-    sums = Accumulation(WIDTH, HEIGHT)
+    sums = Film(WIDTH, HEIGHT)
     for depth, prim_id in ((2.0, 7), (np.inf, -1), (4.0, 9)):
         sums.set_layer("depth", 0, np.full(PIXELS - 1, depth, np.float32))
         sums.set_layer("prim_id", 0, np.full(PIXELS - 1, prim_id, np.int32))
@@ -142,20 +142,20 @@ def test_image_has_the_layers():
 )
 def test_bad_layer_is_refused(name, values, named):
     with pytest.raises(ValueError, match=f"^{named}: "):
-        Accumulation(WIDTH, HEIGHT).set_layer(name, 0, values.astype(np.float32))
+        Film(WIDTH, HEIGHT).set_layer(name, 0, values.astype(np.float32))
 
 
 @pytest.mark.parametrize("first", [-1, 1, PIXELS])
 def test_pixels_outside_are_refused(first):
     with pytest.raises(ValueError, match="first_pixel"):
-        Accumulation(WIDTH, HEIGHT).add_samples(first, np.zeros((PIXELS, 3), np.float32))
+        Film(WIDTH, HEIGHT).add_samples(first, np.zeros((PIXELS, 3), np.float32))
 
 
 def test_shape_and_size_are_checked():
     with pytest.raises(ValueError, match="radiance"):
-        Accumulation(WIDTH, HEIGHT).add_samples(0, np.zeros(3, np.float32))
+        Film(WIDTH, HEIGHT).add_samples(0, np.zeros(3, np.float32))
     with pytest.raises(ValueError, match="size"):
-        Accumulation(0, 4)
+        Film(0, 4)
 
 
 # Threads.
@@ -164,7 +164,7 @@ def test_shape_and_size_are_checked():
 def test_threads_add_to_pixels_of_their_own():
     samples = samples_of(40)
     samples[::3, ::5] = np.nan
-    together = Accumulation(WIDTH, HEIGHT)
+    together = Film(WIDTH, HEIGHT)
 
     def add(row):
         pixels = slice(row * WIDTH, (row + 1) * WIDTH)
@@ -192,11 +192,11 @@ IDENTITY = json.dumps({"scene": "cornell", "mode": "path", "seed": 3})
 def test_sums_go_on_from_a_checkpoint_to_the_same_bits(tmp_path):
     samples = samples_of(8)
     samples[2, 3] = np.inf
-    whole, part = Accumulation(WIDTH, HEIGHT), Accumulation(WIDTH, HEIGHT)
+    whole, part = Film(WIDTH, HEIGHT), Film(WIDTH, HEIGHT)
     for i, sample in enumerate(samples):
         if i == 3:
             part.save(tmp_path / "half.npz", IDENTITY)
-            part = Accumulation.load(tmp_path / "half.npz", IDENTITY)
+            part = Film.load(tmp_path / "half.npz", IDENTITY)
         for sums in (whole, part):
             sums.add_samples(0, sample)
             sums.set_layer("depth", 0, sample[:, 0])
@@ -215,18 +215,18 @@ def test_checkpoint_of_another_picture_is_refused(tmp_path):
     filled(samples_of(1)).save(path, IDENTITY)
     other = json.dumps({"scene": "cornell", "mode": "ao", "seed": 4})
     with pytest.raises(FileFormatError, match=r"another picture \(mode, seed differ\)"):
-        Accumulation.load(path, other)
+        Film.load(path, other)
     with pytest.raises(FileFormatError, match=r"another picture .*not 'plain text'"):
-        Accumulation.load(path, "plain text")
+        Film.load(path, "plain text")
     with pytest.raises(TypeError, match="identity"):
-        Accumulation.load(path, 3)
+        Film.load(path, 3)
 
 
 def test_identities_that_only_look_like_json(tmp_path):
     path = tmp_path / "a.npz"
     filled(samples_of(1)).save(path, "[" * 5000)
     with pytest.raises(FileFormatError, match="another picture"):
-        Accumulation.load(path, "[" * 5001)
+        Film.load(path, "[" * 5001)
     with pytest.raises(ValueError, match="identity"):
         filled(samples_of(1)).save(path, "x" * 70000)
 
@@ -276,11 +276,11 @@ def test_damaged_checkpoint_is_refused(tmp_path, name, array):
         arrays[name] = array
     np.savez(path, **arrays)
     with pytest.raises(FileFormatError, match=r"^.*a\.npz: "):
-        Accumulation.load(path, IDENTITY)
+        Film.load(path, IDENTITY)
 
 
 def test_file_that_is_none_is_refused(tmp_path):
     (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 no archive")
     for name in ("a.npz", "missing.npz"):
         with pytest.raises(FileFormatError, match=name):
-            Accumulation.load(tmp_path / name, IDENTITY)
+            Film.load(tmp_path / name, IDENTITY)

@@ -25,7 +25,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
 
-__all__ = ["ClassicLights", "arriving", "classic_lights_of", "light_rows"]
+__all__ = ["PunctualLights", "arriving", "classic_lights_of", "light_rows"]
 
 # Kinds of lights: a point whose light falls with the square of the distance, one whose light
 # does not, a sun, a flat patch, a bulb.
@@ -41,7 +41,7 @@ _LONG = np.uint64(8)
 Vector = tuple[float, float, float]
 
 
-class ClassicLights(NamedTuple):
+class PunctualLights(NamedTuple):
     """Lights of a scene, by address; lengths and places in the local frame.
 
     Attributes
@@ -63,18 +63,18 @@ class ClassicLights(NamedTuple):
 
 def classic_lights_of(
     scene: Scene, camera: Camera, chosen: str = "auto"
-) -> tuple[ClassicLights, object]:
+) -> tuple[PunctualLights, object]:
     """The lights of a scene, and what must be kept; see `lighting.classic_lights`."""
     table, ambient = light_rows(scene, camera, chosen)
     sky, kept_sky = background_of(scene)
-    lights = ClassicLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
+    lights = PunctualLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
     return lights, (table, kept_sky)
 
 
 def light_rows(
     scene: Scene, camera: Camera, chosen: str = "auto"
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rows of `ClassicLights`, shape (L, 12), and the ambient radiance, shape (3,)."""
+    """Rows of `PunctualLights`, shape (L, 12), and the ambient radiance, shape (3,)."""
     frame = scene.triangles
     scale = float(frame.scale)
     patches = area_patches(scene)
@@ -150,7 +150,7 @@ def arriving(tables, lights, number, point):
     Parameters
     ----------
     tables : SceneTables
-    lights : ClassicLights
+    lights : PunctualLights
     number : uint64
     point : Point
 
