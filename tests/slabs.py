@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from raystream.kernels.leaf import test_triangles
 
 import raystream as rs
 from raystream.core.options import Range
 from raystream.jit.cpu import device
-from raystream.jit.intrinsics import corners_at, int32_at
 from raystream.jit.simd import load
 from raystream.kernels.search import is_full
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
+from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.saved import take
 
@@ -28,15 +27,15 @@ from raystream.structures.saved import take
 class SlabAddresses(NamedTuple):
     """What the traversal reads: addresses of arrays, which the structure keeps alive."""
 
-    corners: np.uint64  # (A, 3, 3), float32: the triangles in the order of the slabs
-    prim_ids: np.uint64  # (A,), int32: their numbers in the scene
-    splits: np.uint64  # (S + 1,), int64: slab i owns triangles splits[i] to splits[i + 1]
+    prim_ids: np.uint64  # (A,), int32: the triangles that can be hit, in the order of the slabs
+    corners: np.uint64  # (F, 3, 3), float32: all triangles of the scene
+    splits: np.uint64  # (S + 1,), uint64: slab i owns prim_ids splits[i] to splits[i + 1]
     boxes: np.uint64  # (S, 6), float32: low x, y, z, high x, y, z of each slab
-    triangle_count: np.uint64
     slab_count: np.uint64
 
 
 _ONE = np.uint64(1)
+_INF = np.float32(np.inf)
 
 
 @device
@@ -48,7 +47,6 @@ def number_at(address, row, column):
 @device
 def traverse(view, ray, search, stack):
     """Test the triangles of all slabs whose boxes the ray enters soon enough."""
-    corners, prim_ids = corners_at(view.corners), int32_at(view.prim_ids, view.triangle_count)
     for i in range(view.slab_count):
         slab, boxes = np.uint64(i), view.boxes
         add_to(search.counters, STEPS, _ONE)
@@ -64,9 +62,10 @@ def traverse(view, ray, search, stack):
         # Never left out at the same t: a triangle with a lower prim_id may be in it.
         if max(t_in, search.t_min) <= min(t_out, search.t_far):
             add_to(search.counters, LEAVES, _ONE)
-            begin = load(np.int64, view.splits + slab * np.uint64(8))
-            end = load(np.int64, view.splits + (slab + _ONE) * np.uint64(8))
-            search = test_triangles(ray, corners, prim_ids, begin, end, search)
+            begin = load(np.uint64, view.splits + slab * np.uint64(8))
+            end = load(np.uint64, view.splits + (slab + _ONE) * np.uint64(8))
+            lists = view.prim_ids, view.corners, begin, end
+            search = intersect_list(*lists, ray, search, search.t_min, _INF)
             if is_full(search):
                 break
     return search
@@ -84,27 +83,26 @@ class SlabStructure(Structure):
         middles = corners.mean(axis=1)
         axis = np.ptp(middles, axis=0).argmax() if len(prim_ids) else 0
         slab_count = min(options.slab_count, len(prim_ids))
-        splits = np.linspace(0, len(prim_ids), slab_count + 1).astype(np.int64)
+        splits = np.linspace(0, len(prim_ids), slab_count + 1).astype(np.uint64)
         self._set(triangles, options, prim_ids[middles[:, axis].argsort()], splits, started)
         if progress:
             progress(len(prim_ids), len(prim_ids))
 
     def _set(self, triangles, options, prim_ids, splits, started):
         self.triangles, self.options = triangles, options
-        corners = np.ascontiguousarray(triangles.corners[prim_ids])
         boxes = [
             np.concatenate([slab.min(axis=(0, 1)), slab.max(axis=(0, 1))])
-            for slab in np.split(corners, splits[1:-1])
+            for slab in np.split(triangles.corners[prim_ids], splits[1:-1].astype(np.int64))
             if len(slab)
         ]
         self._memory = {
-            "corners": corners,
             "prim_ids": np.ascontiguousarray(prim_ids),
+            "corners": np.ascontiguousarray(triangles.corners),
             "splits": splits,
             "boxes": np.array(boxes, np.float32),
         }
         addresses = (np.uint64(array.ctypes.data) for array in self._memory.values())
-        self._addresses = SlabAddresses(*addresses, np.uint64(len(corners)), np.uint64(len(boxes)))
+        self._addresses = SlabAddresses(*addresses, np.uint64(len(boxes)))
         byte_count = sum(array.nbytes for array in self._memory.values())
         self.report = BuildReport(time.perf_counter() - started, byte_count)
 
@@ -127,10 +125,10 @@ class SlabStructure(Structure):
         """Slabs from a file, which may be damaged or hostile."""
         started = time.perf_counter()
         prim_ids = take(arrays, "prim_ids", np.int32, (None,))
-        splits = take(arrays, "splits", np.int64, (None,))
+        splits = take(arrays, "splits", np.uint64, (None,))
         if not np.array_equal(np.sort(prim_ids), triangles.prim_ids):
             raise ValueError("the slabs do not list each triangle once")
-        is_increasing = len(splits) < 2 or (np.diff(splits) > 0).all()
+        is_increasing = len(splits) < 2 or (splits[1:] > splits[:-1]).all()
         if len(splits) < 1 or splits[0] != 0 or splits[-1] != len(prim_ids) or not is_increasing:
             raise ValueError("the splits do not delimit the slabs")
         slabs = cls.__new__(cls)

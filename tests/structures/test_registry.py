@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 import raystream
-from raystream.kernels.leaf_block import BLOCK_SIZE, MAX_LEAF_BLOCKS
+from raystream.kernels.leaf_block import BLOCK_SIZE
 from raystream.structures import STRUCTURES, form_of, names_with, structure_class
 from raystream.structures.base import Structure
 from raystream.structures.bvh.build import QUALITIES
+from raystream.structures.bvh.layout import MAX_LEAF_BLOCKS
 from raystream.structures.bvh.options import MAX_LEAF_SIZE
 
 SOURCE = Path(raystream.__file__).resolve().parents[1]
