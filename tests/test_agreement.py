@@ -21,7 +21,7 @@ from conftest import (
     GRAPHICS_TRACERS,
     TRACERS,
     assert_same_bits,
-    is_usual,
+    is_default,
 )
 from oracles import check_counts, check_first, judge
 from raystream.structures import STRUCTURES
@@ -124,7 +124,7 @@ def is_exhaustive(tracer: str, name: str) -> bool:
     On the CPU the code paths have each case, and all others a quarter of them in turn.
     """
     if tracer in TRACERS:
-        return tracer not in CODE_PATHS and not is_usual(tracer, list(CASES).index(name), 4)
+        return tracer not in CODE_PATHS and not is_default(tracer, list(CASES).index(name), 4)
     options = GRAPHICS_TRACERS[tracer]
     if tracer == "kdtree, short stack, graphics":  # one of four traversals
         return True

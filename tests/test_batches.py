@@ -9,7 +9,7 @@ import pytest
 
 import raystream as rs
 from batches import BATCHES
-from conftest import TRACERS, assert_same_bits, is_usual
+from conftest import TRACERS, assert_same_bits, is_default
 from meshes import soup
 from raystream.structures.bvh import sorted_batch
 from test_agreement import Answers, answers_of, assert_expected
@@ -30,7 +30,7 @@ PAIRS = [
     pytest.param(
         name,
         tracer,
-        marks=[pytest.mark.exhaustive] * (tracer not in READERS and not is_usual(tracer, i, 8)),
+        marks=[pytest.mark.exhaustive] * (tracer not in READERS and not is_default(tracer, i, 8)),
         id=f"{name}-{tracer}",
     )
     for i, name in enumerate(BATCHES)
