@@ -24,7 +24,7 @@ NOT_YET = (
     "src/raystream/machines",
     "src/raystream/physics",
     "src/raystream/programs",
-    "src/raystream/render",
+    "src/raystream/rendering",
     "src/raystream/scene",
     "src/raystream/streams",
     "src/raystream/structures",

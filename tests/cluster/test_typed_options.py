@@ -33,8 +33,8 @@ def _slow(monkeypatch):
 
 def sent(structure, device, **options) -> rs.Tracer:
     """The tracer that a worker makes."""
-    parcel = pack_tracer(SCENE, structure, device, options, for_pictures=False)
-    return unpack_tracer(parcel.header, parcel.arrays)
+    bundle = pack_tracer(SCENE, structure, device, options, for_rendering=False)
+    return unpack_tracer(bundle.header, bundle.arrays)
 
 
 @pytest.mark.parametrize("device", ["cpu", rs.Cpu(), "slow", Slow(patience=3)])
