@@ -32,6 +32,7 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.jit.threads import parallel_for
+from raystream.jit.views import view
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.ray import pick
 from raystream.kernels.search import is_full, offer
@@ -53,6 +54,7 @@ __all__ = [
     "SECOND",
     "THIRD",
     "TRIANGLE_BYTES",
+    "Block",
     "BlockRay",
     "block_ray",
     "blocks_end",
@@ -70,8 +72,12 @@ __all__ = [
 #: has prim_id -1 and coordinates NaN; those are the last ones of their block.
 BLOCK_SIZE = 4
 
+#: A block: rows of coordinates by corner and axis, then the triangles' numbers.
+_BLOCK = np.dtype([("corners", "f4", (3, 3, 4)), ("prim_ids", "i4", (4, 1))])
+Block = view(_BLOCK)
+
 #: Size of a block.
-BLOCK_BYTES = 160
+BLOCK_BYTES = _BLOCK.itemsize
 BLOCK_FLOATS = BLOCK_BYTES // 4
 
 #: Bytes of a block; of its four coordinates of one axis; where its second and third corners and

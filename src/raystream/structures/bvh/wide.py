@@ -14,6 +14,7 @@ from raystream.jit.simd import (
     permutation,
     select,
 )
+from raystream.jit.views import view
 from raystream.kernels.leaf_block import BLOCK
 
 __all__ = [
@@ -23,9 +24,11 @@ __all__ = [
     "LANE",
     "NODE",
     "NODE_AXIS",
+    "Node",
     "leaf_address",
     "leaf_end",
     "plane_offset",
+    "plane_row",
     "sort_keys",
     "t_key",
 ]
@@ -34,6 +37,9 @@ __all__ = [
 NODE = np.uint64(256)
 NODE_AXIS = np.uint64(64)
 BOX_FLIP = np.uint64(32)
+
+#: A node: of each axis low and high planes of its eight boxes, then its children.
+Node = view([("planes", "f4", (6, 8)), ("children", "i4", 8), ("unused", "V32")])
 
 #: Where a node's eight child numbers begin.
 CHILDREN = np.uint64(192)
@@ -45,6 +51,7 @@ LANE = np.uint64(4)
 KEY_LANES = np.int32(7)
 
 _NONE = np.uint64(0)
+_ONE = np.uint64(1)
 _ZERO = np.float32(0.0)
 _NO_LIMIT = np.int32(2**31 - 1)
 _BLOCK_BITS = np.int32(7)
@@ -67,6 +74,12 @@ def leaf_end(first, child):
 def plane_offset(axis, inv):
     """Where in a node the planes of an axis are that a ray of this reciprocal meets first."""
     return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else _NONE)
+
+
+@device
+def plane_row(axis, inv):
+    """The row of a node's planes that a ray of this reciprocal meets first; see `Node`."""
+    return (axis << _ONE) | (_ONE if inv < _ZERO else _NONE)
 
 
 @device
