@@ -55,6 +55,7 @@ __all__ = [
     "THIRD",
     "TRIANGLE_BYTES",
     "Block",
+    "BlockLanes",
     "BlockRay",
     "block_ray",
     "blocks_end",
@@ -72,9 +73,11 @@ __all__ = [
 #: has prim_id -1 and coordinates NaN; those are the last ones of their block.
 BLOCK_SIZE = 4
 
-#: A block: rows of coordinates by corner and axis, then the triangles' numbers.
+#: A block: rows of coordinates by corner and axis, then the triangles' numbers; and the same,
+#: triangle by triangle.
 _BLOCK = np.dtype([("corners", "f4", (3, 3, 4)), ("prim_ids", "i4", (4, 1))])
 Block = view(_BLOCK)
+BlockLanes = view([("corners", "f4", (3, 3, 4, 1)), ("prim_ids", "i4", (4, 1))])
 
 #: Size of a block.
 BLOCK_BYTES = _BLOCK.itemsize

@@ -23,22 +23,12 @@ from raystream.jit.simd import (
 from raystream.kernels.local_ray import world_t
 from raystream.structures.bvh.packet_load import load_rays
 from raystream.structures.bvh.packet_rays import (
-    ARRAY,
-    CLASS,
-    DIRECTION,
-    FACTOR,
-    FAR,
     GROUP_BYTES,
-    INV,
-    LONG_FACTOR,
-    LONG_OFFSET,
-    NEAR,
     NO_PRIM,
-    ORIGIN,
-    SHEAR,
-    T_MIN,
-    T,
+    Group,
+    GroupLanes,
 )
+from raystream.structures.bvh.packet_rays import three as vectors
 from raystream.structures.bvh.ray_order import (
     COPIES_BYTES,
     copy_sixteen,
@@ -174,11 +164,6 @@ def three(record):
 
 
 @device
-def _vectors(at):
-    return load(f32x16, at), load(f32x16, at + ARRAY), load(f32x16, at + ARRAY + ARRAY)
-
-
-@device
 def _in_frame(is_y, is_z, x, y, z):
     """Coordinates in the order of the frames, whose last axis is y, z or else x."""
     return (
@@ -191,18 +176,18 @@ def _in_frame(is_y, is_z, x, y, z):
 @device
 def _write_records(hot, cold, group):
     """Turn a prepared group into 16 records."""
-    kinds = load(i32x16, group + CLASS) & np.int32(3)
+    kinds = group.kind & np.int32(3)
     is_y, is_z = kinds == np.int32(1), kinds == np.int32(2)
-    ox, oy, oz = _vectors(group + ORIGIN)
-    dx, dy, dz = _vectors(group + DIRECTION)
-    sx, sy, _ = _vectors(group + SHEAR)
+    ox, oy, oz = vectors(group.origin)
+    dx, dy, dz = vectors(group.direction)
+    sx, sy, _ = vectors(group.shear)
     axes = select(is_z, i32x16(_AXES_Z), select(is_y, i32x16(_AXES_Y), i32x16(_AXES_X)))
-    slabs = _vectors(group + INV) + _vectors(group + NEAR) + _vectors(group + FAR)
-    limits = load(f32x16, group + T_MIN), load(f32x16, group + T)
+    slabs = vectors(group.inv) + vectors(group.near) + vectors(group.far)
+    limits = group.t_min, group.t
     origin = _in_frame(is_y, is_z, ox, oy, oz)
     store_records(hot, slabs + limits + origin + (bits_as_float(axes), sx))
     zero = f32x16(_ZERO)
-    result = load(f32x16, group + FACTOR), zero, zero, bits_as_float(i32x16(NO_PRIM))
+    result = group.factor, zero, zero, bits_as_float(i32x16(NO_PRIM))
     store_records(cold, _in_frame(is_y, is_z, dx, dy, dz) + (sy,) + result)
 
 
@@ -225,20 +210,21 @@ def fill(stream, source, rays, place, count, frame, memory, status):
         Address of the batch's statuses; written for invalid rays only.
     """
     found = memory + _FOUND
+    group, lanes = Group(memory), GroupLanes(memory)
     is_double = source.origins_are_double or source.directions_are_double
     for j in range(_U0, count, _LANES):
         store(found, _U0)
         store(found + _WORD, _U0)
         copied = copy_sixteen(memory + _COPIES, source, rays, place + j, count - j)
         sixteen, t_min, t_max = load_copies(memory + _COPIES, is_double)
-        is_long = load_rays(memory, sixteen, t_min, t_max, copied, frame, found)
-        _write_records(stream.hot + j * HOT, stream.cold + j * COLD, memory)
+        is_long = load_rays(group, sixteen, t_min, t_max, copied, frame, found)
+        _write_records(stream.hot + j * HOT, stream.cold + j * COLD, group)
         store(stream.flags + j // _LANES, np.uint8(is_long))
         if is_long:
             for k in range(min(_LANES, count - j)):
-                to, at = stream.long + (j + k) * _LONG, memory + LONG_FACTOR + k * _WORD
-                store(to, load(np.float64, at))
-                store(to + _WORD, load(np.float64, at + LONG_OFFSET))
+                to = stream.long + (j + k) * _LONG
+                store(to, lanes.long_factor[k])
+                store(to + _WORD, lanes.long_offset[k])
                 kind = load(np.uint8, found + k)
                 if kind != np.uint8(0):
                     store(status + rays.first + number_at(rays, place + j + k), kind)

@@ -25,6 +25,7 @@ __all__ = [
     "NODE",
     "NODE_AXIS",
     "Node",
+    "NodeLanes",
     "leaf_address",
     "leaf_end",
     "plane_offset",
@@ -38,8 +39,10 @@ NODE = np.uint64(256)
 NODE_AXIS = np.uint64(64)
 BOX_FLIP = np.uint64(32)
 
-#: A node: of each axis low and high planes of its eight boxes, then its children.
+#: A node: of each axis low and high planes of its eight boxes, then its children; and the same,
+#: box by box.
 Node = view([("planes", "f4", (6, 8)), ("children", "i4", 8), ("unused", "V32")])
+NodeLanes = view([("planes", "f4", (6, 8, 1)), ("children", "i4", (8, 1)), ("unused", "V32")])
 
 #: Where a node's eight child numbers begin.
 CHILDREN = np.uint64(192)
