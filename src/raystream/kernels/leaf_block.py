@@ -50,6 +50,7 @@ __all__ = [
     "BLOCK_BYTES",
     "BLOCK_FLOATS",
     "BLOCK_SIZE",
+    "HITS",
     "PRIM_IDS",
     "SECOND",
     "THIRD",
@@ -57,6 +58,8 @@ __all__ = [
     "Block",
     "BlockLanes",
     "BlockRay",
+    "HitLanes",
+    "Hits",
     "block_ray",
     "blocks_end",
     "clear_block",
@@ -78,6 +81,11 @@ BLOCK_SIZE = 4
 _BLOCK = np.dtype([("corners", "f4", (3, 3, 4)), ("prim_ids", "i4", (4, 1))])
 Block = view(_BLOCK)
 BlockLanes = view([("corners", "f4", (3, 3, 4, 1)), ("prim_ids", "i4", (4, 1))])
+
+#: Hits of a block's triangles; and the same, triangle by triangle.
+HITS = np.dtype([("t", "f4", 4), ("u", "f4", 4), ("v", "f4", 4)])
+Hits = view(HITS)
+HitLanes = view([("t", "f4", (4, 1)), ("u", "f4", (4, 1)), ("v", "f4", (4, 1))])
 
 #: Size of a block.
 BLOCK_BYTES = _BLOCK.itemsize

@@ -28,8 +28,8 @@ from raystream.jit.views import view
 from raystream.kernels.local_ray import world_t
 
 __all__ = [
+    "GROUP",
     "GROUPS",
-    "GROUP_BYTES",
     "NO_KIND",
     "NO_PRIM",
     "PACKET_BYTES",
@@ -71,12 +71,12 @@ _FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
     ("long_offset", "f8", (16,)),
     ("direction", "f4", (3, 16)),
 ]
-Group = view(_FIELDS)
+GROUP = np.dtype(_FIELDS)
+Group = view(GROUP)
 #: The same, ray by ray.
 GroupLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _FIELDS])
 
-GROUP_BYTES = np.dtype(_FIELDS).itemsize
-PACKET_BYTES = GROUP_BYTES * PACKET_RAYS // 16
+PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
 
 NO_PRIM = np.int32(2**31 - 1)
 NO_KIND = np.int32(-1)

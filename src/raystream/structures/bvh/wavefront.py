@@ -24,14 +24,12 @@ from raystream.jit.simd import (
     maximum,
     minimum,
     permute,
-    prefetch,
     scratch,
     select,
     store,
     widen,
 )
-from raystream.jit.views import view
-from raystream.kernels.leaf_block import BLOCK, Block
+from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, Hits
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.triangle_lanes import (
     distance_lanes,
@@ -52,10 +50,10 @@ from raystream.structures.bvh.wavefront_rays import (
 )
 from raystream.structures.bvh.wide import (
     LANE,
-    NODE,
     Node,
     leaf_address,
     leaf_end,
+    prefetch_child,
     sort_keys,
     t_key,
 )
@@ -78,12 +76,8 @@ _STACK = np.uint64(4 * (STACK_SIZE + 16))
 
 _SLOTS_BYTES = int(_IN_FLIGHT * SLOT_BYTES)
 _STACK_BYTES = int(_IN_FLIGHT * _STACK)
+_HITS_BYTES = HITS.itemsize
 _QUEUE_BYTES = int(_IN_FLIGHT * _WORD + _LINE)
-
-
-#: Hits of a block's four triangles, and the same by triangle.
-_Lanes = view([("t", "f4", 4), ("u", "f4", 4), ("v", "f4", 4)])
-_LaneOf = view([("t", "f4", (4, 1)), ("u", "f4", (4, 1)), ("v", "f4", (4, 1))])
 
 
 @device
@@ -169,9 +163,9 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
                         if wants_any:
                             slot.prim_id = np.int32(0)
                             return True
-                        lanes = _Lanes(lanes_at)
+                        lanes = Hits(lanes_at)
                         lanes.t, lanes.u, lanes.v = t, u, v
-                        _keep_nearest(slot, block, bits, _LaneOf(lanes_at))
+                        _keep_nearest(slot, block, bits, HitLanes(lanes_at))
         at += BLOCK
     return False
 
@@ -200,11 +194,7 @@ def _next(slot, top, keys, children, nodes, leaves, prefetching):
     child = load(np.int32, children + top)
     slot.child, slot.top = child, top
     if prefetching:
-        at = leaf_address(leaves, child) if child < np.int32(0) else nodes + np.uint64(child) * NODE
-        prefetch(at)
-        prefetch(at + _LINE)
-        prefetch(at + (_LINE + _LINE))
-        prefetch(at + (_LINE + _LINE + _LINE))
+        prefetch_child(child, nodes, leaves)
     return child
 
 
@@ -230,7 +220,7 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
     slots = scratch(_SLOTS_BYTES)
     all_keys = scratch(_STACK_BYTES)
     all_children = scratch(_STACK_BYTES)
-    lanes = scratch(64)
+    lanes = scratch(_HITS_BYTES)
     inner = scratch(_QUEUE_BYTES)
     inner_next = scratch(_QUEUE_BYTES)
     leaf = scratch(_QUEUE_BYTES)

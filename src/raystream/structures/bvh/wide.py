@@ -12,6 +12,7 @@ from raystream.jit.simd import (
     maximum,
     minimum,
     permutation,
+    prefetch,
     select,
 )
 from raystream.jit.views import view
@@ -30,6 +31,7 @@ __all__ = [
     "leaf_end",
     "plane_offset",
     "plane_row",
+    "prefetch_child",
     "sort_keys",
     "t_key",
 ]
@@ -55,6 +57,7 @@ KEY_LANES = np.int32(7)
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
+_LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
 _NO_LIMIT = np.int32(2**31 - 1)
 _BLOCK_BITS = np.int32(7)
@@ -71,6 +74,16 @@ def leaf_address(leaves, child):
 def leaf_end(first, child):
     """Address after a leaf's last block."""
     return first + (np.uint64(np.int32(~child) & _BLOCK_BITS) + np.uint64(1)) * BLOCK
+
+
+@device
+def prefetch_child(child, nodes, leaves):
+    """Have a node or leaf in the cache when its turn comes."""
+    at = leaf_address(leaves, child) if child < np.int32(0) else nodes + np.uint64(child) * NODE
+    prefetch(at)
+    prefetch(at + _LINE)
+    prefetch(at + (_LINE + _LINE))
+    prefetch(at + (_LINE + _LINE + _LINE))
 
 
 @device
