@@ -21,7 +21,9 @@ from conftest import CUDA_TRACERS, GPU_TRACERS
 from ptx.driver import PtxDriver
 from ptx.machine import Kernel, Memory, PtxError
 from ptx.memory import room_for
-from raystream.jit.cuda import is_simulated, open_gpu, opening
+from raystream.jit.cpu import kernel
+from raystream.jit.cuda import CAPABILITIES, RangeKernel, is_simulated, open_gpu, opening
+from raystream.jit.views import view
 from test_agreement import answers_of, assert_expected, case_of, rays_of
 
 pytestmark = pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
@@ -208,6 +210,53 @@ def test_what_a_device_would_not_do_is_an_error(body, complaint, monkeypatch):
     monkeypatch.setattr("ptx.machine._MOST_STEPS", 1000)
     with pytest.raises(PtxError, match=complaint):
         run(body, room_for(16, 16))
+
+
+RECORD = np.dtype(
+    [
+        ("flag", "u1"),
+        ("unused", "V3"),
+        ("number", "i4"),
+        ("three", "f4", 3),
+        ("four", "f4", 4),
+        ("rows", "f4", (2, 2, 1)),
+        ("inner", [("low", "f4"), ("count", "u4")]),
+    ]
+)
+Record = view(RECORD)
+ONE = np.uint64(1)
+
+
+@kernel
+def change_record(i, records):
+    record = Record(records, i)
+    x, y, z = record.three
+    record.three = z, x, y
+    record.four = record.four + record.rows[i, ONE]
+    record.rows[ONE, i] = record.inner.low
+    inner = record.inner
+    inner.count += np.uint32(record.flag)
+    record.flag, record.number = np.uint8(inner.count), -record.number
+
+
+def test_records_are_read_and_written_by_their_fields_names():
+    records = room_for(2 * RECORD.itemsize, 4)
+    records[:] = np.random.default_rng(1).integers(0, 64, records.size)
+    ours = records.view(RECORD)
+    expected = ours.copy()
+    expected["three"] = np.roll(expected["three"], 1, axis=1)
+    for i, record in enumerate(expected):
+        record["four"] += record["rows"][i, 1]
+        record["rows"][1, i] = record["inner"]["low"]
+    expected["inner"]["count"] += expected["flag"]
+    expected["flag"], expected["number"] = expected["inner"]["count"], -expected["number"]
+
+    made = RangeKernel(change_record).compiled((np.uint64(0),), CAPABILITIES[0])
+    memory = Memory()
+    memory.add("records", records)
+    values = np.uint64(len(ours)), np.uint64(records.ctypes.data)
+    Kernel(made.ptx, made.entry).launch(memory, 1, 4, values)
+    assert ours.tobytes() == expected.tobytes()
 
 
 FLOATS = np.array([0.0, -0.0, 1.5, -2.75, 1e30, -1e-40, np.inf, np.nan, 3.0000002], np.float32)

@@ -32,6 +32,7 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.jit.threads import parallel_for
+from raystream.jit.views import view
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.ray import pick
 from raystream.kernels.search import is_full, offer
@@ -49,11 +50,16 @@ __all__ = [
     "BLOCK_BYTES",
     "BLOCK_FLOATS",
     "BLOCK_SIZE",
+    "HITS",
     "PRIM_IDS",
     "SECOND",
     "THIRD",
     "TRIANGLE_BYTES",
+    "Block",
+    "BlockLanes",
     "BlockRay",
+    "HitLanes",
+    "Hits",
     "block_ray",
     "blocks_end",
     "clear_block",
@@ -70,8 +76,19 @@ __all__ = [
 #: has prim_id -1 and coordinates NaN; those are the last ones of their block.
 BLOCK_SIZE = 4
 
+#: A block: rows of coordinates by corner and axis, then the triangles' numbers; and the same,
+#: triangle by triangle.
+_BLOCK = np.dtype([("corners", "f4", (3, 3, 4)), ("prim_ids", "i4", (4, 1))])
+Block = view(_BLOCK)
+BlockLanes = view([("corners", "f4", (3, 3, 4, 1)), ("prim_ids", "i4", (4, 1))])
+
+#: Hits of a block's triangles; and the same, triangle by triangle.
+HITS = np.dtype([("t", "f4", 4), ("u", "f4", 4), ("v", "f4", 4)])
+Hits = view(HITS)
+HitLanes = view([("t", "f4", (4, 1)), ("u", "f4", (4, 1)), ("v", "f4", (4, 1))])
+
 #: Size of a block.
-BLOCK_BYTES = 160
+BLOCK_BYTES = _BLOCK.itemsize
 BLOCK_FLOATS = BLOCK_BYTES // 4
 
 #: Bytes of a block; of its four coordinates of one axis; where its second and third corners and

@@ -17,7 +17,7 @@ from raystream.jit.atomics import add_atomically, fence
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
-from raystream.structures.bvh.tree import LINK_BYTES, RIGHT_AT
+from raystream.structures.bvh.tree import Link
 
 __all__ = ["KERNELS", "link_by_keys"]
 
@@ -98,9 +98,8 @@ def _link(i, keys, count, links, parents):
             high = middle
     left = low if low == first else count + low
     right = high if high == last else count + high
-    link = links + (count + i) * np.uint64(LINK_BYTES)
-    store(link, np.int32(left))
-    store(link + np.uint64(RIGHT_AT), np.int32(right))
+    link = Link(links, count + i)
+    link.left, link.right = np.int32(left), np.int32(right)
     store(parents + (left << _WORD), np.uint32(i))
     store(parents + (right << _WORD), np.uint32(i))
 
@@ -116,9 +115,8 @@ def _climb(i, count, nodes, parents, visits):
             return  # whoever comes from the other child writes it
         fence()
         row = count + parent
-        link = nodes.links + row * np.uint64(LINK_BYTES)
-        left, right = load(np.int32, link), load(np.int32, link + np.uint64(RIGHT_AT))
-        join(nodes, row, np.uint64(left), np.uint64(right))
+        link = Link(nodes.links, row)
+        join(nodes, row, np.uint64(link.left), np.uint64(link.right))
 
 
 @kernel

@@ -23,7 +23,7 @@ from raystream.jit.cuda.radix import sort_pairs
 from raystream.jit.simd import f32x8, load, maximum, scratch, store
 from raystream.structures.bvh.collapse import COST_BYTES, leaf_costs, merge_costs
 from raystream.structures.bvh.records import COUNT_AT, RECORD_BYTES, write_record
-from raystream.structures.bvh.tree import LINK_BYTES, RIGHT_AT, TOP_AT
+from raystream.structures.bvh.tree import LINK_BYTES, Link
 
 __all__ = [
     "COARSE_BITS",
@@ -164,9 +164,8 @@ def _make_leaf(i, corners, values, nodes):
     box = nodes.boxes + i * np.uint64(RECORD_BYTES)
     write_record(corners, load(np.int32, values + (i << _WORD)), box)
     store(box + np.uint64(COUNT_AT), np.int32(1))
-    link = nodes.links + i * np.uint64(LINK_BYTES)
-    store(link, np.int32(-1))
-    store(link + np.uint64(TOP_AT), np.int32(0))
+    link = Link(nodes.links, i)
+    link.left, link.is_top = np.int32(-1), np.int32(0)
     store(nodes.costs + i * np.uint64(COST_BYTES), leaf_costs(box, _PRICES[1]))
 
 
@@ -174,16 +173,14 @@ def _make_leaf(i, corners, values, nodes):
 def join(nodes, row, left, right):
     """Write an inner node in a row: its children are two rows that are written."""
     box = nodes.boxes + row * np.uint64(RECORD_BYTES)
-    link = nodes.links + row * np.uint64(LINK_BYTES)
+    link = Link(nodes.links, row)
     left_box = nodes.boxes + left * np.uint64(RECORD_BYTES)
     right_box = nodes.boxes + right * np.uint64(RECORD_BYTES)
     count = load(np.int32, left_box + np.uint64(COUNT_AT))
     count += load(np.int32, right_box + np.uint64(COUNT_AT))
     store(box, maximum(load(f32x8, left_box), load(f32x8, right_box)))
     store(box + np.uint64(COUNT_AT), np.int32(count))
-    store(link, np.int32(left))
-    store(link + np.uint64(RIGHT_AT), np.int32(right))
-    store(link + np.uint64(TOP_AT), np.int32(0))
+    link.left, link.right, link.is_top = np.int32(left), np.int32(right), np.int32(0)
     left_costs = load(f32x8, nodes.costs + left * np.uint64(COST_BYTES))
     right_costs = load(f32x8, nodes.costs + right * np.uint64(COST_BYTES))
     costs = merge_costs(box, link, left_costs, right_costs, nodes.max_leaf_size, _PRICES)

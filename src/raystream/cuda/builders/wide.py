@@ -27,7 +27,7 @@ from raystream.structures.bvh.layout import (
 )
 from raystream.structures.bvh.options import MAX_LEAF_SIZE
 from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
-from raystream.structures.bvh.tree import LINK_BYTES, RIGHT_AT
+from raystream.structures.bvh.tree import Link
 
 __all__ = ["KERNELS", "TooDeepError", "WideTree", "make_wide"]
 
@@ -135,14 +135,14 @@ def _write_leaf(nodes, root, corners, leaf):
     while top != pending:
         top -= np.uint64(4)
         row = np.uint64(load(np.int32, top))
-        link = nodes.links + row * np.uint64(LINK_BYTES)
-        left = load(np.int32, link)
+        link = Link(nodes.links, row)
+        left = link.left
         if left < np.int32(0):
             box = nodes.boxes + row * np.uint64(RECORD_BYTES)
             _write_triangle(load(np.int32, box + np.uint64(FIRST_AT)), place, corners, leaf)
             place += _ONE
         else:
-            store(top, load(np.int32, link + np.uint64(RIGHT_AT)))
+            store(top, link.right)
             store(top + np.uint64(4), left)
             top += np.uint64(8)
 

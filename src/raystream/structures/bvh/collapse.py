@@ -29,15 +29,11 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.jit.views import view
 from raystream.structures.bvh.binning import block_count
 from raystream.structures.bvh.layout import WIDTH
 from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES, half_area
-from raystream.structures.bvh.tree import (
-    DECISION_AT,
-    LINK_BYTES,
-    RIGHT_AT,
-    TOP_AT,
-)
+from raystream.structures.bvh.tree import Link
 
 __all__ = [
     "COST_BYTES",
@@ -55,8 +51,10 @@ __all__ = [
 COST_BYTES = 32
 COST_FLOATS = WIDTH
 
-#: Scratch of `list_children`.
-LISTING_BYTES = 8 * (WIDTH + 1)
+#: Scratch of `list_children`: nodes, and how many lanes each may fill.
+_LISTED = np.dtype([("node", "i4"), ("lanes", "i4")])
+_Listed = view(_LISTED)
+LISTING_BYTES = _LISTED.itemsize * (WIDTH + 1)
 
 _INF = np.float32(np.inf)
 
@@ -80,8 +78,9 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
 
     Parameters
     ----------
-    box, link : uint64
-        Addresses of the node's rows.
+    box : uint64
+        Address of the node's row.
+    link : Link
     left, right : f32x8
         Costs of its children.
     max_leaf_size : int
@@ -110,7 +109,7 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
     choice = select((one <= best) & not_last, i32x8(np.int32(0)), choice)
     for k in range(np.int32(2), np.int32(WIDTH + 1)):
         decision |= lane(choice, k - np.int32(1)) << (np.int32(3) * (k - np.int32(2)))
-    store(link + np.uint64(DECISION_AT), np.int32(decision))
+    link.decision = np.int32(decision)
     return minimum(one, best)
 
 
@@ -133,14 +132,14 @@ def collapse_subtree(boxes, links, root, node_end, max_leaf_size, prices, costs)
     # Children come after their parents: backwards, their costs are known.
     while node != np.uint64(root):
         node -= np.uint64(1)
-        link = links + node * np.uint64(LINK_BYTES)
-        left_node = load(np.int32, link)
+        link = Link(links, node)
+        left_node = link.left
         box = boxes + node * np.uint64(RECORD_BYTES)
         to = cost_at + node * np.uint64(COST_BYTES)
         if left_node < np.int32(0):
             store(to, leaf_costs(box, prices[1]))
         else:
-            right_node = load(np.int32, link + np.uint64(RIGHT_AT))
+            right_node = link.right
             left = load(f32x8, cost_at + np.uint64(left_node) * np.uint64(COST_BYTES))
             right = load(f32x8, cost_at + np.uint64(right_node) * np.uint64(COST_BYTES))
             store(to, merge_costs(box, link, left, right, max_leaf_size, prices))
@@ -150,10 +149,10 @@ def collapse_subtree(boxes, links, root, node_end, max_leaf_size, prices, costs)
 @device
 def is_leaf(links, node):
     """Whether a binary node in one lane is a leaf."""
-    link = links + np.uint64(node) * np.uint64(LINK_BYTES)
-    if load(np.int32, link) < np.int32(0):
+    link = Link(links, np.uint64(node))
+    if link.left < np.int32(0):
         return True
-    return (load(np.int32, link + np.uint64(DECISION_AT)) & np.int32(_IS_LEAF)) != np.int32(0)
+    return (link.decision & np.int32(_IS_LEAF)) != np.int32(0)
 
 
 @device_call
@@ -174,28 +173,25 @@ def list_children(links, node, pending, to):
         How many there are.
     """
     count = np.uint64(0)
-    store(pending, np.int32(node))
-    store(pending + np.uint64(4), np.int32(WIDTH))
-    top = pending + np.uint64(8)
-    while top != pending:
-        top -= np.uint64(8)
-        child = load(np.int32, top)
-        lanes = load(np.int32, top + np.uint64(4))
-        link = links + np.uint64(child) * np.uint64(LINK_BYTES)
-        left = load(np.int32, link)
+    root = _Listed(pending)
+    root.node, root.lanes = np.int32(node), np.int32(WIDTH)
+    top = np.uint64(1)
+    while top != np.uint64(0):
+        top -= np.uint64(1)
+        listed = _Listed(pending, top)
+        child, lanes = listed.node, listed.lanes
+        link = Link(links, np.uint64(child))
         share = np.int32(0)
-        if left >= np.int32(0) and lanes > np.int32(1):
-            decision = load(np.int32, link + np.uint64(DECISION_AT))
-            share = (decision >> (np.int32(3) * (lanes - np.int32(2)))) & np.int32(7)
+        if link.left >= np.int32(0) and lanes > np.int32(1):
+            share = (link.decision >> (np.int32(3) * (lanes - np.int32(2)))) & np.int32(7)
         if share == np.int32(0):
             store(to + count * np.uint64(4), child)
             count += np.uint64(1)
         else:
-            store(top, load(np.int32, link + np.uint64(RIGHT_AT)))
-            store(top + np.uint64(4), np.int32(lanes - share))
-            store(top + np.uint64(8), left)
-            store(top + np.uint64(12), np.int32(share))
-            top += np.uint64(16)
+            listed.node, listed.lanes = link.right, np.int32(lanes - share)
+            nearer = _Listed(pending, top + np.uint64(1))
+            nearer.node, nearer.lanes = link.left, np.int32(share)
+            top += np.uint64(2)
     return count
 
 
@@ -228,13 +224,12 @@ def collapse_top(parts, nodes, spans, bounds, costs, boxes, links, max_leaf_size
         left, right = np.uint64(parts[row, 0]), np.uint64(parts[row, 1])
         node = np.uint64(nodes[row])
         box = address(boxes) + node * np.uint64(RECORD_BYTES)
-        link = address(links) + node * np.uint64(LINK_BYTES)
+        link = Link(address(links), node)
         store(box, load(f32x8, address(bounds) + row * np.uint64(RECORD_BYTES)))
         store(box + np.uint64(FIRST_AT), np.int32(spans[row, 0]))
         store(box + np.uint64(COUNT_AT), np.int32(spans[row, 1]))
-        store(link, np.int32(nodes[left]))
-        store(link + np.uint64(RIGHT_AT), np.int32(nodes[right]))
-        store(link + np.uint64(TOP_AT), np.int32(1))
+        link.left, link.right = np.int32(nodes[left]), np.int32(nodes[right])
+        link.is_top = np.int32(1)
         merged = merge_costs(
             box,
             link,

@@ -6,6 +6,7 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, f32x8, i32x8, load, prefetch, scratch, store
+from raystream.jit.views import view
 from raystream.kernels.leaf_block import (
     BLOCK,
     BLOCK_SIZE,
@@ -16,13 +17,14 @@ from raystream.kernels.leaf_block import (
 from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
 from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
-from raystream.structures.bvh.tree import LINK_BYTES, MAX_TREE_DEPTH, TOP_AT
+from raystream.structures.bvh.tree import MAX_TREE_DEPTH, Link
 
 __all__ = ["READ_AHEAD", "clear_node", "emit", "set_lane"]
 
 #: A wide node to be written: its binary node, its row, its depth (int32).
-_PENDING_BYTES = 12
-_PENDING_STACK_BYTES = (WIDTH * MAX_TREE_DEPTH + 1) * _PENDING_BYTES
+_PENDING = np.dtype([("node", "i4"), ("row", "i4"), ("depth", "i4")])
+_Pending = view(_PENDING)
+_PENDING_STACK_BYTES = (WIDTH * MAX_TREE_DEPTH + 1) * _PENDING.itemsize
 
 _CHILDREN_BYTES = 4 * WIDTH
 
@@ -148,7 +150,7 @@ def emit(
         address(links),
     )
     node_at, leaf_at = address(nodes), address(leaves)
-    pending = scratch(_PENDING_STACK_BYTES)
+    stack = scratch(_PENDING_STACK_BYTES)
     listing = scratch(LISTING_BYTES)
     children = scratch(_CHILDREN_BYTES)
     defers = len(deferred) != 0
@@ -159,16 +161,16 @@ def emit(
         deepest = np.int32(0)
         deferred_count = np.uint64(0)
         root = np.int32(roots[task])
-        store(pending, root)
-        store(pending + np.uint64(4), node_end)
-        store(pending + np.uint64(8), np.int32(depths[task]))
+        pending = _Pending(stack)
+        pending.node, pending.row, pending.depth = root, node_end, np.int32(depths[task])
         node_end = np.int32(node_end + 1)
-        top = pending + np.uint64(_PENDING_BYTES)
-        while top != pending:
-            top -= np.uint64(_PENDING_BYTES)
-            parent = load(np.int32, top)
-            to = node_at + np.uint64(load(np.int32, top + np.uint64(4))) * np.uint64(NODE_BYTES)
-            depth = np.int32(load(np.int32, top + np.uint64(8)) + np.int32(1))
+        top = np.uint64(1)
+        while top != np.uint64(0):
+            top -= np.uint64(1)
+            pending = _Pending(stack, top)
+            parent = pending.node
+            to = node_at + np.uint64(pending.row) * np.uint64(NODE_BYTES)
+            depth = np.int32(pending.depth + np.int32(1))
             deepest = max(deepest, depth)
             if write:
                 clear_node(to)
@@ -182,9 +184,7 @@ def emit(
             inner_count = np.int32(0)
             for k in range(lane_count):
                 child = load(np.int32, children + k * np.uint64(4))
-                is_top = load(
-                    np.int32, link_at + np.uint64(child) * np.uint64(LINK_BYTES) + np.uint64(TOP_AT)
-                ) != np.int32(0)
+                is_top = Link(link_at, np.uint64(child)).is_top != np.int32(0)
                 box = box_at + np.uint64(child) * np.uint64(RECORD_BYTES)
                 if is_leaf(link_at, child):
                     record = record_at + np.uint64(
@@ -215,12 +215,11 @@ def emit(
                         set_lane(to, k, box, node_end + inner_count)
                     inner_count = np.int32(inner_count + 1)
                     store(children + np.uint64(inner_count - 1) * np.uint64(4), child)
-            top += np.uint64(inner_count) * np.uint64(_PENDING_BYTES)
+            top += np.uint64(inner_count)
             for k in range(np.uint64(inner_count)):
-                at = top - (k + np.uint64(1)) * np.uint64(_PENDING_BYTES)
-                store(at, load(np.int32, children + k * np.uint64(4)))
-                store(at + np.uint64(4), np.int32(node_end + np.int32(k)))
-                store(at + np.uint64(8), depth)
+                pending = _Pending(stack, top - (k + np.uint64(1)))
+                pending.node = load(np.int32, children + k * np.uint64(4))
+                pending.row, pending.depth = np.int32(node_end + np.int32(k)), depth
             node_end = np.int32(node_end + inner_count)
         if not write:
             counts[task, 0] = node_end - first_node

@@ -18,6 +18,8 @@ Symposium on Interactive Ray Tracing 2008 (ranged traversal); Boulos, Wald and S
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
@@ -25,170 +27,284 @@ from raystream.jit.simd import (
     f32x16,
     first_bit,
     float_as_bits,
+    fma,
     i32x16,
     lane_bits,
-    load,
     maximum,
     minimum,
     reduce_max,
     reduce_min,
     scratch,
     select,
-    store,
 )
-from raystream.kernels.leaf_block import AXIS
+from raystream.jit.views import address_of, view
+from raystream.kernels.ray import PAD
 from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.packet_bounds import enters, packet_bounds
-from raystream.structures.bvh.packet_leaf import ANY, FIRST, group_range, visit_leaf
+from raystream.structures.bvh.packet_hits import Collector
+from raystream.structures.bvh.packet_leaf import (
+    ANY,
+    FIRST,
+    PLANES,
+    box_planes,
+    group_range,
+    visit_leaf,
+)
 from raystream.structures.bvh.packet_load import load_packet
 from raystream.structures.bvh.packet_rays import (
-    CLASS,
-    GROUP,
     GROUPS,
-    LIVE_T,
-    NO_CLASS,
+    NO_KIND,
     PACKET_BYTES,
-    T_MIN,
-    T,
+    Group,
+    GroupLanes,
+    store_packet,
 )
-from raystream.structures.bvh.packet_store import store_packet
-from raystream.structures.bvh.wide import CHILDREN, LANE, NODE
+from raystream.structures.bvh.wide import NODE, Node, NodeLanes
 
 __all__ = ["TRACE_BYTES", "trace_packet", "trace_packets"]
 
 _ZERO = np.float32(0.0)
+_TWO = np.float32(2.0)
 _INF = np.float32(np.inf)
-_U0 = np.uint64(0)
-_U1 = np.uint64(1)
-_U2 = np.uint64(2)
+_U0, _U1, _U2 = np.uint64(0), np.uint64(1), np.uint64(2)
 _NO_LIMIT = np.int32(2**31 - 1)
 
-# A stack entry: the child, its key, the first and the last group that enter it, and the
-# address of its lane in its parent, where its box is.
-_ENTRY = np.uint64(24)
-_KEY = np.uint64(4)
-_GROUPS = np.uint64(8)
-_BOX = np.uint64(16)
+#: A stack entry: a child, its key, the first and the last group that enter it, and where its
+#: box is.
+_ENTRY = np.dtype(
+    [
+        ("child", "i4"),
+        ("key", "i4"),
+        ("first", "u2"),
+        ("last", "u2"),
+        ("lane", "u4"),
+        ("node", "u8"),
+    ]
+)
+_Entry = view(_ENTRY)
+_EntryWords = view([("words", "u8", 3)])
 
-# Of the groups: bits of the first one, and where the last one's begin.
-_FIRST_BITS = np.uint64(255)
-_LAST = np.uint64(8)
+#: The memory that tracing a packet needs: keys of a node's children, planes of a block's
+#: triangles, then the stack.
+_MEMORY = np.dtype([("keys", "i4", 8), ("planes", PLANES)])
+_Memory = view(_MEMORY)
+_Keys = view([("keys", "i4", (8, 1))])
+_MEMORY_BYTES = np.uint64(_MEMORY.itemsize)
+TRACE_BYTES = _MEMORY.itemsize + _ENTRY.itemsize * (STACK_SIZE + 8)
 
-# The memory that tracing a packet needs: distances of a node's children, planes of a block's
-# triangles, the stack with an entry below its bottom.
-_PLANES = np.uint64(64)
-_STACK = np.uint64(64 + 128 + 24)
-TRACE_BYTES = 64 + 128 + 24 * (STACK_SIZE + 9)
+
+class Bounds(NamedTuple):
+    """What all rays of a pass have in common, for each axis.
+
+    Attributes
+    ----------
+    near, far : uint64
+        The rows of a node's planes that the rays meet first and last.
+    low, high : float32
+        Of the reciprocal directions.
+    near_low, near_high, far_low, far_high : float32
+        Slab constants that go with them.
+    back : bool
+        The rays go towards lower coordinates.
+    """
+
+    near: np.uint64
+    far: np.uint64
+    low: np.float32
+    high: np.float32
+    near_low: np.float32
+    near_high: np.float32
+    far_low: np.float32
+    far_high: np.float32
+    back: bool
+
+
+@device
+def _extremes(packet, kind, axis):
+    """Bounds of the rays of a kind along an axis."""
+    least_inv, most_inv = f32x16(_INF), f32x16(-_INF)
+    least_o, most_o = f32x16(_INF), f32x16(-_INF)
+    for g in range(GROUPS):
+        group = Group(packet, g)
+        mine = group.kind == kind
+        inv, o = group.inv[axis], group.origin[axis]
+        least_inv = select(mine, minimum(inv, least_inv), least_inv)
+        most_inv = select(mine, maximum(inv, most_inv), most_inv)
+        least_o = select(mine, minimum(o, least_o), least_o)
+        most_o = select(mine, maximum(o, most_o), most_o)
+    low, high = reduce_min(least_inv), reduce_max(most_inv)
+    origin_low, origin_high = reduce_min(least_o), reduce_max(most_o)
+    return low, high, origin_low, origin_high
+
+
+@device
+def _slab_bounds(axis, low, high, origin_low, origin_high, pad):
+    """The interval ray's constants; its padding is twice the rays', for its own rounding."""
+    near = axis << _U1
+    back = high < _ZERO
+    if back:
+        near |= _U1
+        from_near, from_far = origin_low - pad, origin_high + pad
+    else:
+        from_near, from_far = origin_high + pad, origin_low - pad
+    return Bounds(
+        near,
+        near ^ _U1,
+        low,
+        high,
+        -(from_near * low),
+        -(from_near * high),
+        -(from_far * low),
+        -(from_far * high),
+        back,
+    )
+
+
+@device
+def _near_of(node, b):
+    planes = node.planes[b.near]
+    return minimum(fma(planes, b.low, b.near_low), fma(planes, b.high, b.near_high))
+
+
+@device
+def _far_of(node, b):
+    planes = node.planes[b.far]
+    return maximum(fma(planes, b.low, b.far_low), fma(planes, b.high, b.far_high))
+
+
+@device
+def _bounds(packet, kind, extreme):
+    """Bounds of the rays of a kind, for each axis."""
+    lx, hx, olx, ohx = _extremes(packet, kind, _U0)
+    ly, hy, oly, ohy = _extremes(packet, kind, _U1)
+    lz, hz, olz, ohz = _extremes(packet, kind, _U2)
+    reach = max(abs(olx), abs(ohx), abs(oly), abs(ohy), abs(olz), abs(ohz))
+    pad = _TWO * PAD * (extreme + reach)
+    return (
+        _slab_bounds(_U0, lx, hx, olx, ohx, pad),
+        _slab_bounds(_U1, ly, hy, oly, ohy, pad),
+        _slab_bounds(_U2, lz, hz, olz, ohz, pad),
+    )
+
+
+@device
+def _enters(node, bounds, t_min, t_max):
+    """Test a node's eight boxes against the interval ray.
+
+    Returns
+    -------
+    t_in : f32x8
+        At least so far away each box is entered.
+    mask : mask8
+        The boxes that some ray may enter between `t_min` and `t_max`.
+    """
+    x, y, z = bounds
+    t_in = maximum(maximum(_near_of(node, x), _near_of(node, y)), _near_of(node, z))
+    t_out = minimum(minimum(_far_of(node, x), _far_of(node, y)), _far_of(node, z))
+    return t_in, maximum(t_in, t_min) <= minimum(t_out, t_max)
 
 
 @device
 def _farthest(packet):
     """The farthest t that any live ray of the packet still looks at; -inf when none is."""
-    t = load(f32x16, packet + LIVE_T)
+    t = Group(packet, _U0).live_t
     for g in range(_U1, GROUPS):
-        t = maximum(load(f32x16, packet + g * GROUP + LIVE_T), t)
+        t = maximum(Group(packet, g).live_t, t)
     return reduce_max(t)
 
 
 @device
-def _push(stack, top, child, key, groups, box):
-    """Put a child on the stack, under those of its node that are nearer; returns the top."""
+def _push(stack, base, top, child, key, first, last, node, lane):
+    """Put a child on the stack, under those of its node that are nearer; returns the height."""
     at = top
-    while load(np.int32, at - _ENTRY + _KEY) < key and at != stack:
-        below = at - _ENTRY
-        store(at, load(np.int64, below))
-        store(at + _GROUPS, load(np.uint64, below + _GROUPS))
-        store(at + _BOX, load(np.uint64, below + _BOX))
-        at = below
-    store(at, child)
-    store(at + _KEY, key)
-    store(at + _GROUPS, groups)
-    store(at + _BOX, box)
-    return top + _ENTRY
+    while at != base and _Entry(stack, at - _U1).key < key:
+        _EntryWords(stack, at).words = _EntryWords(stack, at - _U1).words
+        at -= _U1
+    entry = _Entry(stack, at)
+    entry.child, entry.key = child, key
+    entry.first, entry.last = np.uint16(first), np.uint16(last)
+    entry.node, entry.lane = node, np.uint32(lane)
+    return top + _U1
+
+
+@device
+def _visit_node(packet, node, bounds, t_min, farthest, first, last, memory, stack, top):
+    """Put a node's children that some ray enters on the stack; returns its height."""
+    t_in, entered = _enters(Node(node), bounds, t_min, farthest)
+    bits = lane_bits(entered)
+    if bits != _U0:
+        memory.keys = float_as_bits(maximum(t_in, _ZERO))
+        keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
+        base = top
+        while bits != _U0:
+            lane = first_bit(bits)
+            bits &= bits - _U1
+            planes = box_planes(node, lane, bounds)
+            begin, end = group_range(packet, planes, t_min, first, last)
+            if begin <= end:
+                top = _push(stack, base, top, children[lane], keys[lane], begin, end, node, lane)
+    return top
 
 
 @device
 def _trace_kind(packet, kind, nodes, leaves, extreme, memory, goal, hits):
     """Trace the rays of one kind: the pass of a packet."""
-    x, y, z = packet_bounds(packet, kind, extreme)
-    distances, planes, stack = memory, memory + _PLANES, memory + _STACK
+    bounds = _bounds(packet, kind, extreme)
     kz = np.uint64(kind & np.int32(3))
     kx = kz + _U1 if kz < _U2 else _U0
     ky = kx + _U1 if kx < _U2 else _U0
-    axes = (kx * AXIS, ky * AXIS, kz * AXIS)
+    axes = kx, ky, kz
     t_min_low = f32x16(_INF)
     for g in range(GROUPS):
-        rays = packet + g * GROUP
-        mine = load(i32x16, rays + CLASS) == kind
-        store(rays + LIVE_T, select(mine, load(f32x16, rays + T), f32x16(-_INF)))
-        t_min_low = select(mine, minimum(load(f32x16, rays + T_MIN), t_min_low), t_min_low)
+        group = Group(packet, g)
+        mine = group.kind == kind
+        group.live_t = select(mine, group.t, f32x16(-_INF))
+        t_min_low = select(mine, minimum(group.t_min, t_min_low), t_min_low)
     t_min = reduce_min(t_min_low)
     farthest = _farthest(packet)
     limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
 
-    top = stack
-    child, first, last, box = np.int32(0), _U0, GROUPS - _U1, _U0
+    stack, memory = memory + _MEMORY_BYTES, _Memory(memory)
+    top, child, node, lane, first, last = _U0, np.int32(0), _U0, _U0, _U0, GROUPS - _U1
     while True:
         if child >= np.int32(0):
             node = nodes + np.uint64(child) * NODE
-            t_in, entered = enters(node, x, y, z, t_min, farthest)
-            bits = lane_bits(entered)
-            if bits != _U0:
-                store(distances, maximum(t_in, _ZERO))
-                base = top
-                while bits != _U0:
-                    at = first_bit(bits) * LANE
-                    bits &= bits - _U1
-                    begin, end = group_range(packet, node + at, x, y, z, t_min, first, last)
-                    if begin <= end:
-                        top = _push(
-                            base,
-                            top,
-                            load(np.int32, node + CHILDREN + at),
-                            load(np.int32, distances + at),
-                            begin | (end << _LAST),
-                            node + at,
-                        )
-        elif visit_leaf(
-            packet, child, leaves, box, x, y, z, t_min, first, last, axes, planes, goal, hits
-        ):
-            farthest = _farthest(packet)
-            if farthest == -_INF:
-                break
-            limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
-        # The nearest child that some ray may still need.
-        while top != stack:
-            top -= _ENTRY
-            if load(np.int32, top + _KEY) <= limit:
-                break
-            if top == stack:
-                top = _U0
-                break
+            top = _visit_node(
+                packet, node, bounds, t_min, farthest, first, last, memory, stack, top
+            )
         else:
-            break
+            box, own = box_planes(node, lane, bounds), memory.planes
+            if visit_leaf(
+                packet, child, leaves, box, bounds, t_min, first, last, axes, own, goal, hits
+            ):
+                farthest = _farthest(packet)
+                if farthest == -_INF:
+                    break
+                limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
+        # The nearest child that some ray may still need.
+        while top != _U0 and _Entry(stack, top - _U1).key > limit:
+            top -= _U1
         if top == _U0:
             break
-        child = load(np.int32, top)
-        groups = load(np.uint64, top + _GROUPS)
-        first, last = groups & _FIRST_BITS, groups >> _LAST
-        box = load(np.uint64, top + _BOX)
+        top -= _U1
+        entry = _Entry(stack, top)
+        child, first, last = entry.child, np.uint64(entry.first), np.uint64(entry.last)
+        node, lane = entry.node, np.uint64(entry.lane)
 
     for g in range(GROUPS):
-        rays = packet + g * GROUP
-        mine = load(i32x16, rays + CLASS) == kind
-        store(rays + T, select(mine, load(f32x16, rays + LIVE_T), load(f32x16, rays + T)))
-        store(rays + CLASS, select(mine, i32x16(NO_CLASS), load(i32x16, rays + CLASS)))
+        group = Group(packet, g)
+        mine = group.kind == kind
+        group.t = select(mine, group.live_t, group.t)
+        group.kind = select(mine, i32x16(NO_KIND), group.kind)
 
 
 @device
 def _next_kind(packet):
-    """The kind of the first ray that has not been traced, or NO_CLASS."""
+    """The kind of the first ray that has not been traced, or NO_KIND."""
     for g in range(GROUPS):
-        kinds = load(i32x16, packet + g * GROUP + CLASS)
-        bits = lane_bits(kinds != NO_CLASS)
+        bits = lane_bits(Group(packet, g).kind != NO_KIND)
         if bits != _U0:
-            return load(np.int32, packet + g * GROUP + CLASS + first_bit(bits) * LANE)
-    return NO_CLASS
+            return GroupLanes(packet, g).kind[first_bit(bits)]
+    return NO_KIND
 
 
 @device
@@ -205,11 +321,11 @@ def trace_packet(packet, nodes, leaves, extreme, memory, goal, hits):
         Address of `TRACE_BYTES` bytes.
     goal : uint64
         `FIRST`, `ANY`, `COUNT` or `ALL` hits, see `packet_leaf`.
-    hits : uint64
-        Address of the collected hits, if all of them are wanted.
+    hits : Collector
+        Of the hits, if all of them are wanted.
     """
     kind = _next_kind(packet)
-    while kind != NO_CLASS:
+    while kind != NO_KIND:
         _trace_kind(packet, kind, nodes, leaves, extreme, memory, goal, hits)
         kind = _next_kind(packet)
 
@@ -233,7 +349,8 @@ def trace_packets(begin, end, nodes, leaves, frame, source, order, wants_any, ou
     packet = scratch(PACKET_BYTES)
     memory = scratch(TRACE_BYTES)
     goal = ANY if wants_any else FIRST
+    nowhere = Collector(_U0)
     for number in range(np.uint64(begin), np.uint64(end)):
         long_groups = load_packet(packet, number, order, source, frame, out.status)
-        trace_packet(packet, nodes, leaves, frame.extreme, memory, goal, _U0)
+        trace_packet(packet, nodes, leaves, frame.extreme, memory, goal, nowhere)
         store_packet(packet, number, order, long_groups, wants_any, out)

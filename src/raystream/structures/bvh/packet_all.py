@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import load, scratch, store
+from raystream.jit.simd import address, i32x16, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.growing import Gatherer
@@ -18,43 +18,33 @@ from raystream.kernels.local_ray import SceneFrame, world_t
 from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_hits import (
-    ADDRESSES,
-    CAPACITY,
+    BUFFERS,
     COLLECTOR_BYTES,
-    COUNT_AT,
     ENDS_BYTES,
-    FIRSTS_AT,
-    IN_WORLD_AT,
-    LANES_AT,
+    Buffers,
+    Collector,
+    Ends,
     has_room,
     sort_packet,
 )
 from raystream.structures.bvh.packet_leaf import ALL, COUNT, SURFACES
 from raystream.structures.bvh.packet_load import load_packet
 from raystream.structures.bvh.packet_rays import (
-    FACTOR,
-    GROUP,
     GROUPS,
-    LONG_FACTOR,
-    LONG_OFFSET,
     PACKET_BYTES,
     PACKET_RAYS,
-    PRIM,
+    Group,
+    GroupLanes,
     PacketOrder,
     group_rows,
 )
 
 __all__ = ["count_all", "visit_all"]
 
-_U0 = np.uint64(0)
-_U1 = np.uint64(1)
+_U0, _U1 = np.uint64(0), np.uint64(1)
 _LANES = np.uint64(16)
 _LANE = np.uint64(4)
 _WORD = np.uint64(8)
-
-# Places among `PacketBuffers.addresses`.
-_FOUND_T, _FOUND_RAY, _ROW_T, _RAY_IDS, _SPLITS = 0, 4, 5, 9, 10
-ADDRESS_COUNT = 11
 
 #: Packets that one call gets at most: 16,384 rays. With half as many, programs take 10 to 20 %
 #: longer, and with twice as many no less.
@@ -79,6 +69,8 @@ class PacketBuffers(NamedTuple):
     ray_ids, splits : ndarray, int64
         The rays in the order of `rows`, and where their rows end.
     capacity : int
+    addresses : ndarray, uint64
+        Of all of them: `packet_hits.BUFFERS`.
     """
 
     found: NDArray[np.float32]
@@ -182,7 +174,7 @@ def count_all(
     counts = np.zeros(int(order.ray_count), np.int64)
     written = np.uint64(counts.ctypes.data), np.uint64(status.ctypes.data)
     goal = COUNT + SURFACES if surfaces else COUNT
-    nowhere = np.zeros(ADDRESS_COUNT, np.uint64)
+    nowhere = np.zeros(BUFFERS.itemsize // 8, np.uint64)
 
     def body(begin: int, end: int) -> None:
         _collect_packets(
@@ -219,18 +211,15 @@ def _collect_packets(
     """
     packet = scratch(PACKET_BYTES)
     memory = scratch(TRACE_BYTES)
-    hits = scratch(COLLECTOR_BYTES)
-    ends = scratch(ENDS_BYTES)
+    hits = Collector(scratch(COLLECTOR_BYTES))
+    ends = Ends(scratch(ENDS_BYTES))
     room, used, ray_count = np.uint64(capacity), _U0, _U0
-    for k in range(np.uint64(9)):
-        store(hits + ADDRESSES + k * _WORD, buffers[k])
-    for k in range(_LANES):
-        store(hits + LANES_AT + k * _LANE, np.int32(k))
-    store(hits + CAPACITY, room)
+    hits.buffers, hits.capacity = address(buffers), room
+    written = Buffers(address(buffers))
     keeps = goal & _U1 == _U1
     for number in range(np.uint64(begin), np.uint64(end)):
         long_groups = load_packet(packet, number, order, source, frame, status)
-        store(hits + COUNT_AT, _U0 if sorts else used)
+        hits.count = _U0 if sorts else used
         is_final = not sorts and long_groups == _U0
         _number_rays(hits, number, order, is_final)
         if not keeps:
@@ -239,18 +228,18 @@ def _collect_packets(
         if not keeps:
             _store_counts(packet, number, order, counts)
             continue
-        count = load(np.uint64, hits + COUNT_AT)
+        count = hits.count
         if not has_room(hits) or (sorts and used + count > room):
             return np.int64(number), np.int64(used), np.int64(ray_count)
         if sorts:
             row = used
             used = sort_packet(hits, ends, used, lists_twice)
             ray_count = _finish_rows(
-                packet, number, order, long_groups, ends, row, buffers, ray_count
+                packet, number, order, long_groups, ends, row, written, ray_count
             )
         else:
             if not is_final:
-                _finish_found(packet, number, order, long_groups, used, count, buffers)
+                _finish_found(packet, number, order, long_groups, used, count, written)
             used = count
     return np.int64(end), np.int64(used), np.int64(ray_count)
 
@@ -258,38 +247,36 @@ def _collect_packets(
 @device
 def _clear_counts(packet):
     for g in range(GROUPS):
-        for lane in range(_LANES):
-            store(packet + g * GROUP + PRIM + lane * _LANE, np.int32(0))
+        Group(packet, g).prim_id = i32x16(np.int32(0))
 
 
 @device
 def _store_counts(packet, number, order, counts):
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
+        found = GroupLanes(packet, g).prim_id
         for lane in range(count):
-            found = load(np.int32, packet + g * GROUP + PRIM + lane * _LANE)
-            store(counts + (first + lane) * _WORD, np.int64(found))
+            store(counts + (first + lane) * _WORD, np.int64(found[lane]))
 
 
 @device
-def _way_to_world(group, lane, is_long):
+def _way_to_world(lanes, lane, is_long):
     """Factor and offset of a ray's distances."""
     if is_long:
-        at = group + LONG_FACTOR + lane * _WORD
-        return load(np.float64, at), load(np.float64, at + LONG_OFFSET)
-    return np.float64(load(np.float32, group + FACTOR + lane * _LANE)), np.float64(0.0)
+        return lanes.long_factor[lane], lanes.long_offset[lane]
+    return np.float64(lanes.factor[lane]), np.float64(0.0)
 
 
 @device
 def _finish_rows(packet, number, order, long_groups, ends, row, buffers, ray_count):
     """Write a sorted packet's distances, and its rays and where their rows end."""
-    t, ids, splits = buffers[_ROW_T], buffers[_RAY_IDS], buffers[_SPLITS]
+    t, ids, splits = buffers.rows.t, buffers.ray_ids, buffers.splits
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        group, is_long = packet + g * GROUP, (long_groups >> g) & _U1 == _U1
+        lanes, is_long = GroupLanes(packet, g), (long_groups >> g) & _U1 == _U1
         for lane in range(count):
-            factor, offset = _way_to_world(group, lane, is_long)
-            row_end = load(np.uint64, ends + (g * _LANES + lane) * _WORD)
+            factor, offset = _way_to_world(lanes, lane, is_long)
+            row_end = ends.ends[g * _LANES + lane]
             while row != row_end:
                 at = t + row * _LANE
                 store(at, world_t(load(np.float32, at), factor, offset))
@@ -303,23 +290,23 @@ def _finish_rows(packet, number, order, long_groups, ends, row, buffers, ray_cou
 @device
 def _number_rays(hits, number, order, is_final):
     """Have hits collected with their rays' indices in the batch, or in the packet."""
-    store(hits + IN_WORLD_AT, _U1 if is_final else _U0)
+    hits.in_world = _U1 if is_final else _U0
     for g in range(GROUPS):
         first = g * _LANES
         if is_final:
             first, _ = group_rows(order, number, g)
-        store(hits + FIRSTS_AT + g * _LANE, np.int32(first))
+        hits.first_rays[g] = np.int32(first)
 
 
 @device
 def _finish_found(packet, number, order, long_groups, begin, end, buffers):
     """Write distances, and rays' indices in the batch, of a packet with rays of the long way."""
-    t, rays = buffers[_FOUND_T], buffers[_FOUND_RAY]
+    t, rays = buffers.found.t, buffers.found.ray
     for row in range(begin, end):
         ray = np.uint64(load(np.int32, rays + row * _LANE))
         g, lane = ray // _LANES, ray % _LANES
         is_long = (long_groups >> g) & _U1 == _U1
-        factor, offset = _way_to_world(packet + g * GROUP, lane, is_long)
+        factor, offset = _way_to_world(GroupLanes(packet, g), lane, is_long)
         at = t + row * _LANE
         store(at, world_t(load(np.float32, at), factor, offset))
         first, _ = group_rows(order, number, g)

@@ -11,46 +11,51 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import stay_out_of_line
-from raystream.jit.simd import compress, count_bits, f32x16, i32x16, lane_bits, load, store
-from raystream.structures.bvh.packet_rays import FACTOR, world_lanes
+from raystream.jit.simd import compress, count_bits, i32x16, lane_bits, lane_numbers, load, store
+from raystream.jit.views import view
+from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, world_lanes
 
 __all__ = [
-    "ADDRESSES",
-    "CAPACITY",
+    "BUFFERS",
     "COLLECTOR_BYTES",
-    "COUNT_AT",
     "ENDS_BYTES",
-    "FIRSTS_AT",
-    "IN_WORLD_AT",
-    "LANES_AT",
+    "Buffers",
+    "Collector",
+    "Ends",
     "collect",
     "has_room",
     "sort_packet",
 ]
 
-# A collector: how many hits there are, how many there is room for, and the addresses of t, u,
-# v, prim_id and ray of those in the order in which they were found, and of t, u, v and prim_id
-# in the order of rays. Then 0, 1, 2 ... for 16 lanes, the number of each group's first ray,
-# and whether t is to be in world direction lengths.
-COUNT_AT = np.uint64(0)
-CAPACITY = np.uint64(8)
-ADDRESSES = np.uint64(16)
-_FOUND_T, _FOUND_U, _FOUND_V, _FOUND_PRIM, _FOUND_RAY = (np.uint64(16 + 8 * k) for k in range(5))
-_T, _U, _V, _PRIM = (np.uint64(56 + 8 * k) for k in range(4))
-LANES_AT = np.uint64(128)
-FIRSTS_AT = np.uint64(192)
-IN_WORLD_AT = np.uint64(256)
-COLLECTOR_BYTES = 264
+#: Addresses of buffers: of hits as they are found, of hits in the order of rays, of those rays'
+#: numbers and of where their rows end.
+_FOUND = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8"), ("ray", "u8")])
+_ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
+BUFFERS = np.dtype([("found", _FOUND), ("rows", _ROWS), ("ray_ids", "u8"), ("splits", "u8")])
+Buffers = view(BUFFERS)
 
-#: Bytes that sorting a packet's hits needs for its rays.
-ENDS_BYTES = 2 * 256 * 8
+_COLLECTOR = np.dtype(
+    [
+        ("buffers", "u8"),  # their address
+        ("count", "u8"),  # hits
+        ("capacity", "u8"),  # hits that there is room for
+        ("in_world", "u8"),  # whether t is to be in world direction lengths
+        ("first_rays", "i4", (int(GROUPS), 1)),  # the number of each group's first ray
+    ]
+)
+Collector = view(_COLLECTOR)
+COLLECTOR_BYTES = _COLLECTOR.itemsize
+
+#: What sorting a packet's hits needs for its rays: the row after each one's last, and how many
+#: hits it has.
+_ENDS = np.dtype([("ends", "u8", (PACKET_RAYS, 1)), ("lengths", "u8", (PACKET_RAYS, 1))])
+Ends = view(_ENDS)
+ENDS_BYTES = _ENDS.itemsize
 
 _LANE = np.uint64(4)
 _LANES = np.uint64(16)
-_RAYS = np.uint64(256)
-_LENGTHS = np.uint64(256 * 8)
-_U0 = np.uint64(0)
-_U1 = np.uint64(1)
+_RAYS = np.uint64(PACKET_RAYS)
+_U0, _U1 = np.uint64(0), np.uint64(1)
 
 #: Rows of more hits are sorted by a heap.
 _LONG = np.uint64(24)
@@ -59,63 +64,63 @@ _LONG = np.uint64(24)
 @device
 def has_room(hits):
     """Whether no hit of the packet was left out."""
-    return load(np.uint64, hits + COUNT_AT) + _LANES <= load(np.uint64, hits + CAPACITY)
+    return hits.count + _LANES <= hits.capacity
 
 
 @device
-def collect(hits, taken, t, u, v, prim_id, rays, group):
+def collect(hits, taken, t, u, v, prim_id, group, g):
     """Append the hits of these lanes; without room they are only counted.
 
     Parameters
     ----------
-    hits : uint64
-        Address of a collector.
+    hits : Collector
     taken : mask16
     t, u, v : f32x16
     prim_id : i32x16
-    rays, group : uint64
-        Address and number of the group.
+    group : Group
+    g : uint64
+        The group's number.
     """
-    count = load(np.uint64, hits + COUNT_AT)
-    if count + _LANES <= load(np.uint64, hits + CAPACITY):
-        at = count * _LANE
-        if load(np.uint64, hits + IN_WORLD_AT) != _U0:
-            t = world_lanes(t, load(f32x16, rays + FACTOR))
-        store(load(np.uint64, hits + _FOUND_T) + at, compress(taken, t))
-        store(load(np.uint64, hits + _FOUND_U) + at, compress(taken, u))
-        store(load(np.uint64, hits + _FOUND_V) + at, compress(taken, v))
-        store(load(np.uint64, hits + _FOUND_PRIM) + at, prim_id)
-        numbers = load(i32x16, hits + LANES_AT) + load(np.int32, hits + FIRSTS_AT + group * _LANE)
-        store(load(np.uint64, hits + _FOUND_RAY) + at, compress(taken, numbers))
-    store(hits + COUNT_AT, count + count_bits(lane_bits(taken)))
+    if has_room(hits):
+        at, found = hits.count * _LANE, Buffers(hits.buffers).found
+        if hits.in_world != _U0:
+            t = world_lanes(t, group.factor)
+        store(found.t + at, compress(taken, t))
+        store(found.u + at, compress(taken, u))
+        store(found.v + at, compress(taken, v))
+        store(found.prim_id + at, prim_id)
+        store(found.ray + at, compress(taken, lane_numbers(i32x16) + hits.first_rays[g]))
+    hits.count += count_bits(lane_bits(taken))
 
 
 @device
 def _goes_before(rows, row, t, prim_id):
     """Whether the hit of a row comes before another one."""
-    other = load(np.float32, load(np.uint64, rows + _T) + row * _LANE)
+    at = row * _LANE
+    other = load(np.float32, rows.t + at)
     if other != t:
         return other < t
-    return load(np.int32, load(np.uint64, rows + _PRIM) + row * _LANE) < prim_id
+    return load(np.int32, rows.prim_id + at) < prim_id
 
 
 @device
 def _put(rows, row, t, u, v, prim_id):
     at = row * _LANE
-    store(load(np.uint64, rows + _T) + at, t)
-    store(load(np.uint64, rows + _U) + at, u)
-    store(load(np.uint64, rows + _V) + at, v)
-    store(load(np.uint64, rows + _PRIM) + at, prim_id)
+    store(rows.t + at, t)
+    store(rows.u + at, u)
+    store(rows.v + at, v)
+    store(rows.prim_id + at, prim_id)
 
 
 @device
 def _take(rows, row):
+    """A hit of `Buffers.rows` or `Buffers.found`."""
     at = row * _LANE
     return (
-        load(np.float32, load(np.uint64, rows + _T) + at),
-        load(np.float32, load(np.uint64, rows + _U) + at),
-        load(np.float32, load(np.uint64, rows + _V) + at),
-        load(np.int32, load(np.uint64, rows + _PRIM) + at),
+        load(np.float32, rows.t + at),
+        load(np.float32, rows.u + at),
+        load(np.float32, rows.v + at),
+        load(np.int32, rows.prim_id + at),
     )
 
 
@@ -180,10 +185,8 @@ def _drop_twins(rows, first, count, to):
     kept = _U0
     for k in range(count):
         t, u, v, prim_id = _take(rows, first + k)
-        if (
-            kept != _U0
-            and load(np.int32, load(np.uint64, rows + _PRIM) + (to + kept - _U1) * _LANE) == prim_id
-        ):
+        last = to + kept - _U1
+        if kept != _U0 and load(np.int32, rows.prim_id + last * _LANE) == prim_id:
             continue
         _put(rows, to + kept, t, u, v, prim_id)
         kept += _U1
@@ -196,10 +199,10 @@ def sort_packet(hits, ends, used, lists_twice):
 
     Parameters
     ----------
-    hits : uint64
-        Address of a collector that had room.
-    ends : uint64
-        Address of `ENDS_BYTES` bytes: written, 256 uint64, the row after each ray's last one.
+    hits : Collector
+        That had room.
+    ends : Ends
+        Written: the row after each ray's last one.
     used : uint64
         Rows in use already.
     lists_twice : bool
@@ -211,45 +214,40 @@ def sort_packet(hits, ends, used, lists_twice):
         Rows in use now.
     """
     stay_out_of_line()
-    count = load(np.uint64, hits + COUNT_AT)
-    rays = load(np.uint64, hits + _FOUND_RAY)
+    buffers = Buffers(hits.buffers)
+    found, rows = buffers.found, buffers.rows
+    row_ends, lengths = ends.ends, ends.lengths
+    count, rays = hits.count, found.ray
     for ray in range(_RAYS):
-        store(ends + ray * np.uint64(8), _U0)
+        row_ends[ray] = _U0
     for k in range(count):
-        at = ends + np.uint64(load(np.int32, rays + k * _LANE)) * np.uint64(8)
-        store(at, load(np.uint64, at) + _U1)
+        ray = np.uint64(load(np.int32, rays + k * _LANE))
+        row_ends[ray] = row_ends[ray] + _U1
     row = used
     for ray in range(_RAYS):
-        at = ends + ray * np.uint64(8)
-        ray_count = load(np.uint64, at)
-        store(at, row)
-        store(at + _LENGTHS, ray_count)
+        ray_count = row_ends[ray]
+        lengths[ray], row_ends[ray] = ray_count, row
         row += ray_count
     for k in range(count):
-        at = k * _LANE
-        t = load(np.float32, load(np.uint64, hits + _FOUND_T) + at)
-        u = load(np.float32, load(np.uint64, hits + _FOUND_U) + at)
-        v = load(np.float32, load(np.uint64, hits + _FOUND_V) + at)
-        prim_id = load(np.int32, load(np.uint64, hits + _FOUND_PRIM) + at)
-        place = ends + np.uint64(load(np.int32, rays + at)) * np.uint64(8)
-        row = load(np.uint64, place)
-        _put(hits, row, t, u, v, prim_id)
-        store(place, row + _U1)
+        ray = np.uint64(load(np.int32, rays + k * _LANE))
+        t, u, v, prim_id = _take(found, k)
+        row = row_ends[ray]
+        _put(rows, row, t, u, v, prim_id)
+        row_ends[ray] = row + _U1
     to = used
     first = used
     for ray in range(_RAYS):
-        at = ends + ray * np.uint64(8)
-        ray_count = load(np.uint64, at + _LENGTHS)
+        ray_count = lengths[ray]
         if ray_count > _LONG:
-            _sort_long(hits, first, ray_count)
+            _sort_long(rows, first, ray_count)
         else:
             for k in range(_U1, ray_count):
-                t, u, v, prim_id = _take(hits, first + k)
-                _insert(hits, first, first + k, t, u, v, prim_id)
+                t, u, v, prim_id = _take(rows, first + k)
+                _insert(rows, first, first + k, t, u, v, prim_id)
         if lists_twice:
-            to += _drop_twins(hits, first, ray_count, to)
+            to += _drop_twins(rows, first, ray_count, to)
         else:
             to += ray_count
         first += ray_count
-        store(at, to)
+        row_ends[ray] = to
     return to

@@ -27,6 +27,7 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.jit.views import address_of
 from raystream.kernels.ray import PAD, TINY_DIRECTION
 from raystream.kernels.ray_source import (
     LEAST_EXPONENT,
@@ -37,27 +38,13 @@ from raystream.kernels.ray_source import (
     load_ray,
 )
 from raystream.structures.bvh.packet_rays import (
-    ARRAY,
-    CLASS,
-    DIRECTION,
-    FACTOR,
-    FAR,
-    GROUP,
     GROUPS,
-    INV,
-    LONG_FACTOR,
-    LONG_OFFSET,
-    NEAR,
-    NO_CLASS,
+    NO_KIND,
     NO_PRIM,
-    ORIGIN,
-    PRIM,
-    SHEAR,
-    T_MIN,
-    T,
-    U,
-    V,
+    Group,
+    GroupLanes,
     group_rows,
+    three,
 )
 
 __all__ = ["load_directions", "load_group", "load_origins", "load_packet", "load_rays"]
@@ -67,8 +54,8 @@ _ONE = np.float32(1.0)
 _INF = np.float32(np.inf)
 _INF64 = np.float64(np.inf)
 _INVALID = np.uint8(RayStatus.INVALID)
-_U0 = np.uint64(0)
-_U1 = np.uint64(1)
+_U0, _U1 = np.uint64(0), np.uint64(1)
+_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
 _ALL_LANES = np.uint64(0xFFFF)
 _LANE = np.uint64(4)
@@ -117,36 +104,30 @@ def _numbers(base, step, first):
 
 
 @device_call
-def _patch(packet, long, lane, status, source, i, frame):
+def _patch(lanes, lane, status, source, i, frame):
     """Bring one ray into a lane of a group by the long way."""
     stay_out_of_line()
-    at = lane * _LANE
     ray = load_ray(source, i, frame)
-    store(packet + ORIGIN + at, ray.ox)
-    store(packet + ORIGIN + ARRAY + at, ray.oy)
-    store(packet + ORIGIN + ARRAY + ARRAY + at, ray.oz)
-    store(packet + DIRECTION + at, ray.dx)
-    store(packet + DIRECTION + ARRAY + at, ray.dy)
-    store(packet + DIRECTION + ARRAY + ARRAY + at, ray.dz)
-    store(packet + T_MIN + at, ray.t_min)
-    store(packet + T + at, ray.t_max)
-    store(long + at + at, ray.factor)
-    store(long + LONG_OFFSET + at + at, ray.offset)
+    origin, direction = lanes.origin, lanes.direction
+    origin[_X, lane], origin[_Y, lane], origin[_Z, lane] = ray.ox, ray.oy, ray.oz
+    direction[_X, lane], direction[_Y, lane], direction[_Z, lane] = ray.dx, ray.dy, ray.dz
+    lanes.t_min[lane], lanes.t[lane] = ray.t_min, ray.t_max
+    lanes.long_factor[lane], lanes.long_offset[lane] = ray.factor, ray.offset
     if ray.status == _INVALID:
         store(status + i, _INVALID)
 
 
 @device
-def _load_group(packet, long, source, first, frame, status):
+def _load_group(group, source, first, frame, status):
     """Load 16 rays into the local frame; returns whether one of them took the long way."""
     rays = load_origins(source, first) + load_directions(source, first)
     t_min = _numbers(source.t_min, source.t_min_step, first)
     t_max = _numbers(source.t_max, source.t_max_step, first)
-    return _localise_group(packet, long, rays, t_min, t_max, source, first, frame, status)
+    return _localise_group(group, rays, t_min, t_max, source, first, frame, status)
 
 
 @device
-def _localise_group(packet, long, rays, t_min, t_max, source, first, frame, status):
+def _localise_group(group, rays, t_min, t_max, source, first, frame, status):
     """Bring 16 rays into the local frame; returns whether one of them took the long way."""
     wx, wy, wz, dx, dy, dz = rays
     ox = narrow((wx - frame.center[0]) * frame.scale)
@@ -176,47 +157,39 @@ def _localise_group(packet, long, rays, t_min, t_max, source, first, frame, stat
         & (absolute(dx) + absolute(dy) + absolute(dz) < _INF64)
     )
     short = short & usual
-    store(packet + ORIGIN, ox)
-    store(packet + ORIGIN + ARRAY, oy)
-    store(packet + ORIGIN + ARRAY + ARRAY, oz)
-    store(packet + DIRECTION, narrow(dx * power))
-    store(packet + DIRECTION + ARRAY, narrow(dy * power))
-    store(packet + DIRECTION + ARRAY + ARRAY, narrow(dz * power))
-    store(packet + T_MIN, low)
-    store(packet + T, high)
-    store(packet + FACTOR, narrow(factor))
+    origin, direction = group.origin, group.direction
+    origin[_X], origin[_Y], origin[_Z] = ox, oy, oz
+    direction[_X] = narrow(dx * power)
+    direction[_Y] = narrow(dy * power)
+    direction[_Z] = narrow(dz * power)
+    group.t_min, group.t, group.factor = low, high, narrow(factor)
     if all_lanes(short):
         return False
-    store(long, factor)
-    store(long + LONG_OFFSET, f64x16(np.float64(0.0)))
+    group.long_factor, group.long_offset = factor, f64x16(np.float64(0.0))
+    lanes = GroupLanes(address_of(group))
     bits = lane_bits(short) ^ _ALL_LANES
-    while bits != np.uint64(0):
+    while bits != _U0:
         lane = first_bit(bits)
         bits &= bits - _U1
-        _patch(packet, long, lane, status, source, first + lane, frame)
+        _patch(lanes, lane, status, source, first + lane, frame)
     return True
 
 
 @device_call
-def _load_few(packet, long, source, first, count, frame, status):
+def _load_few(lanes, source, first, count, frame, status):
     """Load fewer than 16 rays one by one; the other lanes repeat the first one, unlit."""
     stay_out_of_line()
     for lane in range(_LANES):
-        _patch(packet, long, lane, status, source, first + min(lane, count - _U1), frame)
+        _patch(lanes, lane, status, source, first + min(lane, count - _U1), frame)
         if lane >= count:
-            store(packet + T + lane * _LANE, -_INF)
-            store(packet + T_MIN + lane * _LANE, _INF)
+            lanes.t[lane], lanes.t_min[lane] = -_INF, _INF
 
 
 @device
-def _prepare_group(packet, extreme):
-    """`kernels.ray.set_up` of a group, and its classes."""
-    ox = load(f32x16, packet + ORIGIN)
-    oy = load(f32x16, packet + ORIGIN + ARRAY)
-    oz = load(f32x16, packet + ORIGIN + ARRAY + ARRAY)
-    dx = load(f32x16, packet + DIRECTION)
-    dy = load(f32x16, packet + DIRECTION + ARRAY)
-    dz = load(f32x16, packet + DIRECTION + ARRAY + ARRAY)
+def _prepare_group(group, extreme):
+    """`kernels.ray.set_up` of a group, and its kinds."""
+    ox, oy, oz = three(group.origin)
+    dx, dy, dz = three(group.direction)
     ax, ay, az = absolute(dx), absolute(dy), absolute(dz)
     is_y = ay > ax
     largest = maximum(ay, ax)
@@ -230,20 +203,19 @@ def _prepare_group(packet, extreme):
     inv_y = copy_sign(one / maximum(ay, tiny), dy)
     inv_z = copy_sign(one / maximum(az, tiny), dz)
     pad_x, pad_y, pad_z = copy_sign(pad, dx), copy_sign(pad, dy), copy_sign(pad, dz)
-    store(packet + INV, inv_x)
-    store(packet + INV + ARRAY, inv_y)
-    store(packet + INV + ARRAY + ARRAY, inv_z)
-    store(packet + NEAR, -((ox + pad_x) * inv_x))
-    store(packet + NEAR + ARRAY, -((oy + pad_y) * inv_y))
-    store(packet + NEAR + ARRAY + ARRAY, -((oz + pad_z) * inv_z))
-    store(packet + FAR, -((ox - pad_x) * inv_x))
-    store(packet + FAR + ARRAY, -((oy - pad_y) * inv_y))
-    store(packet + FAR + ARRAY + ARRAY, -((oz - pad_z) * inv_z))
+    inv, near, far, shear = group.inv, group.near, group.far, group.shear
+    inv[_X], inv[_Y], inv[_Z] = inv_x, inv_y, inv_z
+    near[_X] = -((ox + pad_x) * inv_x)
+    near[_Y] = -((oy + pad_y) * inv_y)
+    near[_Z] = -((oz + pad_z) * inv_z)
+    far[_X] = -((ox - pad_x) * inv_x)
+    far[_Y] = -((oy - pad_y) * inv_y)
+    far[_Z] = -((oz - pad_z) * inv_z)
     sz = select(is_z, inv_z, select(is_y, inv_y, inv_x))
-    store(packet + SHEAR, select(is_z, dx, select(is_y, dz, dy)) * sz)
-    store(packet + SHEAR + ARRAY, select(is_z, dy, select(is_y, dx, dz)) * sz)
-    store(packet + SHEAR + ARRAY + ARRAY, sz)
-    # Class: 4 * octant + largest axis; a ray that cannot hit anything has none.
+    shear[_X] = select(is_z, dx, select(is_y, dz, dy)) * sz
+    shear[_Y] = select(is_z, dy, select(is_y, dx, dz)) * sz
+    shear[_Z] = sz
+    # Kind: 4 * octant + largest axis; a ray that cannot hit anything has none.
     sign_bits = np.int32(31)
     octant = (
         ((float_as_bits(dx) >> sign_bits) & np.int32(4))
@@ -252,32 +224,29 @@ def _prepare_group(packet, extreme):
     )
     zero = i32x16(np.int32(0))
     axis = select(is_z, zero + np.int32(2), select(is_y, zero + np.int32(1), zero))
-    can_hit = load(f32x16, packet + T_MIN) <= load(f32x16, packet + T)
-    store(packet + CLASS, select(can_hit, octant | axis, zero + NO_CLASS))
-    store(packet + PRIM, i32x16(NO_PRIM))
-    store(packet + U, f32x16(_ZERO))
-    store(packet + V, f32x16(_ZERO))
+    can_hit = group.t_min <= group.t
+    group.kind = select(can_hit, octant | axis, zero + NO_KIND)
+    group.prim_id, group.u, group.v = i32x16(NO_PRIM), f32x16(_ZERO), f32x16(_ZERO)
 
 
 @device
 def load_group(group, first, count, source, frame, status):
     """Load and prepare `count` rays from `first` on as a group; the other lanes cannot hit.
 
-    Returns whether any ray took the long way: `LONG_FACTOR` and `LONG_OFFSET` hold.
+    Returns whether any ray took the long way: `long_factor` and `long_offset` hold.
     """
     is_long = True
     if count == _LANES:
-        is_long = _load_group(group, group + LONG_FACTOR, source, first, frame, status)
-    elif count == np.uint64(0):
-        one = f32x16(_ONE)
-        for axis in range(np.uint64(3)):
-            store(group + ORIGIN + axis * ARRAY, f32x16(_ZERO))
-            store(group + DIRECTION + axis * ARRAY, one)
-        store(group + T_MIN, one)
-        store(group + T, f32x16(-_INF))
+        is_long = _load_group(group, source, first, frame, status)
+    elif count == _U0:
+        zero, one = f32x16(_ZERO), f32x16(_ONE)
+        origin, direction = group.origin, group.direction
+        origin[_X], origin[_Y], origin[_Z] = zero, zero, zero
+        direction[_X], direction[_Y], direction[_Z] = one, one, one
+        group.t_min, group.t = one, f32x16(-_INF)
         is_long = False
     else:
-        _load_few(group, group + LONG_FACTOR, source, first, count, frame, status)
+        _load_few(GroupLanes(address_of(group)), source, first, count, frame, status)
     _prepare_group(group, frame.extreme)
     return is_long
 
@@ -288,8 +257,7 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
 
     Parameters
     ----------
-    group : uint64
-        Address of `GROUP_BYTES` bytes.
+    group : Group
     rays : tuple of six f64x16
         Origins and directions, world space.
     t_min, t_max : f32x16
@@ -299,8 +267,7 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
     status : uint64
         Address of 16 statuses.
     """
-    long = group + LONG_FACTOR
-    is_long = _localise_group(group, long, rays, t_min, t_max, source, _U0, frame, status)
+    is_long = _localise_group(group, rays, t_min, t_max, source, _U0, frame, status)
     _prepare_group(group, frame.extreme)
     return is_long
 
@@ -327,9 +294,9 @@ def load_packet(packet, number, order, source, frame, status):
     uint64
         Bits of the groups with a ray that took the long way: `store_packet` must know.
     """
-    long_groups = np.uint64(0)
+    long_groups = _U0
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        if load_group(packet + g * GROUP, first, count, source, frame, status):
+        if load_group(Group(packet, g), first, count, source, frame, status):
             long_groups |= _U1 << g
     return long_groups

@@ -1,4 +1,4 @@
-"""The rays of a packet in memory, and which rays of a batch form one.
+"""The rays of a packet in memory, which rays of a batch form one, and writing their results.
 
 A packet is 256 rays: a tile of 16 x 16 pixels of an image-shaped batch, or 256 rays in a
 row. It lies on the stack, group after group of 16 rays; a group has a vector for each number
@@ -12,37 +12,35 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device
-from raystream.jit.simd import f32x16, maximum, minimum
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import stay_out_of_line
+from raystream.jit.simd import (
+    f32x16,
+    i32x16,
+    lane_bits,
+    maximum,
+    minimum,
+    select,
+    store,
+    store_past_cache,
+)
+from raystream.jit.views import view
+from raystream.kernels.local_ray import world_t
 
 __all__ = [
-    "ARRAY",
-    "CLASS",
-    "DIRECTION",
-    "FACTOR",
-    "FAR",
     "GROUP",
     "GROUPS",
-    "GROUP_BYTES",
-    "INV",
-    "LIVE_T",
-    "LONG_FACTOR",
-    "LONG_OFFSET",
-    "NEAR",
-    "NO_CLASS",
+    "NO_KIND",
     "NO_PRIM",
-    "ORIGIN",
     "PACKET_BYTES",
     "PACKET_RAYS",
-    "PRIM",
-    "SHEAR",
-    "T_MIN",
+    "Group",
+    "GroupLanes",
     "PacketOrder",
-    "T",
-    "U",
-    "V",
     "group_rows",
     "packet_order",
+    "store_packet",
+    "three",
     "world_lanes",
 ]
 
@@ -51,41 +49,48 @@ PACKET_RAYS = 256
 
 GROUPS = np.uint64(PACKET_RAYS // 16)
 
-#: Bytes of one number of a group's rays, and of the whole group. (One array of each number
-#: for all of the packet would be 1024 bytes apart from the next: loads would wait for stores
-#: to other arrays at the same place in a page.)
-ARRAY = np.uint64(64)
-GROUP_BYTES = 30 * 64
-GROUP = np.uint64(GROUP_BYTES)
+#: A group. Axes are in world order, but for the shear's. (One array of each number for all of
+#: the packet would be 1024 bytes apart from the next: loads would wait for stores to other
+#: arrays at the same place in a page.)
+_FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
+    ("inv", "f4", (3, 16)),
+    ("near", "f4", (3, 16)),
+    ("far", "f4", (3, 16)),
+    ("origin", "f4", (3, 16)),
+    ("shear", "f4", (3, 16)),
+    ("t_min", "f4", (16,)),
+    ("t", "f4", (16,)),  # t_max, then the nearest hit's
+    ("live_t", "f4", (16,)),  # the same for the rays of the pass, -inf for others
+    ("prim_id", "i4", (16,)),
+    ("u", "f4", (16,)),
+    ("v", "f4", (16,)),
+    ("kind", "i4", (16,)),  # octant and largest axis of the direction
+    ("factor", "f4", (16,)),
+    # In groups with a ray that took the long way into the local frame.
+    ("long_factor", "f8", (16,)),
+    ("long_offset", "f8", (16,)),
+    ("direction", "f4", (3, 16)),
+]
+GROUP = np.dtype(_FIELDS)
+Group = view(GROUP)
+#: The same, ray by ray.
+GroupLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _FIELDS])
 
-# Where each number is in a group. Axes in world order, except for the shear's.
-INV = np.uint64(0)
-NEAR = np.uint64(3) * ARRAY
-FAR = np.uint64(6) * ARRAY
-ORIGIN = np.uint64(9) * ARRAY
-SHEAR = np.uint64(12) * ARRAY  # sx, sy, sz
-T_MIN = np.uint64(15) * ARRAY
-T = np.uint64(16) * ARRAY  # t_max, then the nearest hit's
-LIVE_T = np.uint64(17) * ARRAY  # the same for the rays of the pass, -inf for others
-PRIM = np.uint64(18) * ARRAY
-U = np.uint64(19) * ARRAY
-V = np.uint64(20) * ARRAY
-CLASS = np.uint64(21) * ARRAY  # octant and largest axis of the direction
-FACTOR = np.uint64(22) * ARRAY
-DIRECTION = np.uint64(27) * ARRAY
-#: For rays that do not take the short way into the local frame, in float64.
-LONG_FACTOR = np.uint64(23) * ARRAY
-LONG_OFFSET = np.uint64(2) * ARRAY  # from there
-PACKET_BYTES = GROUP_BYTES * PACKET_RAYS // 16
-
-_LARGEST = np.float32(np.finfo(np.float32).max)
+PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
 
 NO_PRIM = np.int32(2**31 - 1)
-NO_CLASS = np.int32(-1)
+NO_KIND = np.int32(-1)
 
-_U1 = np.uint64(1)
+_INF = np.float32(np.inf)
+_LARGEST = np.float32(np.finfo(np.float32).max)
+_MISS = np.int32(-1)
+_U0, _U1 = np.uint64(0), np.uint64(1)
+_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
 _LANES = np.uint64(16)
+_ALL_LANES = np.uint64(0xFFFF)
 _SIDE = np.uint64(16)
+_LANE = np.uint64(4)
+_LINE_BITS = np.uint64(63)
 
 
 class PacketOrder(NamedTuple):
@@ -121,14 +126,14 @@ def packet_order(shape: tuple[int, ...]) -> tuple[PacketOrder, int]:
 @device
 def group_rows(order, packet, group):
     """The rays of a group: number of the first one, and how many follow each other."""
-    if order.width == np.uint64(0):
+    if order.width == _U0:
         first = packet * np.uint64(PACKET_RAYS) + group * _LANES
         return first, min(order.ray_count - min(first, order.ray_count), _LANES)
     across = (order.width + _SIDE - _U1) // _SIDE
     x = packet % across * _SIDE
     y = packet // across * _SIDE + group
     if y >= order.height:
-        return np.uint64(0), np.uint64(0)
+        return _U0, _U0
     return y * order.width + x, min(order.width - x, _LANES)
 
 
@@ -137,3 +142,85 @@ def world_lanes(t, factor):
     """Distances of a group without rays that took the long way, in world direction lengths."""
     # A distance beyond float32 is still a hit: only a miss is infinite.
     return minimum(maximum(t * factor, f32x16(-_LARGEST)), f32x16(_LARGEST))
+
+
+@device
+def three(rows):
+    """The vectors of a field that has one for each axis."""
+    return rows[_X], rows[_Y], rows[_Z]
+
+
+@device
+def _reported(group):
+    """World distances of a group without rays that took the long way; inf for a miss."""
+    t = world_lanes(group.t, group.factor)
+    return select(group.prim_id == NO_PRIM, f32x16(_INF), t)
+
+
+@device
+def _put(at, vector):
+    # A tile's rows are far apart and each fills a cache line: fetching it first would take as
+    # long as tracing an easy ray.
+    if at & _LINE_BITS == np.uint64(0):
+        store_past_cache(at, vector)
+    else:
+        store(at, vector)
+
+
+@device
+def _store_group(group, first, wants_any, out):
+    missed = group.prim_id == NO_PRIM
+    if wants_any:
+        bits = lane_bits(missed) ^ _ALL_LANES
+        for lane in range(_LANES):
+            store(out.seen + first + lane, np.uint8((bits >> lane) & _U1))
+        return
+    at = first * _LANE
+    _put(out.t + at, _reported(group))
+    _put(out.u + at, group.u)
+    _put(out.v + at, group.v)
+    _put(out.prim_id + at, select(missed, i32x16(_MISS), group.prim_id))
+
+
+@device_call
+def _store_few(lanes, first, count, wants_any, out):
+    """Write a group ray by ray."""
+    stay_out_of_line()
+    for lane in range(count):
+        prim_id = lanes.prim_id[lane]
+        if wants_any:
+            store(out.seen + first + lane, np.uint8(prim_id != NO_PRIM))
+            continue
+        t = _INF
+        if prim_id == NO_PRIM:
+            prim_id = _MISS
+        else:
+            t = world_t(lanes.t[lane], lanes.long_factor[lane], lanes.long_offset[lane])
+        at = (first + lane) * _LANE
+        store(out.t + at, t)
+        store(out.u + at, lanes.u[lane])
+        store(out.v + at, lanes.v[lane])
+        store(out.prim_id + at, prim_id)
+
+
+@device
+def store_packet(packet, number, order, long_groups, wants_any, out):
+    """Write the results of a packet.
+
+    Parameters
+    ----------
+    packet, number, order
+        See `load_packet`.
+    long_groups : uint64
+        What it returned.
+    wants_any : bool
+    out : ResultAddresses
+    """
+    for g in range(GROUPS):
+        first, count = group_rows(order, number, g)
+        if count == _U0:
+            continue
+        if (long_groups >> g) & _U1 == _U0:
+            _store_group(Group(packet, g), first, wants_any, out)
+        else:
+            _store_few(GroupLanes(packet, g), first, count, wants_any, out)

@@ -30,6 +30,7 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.jit.views import view
 from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.packet_load import load_directions, load_origins
 from raystream.structures.bvh.wide import LANE
@@ -67,7 +68,8 @@ _CHUNK = np.uint64(SORTED_CHUNK)
 COUNT_BYTES = 4 * KEY_COUNT + 64
 _ROW = np.uint64(COUNT_BYTES)
 
-_ROW_BYTES = np.uint64(16)
+#: A nearest hit.
+_Row = view([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4")])
 
 # A record: origin, direction, t_min, t_max; the limits in float32.
 _SHORT = np.uint64(32)
@@ -114,11 +116,8 @@ def number_at(rays, place):
 @device
 def write_row(rays, number, t, u, v, prim_id):
     """Write the nearest hit of a ray, or a miss, where results wait for their order."""
-    row = rays.rows + number * _ROW_BYTES
-    store(row, t)
-    store(row + LANE, u)
-    store(row + _WIDE, v)
-    store(row + (LANE + _WIDE), prim_id)
+    row = _Row(rays.rows, number)
+    row.t, row.u, row.v, row.prim_id = t, u, v, prim_id
 
 
 @device

@@ -41,18 +41,12 @@ from raystream.structures.bvh.records import (
 )
 from raystream.structures.bvh.slabs import EXIT_BYTES, SLAB_BYTES, find_plane, is_empty
 from raystream.structures.bvh.tree import (
-    BEGIN_AT,
-    DEPTH_AT,
-    END_AT,
-    LIMIT_AT,
-    LINK_BYTES,
-    NODE_AT,
-    PENDING_BYTES,
     PENDING_STACK_BYTES,
-    RIGHT_AT,
+    Link,
+    Pending,
     halve,
+    push_pending,
     put_node,
-    set_pending,
     split,
 )
 
@@ -275,23 +269,20 @@ def grow_spatially(
     record_at, box_at, link_at = address(records), address(boxes), address(links)
     bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
     slabs, exits = scratch(SLAB_BYTES), scratch(EXIT_BYTES)
-    pending = scratch(PENDING_STACK_BYTES)
+    stack = scratch(PENDING_STACK_BYTES)
     root = np.int32(2 * begin)
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
     middles = load(f32x8, bound_at + np.uint64(RECORD_BYTES))
-    set_pending(pending, middles, root, begin, end, depth, limit)
+    top = push_pending(stack, np.uint64(0), middles, root, begin, end, depth, limit)
     node_end = np.int32(root + 1)
-    top = pending + np.uint64(PENDING_BYTES)
-    while top != pending:
-        top -= np.uint64(PENDING_BYTES)
-        first = load(np.int32, top + np.uint64(BEGIN_AT))
-        last = load(np.int32, top + np.uint64(END_AT))
+    while top != np.uint64(0):
+        top -= np.uint64(1)
+        pending = Pending(stack, top)
+        first, last = pending.begin, pending.end
         if last - first <= small:
             continue
-        room = load(np.int32, top + np.uint64(LIMIT_AT))
-        node = load(np.int32, top + np.uint64(NODE_AT))
-        level = load(np.int32, top + np.uint64(DEPTH_AT))
+        room, node, level = pending.limit, pending.node, pending.depth
         # What may become one leaf stays together, without spare rows in between.
         tries = last - first > max_leaf_size
         left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
@@ -300,7 +291,7 @@ def grow_spatially(
             last,
             room,
             box_at + np.uint64(node) * np.uint64(RECORD_BYTES),
-            load(f32x8, top),
+            pending.middles,
             level < sah_depth,
             tries,
             bins,
@@ -311,15 +302,16 @@ def grow_spatially(
             np.float32(pad),
             np.float32(scene_area) * _OVERLAP,
         )
-        link = link_at + np.uint64(node) * np.uint64(LINK_BYTES)
-        store(link, node_end)
-        store(link + np.uint64(RIGHT_AT), np.int32(node_end + 1))
+        link = Link(link_at, np.uint64(node))
+        link.left, link.right = node_end, np.int32(node_end + 1)
         put_node(box_at, link_at, node_end, left, first, left_end)
         put_node(box_at, link_at, node_end + 1, right, right_begin, right_end)
-        set_pending(top, right_middles, node_end + 1, right_begin, right_end, level + 1, room)
-        top += np.uint64(PENDING_BYTES)
-        set_pending(top, left_middles, node_end, first, left_end, level + 1, right_begin)
-        top += np.uint64(PENDING_BYTES)
+        top = push_pending(
+            stack, top, right_middles, node_end + 1, right_begin, right_end, level + 1, room
+        )
+        top = push_pending(
+            stack, top, left_middles, node_end, first, left_end, level + 1, right_begin
+        )
         node_end = np.int32(node_end + 2)
     merged = collapse_subtree(
         box_at, link_at, root, node_end, max_leaf_size, prices, address(costs)

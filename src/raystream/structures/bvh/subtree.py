@@ -10,16 +10,11 @@ from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES
 from raystream.structures.bvh.collapse import collapse_subtree
 from raystream.structures.bvh.records import RECORD_BYTES
 from raystream.structures.bvh.tree import (
-    BEGIN_AT,
-    DEPTH_AT,
-    END_AT,
-    LINK_BYTES,
-    NODE_AT,
-    PENDING_BYTES,
     PENDING_STACK_BYTES,
-    RIGHT_AT,
+    Link,
+    Pending,
+    push_pending,
     put_node,
-    set_pending,
     split,
 )
 
@@ -118,34 +113,29 @@ def grow_subtree(
         return
     record_at, box_at, link_at = address(records), address(boxes), address(links)
     bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
-    pending = scratch(PENDING_STACK_BYTES)
+    stack = scratch(PENDING_STACK_BYTES)
     root = np.int32(2 * begin)
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
     middles = load(f32x8, bound_at + np.uint64(RECORD_BYTES))
-    set_pending(pending, middles, root, begin, end, depth, end)
+    top = push_pending(stack, np.uint64(0), middles, root, begin, end, depth, end)
     node_end = np.int32(root + 1)
-    top = pending + np.uint64(PENDING_BYTES)
-    while top != pending:
-        top -= np.uint64(PENDING_BYTES)
-        first = load(np.int32, top + np.uint64(BEGIN_AT))
-        last = load(np.int32, top + np.uint64(END_AT))
+    while top != np.uint64(0):
+        top -= np.uint64(1)
+        pending = Pending(stack, top)
+        first, last = pending.begin, pending.end
         if last - first <= small:
             continue
-        node = load(np.int32, top + np.uint64(NODE_AT))
-        level = load(np.int32, top + np.uint64(DEPTH_AT))
+        node, level = pending.node, pending.depth
         middle, left, left_middles, right, right_middles = split(
-            record_at, first, last, load(f32x8, top), level < sah_depth, plain_size, bins, sums
+            record_at, first, last, pending.middles, level < sah_depth, plain_size, bins, sums
         )
-        link = link_at + np.uint64(node) * np.uint64(LINK_BYTES)
-        store(link, node_end)
-        store(link + np.uint64(RIGHT_AT), np.int32(node_end + 1))
+        link = Link(link_at, np.uint64(node))
+        link.left, link.right = node_end, np.int32(node_end + 1)
         put_node(box_at, link_at, node_end, left, first, middle)
         put_node(box_at, link_at, node_end + 1, right, middle, last)
-        set_pending(top, right_middles, node_end + 1, middle, last, level + 1, last)
-        top += np.uint64(PENDING_BYTES)
-        set_pending(top, left_middles, node_end, first, middle, level + 1, middle)
-        top += np.uint64(PENDING_BYTES)
+        top = push_pending(stack, top, right_middles, node_end + 1, middle, last, level + 1, last)
+        top = push_pending(stack, top, left_middles, node_end, first, middle, level + 1, middle)
         node_end = np.int32(node_end + 2)
     merged = collapse_subtree(
         box_at, link_at, root, node_end, max_leaf_size, prices, address(costs)

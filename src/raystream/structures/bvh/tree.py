@@ -26,6 +26,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
+from raystream.jit.views import view
 from raystream.structures.bvh.binning import (
     BIN_COUNT,
     bin_frame,
@@ -44,45 +45,46 @@ from raystream.structures.bvh.records import (
 )
 
 __all__ = [
-    "BEGIN_AT",
-    "DECISION_AT",
-    "DEPTH_AT",
-    "END_AT",
     "HALVING_LEVELS",
-    "LIMIT_AT",
     "LINK_BYTES",
     "LINK_INTS",
     "MAX_TREE_DEPTH",
-    "NODE_AT",
-    "PENDING_BYTES",
     "PENDING_STACK_BYTES",
-    "RIGHT_AT",
-    "TOP_AT",
+    "Link",
+    "Pending",
     "choose_bin_count",
     "halve",
     "is_left",
+    "push_pending",
     "put_node",
-    "set_pending",
     "side_test",
     "split",
 ]
 
-LINK_BYTES = 16
-LINK_INTS = 4
-RIGHT_AT = 4
-DECISION_AT = 8
-TOP_AT = 12
+_LINK = np.dtype([("left", "i4"), ("right", "i4"), ("decision", "i4"), ("is_top", "i4")])
+Link = view(_LINK)
+LINK_BYTES = _LINK.itemsize
+LINK_INTS = LINK_BYTES // 4
 
 #: Nodes on the longest path: at most 31 levels of halving by count are needed for any number
 #: of triangles that prim_id can name.
 MAX_TREE_DEPTH = 128
 HALVING_LEVELS = 32
 
-#: A pending range of a builder's stack: the box around its middles, then int32: its node, first
-#: record, end, depth, and the end of its room.
-PENDING_BYTES = 64
-PENDING_STACK_BYTES = (MAX_TREE_DEPTH + 2) * PENDING_BYTES
-NODE_AT, BEGIN_AT, END_AT, DEPTH_AT, LIMIT_AT = 32, 36, 40, 44, 48
+#: A pending range of a builder's stack.
+_PENDING = np.dtype(
+    [
+        ("middles", "f4", 8),  # the box around its records' middles
+        ("node", "i4"),
+        ("begin", "i4"),
+        ("end", "i4"),
+        ("depth", "i4"),
+        ("limit", "i4"),  # the end of its room
+        ("unused", "V12"),
+    ]
+)
+Pending = view(_PENDING)
+PENDING_STACK_BYTES = (MAX_TREE_DEPTH + 2) * _PENDING.itemsize
 
 _INF = np.float32(np.inf)
 
@@ -94,9 +96,8 @@ def put_node(boxes, links, node, box, begin, end):
     store(at, box)
     store(at + np.uint64(FIRST_AT), np.int32(begin))
     store(at + np.uint64(COUNT_AT), np.int32(end - begin))
-    link = links + np.uint64(node) * np.uint64(LINK_BYTES)
-    store(link, np.int32(-1))
-    store(link + np.uint64(TOP_AT), np.int32(0))
+    link = Link(links, np.uint64(node))
+    link.left, link.is_top = np.int32(-1), np.int32(0)
 
 
 @device
@@ -233,11 +234,10 @@ def split(records, begin, end, middles, use_sides, plain_size, bins, sums):
 
 
 @device
-def set_pending(at, middles, node, begin, end, depth, limit):
-    """Write a pending range."""
-    store(at, middles)
-    store(at + np.uint64(NODE_AT), np.int32(node))
-    store(at + np.uint64(BEGIN_AT), np.int32(begin))
-    store(at + np.uint64(END_AT), np.int32(end))
-    store(at + np.uint64(DEPTH_AT), np.int32(depth))
-    store(at + np.uint64(LIMIT_AT), np.int32(limit))
+def push_pending(stack, top, middles, node, begin, end, depth, limit):
+    """Put a range on the stack; returns its height."""
+    pending = Pending(stack, top)
+    pending.middles, pending.node = middles, np.int32(node)
+    pending.begin, pending.end = np.int32(begin), np.int32(end)
+    pending.depth, pending.limit = np.int32(depth), np.int32(limit)
+    return top + np.uint64(1)

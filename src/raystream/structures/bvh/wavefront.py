@@ -15,23 +15,21 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     any_lane,
     count_bits,
-    f32x4,
-    f32x8,
     first_bit,
     float_as_bits,
     i32x8,
     lane_bits,
+    lane_numbers,
     load,
     maximum,
     minimum,
     permute,
-    prefetch,
     scratch,
     select,
     store,
     widen,
 )
-from raystream.kernels.leaf_block import BLOCK, PRIM_IDS, SECOND, THIRD
+from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, Hits
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.triangle_lanes import (
     distance_lanes,
@@ -42,39 +40,20 @@ from raystream.kernels.triangle_lanes import (
 )
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.wavefront_rays import (
-    AXIS,
     BOTTOM,
     BOTTOM_KEY,
-    CHILD,
-    DIRECTION,
-    FAR,
-    INV,
-    NEAR,
-    ORIGIN,
-    PLANE,
-    PRIM,
-    RAY,
-    SHEAR,
-    SLOT,
-    T_KEY,
-    T_MIN,
-    TOP,
-    Y_WORD,
-    Z_WORD,
-    T,
-    U,
-    V,
+    NO_RAY,
+    SLOT_BYTES,
+    Slot,
     finish_ray,
     start_ray,
-    three,
 )
 from raystream.structures.bvh.wide import (
-    BOX_FLIP,
-    CHILDREN,
     LANE,
-    NODE,
+    Node,
     leaf_address,
     leaf_end,
+    prefetch_child,
     sort_keys,
     t_key,
 )
@@ -85,86 +64,71 @@ __all__ = ["trace_wavefront"]
 _IN_FLIGHT = np.uint64(32)
 
 _ONE = np.uint64(1)
+_FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD = np.uint64(8)
 _LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
 _KEY_BITS = np.int32(~7)
-_NO_RAY = np.int64(-1)
 _INVALID = np.uint8(RayStatus.INVALID)
 
 #: Entries of a ray's stacks, with room for the eight lanes that are always stored.
 _STACK = np.uint64(4 * (STACK_SIZE + 16))
 
-_SLOT_BYTES = int(_IN_FLIGHT * SLOT)
+_SLOTS_BYTES = int(_IN_FLIGHT * SLOT_BYTES)
 _STACK_BYTES = int(_IN_FLIGHT * _STACK)
+_HITS_BYTES = HITS.itemsize
 _QUEUE_BYTES = int(_IN_FLIGHT * _WORD + _LINE)
 
 
 @device
-def _visit_node(slot, node, keys, children, lane_numbers):
+def _visit_node(slot, node, keys, children, numbers):
     """Test a node's eight boxes; returns the height of the stack with those that are entered."""
-    at_x = node + load(np.uint64, slot + PLANE)
-    at_y = node + load(np.uint64, slot + (PLANE + Y_WORD))
-    at_z = node + load(np.uint64, slot + (PLANE + Z_WORD))
+    x, y, z = slot.planes
+    planes = node.planes
     t_in, t_out = interval_lanes(
-        load(f32x8, at_x),
-        load(f32x8, at_y),
-        load(f32x8, at_z),
-        load(f32x8, at_x ^ BOX_FLIP),
-        load(f32x8, at_y ^ BOX_FLIP),
-        load(f32x8, at_z ^ BOX_FLIP),
-        three(slot, INV),
-        three(slot, NEAR),
-        three(slot, FAR),
+        planes[x],
+        planes[y],
+        planes[z],
+        planes[x ^ _ONE],
+        planes[y ^ _ONE],
+        planes[z ^ _ONE],
+        slot.inv,
+        slot.near,
+        slot.far,
     )
-    entered = maximum(t_in, load(np.float32, slot + T_MIN)) <= minimum(
-        t_out, load(np.float32, slot + T)
-    )
+    entered = maximum(t_in, slot.t_min) <= minimum(t_out, slot.t)
     # Keys: entry distance, cut off at 0 since only the order of bits of positive numbers is
     # that of the numbers, with the lane in the lowest bits. Others sink to the end.
-    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers
+    key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | numbers
     key = sort_keys(select(entered, key, i32x8(BOTTOM_KEY)))
-    top = load(np.uint64, slot + TOP)
+    top = slot.top
     store(keys + top, key)
-    store(children + top, permute(load(i32x8, node + CHILDREN), key))
+    store(children + top, permute(node.children, key))
     return top + (count_bits(lane_bits(entered)) << np.uint64(2))
 
 
 @device
-def _visit_leaf(slot, child, leaves, lanes, wants_any):
-    """Test a leaf's triangles; returns whether the ray is done."""
-    block = leaf_address(leaves, child)
-    end = leaf_end(block, child)
-    at_x = load(np.uint64, slot + AXIS)
-    at_y = load(np.uint64, slot + (AXIS + Y_WORD))
-    at_z = load(np.uint64, slot + (AXIS + Z_WORD))
-    ox, oy, oz = three(slot, ORIGIN)
-    sx, sy, _ = three(slot, SHEAR)
-    while block != end:
-        ax, ay, az = (
-            load(f32x4, block + at_x),
-            load(f32x4, block + at_y),
-            load(f32x4, block + at_z),
-        )
-        second = block + SECOND
-        bx, by, bz = (
-            load(f32x4, second + at_x),
-            load(f32x4, second + at_y),
-            load(f32x4, second + at_z),
-        )
-        third = block + THIRD
-        cx, cy, cz = (
-            load(f32x4, third + at_x),
-            load(f32x4, third + at_y),
-            load(f32x4, third + at_z),
-        )
+def _visit_leaf(slot, leaves, lanes_at, wants_any):
+    """Test the triangles of the leaf that is next; returns whether the ray is done."""
+    child = slot.child
+    at = leaf_address(leaves, child)
+    end = leaf_end(at, child)
+    x, y, z = slot.axes
+    ox, oy, oz = slot.origin
+    sx, sy, _ = slot.shear
+    while at != end:
+        block = Block(at)
+        corners = block.corners
+        ax, ay, az = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+        bx, by, bz = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
+        cx, cy, cz = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
         images = image_lanes(ax, ay, az, bx, by, bz, cx, cy, cz, ox, oy, oz, sx, sy)
         candidates = same_sign(images)
         if any_lane(candidates):
             low_x, high_x = minimum(minimum(ax, bx), cx), maximum(maximum(ax, bx), cx)
             low_y, high_y = minimum(minimum(ay, by), cy), maximum(maximum(ay, by), cy)
             low_z, high_z = minimum(minimum(az, bz), cz), maximum(maximum(az, bz), cz)
-            inv = three(slot, INV)
+            inv = slot.inv
             back_x, back_y, back_z = inv[0] < _ZERO, inv[1] < _ZERO, inv[2] < _ZERO
             t_in, t_out = interval_lanes(
                 select(back_x, high_x, low_x),
@@ -174,14 +138,13 @@ def _visit_leaf(slot, child, leaves, lanes, wants_any):
                 select(back_y, low_y, high_y),
                 select(back_z, low_z, high_z),
                 inv,
-                three(slot, NEAR),
-                three(slot, FAR),
+                slot.near,
+                slot.far,
             )
-            nearest = load(np.float32, slot + T)
-            t_min = load(np.float32, slot + T_MIN)
+            nearest, t_min = slot.t, slot.t_min
             candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
             if any_lane(candidates):
-                dx, dy, dz = three(slot, DIRECTION)
+                dx, dy, dz = slot.direction
                 t = distance_lanes(
                     (widen(ax), widen(ay), widen(az)),
                     (widen(bx), widen(by), widen(bz)),
@@ -198,52 +161,40 @@ def _visit_leaf(slot, child, leaves, lanes, wants_any):
                     bits = lane_bits(candidates & hit)
                     if bits != np.uint64(0):
                         if wants_any:
-                            store(slot + PRIM, np.int32(0))
+                            slot.prim_id = np.int32(0)
                             return True
-                        store(lanes, t)
-                        store(lanes + np.uint64(16), u)
-                        store(lanes + np.uint64(32), v)
-                        _keep_nearest(slot, block, bits, lanes)
-        block += BLOCK
+                        lanes = Hits(lanes_at)
+                        lanes.t, lanes.u, lanes.v = t, u, v
+                        _keep_nearest(slot, block, bits, HitLanes(lanes_at))
+        at += BLOCK
     return False
 
 
 @device
 def _keep_nearest(slot, block, bits, lanes):
     """Take the hits of these lanes, if they are before the slot's by t, then prim_id."""
-    nearest = load(np.float32, slot + T)
-    best = load(np.int32, slot + PRIM)
+    nearest, best = slot.t, slot.prim_id
     while bits != np.uint64(0):
-        at = first_bit(bits) << np.uint64(2)
+        lane = first_bit(bits)
         bits &= bits - _ONE
-        t = load(np.float32, lanes + at)
-        prim_id = load(np.int32, block + PRIM_IDS + at)
+        t, prim_id = lanes.t[lane], block.prim_ids[lane]
         if t < nearest or (t == nearest and prim_id < best):
-            nearest = t
-            best = prim_id
-            store(slot + U, load(np.float32, lanes + np.uint64(16) + at))
-            store(slot + V, load(np.float32, lanes + np.uint64(32) + at))
-    store(slot + T, nearest)
-    store(slot + PRIM, best)
-    store(slot + T_KEY, t_key(nearest))
+            nearest, best = t, prim_id
+            slot.u, slot.v = lanes.u[lane], lanes.v[lane]
+    slot.t, slot.prim_id, slot.t_key = nearest, best, t_key(nearest)
 
 
 @device
 def _next(slot, top, keys, children, nodes, leaves, prefetching):
     """Take the nearest child off the stack that may matter; returns its number."""
-    limit = load(np.int32, slot + T_KEY)
+    limit = slot.t_key
     top -= LANE
     while load(np.int32, keys + top) > limit:
         top -= LANE
     child = load(np.int32, children + top)
-    store(slot + CHILD, child)
-    store(slot + TOP, top)
+    slot.child, slot.top = child, top
     if prefetching:
-        at = leaf_address(leaves, child) if child < np.int32(0) else nodes + np.uint64(child) * NODE
-        prefetch(at)
-        prefetch(at + _LINE)
-        prefetch(at + (_LINE + _LINE))
-        prefetch(at + (_LINE + _LINE + _LINE))
+        prefetch_child(child, nodes, leaves)
     return child
 
 
@@ -266,19 +217,16 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
         Pays off where the tree does not fit into the cache.
     out : ResultAddresses
     """
-    slots = scratch(_SLOT_BYTES)
+    slots = scratch(_SLOTS_BYTES)
     all_keys = scratch(_STACK_BYTES)
     all_children = scratch(_STACK_BYTES)
-    lanes = scratch(64)
+    lanes = scratch(_HITS_BYTES)
     inner = scratch(_QUEUE_BYTES)
     inner_next = scratch(_QUEUE_BYTES)
     leaf = scratch(_QUEUE_BYTES)
     leaf_next = scratch(_QUEUE_BYTES)
     done = scratch(_QUEUE_BYTES)
-    numbers = scratch(32)
-    for k in range(np.uint64(8)):
-        store(numbers + k * LANE, np.int32(k))
-    lane_numbers = load(i32x8, numbers)
+    numbers = lane_numbers(i32x8)
     ray_next, ray_end = np.uint64(begin), np.uint64(end)
     # Lengths of the queues, in bytes.
     inner_size = np.uint64(0)
@@ -287,7 +235,7 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
     for k in range(_IN_FLIGHT):
         store(done + done_size, k)
         done_size += _WORD
-        store(slots + k * SLOT + RAY, _NO_RAY)
+        Slot(slots, k).ray = NO_RAY
 
     while True:
         # Step 1: finished slots write their result and take the next ray.
@@ -295,9 +243,9 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
         while at != done_size:
             k = load(np.uint64, done + at)
             at += _WORD
-            slot = slots + k * SLOT
+            slot = Slot(slots, k)
             finish_ray(slot, wants_any, out)
-            store(slot + RAY, _NO_RAY)
+            slot.ray = NO_RAY
             if ray_next < ray_end:
                 ray = load_ray(source, ray_next, frame)
                 if ray.status == _INVALID:
@@ -318,10 +266,10 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
         while at != inner_size:
             k = load(np.uint64, inner + at)
             at += _WORD
-            slot = slots + k * SLOT
+            slot = Slot(slots, k)
             keys, children = all_keys + k * _STACK, all_children + k * _STACK
-            node = nodes + np.uint64(load(np.int32, slot + CHILD)) * NODE
-            top = _visit_node(slot, node, keys, children, lane_numbers)
+            node = Node(nodes, np.uint64(slot.child))
+            top = _visit_node(slot, node, keys, children, numbers)
             child = _next(slot, top, keys, children, nodes, leaves, prefetching)
             # Without a branch: the slot goes to the end of all queues, one of which grows.
             is_leaf = np.uint64(child < np.int32(0))
@@ -341,10 +289,10 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
         while at != leaf_size:
             k = load(np.uint64, leaf + at)
             at += _WORD
-            slot = slots + k * SLOT
+            slot = Slot(slots, k)
             keys, children = all_keys + k * _STACK, all_children + k * _STACK
-            top = load(np.uint64, slot + TOP)
-            if _visit_leaf(slot, load(np.int32, slot + CHILD), leaves, lanes, wants_any):
+            top = slot.top
+            if _visit_leaf(slot, leaves, lanes, wants_any):
                 top = LANE
             child = _next(slot, top, keys, children, nodes, leaves, prefetching)
             is_leaf = np.uint64(child < np.int32(0))

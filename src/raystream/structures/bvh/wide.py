@@ -12,8 +12,10 @@ from raystream.jit.simd import (
     maximum,
     minimum,
     permutation,
+    prefetch,
     select,
 )
+from raystream.jit.views import view
 from raystream.kernels.leaf_block import BLOCK
 
 __all__ = [
@@ -23,9 +25,13 @@ __all__ = [
     "LANE",
     "NODE",
     "NODE_AXIS",
+    "Node",
+    "NodeLanes",
     "leaf_address",
     "leaf_end",
     "plane_offset",
+    "plane_row",
+    "prefetch_child",
     "sort_keys",
     "t_key",
 ]
@@ -34,6 +40,11 @@ __all__ = [
 NODE = np.uint64(256)
 NODE_AXIS = np.uint64(64)
 BOX_FLIP = np.uint64(32)
+
+#: A node: of each axis low and high planes of its eight boxes, then its children; and the same,
+#: box by box.
+Node = view([("planes", "f4", (6, 8)), ("children", "i4", 8), ("unused", "V32")])
+NodeLanes = view([("planes", "f4", (6, 8, 1)), ("children", "i4", (8, 1)), ("unused", "V32")])
 
 #: Where a node's eight child numbers begin.
 CHILDREN = np.uint64(192)
@@ -45,6 +56,8 @@ LANE = np.uint64(4)
 KEY_LANES = np.int32(7)
 
 _NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
 _NO_LIMIT = np.int32(2**31 - 1)
 _BLOCK_BITS = np.int32(7)
@@ -64,9 +77,25 @@ def leaf_end(first, child):
 
 
 @device
+def prefetch_child(child, nodes, leaves):
+    """Have a node or leaf in the cache when its turn comes."""
+    at = leaf_address(leaves, child) if child < np.int32(0) else nodes + np.uint64(child) * NODE
+    prefetch(at)
+    prefetch(at + _LINE)
+    prefetch(at + (_LINE + _LINE))
+    prefetch(at + (_LINE + _LINE + _LINE))
+
+
+@device
 def plane_offset(axis, inv):
     """Where in a node the planes of an axis are that a ray of this reciprocal meets first."""
     return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else _NONE)
+
+
+@device
+def plane_row(axis, inv):
+    """The row of a node's planes that a ray of this reciprocal meets first; see `Node`."""
+    return (axis << _ONE) | (_ONE if inv < _ZERO else _NONE)
 
 
 @device
