@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 import raystream as rs
-from raystream.rendering import ao, path, sampled
+from raystream.rendering import ao, integrator, path
 from raystream.rendering.picture import RENDERERS
 
 #: Of a picture; its time is that of one.
@@ -74,8 +74,8 @@ def rays_of(tracer, mode, size, camera, options):
     renderer = RENDERERS[mode]
     listener = Listener(tracer)
     chosen = renderer.check({**renderer.options, **options})
-    numbers = sampled.Sampler.of("sobol", 0, 16)
-    setting = sampled.make_setting(listener, camera, size, numbers, chosen)
+    numbers = integrator.Sampler.of("sobol", 0, 16)
+    setting = integrator.make_setting(listener, camera, size, numbers, chosen)
     parts = defaultdict(list)
     rows = max(1, (1 << 16) // size[0])
     for first in range(0, size[1], rows):
@@ -115,8 +115,8 @@ STAGES = {
     "any_hit": (rs.Tracer, "any_hit"),
     "shading of paths": (path, "follow_paths"),
     "shading of ao": (ao, "sample_ambient"),
-    "rays from the eye": (sampled, "eye_paths"),
-    "adding light": (sampled, "add_unblocked"),
+    "rays from the eye": (integrator, "eye_paths"),
+    "adding light": (integrator, "add_unblocked"),
 }
 
 

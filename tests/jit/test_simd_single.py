@@ -9,7 +9,7 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import f32x16, f64x16, lane_count, load, single_lane, store
 from raystream.jit.simd.types import VECTORS
 from raystream.rendering.sampling import warp
-from raystream.rendering.shading import rows, shares
+from raystream.rendering.shading import discrete_distribution, rows
 from raystream.rendering.shading.discrete_distribution import chosen_lanes
 
 LANES = 16
@@ -50,7 +50,7 @@ def test_each_lane_has_its_bits():
 
 def test_functions_of_whatever_comes_stay():
     assert single_lane(warp.disk) is warp.disk
-    assert single_lane(shares.chosen) is shares.chosen
+    assert single_lane(discrete_distribution.chosen) is discrete_distribution.chosen
 
 
 @device
