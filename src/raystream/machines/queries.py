@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 __all__ = ["Queries"]
 
 
+#: Queries without options, made once: a small batch takes little more time than a value.
+_PLAIN = [Query(kind) for kind in Kind]
+
+
 class Queries:
     """The queries of a tracer.
 
@@ -373,6 +377,8 @@ class Queries:
         limit: int = UNLIMITED,
     ) -> Query:
         if on_hit is None and skip_prim_ids is None:
+            if limit == UNLIMITED and not surfaces:
+                return _PLAIN[kind]
             return Query(kind, surfaces, limit)
         triangles = self.structure.triangles
         if isinstance(rays, RayArrays):

@@ -114,6 +114,9 @@ def trace_batch(
     source, kept = RaySource.of(
         batch.origins, batch.directions, batch.limits, kernel != "wavefront"
     )
+    if kernel == "wavefront":  # the least that a small batch can do
+        _trace_wavefront(tree, count, source, wants_any, results, progress)
+        return
     order, packet_count = packet_order(batch.shape)
     if kernel == "auto" and count:
         found = probe(source, order, packet_count, tree.frame, tree.byte_count)
