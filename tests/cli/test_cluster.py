@@ -104,7 +104,7 @@ def test_ctrl_c_keeps_the_samples_and_resume_goes_on(environment, tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "--resume resumed from them" in said
+    assert "rerun with --resume to continue" in said
     assert "Traceback" not in said
     assert samples.exists()
     shorter = ["200" if word == "5000" else word for word in on_cluster]
