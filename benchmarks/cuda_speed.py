@@ -152,9 +152,9 @@ class Ours(Raystream):
         """Build, or take what is built."""
         del geometry  # the scene's
         made = rs.Tracer.__new__(rs.Tracer)
-        own = made._set_machine("cuda", self._machine, False, self._options)
-        rest = {name: value for name, value in self._options.items() if name not in own}
-        self.built = self._structure, sorted(rest.items())
+        chosen = made._choose(self._structure, "cuda", self._machine, False, self._options)
+        how = chosen.device_options
+        self.built = chosen.structure, how.build, how.method
         for other in self._others:
             if other is not self and other.built == self.built:
                 made._set(self._scene, other.tracer.structure)

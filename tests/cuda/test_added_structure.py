@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from extras import need
+
+need("numba_cuda")
+
 import numpy as np
 
 import raystream as rs
