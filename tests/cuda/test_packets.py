@@ -23,7 +23,7 @@ from raystream.cuda.bvh.kernels import lay_out
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cpu import FLAGS, device
 from raystream.jit.simd import load, store
-from raystream.jit.votes import ballot, together
+from raystream.jit.votes import active_mask, ballot
 from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.tally import new_tallies
@@ -101,7 +101,7 @@ def emulated():
     def everyone():
         return np.uint32((1 << LANES) - 1)
 
-    names = {**vars(packet_traversal), "ballot": vote, "together": everyone}
+    names = {**vars(packet_traversal), "ballot": vote, "active_mask": everyone}
     for name in ("_visit", "traverse"):
         code = getattr(packet_traversal, name).py_func.__code__
         names[name] = device(FunctionType(code, names, f"emulated_{name}"))
@@ -224,7 +224,7 @@ def test_all_hits_of_a_warp(emulated, structure, room):
 
 @numba.njit(**FLAGS)
 def _vote_alone(to):
-    voters = together()
+    voters = active_mask()
     store(to, voters)
     store(to + np.uint64(4), ballot(voters, load(np.uint32, to) == np.uint32(1)))
     store(to + np.uint64(8), ballot(voters, load(np.uint32, to) == np.uint32(2)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import next_above
+from raystream.jit.simd import next_float_up
 
 LARGEST = np.finfo(np.float32).max
 LEAST = np.float32(2.0**-149)
@@ -14,7 +14,7 @@ LEAST = np.float32(2.0**-149)
 @kernel
 def _next_above(values, out):
     for i in range(len(values)):
-        out[i] = next_above(values[i])
+        out[i] = next_float_up(values[i])
 
 
 def test_the_next_float_is_numpys(rng):

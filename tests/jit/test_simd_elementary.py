@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import address, exponential, f32x16, load, logarithm, power, store, turned
+from raystream.jit.simd import (
+    address,
+    exponential,
+    f32x16,
+    load,
+    logarithm,
+    power,
+    sincos_turns,
+    store,
+)
 
 
 @kernel
@@ -17,7 +26,7 @@ def of_vectors(x, exponents, out):
         place = np.uint64(64 * i)
         a, b = load(f32x16, address(x) + place), load(f32x16, address(exponents) + place)
         at = address(out) + place
-        cosine, sine = turned(a)
+        cosine, sine = sincos_turns(a)
         store(at, cosine)
         store(at + row, sine)
         store(at + row + row, exponential(a))
@@ -28,7 +37,7 @@ def of_vectors(x, exponents, out):
 @kernel
 def of_numbers(x, exponents, out):
     for i in range(len(x)):
-        out[0, i], out[1, i] = turned(x[i])
+        out[0, i], out[1, i] = sincos_turns(x[i])
         out[2, i] = exponential(x[i])
         out[3, i] = logarithm(x[i])
         out[4, i] = power(x[i], exponents[i])

@@ -23,7 +23,7 @@ from raystream.jit.simd import (
     maximum,
     minimum,
     narrow_lanes,
-    ranks,
+    prefix_counts,
     scatter,
     select,
     store,
@@ -102,7 +102,7 @@ def test_scatter_of_equal_places():
 @kernel
 def number_lanes(out, bits):
     store(address(out), lane_numbers(i32x16))
-    store(address(out) + np.uint64(64), ranks(lanes_from_bits(mask16, bits)))
+    store(address(out) + np.uint64(64), prefix_counts(lanes_from_bits(mask16, bits)))
 
 
 @pytest.mark.parametrize("bits", [0, 0xFFFF, 0b1011001110001101])

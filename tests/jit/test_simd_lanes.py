@@ -108,31 +108,31 @@ def test_reductions_of_infinite_lanes(vector):
 @pytest.mark.parametrize("n", [4, 8, 16])
 def test_masks(n, rng):
     mask_type, reverse = VECTORS["mask", n], REVERSE[n]
-    lane_bits, lanes_from_bits = simd.lane_bits, simd.lanes_from_bits
+    mask_bits, lanes_from_bits = simd.mask_bits, simd.lanes_from_bits
 
     @numba.njit
     def run(a, b, flag, out, lanes):
         x, y = lanes_from_bits(mask_type, a), lanes_from_bits(mask_type, b)
-        out[0] = lane_bits(x & y)
-        out[1] = lane_bits(x | y)
-        out[2] = lane_bits(x ^ y)
-        out[3] = lane_bits(~x)
-        out[4] = lane_bits(x & flag)
-        out[5] = lane_bits(flag | x)
-        out[6] = lane_bits(select(x, y, ~y))
-        out[7] = lane_bits(select(flag, x, y))
-        out[8] = lane_bits(mask_type(flag))
-        out[9] = lane_bits(reverse(x))
-        out[10] = simd.count_bits(lane_bits(x))
-        out[11] = simd.first_bit(lane_bits(x) | np.uint64(2**n))
+        out[0] = mask_bits(x & y)
+        out[1] = mask_bits(x | y)
+        out[2] = mask_bits(x ^ y)
+        out[3] = mask_bits(~x)
+        out[4] = mask_bits(x & flag)
+        out[5] = mask_bits(flag | x)
+        out[6] = mask_bits(select(x, y, ~y))
+        out[7] = mask_bits(select(flag, x, y))
+        out[8] = mask_bits(mask_type(flag))
+        out[9] = mask_bits(reverse(x))
+        out[10] = simd.popcount(mask_bits(x))
+        out[11] = simd.count_trailing_zeros(mask_bits(x) | np.uint64(2**n))
         out[12] = 1 if simd.any_lane(x) else 0
         out[13] = 1 if simd.all_lanes(x) else 0
         x &= y
-        out[14] = lane_bits(x)
+        out[14] = mask_bits(x)
         x |= flag
-        out[15] = lane_bits(x)
+        out[15] = mask_bits(x)
         x ^= y
-        out[16] = lane_bits(x)
+        out[16] = mask_bits(x)
         for i in range(n):
             lanes[i] = simd.lane(y, i) and simd.lane(x, i) == simd.lane(y, i)
 
@@ -164,7 +164,7 @@ def test_masks(n, rng):
 def test_bits_of_64(bits):
     @numba.njit
     def run(bits):
-        return simd.first_bit(bits), simd.count_bits(bits)
+        return simd.count_trailing_zeros(bits), simd.popcount(bits)
 
     assert run(np.uint64(bits)) == ((bits & -bits).bit_length() - 1, bits.bit_count())
 
@@ -242,7 +242,7 @@ def test_numbers_of_any_type_fill_vectors():
             simd.lane(simd.f64x4(single), 0),
             simd.lane(simd.i64x4(flag), 0),
             simd.lane(simd.f32x4(0.1), 0),
-            simd.lane_bits(simd.mask8(integer)),
+            simd.mask_bits(simd.mask8(integer)),
         )
 
     assert run(3, np.float32(-1.5), True) == (3.0, -1, -1.5, 1, float(np.float32(0.1)), 255)

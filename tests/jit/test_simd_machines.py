@@ -23,23 +23,23 @@ from raystream.jit.simd import (
     any_lane,
     compress,
     copy_sign,
-    count_bits,
+    count_trailing_zeros,
     f32x8,
     f32x16,
     f64x8,
     f64x16,
-    first_bit,
     float_as_bits,
     fma,
     i32x8,
     lane,
-    lane_bits,
     load,
+    mask_bits,
     maximum,
     minimum,
     narrow,
     permutation,
     permute,
+    popcount,
     reduce_max,
     reduce_min,
     scratch,
@@ -66,11 +66,11 @@ def run(a, b, out, wide):
         near = x < absolute(y)
         store(row + step * np.uint64(4), select(near, x * y + x, y - x))
         store(buffer, f32x8(0))
-        bits = lane_bits(near)
+        bits = mask_bits(near)
         if any_lane(near):
             store(buffer, select(x < x - x, x, compress(near, x)))
-            bits += first_bit(bits) + count_bits(bits) * np.uint64(1000)
-        for k in range(count_bits(lane_bits(near))):
+            bits += count_trailing_zeros(bits) + popcount(bits) * np.uint64(1000)
+        for k in range(popcount(mask_bits(near))):
             place = np.uint64(4 * k)
             store(row + step * np.uint64(5) + place, load(np.float32, buffer + place))
         places = i32x8(bits) ^ (float_as_bits(x) >> 7)
@@ -81,7 +81,7 @@ def run(a, b, out, wide):
         x, y = load(f32x16, address(a) + at), load(f32x16, address(b) + at)
         z = fma(f64x16(x), f64x16(y), f64x16(y))
         packed = compress(z > f64x16(x), z)
-        for k in range(count_bits(lane_bits(z > f64x16(x)))):
+        for k in range(popcount(mask_bits(z > f64x16(x)))):
             wide[i + k] = lane(packed, k)
         wide[i] += float(reduce_min(x)) + reduce_max(z)
 

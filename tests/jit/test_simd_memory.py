@@ -21,7 +21,7 @@ from raystream.jit.simd import (
     scratch,
     select,
     store,
-    store_past_cache,
+    store_nontemporal,
     store_records,
     store_triples,
 )
@@ -126,7 +126,7 @@ def test_vectors_pass_through_calls_and_loops():
             if simd.any_lane(mask):
                 total += signed + pair[0]
         store(address(out), total)
-        return simd.lane_bits(mask)
+        return simd.mask_bits(mask)
 
     a = np.arange(32, dtype=np.float32)
     out = np.empty(8, np.float32)
@@ -136,7 +136,7 @@ def test_vectors_pass_through_calls_and_loops():
 
 @kernel
 def _copy_past_cache(source, to):
-    store_past_cache(address(to), load(f32x16, address(source)))
+    store_nontemporal(address(to), load(f32x16, address(source)))
 
 
 def test_store_past_cache():

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import LoopLimitError
 from raystream.cuda.columns import NAMES, Columns, capacity_of
-from raystream.jit.atomics import add_together
+from raystream.jit.atomics import atomic_add_aggregated
 from raystream.jit.cuda import (
     MOST_DIMENSIONS,
     DeviceArray,
@@ -287,7 +287,7 @@ def _text_of(
     names: dict[str, Any] = {
         **NAMES,
         "accept": accept(_shapes(source), "its output"),
-        "add_together": add_together,
+        "atomic_add_aggregated": atomic_add_aggregated,
         "table_at": table_at,
         "function": as_device(kernel.function),
         **{f"Record_{k}": one.layout.record for k, one in enumerate(columns)},
@@ -318,12 +318,12 @@ def _text_of(
     arguments += [f"{name}={expression}" for name, expression in source.bindings]
     lines += [
         f"if {test}:",
-        "    add_together(counts, uint32(1))",
+        "    atomic_add_aggregated(counts, uint32(1))",
         f"    result = function({', '.join(arguments)})",
         "    if result is not None:",
         "        record = accept(result)",
         *(f"        {line}" for line in _stores(source, columns)),
-        "        add_together(counts + unsigned(4), uint32(1))",
+        "        atomic_add_aggregated(counts + unsigned(4), uint32(1))",
         "        return",
         *_copies(source, columns),
     ]

@@ -17,14 +17,14 @@ from raystream.jit.cpu import device
 from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.memory import load, pointer_to
 
-__all__ = ["add_atomically", "add_together", "fence", "note_greatest", "swap_if"]
+__all__ = ["atomic_add", "atomic_add_aggregated", "atomic_max", "compare_and_swap", "fence"]
 
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 
 
 @intrinsic
-def add_atomically(typing_context: Any, at: Any, amount: Any) -> Any:
+def atomic_add(typing_context: Any, at: Any, amount: Any) -> Any:
     """Add to the uint32 at an address, in one step for all threads; returns what was there."""
     if at != types.uint64 or amount != types.uint32:
         return None
@@ -42,7 +42,7 @@ def _call(builder: Any, name: str, returns: Any, *arguments: Any) -> Any:
 
 
 @intrinsic
-def add_together(typing_context: Any, at: Any, amount: Any) -> Any:
+def atomic_add_aggregated(typing_context: Any, at: Any, amount: Any) -> Any:
     """Add a number to the uint32 at an address; several threads may.
 
     On CUDA the threads of a warp that add to the same address do it by one of them: they must
@@ -85,7 +85,7 @@ def _keep_greatest(typing_context: Any, at: Any, number: Any) -> Any:
 
 
 @device
-def note_greatest(at, number):
+def atomic_max(at, number):
     """Replace the uint32 at an address by a number, if that is greater; several threads may."""
     # What is there only grows: most threads see that they need not write.
     if load(np.uint32, at) < number:
@@ -93,7 +93,7 @@ def note_greatest(at, number):
 
 
 @intrinsic
-def swap_if(typing_context: Any, at: Any, expected: Any, number: Any) -> Any:
+def compare_and_swap(typing_context: Any, at: Any, expected: Any, number: Any) -> Any:
     """Replace the uint32 at an address if it is what is expected; returns what was there."""
     if at != types.uint64 or expected != types.uint32 or number != types.uint32:
         return None

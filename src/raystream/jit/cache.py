@@ -29,9 +29,9 @@ from numba.core.compiler import CompileResult
 
 from raystream.core.cache_folder import cache_folder
 from raystream.core.whole_file import replacing
+from raystream.jit.compile_lock import CompileLock
 from raystream.jit.compile_time import collector_resting
 from raystream.jit.fingerprint import fingerprint, type_name
-from raystream.jit.turns import Turns
 from raystream.jit.watching import WATCHERS
 
 __all__ = [
@@ -67,8 +67,8 @@ def kernel_folder() -> Path:
 
 
 @cache
-def _turns(folder: Path) -> Turns:
-    return Turns(folder)
+def _lock_in(folder: Path) -> CompileLock:
+    return CompileLock(folder)
 
 
 class KernelCache(_Cache):
@@ -86,7 +86,7 @@ class KernelCache(_Cache):
         self._is_enabled = True
         self.name = name_of(function)
         self._begun: dict[Any, float] = {}  # when compiling began
-        self._waiting: dict[Any, Path] = {}  # files that it is this process's turn to write
+        self._waiting: dict[Any, Path] = {}  # files that this process holds the locks of
 
     @property
     def cache_path(self) -> str:
@@ -113,11 +113,11 @@ class KernelCache(_Cache):
         found = _read(path, target_context)
         if found is None:
             self._begin(sig)
-            if _turns(path.parent).take(path.name):
+            if _lock_in(path.parent).acquire(path.name):
                 self._waiting[sig] = path
                 found = _read(path, target_context)  # written in the meantime?
             if found is not None:
-                self.end_turn(sig)
+                self.release_lock(sig)
         return found
 
     def is_on_disk(self, sig: Any, target_context: Any) -> bool:
@@ -128,9 +128,13 @@ class KernelCache(_Cache):
     def is_free(self, sig: Any, target_context: Any) -> bool:
         """Whether a signature is not on disk, and no other process is compiling it."""
         path = self._path(sig, target_context.codegen())
-        if path is None or path.exists() or not _turns(path.parent).take(path.name, patience=0.0):
+        if (
+            path is None
+            or path.exists()
+            or not _lock_in(path.parent).acquire(path.name, timeout=0.0)
+        ):
             return False
-        _turns(path.parent).give(path.name)
+        _lock_in(path.parent).release(path.name)
         return True
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -146,22 +150,22 @@ class KernelCache(_Cache):
         except OSError:
             self.disable()  # no folder to write to: compile in every process
         finally:
-            self.end_turn(sig)
+            self.release_lock(sig)
 
     def _begin(self, sig: Any) -> None:
         self._begun[sig] = time.perf_counter()
         for watcher in WATCHERS:
             watcher.begin(self.name)
 
-    def end_turn(self, sig: Any) -> None:
-        """Let other processes compile the kernel, if it was this one's turn."""
+    def release_lock(self, sig: Any) -> None:
+        """Let other processes compile the kernel, if this one holds its lock."""
         begun = self._begun.pop(sig, None)
         if begun is not None:
             for watcher in WATCHERS:
                 watcher.end(self.name, time.perf_counter() - begun)
         path = self._waiting.pop(sig, None)
         if path is not None:
-            _turns(path.parent).give(path.name)
+            _lock_in(path.parent).release(path.name)
 
     def _path(self, sig: Any, codegen: Any) -> Path | None:
         """The file of a signature; None if changes of the code could not be noticed."""
@@ -248,14 +252,14 @@ def keep_on_disk(dispatcher: Any) -> None:
     kernel_cache = KernelCache(dispatcher.py_func)
     compile_or_load = dispatcher.compile
 
-    def compile_in_turn(sig: Any) -> Any:
+    def compile_with_lock(sig: Any) -> Any:
         try:
             with collector_resting:
                 return compile_or_load(sig)
         except BaseException:  # Numba saves nothing, and does not tell the cache
-            kernel_cache.end_turn(sig)
+            kernel_cache.release_lock(sig)
             raise
 
     KERNELS[kernel_cache.name] = dispatcher
     dispatcher._cache = kernel_cache
-    dispatcher.compile = compile_in_turn
+    dispatcher.compile = compile_with_lock

@@ -46,7 +46,7 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 #: Files of the room `jit` that no compiled code depends on: they run before or after.
 _HOST_FILES = frozenset(
     ["__init__.py", "cache.py", "fingerprint.py", "loops.py", "signatures.py", "threads.py"]
-    + ["turns.py", "warm.py", "watching.py"]
+    + ["compile_lock.py", "warm.py", "watching.py"]
 )
 
 _CUDA_ROOM = "raystream.jit.cuda."

@@ -15,14 +15,14 @@ __all__ = [
     "corners_at",
     "high_product",
     "int32_at",
+    "no_inline",
     "row_address",
-    "stay_out_of_line",
     "sum_above",
 ]
 
 
 @intrinsic
-def stay_out_of_line(typing_context: Any) -> Any:
+def no_inline(typing_context: Any) -> Any:
     """As the first statement of a function: LLVM must call it and never copy it into a caller.
 
     For long functions that are rarely needed in loops: copies of them cost compile time, and

@@ -14,7 +14,7 @@ from numba.extending import intrinsic
 
 from raystream.jit.simd.cuda_names import is_cuda
 
-__all__ = ["ballot", "together"]
+__all__ = ["active_mask", "ballot"]
 
 _I32 = ir.IntType(32)
 _I1 = ir.IntType(1)
@@ -24,7 +24,7 @@ _BALLOT = 3
 
 
 @intrinsic
-def together(typing_context: Any) -> Any:
+def active_mask(typing_context: Any) -> Any:
     """The threads of the warp that are here: a bit for each, uint32."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -40,7 +40,7 @@ def together(typing_context: Any) -> Any:
 def ballot(typing_context: Any, voters: Any, says_yes: Any) -> Any:
     """Which of some threads say yes: a bit for each, uint32.
 
-    `voters` is what `together` returned. All of these threads have to come here, however often
+    `voters` is what `active_mask` returned. All of these threads have to come here, however often
     they vote: who returns before the others leaves them waiting.
     """
     if voters != types.uint32 or says_yes != types.boolean:

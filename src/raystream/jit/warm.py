@@ -2,7 +2,7 @@
 
 ``kernels.json`` lists what the commands compile: kernels, the types of their arguments, and the
 seconds that each took. Threads gain nothing (Numba and LLVM have one lock each), so processes
-share a list: each takes what no other has taken, by the locks of the cache (see `turns`).
+share a list: each takes what no other has taken, by the locks of the cache (see `compile_lock`).
 """
 
 from __future__ import annotations

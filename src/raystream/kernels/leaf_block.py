@@ -18,14 +18,14 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     address,
     any_lane,
-    count_bits,
+    count_trailing_zeros,
     f32x4,
-    first_bit,
     i32x4,
-    lane_bits,
     load,
+    mask_bits,
     maximum,
     minimum,
+    popcount,
     scratch,
     select,
     store,
@@ -217,7 +217,7 @@ def blocks_end(block, count):
 @device
 def triangle_count(block):
     """Triangles in a block."""
-    return count_bits(lane_bits(load(i32x4, block + PRIM_IDS) >= i32x4(np.int32(0))))
+    return popcount(mask_bits(load(i32x4, block + PRIM_IDS) >= i32x4(np.int32(0))))
 
 
 class BlockRay(NamedTuple):
@@ -335,7 +335,7 @@ def _test_block(block, ray, t_min, t_far, surfaces, lanes):
     store(lanes, t)
     store(lanes + _U, u)
     store(lanes + _V, v)
-    return lane_bits(candidates & hit)
+    return mask_bits(candidates & hit)
 
 
 @device
@@ -359,7 +359,7 @@ def intersect_block(block, ray, search, t_in, t_out):
     lanes = scratch(64)
     bits = _test_block(block, ray, t_in, min(search.t_far, t_out), search.surfaces, lanes)
     while bits != _NONE:
-        at = first_bit(bits) << _WORD
+        at = count_trailing_zeros(bits) << _WORD
         bits &= bits - _ONE
         t = load(np.float32, lanes + at)
         if t < t_out:  # else the next leaf's

@@ -15,8 +15,8 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device, device_call
-from raystream.jit.intrinsics import stay_out_of_line
-from raystream.jit.simd import next_above
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import next_float_up
 
 __all__ = ["FAR", "LocalRay", "SceneFrame", "localise", "world_t"]
 
@@ -114,7 +114,7 @@ def world_t(t, factor, offset):
 @device
 def _next(t, toward):
     """The float32 next to t, above it if `toward` is positive, else below."""
-    return next_above(t) if toward > 0 else -next_above(-t)
+    return next_float_up(t) if toward > 0 else -next_float_up(-t)
 
 
 @device_call
@@ -124,7 +124,7 @@ def _local_limit(t, factor, offset, toward):
     `toward` is +1 for an upper limit and -1 for a lower one. Reported distances are rounded
     to float32, so hits at exactly the limit must be looked for up to half a step beyond it.
     """
-    stay_out_of_line()
+    no_inline()
     if not (abs(t) < _INF):
         return t
     exact = np.float32((np.float64(t)) / factor)
@@ -165,7 +165,7 @@ def _crossing(o, d, low, high, margin):
 @device_call
 def _entry(ox, oy, oz, dx, dy, dz, frame):
     """Where the line enters the scene's box grown by the scene's size; inf if it misses it."""
-    stay_out_of_line()
+    no_inline()
     margin = np.float64(frame.extreme)
     low, high = frame.low, frame.high
     in_x, out_x = _crossing(ox, dx, low[0], high[0], margin)
@@ -214,7 +214,7 @@ def localise(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
     LocalRay
         A ray that is invalid or cannot reach the scene has an empty interval.
     """
-    stay_out_of_line()
+    no_inline()
     if not _is_valid(ox, oy, oz, dx, dy, dz, t_min, t_max):
         return _miss(_INVALID)
 

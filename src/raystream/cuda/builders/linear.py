@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.records import Nodes, join
-from raystream.jit.atomics import add_atomically, fence
+from raystream.jit.atomics import atomic_add, fence
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
@@ -111,7 +111,7 @@ def _climb(i, count, nodes, parents, visits):
     while row != count:  # the root's row
         parent = np.uint64(load(np.uint32, parents + (row << _WORD)))
         fence()
-        if add_atomically(visits + (parent << _WORD), np.uint32(1)) == np.uint32(0):
+        if atomic_add(visits + (parent << _WORD), np.uint32(1)) == np.uint32(0):
             return  # whoever comes from the other child writes it
         fence()
         row = count + parent

@@ -25,12 +25,12 @@ from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     bits_as_float,
-    count_bits,
-    first_bit,
+    count_trailing_zeros,
     fma,
     lane,
     load,
     load_constant,
+    popcount,
     store,
     u32x4,
 )
@@ -70,10 +70,10 @@ def traverse(tree, ray, search, stack):
     top = stack
     while True:
         # Step 1: the nearest node of the group; the rest of it waits.
-        bit = np.uint32(first_bit(np.uint64(hits)))
+        bit = np.uint32(count_trailing_zeros(np.uint64(hits)))
         hits = np.uint32(hits & (hits - _ONE_BIT))
         before = np.uint32((_ONE_BIT << np.uint32(bit ^ turned)) - _ONE_BIT)
-        node = np.uint64(base) + count_bits(np.uint64(np.uint32(inner & before)))
+        node = np.uint64(base) + popcount(np.uint64(np.uint32(inner & before)))
         if hits != _NO_BITS:
             store(top, base)
             store(top + np.uint64(4), np.uint32((hits << _EIGHT) | inner))
@@ -84,7 +84,7 @@ def traverse(tree, ray, search, stack):
         # Step 2: the triangles of its leaves.
         triangle = tree.triangles + triangle * TRIANGLE
         while pending != _NO_BITS:
-            place = first_bit(np.uint64(pending))
+            place = count_trailing_zeros(np.uint64(pending))
             pending = np.uint32(pending & (pending - _ONE_BIT))
             search, _ = test_triangle(triangle + place * TRIANGLE, ray, search)
             if is_full(search):

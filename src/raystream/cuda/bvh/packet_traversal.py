@@ -23,8 +23,8 @@ import numpy as np
 from raystream.cuda.bvh.binary_traversal import child_intervals, pop
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
 from raystream.jit.cpu import device
-from raystream.jit.simd import count_bits, store
-from raystream.jit.votes import ballot, together
+from raystream.jit.simd import popcount, store
+from raystream.jit.votes import active_mask, ballot
 from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, add_to
 
@@ -47,7 +47,7 @@ def traverse(tree, ray, search, stack):
     """
     if tree.nodes == _NONE or not (search.t_min <= search.t_far):
         return search
-    voters = together()
+    voters = active_mask()
     is_searching = True
     link, top = _ROOT, stack
     while link != _DONE:
@@ -102,7 +102,7 @@ def _visit(at, ray, t_min, t_far, is_searching, voters, stack, top):
         return pop(stack, top)
     for_right = ballot(voters, wants_right)
     everyone = np.uint64(np.uint32(lefts | rights))
-    if count_bits(np.uint64(for_right)) + count_bits(np.uint64(for_right)) > count_bits(everyone):
+    if popcount(np.uint64(for_right)) + popcount(np.uint64(for_right)) > popcount(everyone):
         near, far = far, near
         lefts, rights = rights, lefts
     if lefts == _NOBODY:

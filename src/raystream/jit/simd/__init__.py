@@ -18,10 +18,10 @@ unless it is said: there are no fast-math flags.
 from raystream.jit.simd.arithmetic import (
     absolute,
     copy_sign,
+    floor,
     fma,
     maximum,
     minimum,
-    round_down,
     square_root,
 )
 from raystream.jit.simd.convert import (
@@ -33,32 +33,32 @@ from raystream.jit.simd.convert import (
     widen,
     widen_number,
 )
-from raystream.jit.simd.elementary import exponential, logarithm, power, turned
+from raystream.jit.simd.elementary import exponential, logarithm, power, sincos_turns
 from raystream.jit.simd.gathers import gather, scatter
 from raystream.jit.simd.lanes import (
     all_lanes,
     any_lane,
     bits_as_float,
     compress,
-    count_bits,
-    first_bit,
+    count_trailing_zeros,
     float_as_bits,
     lane,
-    lane_bits,
     lane_numbers,
     lanes_from_bits,
+    mask_bits,
     permutation,
     permute,
-    ranks,
+    popcount,
+    prefix_counts,
     reduce_max,
     reduce_min,
     select,
 )
 from raystream.jit.simd.memory import address, load, load_constant, prefetch, scratch, store
-from raystream.jit.simd.numbers import next_above
+from raystream.jit.simd.numbers import next_float_up
 from raystream.jit.simd.records import load_records, store_records
 from raystream.jit.simd.single import lane_count, single_lane
-from raystream.jit.simd.triples import load_triples, store_past_cache, store_triples
+from raystream.jit.simd.triples import load_triples, store_nontemporal, store_triples
 from raystream.jit.simd.types import (
     VectorType,
     f32x4,
@@ -93,7 +93,7 @@ __all__ = [
     "bits_as_float",
     "compress",
     "copy_sign",
-    "count_bits",
+    "count_trailing_zeros",
     "exponential",
     "f32x4",
     "f32x8",
@@ -101,8 +101,8 @@ __all__ = [
     "f64x4",
     "f64x8",
     "f64x16",
-    "first_bit",
     "float_as_bits",
+    "floor",
     "fma",
     "gather",
     "i32x4",
@@ -112,7 +112,6 @@ __all__ = [
     "i64x8",
     "i64x16",
     "lane",
-    "lane_bits",
     "lane_count",
     "lane_numbers",
     "lanes_from_bits",
@@ -124,29 +123,30 @@ __all__ = [
     "mask4",
     "mask8",
     "mask16",
+    "mask_bits",
     "maximum",
     "minimum",
     "narrow",
     "narrow_lanes",
-    "next_above",
+    "next_float_up",
     "permutation",
     "permute",
+    "popcount",
     "power",
     "prefetch",
-    "ranks",
+    "prefix_counts",
     "reduce_max",
     "reduce_min",
-    "round_down",
     "scatter",
     "scratch",
     "select",
+    "sincos_turns",
     "single_lane",
     "square_root",
     "store",
-    "store_past_cache",
+    "store_nontemporal",
     "store_records",
     "store_triples",
-    "turned",
     "u32x4",
     "u32x8",
     "u32x16",

@@ -30,11 +30,11 @@ __all__ = [
     "call_intrinsic",
     "common",
     "copy_sign",
+    "floor",
     "fma",
     "maximum",
     "minimum",
     "one_lane",
-    "round_down",
     "square_root",
     "wider",
 ]
@@ -311,9 +311,9 @@ def square_root(typing_context: Any, x: Any) -> Any:
 
 
 @intrinsic
-def round_down(typing_context: Any, x: Any) -> Any:
+def floor(typing_context: Any, x: Any) -> Any:
     """The largest whole numbers that are not larger than a float vector's lanes, or a float."""
-    return _of_floats("round_down", "floor", x)
+    return _of_floats("floor", "floor", x)
 
 
 @intrinsic

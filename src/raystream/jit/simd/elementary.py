@@ -19,12 +19,12 @@ from numba import types
 from numba.extending import overload
 
 from raystream.jit.cpu import FLAGS, device
-from raystream.jit.simd.arithmetic import maximum, minimum, one_lane, round_down
+from raystream.jit.simd.arithmetic import floor, maximum, minimum, one_lane
 from raystream.jit.simd.convert import as_float32, as_int32
 from raystream.jit.simd.lanes import bits_as_float, float_as_bits, select
 from raystream.jit.simd.types import VectorType
 
-__all__ = ["exponential", "logarithm", "power", "turned"]
+__all__ = ["exponential", "logarithm", "power", "sincos_turns"]
 
 _0, _HALF, _1, _2, _3 = map(np.float32, (0.0, 0.5, 1.0, 2.0, 3.0))
 _QUARTER, _4, _TWO_PI = np.float32(0.25), np.float32(4.0), np.float32(2.0 * math.pi)
@@ -51,7 +51,7 @@ _BIAS, _BIAS_OF_HALF, _EXPONENT = np.int32(127), np.int32(126), np.int32(0xFF)
 _MANTISSA_BITS, _MANTISSA, _HALF_BITS = np.int32(23), np.int32(0x007FFFFF), np.int32(0x3F000000)
 
 
-def turned(part: Any) -> Any:
+def sincos_turns(part: Any) -> Any:
     """Cosine and sine of an angle that is given as a part of a whole turn.
 
     Of float32 to within 1.2e-7, for parts between -1e6 and 1e6.
@@ -97,7 +97,7 @@ def _power_of_2(whole):
 
 @device
 def _turned(part):
-    quadrant = round_down(part * _4 + _HALF)
+    quadrant = floor(part * _4 + _HALF)
     angle = (part - quadrant * _QUARTER) * _TWO_PI
     square = angle * angle
     sine = angle + angle * square * (_SIN[0] + square * (_SIN[1] + square * _SIN[2]))
@@ -105,7 +105,7 @@ def _turned(part):
         _COS[0] + square * (_COS[1] + square * _COS[2])
     )
     # The quadrant modulo 4, and what the others make of the first one's cosine and sine.
-    quadrant = quadrant - _4 * round_down(quadrant * _QUARTER)
+    quadrant = quadrant - _4 * floor(quadrant * _QUARTER)
     is_odd = (quadrant == _1) | (quadrant == _3)
     x, y = select(is_odd, sine, cosine), select(is_odd, cosine, sine)
     x = select((quadrant == _1) | (quadrant == _2), -x, x)
@@ -121,7 +121,7 @@ def _turned_float64(part):
 @device
 def _exponential(x):
     x = minimum(maximum(x, _LEAST), _MOST)
-    whole = round_down(x * _LOG2_E + _HALF)
+    whole = floor(x * _LOG2_E + _HALF)
     x = (x - whole * _LOG_2) - whole * _LOG_2_REST
     y = ((((_EXP[0] * x + _EXP[1]) * x + _EXP[2]) * x + _EXP[3]) * x + _EXP[4]) * x + _EXP[5]
     return (y * x * x + x + _1) * _power_of_2(whole)
@@ -159,8 +159,8 @@ def _is_float32(*given: Any) -> bool:
 _OPTIONS = {**FLAGS, "forceinline": True}
 
 
-@overload(turned, jit_options=_OPTIONS, strict=False)
-def _turned_of(part: Any) -> Any:
+@overload(sincos_turns, jit_options=_OPTIONS, strict=False)
+def _sincos_turns_of(part: Any) -> Any:
     if _is_float32(part):
         return lambda part: _turned(part)
     return (lambda part: _turned_float64(part)) if part == types.float64 else None

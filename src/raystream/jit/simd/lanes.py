@@ -32,14 +32,14 @@ __all__ = [
     "any_lane",
     "bits_as_float",
     "compress",
-    "count_bits",
-    "first_bit",
+    "count_trailing_zeros",
     "float_as_bits",
     "lane",
-    "lane_bits",
     "lanes_from_bits",
+    "mask_bits",
     "permutation",
     "permute",
+    "popcount",
     "reduce_max",
     "reduce_min",
     "select",
@@ -93,10 +93,10 @@ def select(typing_context: Any, mask: Any, x: Any, y: Any) -> Any:
 
 
 @intrinsic
-def lane_bits(typing_context: Any, mask: Any) -> Any:
+def mask_bits(typing_context: Any, mask: Any) -> Any:
     """A mask as a uint64 number: bit i is lane i."""
     if not _is_mask(mask):
-        refuse("lane_bits", "a mask", mask)
+        refuse("mask_bits", "a mask", mask)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.zext(_bits(builder, arguments[0]), _I64)
@@ -149,10 +149,10 @@ def all_lanes(typing_context: Any, mask: Any) -> Any:
 
 
 @intrinsic
-def first_bit(typing_context: Any, bits: Any) -> Any:
+def count_trailing_zeros(typing_context: Any, bits: Any) -> Any:
     """Number of the lowest set bit of a uint64; undefined for 0."""
     if bits != types.uint64:
-        refuse("first_bit", "a uint64", bits)
+        refuse("count_trailing_zeros", "a uint64", bits)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         zero_is_undefined = ir.Constant(ir.IntType(1), 1)
@@ -162,10 +162,10 @@ def first_bit(typing_context: Any, bits: Any) -> Any:
 
 
 @intrinsic
-def count_bits(typing_context: Any, bits: Any) -> Any:
+def popcount(typing_context: Any, bits: Any) -> Any:
     """How many bits of a uint64 are set."""
     if bits != types.uint64:
-        refuse("count_bits", "a uint64", bits)
+        refuse("popcount", "a uint64", bits)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return call_intrinsic(builder, "llvm.ctpop.i64", _I64, arguments)
@@ -187,10 +187,10 @@ def lane_numbers(typing_context: Any, class_: Any) -> Any:
 
 
 @intrinsic
-def ranks(typing_context: Any, mask: Any) -> Any:
+def prefix_counts(typing_context: Any, mask: Any) -> Any:
     """Of each lane, how many lanes before it a mask has set: an int32 vector."""
     if not _is_mask(mask):
-        refuse("ranks", "a mask", mask)
+        refuse("prefix_counts", "a mask", mask)
     result = vector_type("i32", mask.lane_count)
     lower = constant(result, [2**i - 1 for i in range(mask.lane_count)])
 

@@ -7,7 +7,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd.lanes import bits_as_float, float_as_bits
 
-__all__ = ["next_above"]
+__all__ = ["next_float_up"]
 
 _ONE = np.int32(1)
 _ZERO = np.float32(0.0)
@@ -16,7 +16,7 @@ _LEAST = np.float32(2.0**-149)
 
 
 @device
-def next_above(x):
+def next_float_up(x):
     """The smallest float32 that is larger than x; of infinity itself."""
     if not x < _INF:
         return x

@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import ELEMENTS, VectorClass, VectorType, llvm_type
 
-__all__ = ["load_triples", "store_past_cache", "store_triples"]
+__all__ = ["load_triples", "store_nontemporal", "store_triples"]
 
 
 @intrinsic
@@ -72,7 +72,7 @@ def store_triples(typing_context: Any, at: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @intrinsic
-def store_past_cache(typing_context: Any, at: Any, value: Any) -> Any:
+def store_nontemporal(typing_context: Any, at: Any, value: Any) -> Any:
     """Write a vector that nothing will read soon, without fetching its cache line first.
 
     The address must be a multiple of the vector's size.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import f32x4, lane_bits, load
+from raystream.jit.simd import f32x4, load, mask_bits
 from raystream.kernels.leaf_block import BLOCK, SECOND, THIRD
 from raystream.machines.records import RayState
 from raystream.machines.steps import Steps
@@ -176,7 +176,7 @@ def kdtree_intersect(ray, wanted, found, place):
     """For `machines.steps.kdtree.intersect`; of a block, the triangles without their numbers."""
     block = place.block
     total = _corner_lanes(block) + _corner_lanes(block + SECOND) + _corner_lanes(block + THIRD)
-    bits = np.uint32(lane_bits(total > f32x4(_ZERO)))
+    bits = np.uint32(mask_bits(total > f32x4(_ZERO)))
     place = (
         place.node,
         place.t_in,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import maximum, select, square_root, turned
+from raystream.jit.simd import maximum, select, sincos_turns, square_root
 
 __all__ = ["ggx_density", "visible_normal", "visible_normal_pdf"]
 
@@ -74,7 +74,7 @@ def visible_normal(u, v, vx, vy, vz, ax, ay):
     z = (_1 - v) * (_1 + sz)
     cap = z - sz
     radius = square_root(maximum(_1 - cap * cap, _0))
-    x, y = turned(u)
+    x, y = sincos_turns(u)
     x, y = radius * x + sx, radius * y + sy
 
     # Step 3: back to the surface as it is.

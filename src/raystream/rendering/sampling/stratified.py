@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import round_down, square_root
+from raystream.jit.simd import floor, square_root
 from raystream.rendering.sampling.mixing import as_float, mix, stream_key
 
 __all__ = ["sample_number", "sample_pair"]
@@ -54,7 +54,7 @@ def _coordinate(cell, fine, jitter, cell_count, fine_count):
     """A number in one cell of many, in one stratum of those in the cell."""
     position = np.float64(cell) * np.float64(fine_count) + np.float64(fine) + np.float64(jitter)
     part = position / (np.float64(cell_count) * np.float64(fine_count))
-    return np.float32(round_down(part * _STEPS)) * _STEP  # rounded down: never up to 1
+    return np.float32(floor(part * _STEPS)) * _STEP  # rounded down: never up to 1
 
 
 @device

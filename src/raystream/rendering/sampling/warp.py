@@ -22,8 +22,8 @@ from raystream.jit.simd import (
     maximum,
     power,
     select,
+    sincos_turns,
     square_root,
-    turned,
 )
 
 __all__ = [
@@ -67,7 +67,7 @@ def disk(u, v):
     is_wide = absolute(a) > absolute(b)
     radius, rest = select(is_wide, a, b), select(is_wide, b, a)
     part = _EIGHTH * (rest / select(radius == _0, _1, radius))
-    x, y = turned(select(is_wide, part, _QUARTER - part))
+    x, y = sincos_turns(select(is_wide, part, _QUARTER - part))
     return radius * x, radius * y
 
 
@@ -99,7 +99,7 @@ def cosine_hemisphere_pdf(z):
 @device
 def _around(z, radius, v):
     """The direction of this z, at v of a whole turn."""
-    x, y = turned(v)
+    x, y = sincos_turns(v)
     return radius * x, radius * y, z
 
 

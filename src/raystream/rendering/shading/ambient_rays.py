@@ -9,15 +9,15 @@ from raystream.jit.simd import (
     address,
     as_int32,
     as_uint32,
-    count_bits,
     f32x16,
     f64x16,
     gather,
     i32x16,
     i64x16,
-    lane_bits,
     lane_count,
     lane_numbers,
+    mask_bits,
+    popcount,
     u32x16,
     widen,
 )
@@ -119,7 +119,7 @@ def look_from(
         append_places(rays.origins, row, start, mask)
         append_vectors(rays.directions, row, (x, y, z), mask)
         append_vectors(rays.colors, row, light, mask)
-        row += count_bits(lane_bits(mask))
+        row += popcount(mask_bits(mask))
     return row
 
 

@@ -23,14 +23,14 @@ from raystream.jit.simd import (
     any_lane,
     as_int32,
     as_uint32,
-    count_bits,
     f32x16,
     gather,
     i32x16,
-    lane_bits,
     lane_numbers,
+    mask_bits,
     maximum,
     minimum,
+    popcount,
     select,
     square_root,
     u32x16,
@@ -225,7 +225,7 @@ def follow_block(
         )
         light = _at_most(light, most_sampled)
         put_light_rays(rays, ray_row, is_lit, pixels, tables, point, found, light)
-        ray_row += count_bits(lane_bits(is_lit))
+        ray_row += popcount(mask_bits(is_lit))
 
     u, v = draw_pair_lanes(sampler, key, samples, dimension + 4)
     choice = draw_lanes(sampler, key, samples, dimension + 6)
@@ -238,7 +238,7 @@ def follow_block(
         goes_on &= draw_lanes(sampler, key, samples, dimension + 7) < chance
         weights = scaled(weights, _WHOLE / chance)
     put_paths(onward, path_row, goes_on, pixels, tables, point, ray.direction, weights, ray.pdf)
-    return path_row + count_bits(lane_bits(goes_on)), ray_row
+    return path_row + popcount(mask_bits(goes_on)), ray_row
 
 
 @kernel

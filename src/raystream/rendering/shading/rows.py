@@ -8,13 +8,13 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import (
     as_int32,
     compress,
-    count_bits,
     gather,
     i32x16,
-    lane_bits,
     lanes_from_bits,
     mask8,
+    mask_bits,
     permutation,
+    popcount,
     scatter,
     store,
     store_triples,
@@ -73,7 +73,7 @@ def append_pixels(base, first, pixel, mask):
     """Write int64 of some rows from a row on."""
     low, high = _halves(mask)
     store(base + first * _LONG, compress(low, _LOW(pixel)))
-    second = first + count_bits(lane_bits(low))
+    second = first + popcount(mask_bits(low))
     store(base + second * _LONG, compress(high, _HIGH(pixel)))
 
 
@@ -92,14 +92,14 @@ def append_places(base, first, place, mask):
     low, high = _halves(mask)
     at = base + first * _3_LONGS
     store_triples(at, compress(low, _LOW(x)), compress(low, _LOW(y)), compress(low, _LOW(z)))
-    at += count_bits(lane_bits(low)) * _3_LONGS
+    at += popcount(mask_bits(low)) * _3_LONGS
     store_triples(at, compress(high, _HIGH(x)), compress(high, _HIGH(y)), compress(high, _HIGH(z)))
 
 
 @device
 def _halves(mask):
     """Lanes 0 to 7 of a mask, and 8 to 15."""
-    bits = lane_bits(mask)
+    bits = mask_bits(mask)
     return lanes_from_bits(mask8, bits), lanes_from_bits(mask8, bits >> np.uint64(8))
 
 

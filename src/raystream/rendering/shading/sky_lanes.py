@@ -10,11 +10,11 @@ import numpy as np
 
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import (
+    count_trailing_zeros,
     f32x16,
-    first_bit,
     lane,
-    lane_bits,
     load,
+    mask_bits,
     scratch,
     store,
     widen,
@@ -66,9 +66,9 @@ def sky_toward_lanes(lights, toward, mask):
 
 @device_call
 def _map_colors(sky, toward, mask):
-    rows, bits = scratch(_ROWS), lane_bits(mask)
+    rows, bits = scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
-        i = first_bit(bits)
+        i = count_trailing_zeros(bits)
         bits &= bits - _ONE
         x, y, z = _wide(toward, i)
         _put(rows, i, map_color(sky, x, y, z))
@@ -86,9 +86,9 @@ def sky_pdf_lanes(lights, toward, mask):
 
 @device_call
 def _relative_pdfs(sky, toward, mask):
-    row, bits = scratch(_ROWS), lane_bits(mask)
+    row, bits = scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
-        i = first_bit(bits)
+        i = count_trailing_zeros(bits)
         bits &= bits - _ONE
         x, y, z = _wide(toward, i)
         store(row + i * _WORD, np.float32(relative_pdf(sky, x, y, z)))
@@ -98,9 +98,9 @@ def _relative_pdfs(sky, toward, mask):
 @device_call
 def map_sample_lanes(sky, u, v, mask):
     """`map_sample` for 16 pairs of numbers, `f32x16`; where a mask is not set, anything."""
-    rows, densities, bits = scratch(_ROWS), scratch(_ROWS), lane_bits(mask)
+    rows, densities, bits = scratch(_ROWS), scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
-        i = first_bit(bits)
+        i = count_trailing_zeros(bits)
         bits &= bits - _ONE
         toward, density = map_sample(sky, widen(lane(u, i)), widen(lane(v, i)))
         _put(rows, i, toward)

@@ -15,10 +15,10 @@ from raystream.jit.simd import (
     absolute,
     as_float32,
     as_int32,
+    floor,
     gather,
     maximum,
     minimum,
-    round_down,
     select,
 )
 from raystream.rendering.color import LUMINANCE, decode_srgb
@@ -287,10 +287,10 @@ def nearest_texels(tables, texture, u, v, beyond):
     width, height = texture_size(tables, texture)
     is_clamped = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3)) != _0
     most = _WHOLE + beyond
-    u = select(is_clamped, minimum(maximum(u, -beyond), most), u - round_down(u))
-    v = select(is_clamped, minimum(maximum(v, -beyond), most), v - round_down(v))
+    u = select(is_clamped, minimum(maximum(u, -beyond), most), u - floor(u))
+    v = select(is_clamped, minimum(maximum(v, -beyond), most), v - floor(v))
     x, y = u * as_float32(width) - _HALF, (_WHOLE - v) * as_float32(height) - _HALF
-    left, top = round_down(x), round_down(y)
+    left, top = floor(x), floor(y)
     across, down = as_float32(x - left), as_float32(y - top)
     return first, width, height, is_clamped, as_int32(left), as_int32(top), across, down
 

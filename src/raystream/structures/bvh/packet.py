@@ -24,12 +24,12 @@ import numpy as np
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
+    count_trailing_zeros,
     f32x16,
-    first_bit,
     float_as_bits,
     fma,
     i32x16,
-    lane_bits,
+    mask_bits,
     maximum,
     minimum,
     reduce_max,
@@ -230,13 +230,13 @@ def _push(stack, base, top, child, key, first, last, node, lane):
 def _visit_node(packet, node, bounds, t_min, farthest, first, last, memory, stack, top):
     """Put a node's children that some ray enters on the stack; returns its height."""
     t_in, entered = _enters(Node(node), bounds, t_min, farthest)
-    bits = lane_bits(entered)
+    bits = mask_bits(entered)
     if bits != _U0:
         memory.keys = float_as_bits(maximum(t_in, _ZERO))
         keys, children = _Keys(address_of(memory)).keys, NodeLanes(node).children
         base = top
         while bits != _U0:
-            lane = first_bit(bits)
+            lane = count_trailing_zeros(bits)
             bits &= bits - _U1
             planes = box_planes(node, lane, bounds)
             begin, end = group_range(packet, planes, t_min, first, last)
@@ -301,9 +301,9 @@ def _trace_kind(packet, kind, nodes, leaves, extreme, memory, goal, hits):
 def _next_kind(packet):
     """The kind of the first ray that has not been traced, or NO_KIND."""
     for g in range(GROUPS):
-        bits = lane_bits(Group(packet, g).kind != NO_KIND)
+        bits = mask_bits(Group(packet, g).kind != NO_KIND)
         if bits != _U0:
-            return GroupLanes(packet, g).kind[first_bit(bits)]
+            return GroupLanes(packet, g).kind[count_trailing_zeros(bits)]
     return NO_KIND
 
 

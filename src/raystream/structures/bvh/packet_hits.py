@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.jit.intrinsics import stay_out_of_line
-from raystream.jit.simd import compress, count_bits, i32x16, lane_bits, lane_numbers, load, store
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import compress, i32x16, lane_numbers, load, mask_bits, popcount, store
 from raystream.jit.views import view
 from raystream.structures.bvh.packet_rays import GROUPS, PACKET_RAYS, world_lanes
 
@@ -90,7 +90,7 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
         store(found.v + at, compress(taken, v))
         store(found.prim_id + at, prim_id)
         store(found.ray + at, compress(taken, lane_numbers(i32x16) + hits.first_rays[g]))
-    hits.count += count_bits(lane_bits(taken))
+    hits.count += popcount(mask_bits(taken))
 
 
 @device
@@ -133,7 +133,7 @@ def _copy(rows, to, source):
 @device_call
 def _sift_down(rows, first, count, hole, t, u, v, prim_id):
     """Put a hit into a heap whose root is its last hit, starting at an empty place."""
-    stay_out_of_line()
+    no_inline()
     while True:
         child = hole + hole + _U1
         if child >= count:
@@ -152,7 +152,7 @@ def _sift_down(rows, first, count, hole, t, u, v, prim_id):
 
 @device_call
 def _sort_long(rows, first, count):
-    stay_out_of_line()
+    no_inline()
     hole = count // np.uint64(2)
     while hole != _U0:
         hole -= _U1
@@ -181,7 +181,7 @@ def _drop_twins(rows, first, count, to):
 
     A triangle that is in several leaves was hit several times, with the same bits.
     """
-    stay_out_of_line()
+    no_inline()
     kept = _U0
     for k in range(count):
         t, u, v, prim_id = _take(rows, first + k)
@@ -213,7 +213,7 @@ def sort_packet(hits, ends, used, lists_twice):
     uint64
         Rows in use now.
     """
-    stay_out_of_line()
+    no_inline()
     buffers = Buffers(hits.buffers)
     found, rows = buffers.found, buffers.rows
     row_ends, lengths = ends.ends, ends.lengths

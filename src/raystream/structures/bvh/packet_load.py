@@ -6,21 +6,21 @@ import numpy as np
 
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, device_call
-from raystream.jit.intrinsics import stay_out_of_line
+from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     absolute,
     all_lanes,
     bits_as_float,
     copy_sign,
+    count_trailing_zeros,
     f32x16,
     f64x16,
-    first_bit,
     float_as_bits,
     i32x16,
     i64x16,
-    lane_bits,
     load,
     load_triples,
+    mask_bits,
     maximum,
     narrow,
     select,
@@ -106,7 +106,7 @@ def _numbers(base, step, first):
 @device_call
 def _patch(lanes, lane, status, source, i, frame):
     """Bring one ray into a lane of a group by the long way."""
-    stay_out_of_line()
+    no_inline()
     ray = load_ray(source, i, frame)
     origin, direction = lanes.origin, lanes.direction
     origin[_X, lane], origin[_Y, lane], origin[_Z, lane] = ray.ox, ray.oy, ray.oz
@@ -167,9 +167,9 @@ def _localise_group(group, rays, t_min, t_max, source, first, frame, status):
         return False
     group.long_factor, group.long_offset = factor, f64x16(np.float64(0.0))
     lanes = GroupLanes(address_of(group))
-    bits = lane_bits(short) ^ _ALL_LANES
+    bits = mask_bits(short) ^ _ALL_LANES
     while bits != _U0:
-        lane = first_bit(bits)
+        lane = count_trailing_zeros(bits)
         bits &= bits - _U1
         _patch(lanes, lane, status, source, first + lane, frame)
     return True
@@ -178,7 +178,7 @@ def _localise_group(group, rays, t_min, t_max, source, first, frame, status):
 @device_call
 def _load_few(lanes, source, first, count, frame, status):
     """Load fewer than 16 rays one by one; the other lanes repeat the first one, unlit."""
-    stay_out_of_line()
+    no_inline()
     for lane in range(_LANES):
         _patch(lanes, lane, status, source, first + min(lane, count - _U1), frame)
         if lane >= count:

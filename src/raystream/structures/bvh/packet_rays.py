@@ -13,16 +13,16 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.jit.intrinsics import stay_out_of_line
+from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import (
     f32x16,
     i32x16,
-    lane_bits,
+    mask_bits,
     maximum,
     minimum,
     select,
     store,
-    store_past_cache,
+    store_nontemporal,
 )
 from raystream.jit.views import view
 from raystream.kernels.local_ray import world_t
@@ -162,7 +162,7 @@ def _put(at, vector):
     # A tile's rows are far apart and each fills a cache line: fetching it first would take as
     # long as tracing an easy ray.
     if at & _LINE_BITS == np.uint64(0):
-        store_past_cache(at, vector)
+        store_nontemporal(at, vector)
     else:
         store(at, vector)
 
@@ -171,7 +171,7 @@ def _put(at, vector):
 def _store_group(group, first, wants_any, out):
     missed = group.prim_id == NO_PRIM
     if wants_any:
-        bits = lane_bits(missed) ^ _ALL_LANES
+        bits = mask_bits(missed) ^ _ALL_LANES
         for lane in range(_LANES):
             store(out.seen + first + lane, np.uint8((bits >> lane) & _U1))
         return
@@ -185,7 +185,7 @@ def _store_group(group, first, wants_any, out):
 @device_call
 def _store_few(lanes, first, count, wants_any, out):
     """Write a group ray by ray."""
-    stay_out_of_line()
+    no_inline()
     for lane in range(count):
         prim_id = lanes.prim_id[lane]
         if wants_any:

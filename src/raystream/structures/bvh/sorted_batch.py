@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.jit.simd import f32x16, load, load_records, store, store_past_cache
+from raystream.jit.simd import f32x16, load, load_records, store, store_nontemporal
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
@@ -138,10 +138,10 @@ def write_rows(begin, end, rays, out):
         to = (rays.first + at) * _LANE
         if at + _LANES <= last and (out.t | out.u | out.v | out.prim_id | to) & _LINE_BITS == _U0:
             t, u, v, prim_id = load_records(f32x16, 4, row)
-            store_past_cache(out.t + to, t)
-            store_past_cache(out.u + to, u)
-            store_past_cache(out.v + to, v)
-            store_past_cache(out.prim_id + to, prim_id)
+            store_nontemporal(out.t + to, t)
+            store_nontemporal(out.u + to, u)
+            store_nontemporal(out.v + to, v)
+            store_nontemporal(out.prim_id + to, prim_id)
             at += _LANES
             continue
         store(out.t + to, load(np.float32, row))

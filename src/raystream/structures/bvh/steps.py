@@ -19,17 +19,17 @@ import numpy as np
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
-    count_bits,
     f32x8,
     float_as_bits,
     i32x8,
-    lane_bits,
     lanes_from_bits,
     load,
     mask8,
+    mask_bits,
     maximum,
     minimum,
     permute,
+    popcount,
     select,
     store,
 )
@@ -209,7 +209,7 @@ def visit(tree, child, line, t_min, t_far, stack, half, top):
     key = sort_keys(select(entered, key, i32x8(_NO_KEY)))
     store(stack + top, key)
     store(stack + half + top, permute(load(i32x8, node + CHILDREN), key))
-    return top + (count_bits(lane_bits(entered)) << _WORD)
+    return top + (popcount(mask_bits(entered)) << _WORD)
 
 
 def stack_half(tree: BvhArrays) -> int:

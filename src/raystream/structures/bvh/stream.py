@@ -24,16 +24,16 @@ from raystream.jit.simd import (
     address,
     any_lane,
     compress,
-    count_bits,
     f32x8,
     float_as_bits,
     i32x8,
     i32x16,
-    lane_bits,
     lane_numbers,
     load,
+    mask_bits,
     maximum,
     minimum,
+    popcount,
     scratch,
     select,
     store,
@@ -127,7 +127,7 @@ def _visit_node(node, rays, count, hot, x, y, z, hits):
         )
         entered = maximum(t_in, ray.t_min) <= minimum(t_out, ray.t)
         least = select(entered, minimum(t_in, least), least)
-        store(hits + j * LANE, np.uint32(lane_bits(entered)))
+        store(hits + j * LANE, np.uint32(mask_bits(entered)))
     # `_make_list` reads 16 at a time: what lies behind the list must enter nothing.
     store(hits + count * LANE, i32x16(np.int32(0)))
     return least
@@ -143,7 +143,7 @@ def _make_list(to, rays, hits, count, lane):
         at = j * LANE
         enters = (load(i32x16, hits + at) & bit) != zero
         store(to + written * LANE, compress(enters, load(i32x16, rays + at)))
-        written += count_bits(lane_bits(enters))
+        written += popcount(mask_bits(enters))
     return written
 
 
@@ -189,7 +189,7 @@ def _trace_stream(octant, count, stream, nodes, leaves, stack, lists, hits, smal
         small.t_in, small.keys = t_in, sort_keys(select(entered, key, i32x8(_LEAST_KEY)))
         children = NodeLanes(nodes, number).children
         room = rays + length * LANE
-        for k in range(count_bits(lane_bits(entered))):
+        for k in range(popcount(mask_bits(entered))):
             lane = np.uint64(of_lane.keys[k] & KEY_LANES)
             prefetch_child(children[lane], nodes, leaves)
             written = _make_list(room, rays, hits, length, lane)

@@ -7,9 +7,9 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     any_lane,
-    first_bit,
-    lane_bits,
+    count_trailing_zeros,
     load,
+    mask_bits,
     maximum,
     minimum,
     select,
@@ -139,7 +139,7 @@ def test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
             if not any_lane(candidates):
                 continue
             hit, u, v = weigh_lanes(images, False)
-            bits = lane_bits(candidates & hit)
+            bits = mask_bits(candidates & hit)
             if bits != _U0:
                 hit_count += _U1
                 if wants_any:
@@ -163,7 +163,7 @@ def _keep_nearest(hot, cold, block, bits, lanes):
     """Take the hits of these lanes, if they are before the ray's by t, then prim_id."""
     nearest, best = hot.t, cold.prim_id
     while bits != _U0:
-        lane = first_bit(bits)
+        lane = count_trailing_zeros(bits)
         bits &= bits - _U1
         t, prim_id = lanes.t[lane], block.prim_ids[lane]
         if t < nearest or (t == nearest and prim_id < best):

@@ -17,11 +17,11 @@ from raystream.jit.simd import (
     f32x4,
     f32x8,
     lane,
-    lane_bits,
     lanes_from_bits,
     load,
     mask4,
     mask8,
+    mask_bits,
     maximum,
     select,
     store,
@@ -123,7 +123,7 @@ def is_left(record, test, axis):
     """
     start, scale, bound = test
     below = ((high_half(record) - low_half(record) - start) * scale) < bound
-    return lane_bits(below) >> np.uint64(axis)
+    return mask_bits(below) >> np.uint64(axis)
 
 
 @device

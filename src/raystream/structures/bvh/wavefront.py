@@ -14,16 +14,16 @@ from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import (
     any_lane,
-    count_bits,
-    first_bit,
+    count_trailing_zeros,
     float_as_bits,
     i32x8,
-    lane_bits,
     lane_numbers,
     load,
+    mask_bits,
     maximum,
     minimum,
     permute,
+    popcount,
     scratch,
     select,
     store,
@@ -104,7 +104,7 @@ def _visit_node(slot, node, keys, children, numbers):
     top = slot.top
     store(keys + top, key)
     store(children + top, permute(node.children, key))
-    return top + (count_bits(lane_bits(entered)) << np.uint64(2))
+    return top + (popcount(mask_bits(entered)) << np.uint64(2))
 
 
 @device
@@ -158,7 +158,7 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
                 # their origin.
                 if any_lane(candidates):
                     hit, u, v = weigh_lanes(images, False)
-                    bits = lane_bits(candidates & hit)
+                    bits = mask_bits(candidates & hit)
                     if bits != np.uint64(0):
                         if wants_any:
                             slot.prim_id = np.int32(0)
@@ -175,7 +175,7 @@ def _keep_nearest(slot, block, bits, lanes):
     """Take the hits of these lanes, if they are before the slot's by t, then prim_id."""
     nearest, best = slot.t, slot.prim_id
     while bits != np.uint64(0):
-        lane = first_bit(bits)
+        lane = count_trailing_zeros(bits)
         bits &= bits - _ONE
         t, prim_id = lanes.t[lane], block.prim_ids[lane]
         if t < nearest or (t == nearest and prim_id < best):

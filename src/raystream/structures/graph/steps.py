@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma, load, next_above, store
+from raystream.jit.simd import fma, load, next_float_up, store
 from raystream.kernels.leaf_block import BLOCK, blocks_end
 from raystream.kernels.ray import pick
 from raystream.kernels.slab import box_interval
@@ -255,7 +255,7 @@ def enter(graph, ray, t_min, t_max):
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
     # A hit lies in its triangle's interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
-    return graph.rows != _NONE and t_in <= t_out, t_in, next_above(t_out)
+    return graph.rows != _NONE and t_in <= t_out, t_in, next_float_up(t_out)
 
 
 @device

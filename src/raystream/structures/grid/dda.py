@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import copy_sign, fma, round_down
+from raystream.jit.simd import copy_sign, floor, fma
 from raystream.kernels.ray import pick
 
 __all__ = [
@@ -101,7 +101,7 @@ def _start(t, o, d, inv, middle, low, size, count):
     # Step 1: a guess that is right but for rounding. A NaN, of a flat axis, becomes 0.
     guess = (fma(t, d, o) - low) / size
     guess = guess if guess > _ZERO else _ZERO
-    cell = round_down(min(guess, count - _ONE))
+    cell = floor(min(guess, count - _ONE))
     # Step 2: the right one, by the rule. One of the two loops is empty.
     while cell != last and _distance(cell + ahead, low, size, inv, middle) <= t:
         cell += step

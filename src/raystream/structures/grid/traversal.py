@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.jit.intrinsics import stay_out_of_line
+from raystream.jit.intrinsics import no_inline
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
@@ -46,7 +46,7 @@ def _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out):
 @device_call
 def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
     """Visit the cells within a cell, from t_in to t_end; none beyond t_last."""
-    stay_out_of_line()
+    no_inline()
     walk, state = set_up_walk(cells, ray, t_in)
     while True:
         t_out = min(cell_end(state), t_end)

@@ -30,7 +30,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import fma, next_above
+from raystream.jit.simd import fma, next_float_up
 from raystream.kernels.ray import pick
 from raystream.kernels.slab import box_interval
 from raystream.structures.kdtree.layouts import is_leaf, leaf_of, split_of
@@ -81,7 +81,7 @@ def initialize(tree, ray, t_min, t_max):
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
     # A hit lies in its triangle's interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
-    t_end = next_above(t_out)
+    t_end = next_float_up(t_out)
     is_active = tree.nodes != _NONE and t_in <= t_out
     return is_active, KdState(tree.root, t_in, t_end, t_end, _NONE, False)
 

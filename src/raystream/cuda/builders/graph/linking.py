@@ -12,7 +12,7 @@ from raystream.cuda.builders.graph.sharing import (
     put_candidate,
     share_slot,
 )
-from raystream.jit.atomics import note_greatest
+from raystream.jit.atomics import atomic_max
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -181,7 +181,7 @@ def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
         height = max(_height(raw, below), _height(raw, above)) + _ONE
         store(raw.heights + number, np.uint8(height))
         highest = max(highest, height)
-    note_greatest(raw.tops, np.uint32(highest))
+    atomic_max(raw.tops, np.uint32(highest))
 
 
 @device

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.atomics import note_greatest, swap_if
+from raystream.jit.atomics import atomic_max, compare_and_swap
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
@@ -86,13 +86,13 @@ def share_slot(table, candidate):
         at = table.owners + slot * WORD
         owner = load(np.uint32, at)
         if owner == _FREE:
-            owner = swap_if(at, _FREE, np.uint32(candidate + _ONE))
+            owner = compare_and_swap(at, _FREE, np.uint32(candidate + _ONE))
         is_own = owner == _FREE
         if not is_own:
             found, found_other = _content(table, np.uint64(owner) - _ONE)
             is_own = found == one and found_other == other
         if is_own:
-            note_greatest(table.leasts + slot * WORD, np.uint32(candidate ^ _ALL))
+            atomic_max(table.leasts + slot * WORD, np.uint32(candidate ^ _ALL))
             return slot
         slot = (slot + _ONE) & table.mask
 

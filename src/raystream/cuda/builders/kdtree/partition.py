@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.kdtree.planes import cell_range
-from raystream.jit.atomics import add_together
+from raystream.jit.atomics import atomic_add_aggregated
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -83,7 +83,7 @@ def _count_cut(i, refs, choices):
         return
     box = refs.boxes + i * BOX_BYTES + axis * WORD
     if load(np.float32, box) < position and load(np.float32, box + HIGH) > position:
-        add_together(choices.cut_counts + cell * WORD, np.uint32(1))
+        atomic_add_aggregated(choices.cut_counts + cell * WORD, np.uint32(1))
 
 
 @kernel

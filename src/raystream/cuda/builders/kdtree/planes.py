@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.atomics import add_together, note_greatest
+from raystream.jit.atomics import atomic_add_aggregated, atomic_max
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -181,10 +181,10 @@ def _count_in_bins(box, begin, cell, tried):
         low = load(np.float32, box + axis * WORD)
         high = load(np.float32, box + HIGH + axis * WORD)
         bins = _bins_of(tried, begin, axis)
-        add_together(bins + bin_of(low, along.low, scale) * WORD, np.uint32(1))
-        add_together(bins + _ENDS_AT + bin_of(high, along.low, scale) * WORD, np.uint32(1))
-        note_greatest(bins + _LOWEST_AT, np.uint32(_ordered(low) ^ _ALL))
-        note_greatest(bins + _HIGHEST_AT, np.uint32(_ordered(high)))
+        atomic_add_aggregated(bins + bin_of(low, along.low, scale) * WORD, np.uint32(1))
+        atomic_add_aggregated(bins + _ENDS_AT + bin_of(high, along.low, scale) * WORD, np.uint32(1))
+        atomic_max(bins + _LOWEST_AT, np.uint32(_ordered(low) ^ _ALL))
+        atomic_max(bins + _HIGHEST_AT, np.uint32(_ordered(high)))
 
 
 @device

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.multipass.control import CHOSEN, COUNTS, STATES
-from raystream.jit.atomics import add_together
+from raystream.jit.atomics import atomic_add_aggregated
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 
@@ -40,5 +40,5 @@ def is_waiting(control, chosen, now):
 def move(control, now, then):
     """Count a ray that goes from one state to another."""
     if then != now:
-        add_together(control + COUNTS + (np.uint64(now) << _WORD), _LESS)
-        add_together(control + COUNTS + (np.uint64(then) << _WORD), _MORE)
+        atomic_add_aggregated(control + COUNTS + (np.uint64(now) << _WORD), _LESS)
+        atomic_add_aggregated(control + COUNTS + (np.uint64(then) << _WORD), _MORE)

@@ -8,7 +8,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.intrinsics import bits_above, sum_above
-from raystream.jit.simd import count_bits, load, store
+from raystream.jit.simd import load, popcount, store
 
 __all__ = [
     "BITS",
@@ -82,7 +82,7 @@ def _part(numbers, i):
 @device
 def marks_before(word, time):
     """How many marks of a time's word are before it."""
-    return count_bits(word & ((_ONE << (time & _LAST)) - _ONE))
+    return popcount(word & ((_ONE << (time & _LAST)) - _ONE))
 
 
 @device
@@ -93,11 +93,11 @@ def marks_after(marks, time, now):
     the block or by the row.
     """
     word, last_word = time >> _WORD, now >> _WORD
-    count = count_bits(load(np.uint64, marks.words + (word << _NUMBER)) >> (time & _LAST)) - _ONE
+    count = popcount(load(np.uint64, marks.words + (word << _NUMBER)) >> (time & _LAST)) - _ONE
     if last_word - word <= _NEAR:
         while word < last_word:
             word += _ONE
-            count += count_bits(load(np.uint64, marks.words + (word << _NUMBER)))
+            count += popcount(load(np.uint64, marks.words + (word << _NUMBER)))
         return count
     count += bits_above(_part(marks.words, word), word & _LAST)
     block, last_block = time >> _BLOCK, now >> _BLOCK

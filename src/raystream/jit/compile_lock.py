@@ -1,8 +1,8 @@
-"""Turns: of several processes that need one compiled kernel, one makes it and the others wait.
+"""CompileLock: when several processes need the same kernel, one compiles it and the others wait.
 
-A turn is a lock on one byte of a file. The system lets go of it when the process ends, however
-it ends, so that nothing is left over to be cleared away. Turns are a courtesy: where the file
-cannot be locked, or another process keeps its turn for too long, work goes on without.
+A lock is one byte of a file. The system releases it when the process ends, however it ends, so
+nothing has to be cleaned up. The lock is advisory: if the file cannot be locked, or another
+process holds the lock for too long, the kernel is compiled without it.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-__all__ = ["Turns"]
+__all__ = ["CompileLock"]
 
 #: Seconds to wait for another process; the longest kernels compile in some tens of seconds.
-PATIENCE = 180.0
+TIMEOUT = 180.0
 
-#: Seconds between two looks.
+#: Seconds between two attempts.
 PAUSE = 0.02
 
 _HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 
-class Turns:
-    """The turns that this process takes in one folder.
+class CompileLock:
+    """The locks that this process holds in one folder.
 
     Parameters
     ----------
@@ -40,29 +40,29 @@ class Turns:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / "turns"
-        # One descriptor until the end: to close any of them would end all turns (POSIX).
+        self._path = folder / "locks"
+        # One descriptor until the end: closing any of them would release every lock (POSIX).
         self._file: int | None = None
 
-    def take(self, name: str, patience: float | None = None) -> bool:
-        """Wait until no other process has the turn of this name, and take it.
+    def acquire(self, name: str, timeout: float | None = None) -> bool:
+        """Wait until no other process holds the lock of this name, and acquire it.
 
         Parameters
         ----------
         name : str
-        patience : float, optional
-            Seconds to wait; else `PATIENCE`.
+        timeout : float, optional
+            Seconds to wait [default: `TIMEOUT`].
 
         Returns
         -------
         bool
-            Whether it was taken; False if it cannot be or was waited for that long.
+            Whether it was acquired; False after that time, or if the file cannot be locked.
         """
         try:
             if self._file is None:
                 self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
                 self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
-            end = time.monotonic() + (PATIENCE if patience is None else patience)
+            end = time.monotonic() + (TIMEOUT if timeout is None else timeout)
             while not _lock(self._file, _place(name)):
                 if time.monotonic() >= end:
                     return False
@@ -71,8 +71,8 @@ class Turns:
             return False
         return True
 
-    def give(self, name: str) -> None:
-        """Let the next process have the turn; does nothing where there is none."""
+    def release(self, name: str) -> None:
+        """Release the lock; does nothing if it is not held."""
         try:
             if self._file is not None:
                 _unlock(self._file, _place(name))
@@ -81,7 +81,7 @@ class Turns:
 
 
 def _place(name: str) -> int:
-    """The byte of a name. Two names may share it: their turns are then one."""
+    """The byte of a name; two names may share one, and then share the lock."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4]) & 0x7FFFFFFF
 
 
