@@ -46,8 +46,8 @@ def long_signatures():
     for name, text in modules():
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef):
-                given = node.args
-                count = len(given.posonlyargs + given.args + given.kwonlyargs)
+                given = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
+                count = sum(one.arg not in ("self", "cls") for one in given)
                 if count > MOST_PARAMETERS:
                     yield f"{name}:{node.lineno} {node.name}", count
 

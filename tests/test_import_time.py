@@ -51,6 +51,6 @@ def test_branching_brings_in_no_other_machine() -> None:
     triangle = "[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]"
     tracer = f"import raystream as rs; tracer = rs.Tracer(rs.Scene.from_arrays({triangle}))"
     modules = modules_after(f"{tracer}; tracer.first_hit([0, 0, 1], [0, 0, -1])")
-    assert "raystream.machines.queries" in modules
+    assert "raystream.machines.branching" in modules
     late = ("raystream.streams", "raystream.machines.multipass", "raystream.machines.counters")
     assert not modules & set(late)

@@ -1,4 +1,4 @@
-"""Tables that notebooks show in place of an object's text."""
+"""HTML tables that notebooks show for an object."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from html import escape
 
 __all__ = ["html_table", "in_bytes"]
 
-#: Colours are the notebook's own, so that a table is readable on light and on dark pages.
+#: Inherits the notebook's colours: readable on light and on dark pages.
 _CELL = "text-align:left;padding:0.1em 1em 0.1em 0;vertical-align:top"
 
 _NAME = f"{_CELL};font-weight:normal;opacity:0.75;white-space:pre"
@@ -16,13 +16,13 @@ _UNITS = ("bytes", "kB", "MB", "GB", "TB")
 
 
 def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
-    """Set names and values as a table in HTML.
+    """Format names and values as an HTML table.
 
     Parameters
     ----------
     title : str
     rows : iterable of (str, str)
-        Any text: it is escaped.
+        Text, which is escaped.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
 
 
 def in_bytes(count: float) -> str:
-    """A number of bytes for people, such as ``1.5 MB``."""
+    """A number of bytes in readable form, such as ``1.5 MB``."""
     for unit in _UNITS[:-1]:
         if count < 999.5:
             return f"{count:.3g} {unit}"

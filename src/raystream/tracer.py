@@ -1,35 +1,35 @@
-"""Tracer: a structure on a machine on a device, answering the queries."""
+"""Tracer: turns arguments into a query, hands it to a backend, and gives back hits."""
 
 from __future__ import annotations
 
-import math
 import operator
-from collections.abc import Mapping, Sequence
-from os import PathLike
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from raystream.core.choices import DeviceOptions, MachineOptions
-from raystream.core.query import Crossings
+from raystream.core.hits import Hits, MultiHits
+from raystream.core.query import UNLIMITED, Crossings, Kind, Query, counts_surfaces
+from raystream.core.rays import RayArrays, RayBatch
 from raystream.jit.threads import Progress
-from raystream.kernels.moving import move_triangles
-from raystream.machines.chosen import Chosen, choose
+from raystream.kernels.sink import Sink
 from raystream.machines.devices import device_of
-from raystream.machines.queries import Queries
-from raystream.notebook import html_table, in_bytes
-from raystream.scene.mesh import Mesh
-from raystream.scene.moving import moved_meshes, same_faces
+from raystream.machines.traced_scene import TracedScene
+from raystream.programs.filters import Bound, Filter
+from raystream.programs.payloads import as_payload, as_records
+from raystream.programs.trace import Order, check_order
 from raystream.scene.scene import Scene
-from raystream.structures import Structure, StructureOptions
-from raystream.structures.base import UpdateReport
-from raystream.structures.storage import load_structure, save_structure
-
-if TYPE_CHECKING:
-    from raystream.machines import RayCounters
+from raystream.structures import StructureOptions
 
 __all__ = ["Crossings", "Tracer"]
 
+#: Queries without options, made once: a small batch takes little more time than a value.
+_PLAIN = [Query(kind) for kind in Kind]
 
-class Tracer(Queries):
+
+class Tracer(TracedScene):
     """Traces rays against a scene.
 
     Parameters
@@ -41,33 +41,33 @@ class Tracer(Queries):
         with its options. All return the same bits; ``"brute"`` tests every triangle.
     device : {"cpu", "cuda", "graphics"} or DeviceOptions
         Where rays are traced, by its name or as `Cpu`, `Cuda` or `Graphics` with its options: on
-        the processor's cores; on an NVIDIA GPU (``pip install raystream[cuda]``), of several on
-        that with the number ``gpu=``; or on a GPU through Vulkan, Metal or Direct3D 12 (``pip
-        install raystream[graphics]``).
+        the CPU's cores; on an NVIDIA GPU (``pip install raystream[cuda]``), chosen with ``gpu=``
+        if there are several; or on a GPU through Vulkan, Metal or Direct3D 12 (``pip install
+        raystream[graphics]``).
     machine : {"branching", "multipass", "compute"} or MachineOptions, optional
         How the structure is traversed, by its name or as `Branching`, `Multipass` or `Compute`
-        with its options: one ray from start to end on each thread; or all rays step by step, in
-        passes (Purcell 2002, section 2.2). All return the same bits on one device;
-        ``"multipass"`` is slower, and says how many passes it took. On ``"graphics"`` these two
-        are fragment programs, and ``"compute"``, its default, is faster. On the CPU,
-        ``"branching"`` is the default.
+        with its options: each thread traces one ray from start to end; or all rays advance step
+        by step, in passes (Purcell 2002, section 2.2). All return the same bits on one device;
+        ``"multipass"`` is slower, and reports its passes. On ``"graphics"`` these two are
+        fragment programs, and ``"compute"`` is faster [default: ``"compute"`` on
+        ``"graphics"``, else ``"branching"``].
     counters : bool
-        Count what each ray meets: see `counters`. Rays are then traced one by one, without
-        the kernels for many rays that ``"bvh"`` has. Not counting costs nothing.
+        Count traversal steps, leaves and tests per ray: see `counters`. Rays are then traced one
+        by one, without the many-ray kernels of ``"bvh"``. Disabled counters cost nothing.
     progress : callable, optional
         Called with (triangles done, triangles) during a long build.
     **options
-        Options of what is given by name: ``Tracer(scene, "bvh", quality="high")`` is
-        ``Tracer(scene, Bvh(quality="high"))``.
+        Options of the structure, device and machine that are given by name:
+        ``Tracer(scene, "bvh", quality="high")`` is ``Tracer(scene, Bvh(quality="high"))``.
 
     Raises
     ------
     ValueError
         If a name is unknown or an option is out of range.
     TypeError
-        If `scene` is no scene, or the structure has no such option.
+        If `scene` is not a scene, or the structure has no such option.
     RaystreamError
-        If the device is not there, or cannot hold the structure.
+        If the device is not available, or its memory cannot hold the structure.
 
     Notes
     -----
@@ -76,19 +76,19 @@ class Tracer(Queries):
     anything that converts to one without leaving the CPU (DLPack, ``__array_interface__``).
     World space, scene units; directions need not be unit length, and t counts in their
     lengths. `t_min` and `t_max` are numbers or arrays that broadcast to S; the interval is
-    closed, and rounded to float32. A ray with a NaN, infinite or zero direction is no error:
+    closed, and rounded to float32. A ray with a NaN, infinite or zero direction is not an error:
     it misses, and its status is ``RayStatus.INVALID``.
 
     With ``device="cuda"`` rays may be arrays on the tracer's GPU, by DLPack or
     ``__cuda_array_interface__`` (CuPy, PyTorch, JAX, Numba), of float32 or float64; numbers and
-    single vectors may still come from the host. They are read where they are, and must not
-    change before that is done: it is in the order of the CUDA stream that they name, else of
-    the default one. Answers stay on the GPU, in arrays of their own that such libraries view
-    without a copy; ``host()`` makes NumPy's. A query may return before they are filled.
+    single vectors may still come from the host. They are read in place, in the order of the CUDA
+    stream that they name, else of the default stream, and must not change before that. Results
+    stay on the GPU, in arrays that such libraries view without a copy; ``host()`` copies them to
+    NumPy. A query may return before they are filled.
 
     A ray through a shared edge hits both triangles, never neither [1]_. Degenerate
-    triangles, and triangles with a NaN or infinite vertex, are never hit: where one of
-    them is all that closes a mesh, the mesh is open.
+    triangles, and triangles with a NaN or infinite vertex, are never hit: a mesh that
+    only such a triangle closes is open.
 
     Rays are traced on all cores (``RAYSTREAM_THREADS``). Ctrl-C interrupts a query.
 
@@ -126,262 +126,365 @@ class Tracer(Queries):
         )
         self._set(scene, built)
 
-    def _choose(
+    def first_hit(
         self,
-        structure: str | StructureOptions | None,
-        device: str | DeviceOptions,
-        machine: str | MachineOptions | None,
-        counters: bool,
-        options: Mapping[str, Any],
-    ) -> Chosen:
-        """Note all but the structure, which the caller builds or has."""
-        chosen = choose(structure, device, machine, options)
-        self.device, self.machine = chosen.device, chosen.machine
-        self._machine_options = chosen.options
-        self._counts = bool(counters)
-        return chosen
-
-    def _set(self, scene: Scene | None, structure: Structure) -> None:
-        self._scene = scene
-        self.structure = structure
-        self._latest = None
-        self._backend = device_of(self.device).machines.make(
-            self.machine, structure, self._machine_options
-        )
-
-    @property
-    def is_counting(self) -> bool:
-        """Whether it was made with ``counters=True``."""
-        return self._counts
-
-    @property
-    def machine_options(self) -> Mapping[str, Any]:
-        """The options of the device and the machine, such as ``scheduler``, that were given."""
-        return self._machine_options
-
-    @property
-    def counters(self) -> RayCounters:
-        """What the rays of the latest query met.
-
-        Raises
-        ------
-        ValueError
-            If the tracer does not count, or has not been asked anything yet.
-        """
-        if not self._counts:
-            raise ValueError("counters: this tracer does not count; make it with counters=True")
-        if self._latest is None:
-            raise ValueError("counters: there are none before the first query")
-        return self._latest
-
-    @property
-    def scene(self) -> Scene:
-        """What rays are traced against; bare triangles after `load` without a scene."""
-        if self._scene is None:
-            self._scene = Scene.from_triangles(self.structure.triangles)
-        return self._scene
-
-    def update(
-        self,
-        vertices: Any,
+        origins: Any,
+        directions: Any,
         *,
-        max_cost_growth: float = 1.5,
+        t_min: Any = 0.0,
+        t_max: Any = np.inf,
+        on_hit: Callable[..., Any] | Bound | None = None,
+        skip_prim_ids: Any = None,
         progress: Progress | None = None,
-    ) -> UpdateReport:
-        """Move the scene's vertices; which triangles they form stays as it is.
+    ) -> Hits:
+        """Find the nearest triangle along each ray.
 
         Parameters
         ----------
-        vertices : array_like of shape (V, 3), real; or a sequence of them; or Scene
-            New positions of all vertices, world space, scene units: an array for a scene of
-            one mesh, else one for each mesh, or None for a mesh that stays where it is. Or a
-            scene with the same faces, such as `Scene.at` gives: its lights, materials, normals
-            and camera then count, too. Where all its meshes are the same objects as before,
-            nothing is to be done, and the report's costs are nan.
-        max_cost_growth : float
-            A tree is adjusted to moved triangles much faster than it is built, but rays take
-            longer in it the further neighbours part. It is built anew when the expected cost
-            of a ray is more than so many times what it was when it was last built; 0 builds
-            it anew every time.
+        origins, directions : array_like of shape S + (3,), real
+        t_min, t_max : float or array_like that broadcasts to S
+            Closed search interval, in direction lengths.
+        on_hit : callable, optional
+            A filter: ``on_hit(hit)`` gets a `Hit` and returns whether to accept it, as a boolean
+            or as `Decision.CONTINUE` or `Decision.IGNORE`; `Decision.STOP` accepts it and ends
+            the search. See `trace` for what it may do. A `Bound` passes it constants.
+        skip_prim_ids : array_like of shape S or S + (k,), int, optional
+            Triangles that each ray ignores, such as the one that it starts on; -1 ignores
+            nothing. The filter is not called for them. With rays in arrays on a GPU, it may be
+            an array there, of int32 or int64.
         progress : callable, optional
-            Called with (triangles placed, triangles) if it is built anew.
+            Called with (rays done, rays).
 
         Returns
         -------
-        UpdateReport
-            Whether the structure was built anew, how long it took, and its costs.
-
-        Raises
-        ------
-        ValueError
-            If the number of meshes or of vertices of a mesh, or a scene's faces are others,
-            or `max_cost_growth` is negative or NaN. Nothing was moved then.
-        TypeError
-            If the positions are no real numbers.
-
-        Notes
-        -----
-        Every query then answers as a tracer of the moved triangles would, in the frame that
-        this one has: the centre and scale that float32 coordinates refer to stay the same,
-        unless a coordinate grew to more than 2**40 times the scale of the scene. Triangles
-        that have become degenerate, NaN or infinite are never hit, until they recover.
-
-        `scene` becomes a scene with the moved vertices; shading normals do not follow arrays.
         Hits
-        found before still refer to the triangles as they were. No query may run in another
-        thread meanwhile. An interrupt leaves everything as it was.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import raystream as rs
-        >>> vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
-        >>> tracer = rs.Tracer(rs.Scene.from_arrays(vertices, [[0, 1, 2]]))
-        >>> report = tracer.update(vertices + [0, 0, 5])
-        >>> report.rebuilt, tracer.first_hit([0.2, 0.2, 0], [0, 0, 1]).t.item()
-        (False, 5.0)
-        """
-        if not max_cost_growth >= 0.0:
-            raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
-        scene = self.scene
-        if isinstance(vertices, Scene):
-            meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
-            if all(map(operator.is_, scene.meshes, meshes)):
-                self._set(vertices.moved(meshes, self.structure.triangles), self.structure)
-                return UpdateReport(False, 0.0, math.nan, math.nan)
-            scene = vertices
-        else:
-            meshes = moved_meshes(scene.meshes, vertices)
-        parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
-        triangles = move_triangles(self.structure.triangles, parts)
-        structure, report = self.structure.updated(triangles, max_cost_growth, progress)
-        self._set(scene.moved(meshes, triangles), structure)
-        return report
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the built structure and its triangles to a file.
-
-        Parameters
-        ----------
-        path : str or path
-            An ``.npz`` file, replaced as a whole when writing succeeded.
-
-        Raises
-        ------
-        ValueError
-            If the name does not end in ``.npz``.
-        OSError
-            If it cannot be written.
-        """
-        save_structure(path, self.structure)
-
-    @classmethod
-    def load(
-        cls,
-        path: str | PathLike[str],
-        scene: Scene | None = None,
-        device: str | DeviceOptions = "cpu",
-        *,
-        machine: str | MachineOptions | None = None,
-        counters: bool = False,
-        **options: Any,
-    ) -> Tracer:
-        """Read a structure that `save` wrote.
-
-        Parameters
-        ----------
-        path : str or path
-        scene : Scene, optional
-            The scene it was built of, for its materials, lights and camera. Without it, the
-            tracer has a scene of bare triangles.
-        device, machine, counters, **options
-            As for a new tracer; the options are the device's and the machine's.
-
-        Returns
-        -------
-        Tracer
-
-        Raises
-        ------
-        FileFormatError
-            If the file is damaged, of another version, or no such file at all; or if it was
-            built of other triangles than `scene` has.
-        """
-        if scene is not None and not isinstance(scene, Scene):
-            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
-        tracer = cls.__new__(cls)
-        tracer._choose(None, device, machine, counters, options)
-        structure = load_structure(path, None if scene is None else scene.triangles)
-        tracer._set(scene, structure)
-        return tracer
-
-    @classmethod
-    def of_structure(
-        cls,
-        structure: Structure,
-        scene: Scene | None = None,
-        device: str | DeviceOptions = "cpu",
-        *,
-        machine: str | MachineOptions | None = None,
-        counters: bool = False,
-        **options: Any,
-    ) -> Tracer:
-        """Make a tracer of a structure that is built already.
-
-        Parameters
-        ----------
-        structure : Structure
-        scene : Scene, optional
-            The scene that its triangles are of, for materials, lights and camera.
-        device, machine, counters, **options
-            As for a new tracer; the options are the device's and the machine's.
-
-        Returns
-        -------
-        Tracer
+            ``t``, ``u``, ``v`` of shape S, float32, and ``prim_id`` of shape S, int32. A
+            miss has ``t = inf`` and ``prim_id = -1``. Of rays in arrays on a GPU:
+            `raystream.cuda.device_hits.DeviceHits`, there.
 
         Raises
         ------
         ValueError, TypeError
-            If a name is unknown, or the machine has no such option.
+            If shapes disagree or an array does not hold real numbers; and see `trace`.
+        RuntimeError
+            If the filter raises; the exception is the cause.
+
+        Notes
+        -----
+        Equal t, before it is rounded to float32: the lowest prim_id wins, in every structure.
         """
-        tracer = cls.__new__(cls)
-        tracer._choose(None, device, machine, counters, options)
-        tracer._set(scene, structure)
-        return tracer
-
-    def __repr__(self) -> str:
-        triangle_count = len(self.structure.triangles)
-        device = "" if self.device == "cpu" else f", device={self.device!r}"
-        is_usual = self.machine == device_of(self.device).machines.names[0]
-        machine = "" if is_usual else f", machine={self.machine!r}"
-        return (
-            f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r}"
-            f"{device}{machine})"
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.FIRST_HIT, rays, on_hit, skip_prim_ids)
+        if isinstance(rays, RayArrays):
+            found: Hits = self._backend.answer_on_device(query, rays, progress)
+            return found
+        sink, shape = self._answer(query, rays, progress), rays.shape
+        t, u, v, prim_id = sink.hits
+        return Hits(
+            t.reshape(shape),
+            u.reshape(shape),
+            v.reshape(shape),
+            prim_id.reshape(shape),
+            sink.status.reshape(shape),
+            self.structure.triangles,
         )
 
-    def _repr_html_(self) -> str:
-        """Show the structure and its figures in a notebook."""
-        structure = self.structure
-        triangles, report = structure.triangles, structure.report
-        unused = (
-            (triangles.degenerate_count, "degenerate"),
-            (triangles.nonfinite_count, "not finite"),
-        )
-        without = ", ".join(f"{count:,} {kind}" for count, kind in unused if count)
-        rows = [
-            ("triangles", f"{len(triangles):,}" + (f" ({without})" if without else "")),
-            ("structure", structure.name),
-            *(
-                (f"  {name}", f"{value}")
-                for name, value in structure.options.as_json().items()
-                if value is not None
-            ),
-            ("machine", self.machine),
-            *((f"  {name}", f"{value}") for name, value in self._machine_options.items()),
-            ("device", self.device),
-            ("build", f"{report.seconds:.3g} s"),
-            ("memory", in_bytes(report.byte_count)),
-            *((name, f"{value:,.6g}") for name, value in structure.quality().items()),
-        ]
-        return html_table("Tracer", rows)
+    def any_hit(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: Any = 0.0,
+        t_max: Any = np.inf,
+        on_hit: Callable[..., Any] | Bound | None = None,
+        skip_prim_ids: Any = None,
+        progress: Progress | None = None,
+    ) -> NDArray[np.bool_]:
+        """Find whether anything blocks each ray; cheaper than the nearest hit.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, progress
+            See `first_hit`.
+
+        Returns
+        -------
+        ndarray of shape S, bool
+            True exactly where `first_hit` would report a hit. Of rays in arrays on a GPU: a
+            `raystream.jit.cuda.DeviceArray` there.
+
+        Raises
+        ------
+        ValueError, TypeError, RuntimeError
+            See `first_hit`.
+        """
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.ANY_HIT, rays, on_hit, skip_prim_ids)
+        if isinstance(rays, RayArrays):
+            seen: NDArray[np.bool_] = self._backend.answer_on_device(query, rays, progress)
+            return seen
+        return self._answer(query, rays, progress).seen.reshape(rays.shape)
+
+    def count_hits(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: Any = 0.0,
+        t_max: Any = np.inf,
+        crossings: Crossings = "triangles",
+        on_hit: Callable[..., Any] | Bound | None = None,
+        skip_prim_ids: Any = None,
+        progress: Progress | None = None,
+    ) -> NDArray[np.int64]:
+        """Count the hits along each ray.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids, progress
+            See `first_hit`.
+        crossings : {"triangles", "surfaces"}
+            What a ray exactly through an edge or a vertex hits: every triangle there; or one
+            triangle each time it passes through the surface (none or two where it only grazes
+            it), so that a ray from outside crosses a closed mesh an even number of times.
+
+        Returns
+        -------
+        ndarray of shape S, int64
+            Of rays in arrays on a GPU: a `raystream.jit.cuda.DeviceArray` there.
+
+        Raises
+        ------
+        ValueError, TypeError, RuntimeError
+            As `first_hit`, or if `crossings` is unknown.
+        """
+        surfaces = counts_surfaces(crossings)
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.COUNT_HITS, rays, on_hit, skip_prim_ids, surfaces)
+        if isinstance(rays, RayArrays):
+            counts: NDArray[np.int64] = self._backend.answer_on_device(query, rays, progress)
+            return counts
+        return self._answer(query, rays, progress).counts.reshape(rays.shape)
+
+    def multi_hit(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: Any = 0.0,
+        t_max: Any = np.inf,
+        max_hits: int | None = None,
+        crossings: Crossings = "triangles",
+        on_hit: Callable[..., Any] | Bound | None = None,
+        skip_prim_ids: Any = None,
+        progress: Progress | None = None,
+    ) -> MultiHits:
+        """Find all hits of each ray, or the nearest few, by increasing distance.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max, on_hit, skip_prim_ids
+            See `first_hit`.
+        max_hits : int, optional
+            Keep the nearest `max_hits` of each ray [default: all].
+        crossings : {"triangles", "surfaces"}
+            See `count_hits`.
+        progress : callable, optional
+            Called with (steps done, steps): a ray may take two steps, one to count its hits
+            and one to store them.
+
+        Returns
+        -------
+        MultiHits
+            ``ray_splits`` of shape (N + 1,), int64, delimits each ray's rows of ``t``,
+            ``u``, ``v`` (float32) and ``prim_id`` (int32). Of rays in arrays on a GPU:
+            `raystream.cuda.device_hits.DeviceMultiHits`, there.
+
+        Raises
+        ------
+        ValueError, TypeError, RuntimeError
+            As `first_hit`, or if `crossings` is unknown or `max_hits` negative.
+        MemoryError
+            If the hits do not fit into memory: results are never truncated silently. Give
+            `max_hits`, or fewer rays.
+
+        Notes
+        -----
+        Exact: hits are stored in buffers that grow, or counted before they are written. Equal
+        t, before it is rounded to float32: the lower prim_id comes first. No hit is reported
+        twice, and none is lost between two others, however close.
+        """
+        surfaces = counts_surfaces(crossings)
+        limit = UNLIMITED if max_hits is None else min(operator.index(max_hits), UNLIMITED)
+        if limit < 0:
+            raise ValueError(f"max_hits: expected None or a number >= 0, got {max_hits}")
+        rays = self._rays(origins, directions, t_min, t_max)
+        query = self._query(Kind.MULTI_HIT, rays, on_hit, skip_prim_ids, surfaces, limit)
+        if isinstance(rays, RayArrays):
+            found: MultiHits = self._backend.answer_on_device(query, rays, progress)
+            return found
+        sink = self._answer(query, rays, progress)
+        status = sink.status.reshape(rays.shape)
+        return MultiHits(sink.splits, *sink.hits, status, self.structure.triangles)
+
+    def trace(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        on_hit: Callable[..., Any],
+        payload: Any = None,
+        order: Order = "front-to-back",
+        t_min: Any = 0.0,
+        t_max: Any = np.inf,
+        crossings: str = "triangles",
+        progress: Progress | None = None,
+    ) -> NDArray[Any] | None:
+        """Run a function at the hits of each ray.
+
+        Parameters
+        ----------
+        origins, directions, t_min, t_max
+            See `first_hit`.
+        on_hit : callable
+            ``on_hit(hit, payload)``, a Python function that Numba compiles. It gets a `Hit`
+            and its ray's payload, which it changes in place, and returns `Decision.CONTINUE`,
+            `Decision.STOP` (no more hits of this ray) or `Decision.IGNORE` (here the same as
+            CONTINUE); returning nothing continues.
+        payload : ndarray or dtype, optional
+            A writable array of the rays' shape S, changed in place; a dtype allocates one of
+            zeros. Of a structured dtype the function gets its ray's record, as in
+            ``payload.depth += hit.t``; of plain numbers, of shape S or S + (k,), an array of
+            one or k numbers, as in ``payload[0] += 1``; without a payload, None. Of rays in
+            arrays on a GPU: an array there is changed there, a dtype allocates one there with
+            aligned fields, and a NumPy array is copied there and back.
+        order : {"front-to-back", "any"}
+            Hits of a ray come by increasing t, then prim_id; or as they are found, which saves
+            sorting them when the order does not matter.
+        crossings : {"triangles", "surfaces"}
+            See `count_hits`.
+        progress : callable, optional
+            Called with (rays done, rays).
+
+        Returns
+        -------
+        ndarray or None
+            The payload: the given array, or the new one, which is a
+            `raystream.jit.cuda.DeviceArray` of rays in arrays on a GPU.
+
+        Raises
+        ------
+        ValueError
+            If shapes disagree, `order` or `crossings` is unknown, the payload is read-only,
+            or the tracer counts (``counters=True``).
+        TypeError
+            If the function cannot be compiled, takes other arguments or returns anything but a
+            decision; if the payload is not an array or dtype of numbers or records; if rays are
+            in arrays on a GPU, and the function cannot run there.
+        RuntimeError
+            If the function raises; the exception is the cause.
+
+        Notes
+        -----
+        Rays are independent, and run on several threads. A new function is compiled when it is
+        first used, in a second or two, and cached on disk if everything that it uses can be
+        identified by its content (as for `raystream.streams.Kernel`). Variables from outside
+        are constants. After an exception or Ctrl-C the payload of some rays has changed.
+
+        Examples
+        --------
+        >>> import raystream as rs
+        >>> tracer = rs.Tracer(rs.load("cornell"))
+        >>> def farthest(hit, payload):
+        ...     payload[0] = hit.t
+        >>> far = tracer.trace([278, 273, -800], [0, 0, 1], on_hit=farthest, payload=float)
+        >>> round(far.item(), 1)
+        1359.2
+        """
+        surfaces = counts_surfaces(crossings)
+        check_order(order)
+        query = Query(Kind.TRACE, surfaces, is_ordered=order != "any", on_hit=on_hit)
+        rays = self._rays(origins, directions, t_min, t_max)
+        if isinstance(rays, RayArrays):
+            changed: NDArray[Any] | None
+            changed = self._backend.answer_on_device(query, rays, progress, payload)
+            return changed
+        self._check_programs()
+        if payload is None:
+            self._answer(query, rays, progress)
+            return None
+        result = as_payload(payload, rays.shape)
+        records = as_records(result, rays.shape)
+        self._answer(query, rays, progress, records)
+        if not np.shares_memory(result, records):
+            result[...] = records.reshape(result.shape)
+        return result
+
+    def bands_on_device(self, setting: Any) -> Any:
+        """The renderer on the tracer's device; None if the host renders.
+
+        The host renders if the backend does not shade, or if a subclass overrides queries, which
+        the renderer must then call.
+
+        Parameters
+        ----------
+        setting : rendering.integrator.RenderContext
+
+        Returns
+        -------
+        rendering.device_bands.DeviceBands or None
+        """
+        own = type(self)
+        is_inherited = own.first_hit is Tracer.first_hit and own.any_hit is Tracer.any_hit
+        if not (self._backend.capabilities.shading and is_inherited) or self._counts:
+            return None
+        return self._backend.bands_on_device(setting)
+
+    def _rays(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch | RayArrays:
+        """The rays as flat arrays on the host; or as they are, if the backend reads them."""
+        if self._backend.capabilities.device_arrays and not self._counts:
+            arrays = RayArrays(origins, directions, t_min, t_max)
+            if arrays.is_on_gpu():
+                return arrays
+        return RayBatch(origins, directions, t_min, t_max)
+
+    def _query(
+        self,
+        kind: Kind,
+        rays: RayBatch | RayArrays,
+        on_hit: Any,
+        skip_prim_ids: Any,
+        surfaces: bool = False,
+        limit: int = UNLIMITED,
+    ) -> Query:
+        if on_hit is None and skip_prim_ids is None:
+            if limit == UNLIMITED and not surfaces:
+                return _PLAIN[kind]
+            return Query(kind, surfaces, limit)
+        triangles = self.structure.triangles
+        if isinstance(rays, RayArrays):
+            chosen: Filter | None = Filter.among(on_hit, skip_prim_ids, triangles)
+        else:
+            chosen = Filter.of(on_hit, skip_prim_ids, rays.shape, triangles)
+            if limit:
+                self._check_programs()
+        return Query(kind, surfaces, limit, on_hit=chosen)
+
+    def _check_programs(self) -> None:
+        if self._counts:
+            raise ValueError(
+                "on_hit, skip_prim_ids: a tracer with counters=True counts whole queries, "
+                "and programs take several; use another tracer"
+            )
+        if not self._backend.capabilities.programs:
+            raise ValueError("on_hit, skip_prim_ids: programs do not run on this tracer's device")
+
+    def _answer(
+        self, query: Query, rays: RayBatch, progress: Progress | None, records: Any = None
+    ) -> Sink:
+        if not self._counts:
+            return self._backend.answer(query, rays, progress, records)
+        from raystream.machines.counters import answer_counting
+
+        sink, self._latest = answer_counting(self._backend, query, rays, progress)
+        return sink

@@ -1,4 +1,4 @@
-"""Turning whatever a caller passes into NumPy arrays on the CPU, without copying if possible."""
+"""Conversion of array-like arguments to NumPy arrays, without copying if possible."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _HOST_DEVICE_TYPES = (1, 3, 11)
 def as_host_array(name: str, values: Any) -> NDArray[Any]:
     """View an array-like object as a NumPy array.
 
-    Accepted are NumPy arrays, everything that `numpy.asarray` takes (sequences,
+    Accepts NumPy arrays, everything that `numpy.asarray` takes (sequences,
     ``__array_interface__``, ``__array__``, buffers) and DLPack exporters on the CPU, such as
     PyTorch and JAX arrays.
 
     Parameters
     ----------
     name : str
-        The argument, for the error.
+        Name of the argument, for the error.
     values : array_like
 
     Raises
@@ -43,7 +43,7 @@ def as_host_array(name: str, values: Any) -> NDArray[Any]:
         try:
             return np.from_dlpack(values)
         except (BufferError, RuntimeError, TypeError):
-            pass  # such as a PyTorch tensor that requires grad: the error below says more
+            pass  # such as a PyTorch tensor that requires grad: asarray has the better error
     try:
         return np.asarray(values)
     except Exception as error:
@@ -51,7 +51,7 @@ def as_host_array(name: str, values: Any) -> NDArray[Any]:
 
 
 def is_on_gpu(values: Any) -> bool:
-    """Whether an object says that its numbers are in a GPU's memory.
+    """Whether an array is in a GPU's memory.
 
     It has a DLPack device that NumPy cannot read, or ``__cuda_array_interface__``.
     """
@@ -61,7 +61,7 @@ def is_on_gpu(values: Any) -> bool:
         try:
             if int(values.__dlpack_device__()[0]) not in _HOST_DEVICE_TYPES:
                 return True
-        except Exception:  # an exporter that cannot say: the rest decides
+        except Exception:  # an exporter without a device: see the interface below
             pass
     try:
         return hasattr(values, "__cuda_array_interface__")
@@ -70,7 +70,7 @@ def is_on_gpu(values: Any) -> bool:
 
 
 def as_real_array(name: str, values: Any) -> NDArray[Any]:
-    """View values as an array of real numbers: float32 stays, all else becomes float64.
+    """View values as an array of real numbers: float32 and float16 as float32, others as float64.
 
     Raises
     ------

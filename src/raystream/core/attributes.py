@@ -1,4 +1,4 @@
-"""Attributes: what the meshes of a scene say of their triangles and vertices."""
+"""Attributes: materials, normals, colours and texture coordinates of a scene's triangles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class _Mesh(Protocol):
 class Attributes:
     """Attributes of all triangles and vertices of a scene, one mesh after another.
 
-    Tables are made when they are first read, and kept.
+    Tables are built when they are first read, and cached.
 
     Parameters
     ----------

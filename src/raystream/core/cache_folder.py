@@ -1,4 +1,4 @@
-"""Where raystream keeps files between runs: compiled kernels and downloaded samples."""
+"""The folder for files that outlive a run: compiled kernels and downloaded samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["cache_folder"]
 
 
 def cache_folder() -> Path:
-    """Folder of all of raystream's cached files: ``RAYSTREAM_CACHE_DIR``, or in the user's."""
+    """Folder of all cached files: ``RAYSTREAM_CACHE_DIR`` [default: in the user's cache folder]."""
     chosen = os.environ.get("RAYSTREAM_CACHE_DIR")
     if chosen:
         return Path(chosen)

@@ -1,4 +1,4 @@
-"""Devices and machines with their options: what `Tracer` takes beside their names."""
+"""Devices and machines as typed options of `Tracer`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _AtLeastOne = Annotated[int | None, Range(1)]
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceOptions(Options):
-    """A device, and how it is used; `raystream.register_device` makes another known."""
+    """A device and its options; `raystream.register_device` adds devices."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class MachineOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Cpu(DeviceOptions):
-    """The processor's cores; it has no options. See `raystream.set_thread_count`."""
+    """The CPU's cores, without options; see `raystream.set_thread_count`."""
 
     name = "cpu"
 
@@ -50,35 +50,35 @@ class Cuda(DeviceOptions):
     Parameters
     ----------
     gpu : int
-        Its number, as CUDA counts them.
+        Its number in CUDA's order.
     build : {"host", "device"}
         Where structures are built.
     method : {"clusters", "linear"}, optional
-        With ``build="device"``, how a BVH is built: ``"clusters"`` merges neighbours on a
-        curve, for a tree that is traced faster; ``"linear"`` takes the tree that the bits of
-        keys along the curve make [default: clusters].
+        With ``build="device"``, how a BVH is built: ``"clusters"`` merges neighbours along a
+        Morton curve, for a better tree; ``"linear"`` takes the hierarchy of the Morton codes'
+        bits, for a faster build [default: clusters].
     kernel : {"auto", "compressed", "binary", "packet", "wide"}
         With the branching machine, the layout and kernel of a BVH.
     launch : {"range", "persistent"}
-        With the branching machine, how threads get rays: one each, or another whenever a warp
-        has finished.
+        With the branching machine, how threads get rays: one each, or, in persistent threads,
+        another whenever a warp has finished.
     order : {"given", "sorted"}
         With the branching machine, which rays share a warp: neighbours in the batch, or
         similar rays.
     loop : {"batches", "graph"}
-        With the multipass machine, who decides that passes go on: the host after each batch of
+        With the multipass machine, who ends the loop of passes: the host after each batch of
         passes, or the device in a CUDA graph.
     max_passes : int, optional
-        With the multipass machine, most passes of a query.
+        With the multipass machine, the maximum number of passes of a query.
     rays_at_once : int, optional
-        Most rays that are traced together.
+        Maximum number of rays traced together.
 
     Raises
     ------
     ValueError
         If an option is out of range.
     TypeError
-        If a number is no integer.
+        If a number is not an integer.
     """
 
     name = "cuda"
@@ -110,16 +110,16 @@ class Graphics(DeviceOptions):
         With the multipass machine, who chooses the next kernel: the device, or the host by
         occlusion queries.
     max_passes : int, optional
-        With the multipass machine, most passes of a query.
+        With the multipass machine, the maximum number of passes of a query.
     rays_at_once : int, optional
-        Most rays that are traced together.
+        Maximum number of rays traced together.
 
     Raises
     ------
     ValueError
         If a number is below 1.
     TypeError
-        If it is no integer.
+        If it is not an integer.
     """
 
     name = "graphics"
@@ -131,42 +131,42 @@ class Graphics(DeviceOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Branching(MachineOptions):
-    """One ray from start to end on each thread; it has no options."""
+    """Each thread traces one ray from start to end; without options."""
 
     name = "branching"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compute(MachineOptions):
-    """One ray from start to end in each invocation of a compute shader: of `Graphics` alone."""
+    """Each invocation of a compute shader traces one ray from start to end: `Graphics` only."""
 
     name = "compute"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Multipass(MachineOptions):
-    """All rays step by step, in passes (Purcell 2002, section 2.2).
+    """All rays advance step by step, in passes (Purcell 2002, section 2.2).
 
     Parameters
     ----------
     scheduler : {"threshold", "naive", "most-work", "double"} or Scheduler
         How the kernel of the next pass is chosen; see `raystream.machines.Scheduler`.
     threshold : float
-        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
-        intersection.
+        For ``"threshold"``: fraction of the active rays, 0 to 1, that must wait for an
+        intersection before it runs.
     traversal_steps, intersections : int
-        Steps from cell to cell or node to node, and triangles tested (in trees: blocks of up
-        to four), that a ray does in one pass.
+        Steps from cell to cell or node to node, and triangles (in trees: blocks of up to four)
+        that a ray tests, per pass.
     compaction : bool
-        Shade rays whose search has ended, and drop them from the streams, whenever they are
-        half of them. Not on `Graphics`.
+        Shade rays whose search has ended, and remove them from the streams, whenever they make
+        up half of them. Not on `Graphics`.
 
     Raises
     ------
     ValueError
         If an option is out of range.
     TypeError
-        If a number is no number, or no integer where one is needed.
+        If a value is not a number, or not an integer where one is needed.
     """
 
     name = "multipass"
@@ -185,7 +185,7 @@ class Multipass(MachineOptions):
                 )
         elif self.scheduler == "optimal":
             raise ValueError(
-                "scheduler: 'optimal' is a bound and no schedule: see counters.passes.optimal_count"
+                "scheduler: 'optimal' is a bound, not a schedule: see counters.passes.optimal_count"
             )
         elif self.scheduler not in SCHEDULERS:
             known = ", ".join(map(repr, SCHEDULERS))

@@ -1,4 +1,4 @@
-"""The errors that bad input raises: one line each, naming the file or argument and what to do."""
+"""Errors for bad input: one line each, naming the file or argument and the remedy."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class RaystreamError(Exception):
 
 
 class FileFormatError(RaystreamError, ValueError):
-    """A file that is damaged, hostile, empty or of another format.
+    """A file that is damaged, malicious, empty or of another format.
 
     Parameters
     ----------
     path : str or path
         The file at fault.
     reason : str
-        What is wrong and, where it helps, what to do; one line.
+        The fault and, if useful, the remedy; one line.
     """
 
     def __init__(self, path: str | PathLike[str], reason: str) -> None:
@@ -37,9 +37,9 @@ class LoopLimitError(RaystreamError, RuntimeError):
     Parameters
     ----------
     name : str
-        What was repeated.
+        The loop.
     limit : int
-        How often it was.
+        Rounds that it ran.
     written_count : int
         Records that the last round still wrote.
     """
@@ -58,4 +58,4 @@ class LoopLimitError(RaystreamError, RuntimeError):
 
 
 class RaystreamWarning(UserWarning):
-    """Input that was used only in part, such as a mesh with triangles that had to be skipped."""
+    """Input that is only partly used, such as a mesh with triangles that are skipped."""

@@ -16,7 +16,7 @@ __all__ = ["Hits", "MultiHits"]
 
 
 class _HitColumns:
-    """Hits as columns of any one shape, and what follows from them."""
+    """Columns of hits of one shape, and attributes derived from them."""
 
     #: Distance along the ray in direction lengths, float32. A miss has inf.
     t: NDArray[np.float32]
@@ -63,7 +63,7 @@ class _HitColumns:
     def material_id(self) -> NDArray[np.int32]:
         """Material of the triangle in `Scene.materials`, int32, of the hits' shape; a miss has -1.
 
-        0 where the tracer's structure was loaded without a scene.
+        0 if the tracer's structure was loaded without a scene.
         """
         attributes = self._triangles.attributes
         is_hit = self.prim_id >= 0
@@ -76,7 +76,7 @@ class _HitColumns:
     def texcoords(self) -> NDArray[np.float32]:
         """Texture coordinates, shape (..., 2), float32; (0, 0) is an image's lower left corner.
 
-        Interpolated from the vertices. NaN for a miss, and where a mesh has none.
+        Interpolated from the vertices. NaN for a miss, and for a mesh without any.
         """
         attributes = self._triangles.attributes
         table = None if attributes is None else attributes.texcoords
@@ -86,9 +86,9 @@ class _HitColumns:
     def shading_normals(self) -> NDArray[np.float32]:
         """Unit normals for shading, shape (..., 3), float32; a miss has NaN.
 
-        Interpolated from the vertices' normals, on the side of `normals`: a mesh whose vertex
-        normals contradict the winding of its faces has them turned. Where a mesh has none, or
-        they cancel, they are `normals`. Without the relief of normal and bump maps.
+        Interpolated from the vertices' normals, on the side of `normals`: vertex normals that
+        contradict the winding of the faces are flipped. `normals` where a mesh has none, or
+        they cancel. Normal and bump maps are not applied.
         """
         attributes = self._triangles.attributes
         plane = self._local_normals()
@@ -102,7 +102,7 @@ class _HitColumns:
         return np.where(is_sound[..., None], smooth, plane).astype(np.float32)
 
     def _interpolated(self, table: NDArray[np.float32] | None, width: int) -> NDArray[np.float64]:
-        """Rows of vertices between them, shape (..., width), float64; NaN for misses."""
+        """Interpolate a table of vertices, shape (..., width), float64; NaN for misses."""
         values = np.full((*self.prim_id.shape, width), np.nan)
         attributes, is_hit = self._triangles.attributes, self.prim_id >= 0
         if table is None or attributes is None:
@@ -140,12 +140,12 @@ class _HitColumns:
         return normal
 
     def spawn(self, directions: Any) -> tuple[NDArray[np.float64], NDArray[Any]]:
-        """Make rays that leave the surfaces hit, and do not hit the same triangles again.
+        """Make rays that leave the surfaces hit, without hitting the same triangles again.
 
         The origins lie off the hit triangles' planes, on the side to which the directions
-        point, by a bound of the rounding errors that follow (not a fixed epsilon), so no
-        ``t_min`` is needed. They may lie behind *another* surface that is nearer to the hit
-        than that bound, which is below 2**-20 of the scene's size.
+        point, by a bound of the rounding errors (not a fixed epsilon), so no ``t_min`` is
+        needed. They may lie behind *another* surface that is nearer to the hit than that bound,
+        which is below 2**-20 of the scene's size.
 
         Parameters
         ----------
@@ -234,7 +234,7 @@ class Hits(_HitColumns):
 
 
 class MultiHits(_HitColumns):
-    """Many hits of each ray, by increasing distance, as rows delimited by `ray_splits`.
+    """All hits of each ray, by increasing distance, as rows delimited by `ray_splits`.
 
     Attributes
     ----------

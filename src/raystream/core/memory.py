@@ -1,4 +1,4 @@
-"""Refusing an allocation that the machine cannot hold, before the system kills the process."""
+"""Checks that an allocation fits into memory, before the system kills the process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["available_memory", "check_memory"]
 
 
 def available_memory() -> int | None:
-    """Bytes of physical memory that can be had now, or None where the system does not say."""
+    """Bytes of physical memory available now, or None if the system does not report it."""
     try:
         with open("/proc/meminfo", encoding="ascii") as lines:
             for line in lines:
@@ -23,15 +23,15 @@ def available_memory() -> int | None:
 
 
 def check_memory(byte_count: int, what: str, remedy: str = "") -> None:
-    """Raise MemoryError if that much cannot be allocated.
+    """Raise MemoryError if an allocation does not fit.
 
     Parameters
     ----------
     byte_count : int
     what : str
-        What needs it, with its size and the verb's beginning: "1,000 hits would".
+        Subject of the message, with its auxiliary verb: "1,000 hits would".
     remedy : str
-        What to do instead.
+        A suggestion to append.
     """
     available = available_memory()
     if available is not None and byte_count > available:

@@ -1,4 +1,4 @@
-"""Reading and writing ``.npz`` files that may come from anywhere.
+"""Reading untrusted ``.npz`` files, and writing them.
 
 NumPy's own reader trusts an array's header: a file of a few bytes can make it allocate
 terabytes, and object arrays are unpickled. Here every header is compared with the bytes that
@@ -17,9 +17,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import available_memory
-from raystream.core.whole_file import replacing
 
 __all__ = ["read_npz", "write_npz"]
 
@@ -42,8 +42,8 @@ def read_npz(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     Raises
     ------
     FileFormatError
-        If there is no such file, it is no ``.npz``, is damaged, claims more than it holds or
-        than fits into memory, or holds anything but numbers.
+        If the file does not exist, is not an ``.npz`` file, is damaged, claims more than it
+        holds or than fits into memory, or holds anything but numbers.
     """
     path = fspath(path)
     try:
@@ -104,7 +104,7 @@ def _read_member(path: str, name: str, stream: IO[bytes], size: int) -> NDArray[
 
 
 def write_npz(path: str | PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays to an ``.npz`` file, which appears, or is replaced, as a whole.
+    """Write arrays to an ``.npz`` file, atomically.
 
     Parameters
     ----------
@@ -117,10 +117,10 @@ def write_npz(path: str | PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> 
     ValueError
         If the name does not end in ``.npz``.
     OSError
-        If the file cannot be written; an old one is then kept.
+        If the file cannot be written; an existing file stays as it was.
     """
     target = Path(path)
     if target.suffix.lower() != ".npz":
         raise ValueError(f"{target}: the name must end in .npz")
-    with replacing(target) as temporary, temporary.open("wb") as stream:
+    with atomic_write(target) as temporary, temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Options: frozen dataclasses whose annotations say which values are allowed."""
+"""Options: frozen dataclasses whose annotations declare the allowed values."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ class Options:
     Attributes
     ----------
     name : str
-        What the choice with these options is called; of the class.
+        Name of the choice that has these options; a class attribute.
 
     Raises
     ------
     ValueError
-        If a value is out of range or none of the names.
+        If a value is out of range or not one of the names.
     TypeError
-        If a number is no number, or no integer where one is needed.
+        If a value is not a number, or not an integer where one is needed.
     """
 
     name: ClassVar[str]
@@ -82,17 +82,17 @@ class Options:
         return {name: value for name, value in values.items() if value != usual[name]}
 
     def as_json(self) -> dict[str, Any]:
-        """All options, as JSON has them; `from_json` reads them."""
+        """All options, as JSON values; `from_json` reads them."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @classmethod
     def from_json(cls, values: Any) -> Self:
-        """The options that `as_json` gave.
+        """Read the options that `as_json` returned.
 
         Raises
         ------
         ValueError
-            If they are none of this class, or out of range.
+            If they are not options of this class, or out of range.
         """
         if not isinstance(values, Mapping) or set(values) != set(cls.names()):
             raise ValueError(f"invalid options: expected {', '.join(cls.names()) or 'none'}")
@@ -108,7 +108,7 @@ class Options:
 
     @classmethod
     def choices(cls, name: str) -> tuple[str, ...]:
-        """The values of an option that has names for values, the default first; else none."""
+        """The names that an option takes as values, the default first; empty if it takes others."""
         rule = _rules(cast("Any", cls)).get(name)
         if rule is None or not rule.choices:
             return ()
@@ -117,7 +117,7 @@ class Options:
 
 
 class _Rule(NamedTuple):
-    """What an annotation allows: one of some names, or a number of a kind within a range."""
+    """The values that an annotation allows: names, or numbers of a type within a range."""
 
     choices: tuple[str, ...] = ()
     kind: type | None = None
@@ -168,7 +168,7 @@ def _rule_of(hint: Any) -> _Rule:
 
 
 def _text(limit: float) -> str:
-    """A limit as people write it: 32, 0.5, 1e-6."""
+    """A limit in short form: 32, 0.5, 1e-6."""
     if isinstance(limit, int):
         return f"{limit}"
     return f"{limit:g}".replace("e-0", "e-").replace("e+0", "e")

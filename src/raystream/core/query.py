@@ -1,4 +1,4 @@
-"""Query: what is asked of rays, as data."""
+"""Query: a query of rays as data: its kind, options, filter and counters."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any, Literal, NamedTuple
 
 __all__ = ["UNLIMITED", "Crossings", "Kind", "Query", "counts_surfaces"]
 
-#: A limit of hits that no scene reaches.
+#: A limit that no number of hits reaches.
 UNLIMITED = 2**62
 
-#: What a ray exactly through an edge or a vertex meets: see `Tracer.count_hits`.
+#: What a ray exactly through an edge or a vertex hits: see `Tracer.count_hits`.
 Crossings = Literal["triangles", "surfaces"]
 
 
 class Kind(IntEnum):
-    """What is wanted of each ray; shaders know them by these numbers."""
+    """Kinds of query; shaders know them by these numbers."""
 
     FIRST_HIT = 0
     ANY_HIT = 1
@@ -25,7 +25,7 @@ class Kind(IntEnum):
 
 
 class Query(NamedTuple):
-    """What is asked of each ray of a batch.
+    """A query, the same for each ray of a batch.
 
     Attributes
     ----------

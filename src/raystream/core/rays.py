@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 from raystream.core.arrays import as_real_array, is_on_gpu
 
-__all__ = ["USUAL_LIMITS", "RayArrays", "RayBatch", "RayStatus"]
+__all__ = ["DEFAULT_LIMITS", "RayArrays", "RayBatch", "RayStatus"]
 
 
 class RayStatus(enum.IntEnum):
-    """What became of a ray.
+    """Whether a ray was traced.
 
     Attributes
     ----------
     VALID
         It was traced.
     INVALID
-        It was not, and misses: its direction is zero, or a number of it is NaN, infinite or
+        It was not, and misses: its direction is zero, or one of its numbers is NaN, infinite or
         (an origin's coordinate) beyond 2**200.
     """
 
@@ -134,13 +134,13 @@ def _constant(value: float) -> NDArray[np.float32]:
     return array
 
 
-#: The usual limits, made once: a small batch takes less time than making an array.
-USUAL_LIMITS = {0.0: _constant(0.0), math.inf: _constant(math.inf)}
+#: The default limits, made once: tracing a small batch takes less time than allocating them.
+DEFAULT_LIMITS = {0.0: _constant(0.0), math.inf: _constant(math.inf)}
 
 
 def _limit(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    if type(values) is float and values in USUAL_LIMITS:
-        return USUAL_LIMITS[values]
+    if type(values) is float and values in DEFAULT_LIMITS:
+        return DEFAULT_LIMITS[values]
     with np.errstate(over="ignore"):
         array = as_real_array(name, values).astype(np.float32, copy=False)
     if array.ndim == 0:

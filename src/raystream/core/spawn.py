@@ -1,4 +1,4 @@
-"""Origins for rays that leave a surface: how far off the triangle they must be."""
+"""Origins of rays that leave a surface: offset from the triangle's plane by an error bound."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def spawn_origins(
     positions : ndarray of shape (..., 3), float64
         Points on the triangles, local frame.
     corners : ndarray of shape (..., 3, 3), float64
-        Their vertices, local frame.
+        The triangles' vertices, local frame.
     normals : ndarray of shape (..., 3), float64
         Unit normals.
     directions : ndarray of shape (..., 3), real
@@ -74,7 +74,7 @@ def spawn_origins(
         EXTENT_UNITS * extent + REACH_UNITS * reach,
         MOST_UNITS * (float(triangles.extreme) + reach),
     )
-    # The world position is float64: far from the origin its own step may be larger.
+    # Far from the origin, the rounding of the float64 world position may be larger.
     world_reach = np.abs(triangles.center).max() * triangles.scale
     offset += WORLD_UNIT * world_reach
     away = np.sign(np.einsum("...k,...k->...", normals, directions))

@@ -19,7 +19,7 @@ MAX_COORDINATE = 2.0**200
 #: prim_id is int32.
 MAX_TRIANGLES = 2**31 - 2
 
-#: A scene is moved when it lies further from the origin than this many times its extent:
+#: A scene is recentred when it lies further from the origin than this many times its extent:
 #: below, float32 loses at most 4 of its 24 bits to the distance.
 RECENTRE_RATIO = 16.0
 
@@ -32,7 +32,7 @@ class Triangles:
     """Triangles of a scene, in a local frame where float32 suffices.
 
     ``local = (world - center) * scale``. The centre is zero and the scale is one for
-    ordinary scenes. Else both are exact: the centre is a multiple of a power of two as large
+    ordinary scenes. Otherwise both are exact: the centre is a multiple of a power of two as large
     as the scene, the scale is a power of two, and the subtraction is done in float64.
 
     Parameters
@@ -51,7 +51,7 @@ class Triangles:
     center : ndarray of shape (3,), float64
         World position of the local origin.
     scale : float
-        Local units in a world unit.
+        Local units per world unit.
     bounds : ndarray of shape (2, 3), float32
         Low and high corner of the box around `prim_ids`, local frame; zeros without any.
     extreme : float32
@@ -60,7 +60,7 @@ class Triangles:
         Triangles left out: without area, or with a vertex that is NaN, infinite or beyond
         `MAX_COORDINATE`.
     attributes : Attributes or None
-        Those of the meshes, if a scene has said so: queries have no use for them, hits do.
+        Of the meshes, if the triangles come from a scene: used by hits, not by queries.
     """
 
     corners: NDArray[np.float32]
@@ -108,7 +108,7 @@ class Triangles:
         center: NDArray[np.float64],
         scale: float,
     ) -> Triangles:
-        """Make the store of corners that are in a local frame already, as from a file."""
+        """Make the store from corners that are in a local frame already, as from a file."""
         triangles = cls.__new__(cls)
         triangles.corners, triangles.mesh_splits = corners, mesh_splits
         triangles.center, triangles.scale = center, scale
@@ -124,7 +124,7 @@ class Triangles:
         nonfinite_count: int,
         bounds: NDArray[np.float32],
     ) -> Triangles:
-        """Make the store of the same triangles at another place, in the same local frame.
+        """Make the store of the same triangles after they moved, in the same local frame.
 
         Parameters
         ----------
@@ -134,12 +134,12 @@ class Triangles:
             The finite triangles that have an area.
         nonfinite_count : int
         bounds : ndarray of shape (2, 3), float32
-            Of the solid triangles; without any it does not matter.
+            Of the solid triangles; ignored without any.
 
         Returns
         -------
         Triangles
-            See `kernels.moving.move_triangles`, which finds all this.
+            See `kernels.moving.move_triangles`, which computes the arguments.
         """
         triangles = Triangles.__new__(Triangles)
         triangles.corners, triangles.mesh_splits = corners, self.mesh_splits
@@ -149,7 +149,7 @@ class Triangles:
         return triangles
 
     def _set_corners(self, finite: NDArray[np.bool_]) -> None:
-        """Find what can be hit, and its bounds."""
+        """Find the triangles that can be hit, and their bounds."""
         solid = finite & _has_area(self.corners)
         corners = self.corners if solid.all() else self.corners[solid]
         bounds = np.zeros((2, 3), np.float32)
@@ -206,7 +206,7 @@ def _usable_vertices(vertices: NDArray[Any]) -> NDArray[np.bool_]:
     else:
         with np.errstate(invalid="ignore"):
             good = np.abs(vertices) <= MAX_COORDINATE
-    # Looking at all of it first: along the short axis NumPy is ten times slower.
+    # The whole array first: along the short axis NumPy is ten times slower.
     return np.ones(len(vertices), bool) if good.all() else good.all(axis=1)
 
 
@@ -238,7 +238,7 @@ def _finite_bounds(
 
 
 def _has_area(corners: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether the corners are not on one line.
+    """Whether the corners are not collinear.
 
     In float64 the differences of float32 numbers are exact (but for extreme ratios), and
     the two products of a collinear triangle are the same number, rounded the same way.

@@ -143,7 +143,7 @@ class Branching(Backend):
         )
 
     def bands_on_device(self, setting: RenderContext) -> CudaBands | None:
-        """What takes samples of a picture on the device; see `Queries.bands_on_device`."""
+        """What takes samples of a picture on the device; see `Tracer.bands_on_device`."""
         from raystream.cuda.rendering import CudaBands
 
         own = self.gpu, self._kernels, self._resident, self.structure.frame, self._staging_streams

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.core.arrays import as_real_array, is_on_gpu
-from raystream.core.rays import USUAL_LIMITS
+from raystream.core.rays import DEFAULT_LIMITS
 from raystream.cuda.packing import pack
 from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, Work, view_of
 from raystream.kernels.ray_source import RaySource
@@ -55,7 +55,7 @@ class DeviceRays(NamedTuple):
 @cache
 def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
     """The limits that most rays have, copied to a device once."""
-    return {value: gpu.upload("limits", one) for value, one in USUAL_LIMITS.items()}
+    return {value: gpu.upload("limits", one) for value, one in DEFAULT_LIMITS.items()}
 
 
 def place_device_rays(

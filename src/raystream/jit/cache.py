@@ -27,8 +27,8 @@ from numba.core import config, sigutils
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.cache_folder import cache_folder
-from raystream.core.whole_file import replacing
 from raystream.jit.compile_lock import CompileLock
 from raystream.jit.compile_time import collector_resting
 from raystream.jit.fingerprint import fingerprint, type_name
@@ -144,7 +144,7 @@ class KernelCache(_Cache):
             if path is None or data.lifted or data.library.has_dynamic_globals:
                 return  # the code contains addresses of this process
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with replacing(path) as file:
+            with atomic_write(path) as file:
                 file.write_bytes(pickle.dumps(data._reduce(), protocol=pickle.HIGHEST_PROTOCOL))
             _evict_once(path.parent)
         except OSError:

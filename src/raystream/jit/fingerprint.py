@@ -31,8 +31,8 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.cache_folder import cache_folder
-from raystream.core.whole_file import replacing
 
 __all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", "type_name"]
 
@@ -144,7 +144,7 @@ def _folder_hash(folder: str) -> str:
     found = _digest(" ".join(code_hash(file) for file in files))
     try:
         kept.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with replacing(kept) as path:
+        with atomic_write(kept) as path:
             path.write_text(found, encoding="ascii")
     except OSError:
         pass  # a folder that cannot be written: the files are parsed in every process

@@ -7,14 +7,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raystream.core.query import Kind, Query
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch, store
 from raystream.kernels.collect import HitAddresses, hit_addresses
 from raystream.kernels.ray_search import Goal, RayScene, finish_first, finish_rows, ray_search
+from raystream.kernels.ray_source import ResultAddresses
 from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
+from raystream.kernels.sink import Sink
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
-__all__ = ["RayQueries", "Wanted", "ray_queries"]
+__all__ = ["RayQueries", "Wanted", "output_of", "ray_queries"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -42,6 +45,11 @@ class Wanted(NamedTuple):
     surfaces: bool
     limit: np.uint64
     sorts: bool
+
+    @classmethod
+    def of(cls, query: Query, repeats: bool) -> Wanted:
+        """What a query wants of rays in a structure."""
+        return cls(repeats, query.surfaces, np.uint64(query.limit), query.is_ordered)
 
 
 class RayQueries(NamedTuple):
@@ -75,6 +83,18 @@ class RayQueries(NamedTuple):
     count_hits: Callable[..., None]
     multi_hit: Callable[..., None]
     gather: Callable[..., int]
+
+
+def output_of(query: Query, sink: Sink, repeats: bool) -> tuple[Any, ...]:
+    """The last arguments of a query's loop: what is wanted, and where it goes."""
+    if query.kind is Kind.FIRST_HIT:
+        return (ResultAddresses.of_first(sink.memory, sink.status),)
+    if query.kind is Kind.ANY_HIT:
+        return (ResultAddresses.of_any(sink.seen, sink.status),)
+    wanted = Wanted.of(query, repeats)
+    if query.kind is Kind.COUNT_HITS:
+        return np.uint64(sink.status.ctypes.data), wanted, sink.counts
+    return wanted, sink.splits, sink.hits
 
 
 @device

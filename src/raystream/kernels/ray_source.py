@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.core.rays import USUAL_LIMITS, RayStatus
+from raystream.core.rays import DEFAULT_LIMITS, RayStatus
 from raystream.jit.cpu import device
 from raystream.jit.simd import bits_as_float, float_as_bits, load
 from raystream.kernels.local_ray import FAR, LocalRay, localise
@@ -123,7 +123,7 @@ def _place(array: NDArray[Any]) -> tuple[int, int]:
 
 
 #: Places of arrays that are never freed, by id: asking NumPy takes a microsecond.
-_PLACES = {id(array): (array.ctypes.data, 0) for array in USUAL_LIMITS.values()}
+_PLACES = {id(array): (array.ctypes.data, 0) for array in DEFAULT_LIMITS.values()}
 
 
 class ResultAddresses(NamedTuple):

@@ -1,4 +1,4 @@
-"""Machines: how a traversal is executed, one ray from start to end or all rays step by step."""
+"""Machines: execute a traversal, one ray from start to end or all rays step by step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MACHINES = ("branching", "multipass")
 #: Options of the multipass machine.
 MULTIPASS_OPTIONS = choices.Multipass.names()
 
-# Imported when they are first used: branching costs neither the streams nor their kernels.
+# Imported on first use: the branching machine needs neither streams nor their kernels.
 _HOMES = {
     "Multipass": "multipass",
     "Observer": "pass_snapshot",
@@ -60,14 +60,14 @@ def __getattr__(name: str) -> Any:
 
 
 def own_options(machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of a tracer's options that are a machine's; the others are the structure's.
+    """Select the options of a machine among those of a tracer.
 
     Raises
     ------
     ValueError
-        If there is no machine of that name.
+        If the machine is unknown.
     TypeError
-        If an option is another machine's.
+        If an option belongs to another machine.
     """
     if machine not in list(MACHINES):
         known = ", ".join(map(repr, MACHINES))
@@ -80,7 +80,7 @@ def own_options(machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_machine(machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
-    """Make a machine of the CPU for a structure.
+    """Make a CPU backend for a structure.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Backend: what answers queries, and what it can do besides."""
+"""Backend: runs queries on a structure, and declares its capabilities."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ __all__ = ["Backend", "Capabilities"]
 
 
 class Capabilities(NamedTuple):
-    """What a backend can do besides answering queries of rays in the host's memory.
+    """Features of a backend beyond queries of rays in host memory.
 
     Attributes
     ----------
     device_arrays : bool
-        It reads rays from arrays on a GPU, and leaves the answers there: `answer_on_device`.
+        It reads rays from arrays on a GPU, and leaves the results there: `answer_on_device`.
     programs : bool
-        Filters and programs can be run on its queries.
+        It supports filters and programs.
     shading : bool
-        It takes samples of pictures on its device: `bands_on_device`.
+        It renders on its device: `bands_on_device`.
     passes : bool
-        It runs passes, and can keep a record of them: `recording`.
+        It runs in passes, and can record them: `recording`.
     """
 
     device_arrays: bool = False
@@ -43,7 +43,7 @@ class Capabilities(NamedTuple):
 
 
 class Backend(ABC):
-    """Answers queries about a structure.
+    """Runs queries on a structure.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Backend(ABC):
     def run(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Answer a query of any kind but `Kind.TRACE`, without regard to its filter.
+        """Run a query of any kind but `Kind.TRACE`, ignoring its filter.
 
         Parameters
         ----------
@@ -68,12 +68,12 @@ class Backend(ABC):
         sink : Sink
             Made for the query.
         progress : callable, optional
-            Called with (steps done, steps): rays, or twice as many.
+            Called with (steps done, steps), one or two steps per ray.
 
         Raises
         ------
         MemoryError
-            If the hits need more memory than there is.
+            If the hits do not fit into memory.
         """
 
     def run_program(
@@ -83,7 +83,7 @@ class Backend(ABC):
         sink: Sink,  # noqa: ARG002
         progress: Progress | None = None,  # noqa: ARG002
     ) -> bool:
-        """Answer a query with its filter or program; False if the CPU has to run that."""
+        """Run a query with its filter or program; False if the CPU has to run those."""
         return False
 
     def answer(
@@ -93,7 +93,7 @@ class Backend(ABC):
         progress: Progress | None = None,
         records: Any = None,
     ) -> Sink:
-        """Answer a query of any kind, with its filter or program.
+        """Run a query of any kind, with its filter or program.
 
         Parameters
         ----------
@@ -122,20 +122,20 @@ class Backend(ABC):
     def room_for_hits(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None
     ) -> tuple[Sink, Progress | None]:
-        """Count the hits of `Kind.MULTI_HIT`, for a backend that finds them afterwards.
+        """Count the hits of `Kind.MULTI_HIT`, for backends that write them in a second search.
 
         Returns
         -------
         filled : Sink
-            With `splits`, and `hits` not initialised; status and tallies are those of `sink`, and
-            get what rays meet both times.
+            With `splits`, and uninitialised `hits`; shares status and tallies with `sink`, which
+            include both searches.
         progress : callable or None
-            For the second half.
+            For the second search.
         """
         count = len(rays)
         filled = Sink(sink.status, tallies=sink.tallies)
         filled.splits = np.zeros(count + 1, np.int64)
-        if query.limit == 0:  # any hit tells which rays are invalid
+        if query.limit == 0:  # any hit finds the invalid rays
             seen = Query(Kind.ANY_HIT)
             self.run(seen, rays, Sink.of(seen, count, status=sink.status))
         else:
@@ -154,12 +154,12 @@ class Backend(ABC):
         progress: Progress | None = None,
         payload: Any = None,
     ) -> Any:
-        """Answer a query of rays on the device, where the answers stay.
+        """Run a query of rays on the device, where the results stay.
 
         Parameters
         ----------
         query : Query
-            A filter's skipped triangles are as the caller gave them.
+            The triangles that a filter skips are as the caller gave them.
         rays : RayArrays
         progress : callable, optional
         payload : array, dtype or None
@@ -168,14 +168,14 @@ class Backend(ABC):
         Returns
         -------
         object
-            What the tracer's query of this kind returns for rays on a device.
+            The result of the tracer's query of this kind for rays on a device.
         """
         raise NotImplementedError
 
     def bands_on_device(self, setting: Any) -> Any:
-        """What takes samples of a picture on the device, or None; see `Tracer.bands_on_device`."""
+        """The renderer on the device, or None; see `Tracer.bands_on_device`."""
         raise NotImplementedError
 
     def recording(self, passes: Passes) -> Backend:
-        """The same backend, which adds its passes to a record."""
+        """A copy of the backend that adds its passes to a record."""
         raise NotImplementedError

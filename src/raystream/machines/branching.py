@@ -1,8 +1,8 @@
-"""The branching machine on the CPU: each ray from start to end, rays shared among the threads."""
+"""The branching machine on the CPU: each ray from start to end, rays divided among threads."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,15 +13,15 @@ from raystream.kernels.collect import HitArrays
 from raystream.kernels.growing import Gatherer
 from raystream.kernels.hit_batch import HitAccumulator, HitBatch, allocate_hits
 from raystream.kernels.local_ray import SceneFrame
-from raystream.kernels.queries import Wanted
-from raystream.kernels.ray_source import RaySource, ResultAddresses
+from raystream.kernels.queries import Wanted, output_of
+from raystream.kernels.ray_source import RaySource
 from raystream.kernels.sink import Sink
 from raystream.machines.backend import Backend
 from raystream.structures import Structure
 
 __all__ = ["Branching"]
 
-#: Hits for which there is room at first: it stays in the cache.
+#: Initial capacity in hits: stays in the cache.
 FIRST_CAPACITY = 1 << 14
 
 
@@ -33,15 +33,15 @@ class HitRows(NamedTuple):
 
     @classmethod
     def of(cls, capacity: int) -> HitRows:
-        """Room for `capacity` hits."""
+        """Allocate `capacity` hits."""
         return cls(allocate_hits(capacity), capacity)
 
 
 class Branching(Backend):
     """Traces rays with a structure's own kernels.
 
-    Batches that the structure's kernels for many rays suit are theirs; others are traced one ray
-    after another, and so are those of queries that count.
+    Batches are traced by the structure's many-ray kernels if those suit them; otherwise, and if
+    the query counts, ray by ray.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ class Branching(Backend):
     def run(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Answer a query; see `Backend.run`.
+        """Run a query; see `Backend.run`.
 
         Notes
         -----
-        Without counters, all hits are found in one search, in buffers that grow; for a while
-        they take twice their memory.
+        Without counters, all hits are found in one search, in buffers that grow and that take up
+        to twice the memory of the hits.
         """
         if query.kind is not Kind.MULTI_HIT:
             counts = sink.tallies is not None
@@ -84,23 +84,24 @@ class Branching(Backend):
         progress: Progress | None = None,
         frame: SceneFrame | None = None,
     ) -> None:
-        """Answer a query ray by ray.
+        """Run a query ray by ray.
 
         Parameters
         ----------
         query : Query
         rays : RayBatch
         sink : Sink
-            Of `Kind.MULTI_HIT` with `splits` and `hits`: of each ray i the nearest
-            splits[i + 1] - splits[i] hits, of which it has as many, are written.
+            Of `Kind.MULTI_HIT` with `splits` and `hits`: the nearest splits[i + 1] - splits[i] hits
+            of each ray i are written, and it must have that many.
         progress : callable, optional
             Called with (rays done, rays).
         frame : SceneFrame, optional
-            Of the rays [default: the scene's].
+            The rays' frame [default: the scene's].
         """
         structure = self.structure
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
-        kernel, output = structure.queries[query.kind], self._output(query, sink)
+        kernel = structure.queries[query.kind]
+        output = output_of(query, sink, structure.lists_twice)
         shared = source, structure.frame if frame is None else frame, structure.arrays, sink.tallies
 
         def body(begin: int, end: int) -> None:
@@ -109,30 +110,15 @@ class Branching(Backend):
         parallel_for(body, len(rays), self._chunk(len(rays)), progress)
         del kept  # the kernel reads it by address
 
-    def _output(self, query: Query, sink: Sink) -> tuple[Any, ...]:
-        """The arguments of `RayQueries` that say what is wanted, and where it goes."""
-        if query.kind is Kind.FIRST_HIT:
-            return (ResultAddresses.of_first(sink.memory, sink.status),)
-        if query.kind is Kind.ANY_HIT:
-            return (ResultAddresses.of_any(sink.seen, sink.status),)
-        wanted = self._wanted(query)
-        if query.kind is Kind.COUNT_HITS:
-            return np.uint64(sink.status.ctypes.data), wanted, sink.counts
-        return wanted, sink.splits, sink.hits
-
-    def _wanted(self, query: Query) -> Wanted:
-        limit = np.uint64(query.limit)
-        return Wanted(self.structure.lists_twice, query.surfaces, limit, query.is_ordered)
-
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
-        """Give all hits to the sink's visitor."""
+        """Pass all hits to the sink's visitor."""
         structure, visitor = self.structure, sink.visitor
         if structure.trace_batch(query, rays, sink, progress):
             return
         assert visitor is not None
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         shared = source, structure.frame, structure.arrays, np.uint64(sink.status.ctypes.data)
-        wanted = self._wanted(query)
+        wanted = Wanted.of(query, structure.lists_twice)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)
@@ -146,8 +132,8 @@ class Branching(Backend):
         del kept
 
     def _chunk(self, count: int) -> int:
-        """Rays that a call of a kernel gets."""
-        # A batch is split among the threads even when it is smaller than a call could take,
-        # but not so far that the hand-over costs more than the rays.
+        """Number of rays per kernel call."""
+        # Small batches are split among the threads, too, but not so far that starting a call costs
+        # more than its rays.
         share = max(256, -(-count // (4 * thread_count())))
         return min(self.structure.rays_per_call(), share)

@@ -1,4 +1,4 @@
-"""LocalBackend: a backend that traces rays in the scene's local frame, a block at a time."""
+"""LocalBackend: base of backends that trace blocks of rays in the scene's local frame."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ __all__ = ["LocalBackend"]
 
 
 class LocalBackend(Backend):
-    """Turns rays into local ones, a block at a time, and distances back; see `ray_block`.
+    """Transforms rays to the local frame, a block at a time, and distances back; see `ray_block`.
 
-    All hits are counted before they are written, so that there is room for them: counters get
-    what rays meet both times.
+    All hits are counted before they are written, to allocate memory for them: counters include
+    both searches.
     """
 
     @abstractmethod
     def run_local(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Answer a query of local rays.
+        """Run a query of local rays.
 
         Parameters
         ----------
         query : Query
         rays : LocalRays
         sink : Sink
-            Of these rays. Of `Kind.MULTI_HIT` with `splits` and `hits`: of each ray i the
-            nearest splits[i + 1] - splits[i] hits, of which it has so many, are written, by t,
-            then prim_id.
+            Of these rays. Of `Kind.MULTI_HIT` with `splits` and `hits`: the nearest
+            splits[i + 1] - splits[i] hits of each ray i are written, by t, then prim_id; it
+            must have that many.
         progress : callable, optional
-            Called with (rays done, rays to do).
+            Called with (rays done, rays).
         """
 
     def run(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> None:
-        """Answer a query; see `Backend.run`."""
+        """Run a query; see `Backend.run`."""
         if query.kind is Kind.MULTI_HIT:
             self._count_and_fill(query, rays, sink, progress)
             return

@@ -12,7 +12,7 @@ __all__ = ["DeviceBands"]
 
 
 class DeviceBands(Protocol):
-    """What a tracer's machine has that shades, too; see `Queries.bands_on_device`.
+    """What a tracer's machine has that shades, too; see `Tracer.bands_on_device`.
 
     Attributes
     ----------

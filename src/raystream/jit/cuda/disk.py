@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from raystream.core.whole_file import replacing
+from raystream.core.atomic_write import atomic_write
 from raystream.jit.cache import kernel_folder, mark_used
 from raystream.jit.fingerprint import cuda_generator_hash, fingerprint, type_name
 
@@ -48,7 +48,7 @@ def kept(path: Path | None, make: Callable[[], str]) -> str:
         text = make()
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with replacing(path) as file:
+        with atomic_write(path) as file:
             file.write_text(text, encoding="ascii")
     except OSError:
         pass  # read-only: it is compiled in each process

@@ -36,8 +36,9 @@ from raystream.structures.saved import take
 
 __all__ = ["GridStructure"]
 
-#: Cells and triangles in one call of a compiled loop: about 50 ms.
-_STEPS_PER_CALL = 1 << 22
+#: Cells and triangles in one call of a compiled loop: 0.2 s at worst. With 2**22, calls of 52 rays
+#: took a tenth of the time in a hall with a few very long lists.
+_STEPS_PER_CALL = 1 << 24
 
 #: No local coordinate is beyond it, so that no distance leaves float32.
 _LARGEST_BOX = 2.0**60

@@ -1,4 +1,4 @@
-"""Writing a file as a whole: it appears, or is replaced, only when all of it is there."""
+"""Atomic writes: a file appears, or is replaced, only when it is complete."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["replacing"]
+__all__ = ["atomic_write"]
 
 
 @contextlib.contextmanager
-def replacing(path: str | PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file in the same folder, which takes the place of `path` at the end.
+def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
+    """Open a temporary file in the same folder, which replaces `path` at the end of the block.
 
-    If the block raises, the temporary file is removed and an old file is kept.
+    If the block raises, the temporary file is removed, and an existing file stays as it was.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def replacing(path: str | PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     OSError
-        If the folder is missing or cannot be written; it names `path`.
+        If the folder is missing or not writable; the error names `path`.
     """
     target = Path(path)
     try:
@@ -43,7 +43,7 @@ def replacing(path: str | PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp lets nobody else read; a new file gets what the user's other files have.
+        # mkstemp's files are private: use the old file's permissions, or those of new files.
         temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_UMASK)
         temporary.replace(target)
     except BaseException:
@@ -58,5 +58,5 @@ def _umask() -> int:
     return mask
 
 
-# Read once, at import: it can only be read by setting it, which other threads would notice.
+# Read once, at import: it can only be read by setting it, which affects other threads.
 _UMASK = _umask()

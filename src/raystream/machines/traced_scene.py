@@ -1,0 +1,307 @@
+"""TracedScene: a scene, its structure and the backend that traces it: updated, saved, loaded."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Self
+
+from raystream.core.choices import DeviceOptions, MachineOptions
+from raystream.jit.threads import Progress
+from raystream.kernels.moving import move_triangles
+from raystream.machines.backend import Backend
+from raystream.machines.chosen import Chosen, choose
+from raystream.machines.devices import device_of
+from raystream.notebook import html_table, in_bytes
+from raystream.scene.mesh import Mesh
+from raystream.scene.moving import moved_meshes, same_faces
+from raystream.scene.scene import Scene
+from raystream.structures import Structure, StructureOptions
+from raystream.structures.base import UpdateReport
+from raystream.structures.storage import load_structure, save_structure
+
+if TYPE_CHECKING:
+    from raystream.machines.counters import RayCounters
+
+__all__ = ["TracedScene"]
+
+
+class TracedScene:
+    """State of a `Tracer`: everything but its queries.
+
+    Attributes
+    ----------
+    structure : Structure
+        The acceleration structure.
+    device, machine : str
+    """
+
+    structure: Structure
+    device: str
+    machine: str
+    _scene: Scene | None
+    _backend: Backend
+    _machine_options: Mapping[str, Any]
+    _counts: bool
+    _latest: RayCounters | None
+
+    def _choose(
+        self,
+        structure: str | StructureOptions | None,
+        device: str | DeviceOptions,
+        machine: str | MachineOptions | None,
+        counters: bool,
+        options: Mapping[str, Any],
+    ) -> Chosen:
+        """Set all but the structure, which the caller builds or has."""
+        chosen = choose(structure, device, machine, options)
+        self.device, self.machine = chosen.device, chosen.machine
+        self._machine_options = chosen.options
+        self._counts = bool(counters)
+        return chosen
+
+    def _set(self, scene: Scene | None, structure: Structure) -> None:
+        self._scene = scene
+        self.structure = structure
+        self._latest = None
+        self._backend = device_of(self.device).machines.make(
+            self.machine, structure, self._machine_options
+        )
+
+    @property
+    def is_counting(self) -> bool:
+        """Whether it was made with ``counters=True``."""
+        return self._counts
+
+    @property
+    def machine_options(self) -> Mapping[str, Any]:
+        """The options of the device and the machine, such as ``scheduler``, that were given."""
+        return self._machine_options
+
+    @property
+    def counters(self) -> RayCounters:
+        """The counters of the latest query's rays.
+
+        Raises
+        ------
+        ValueError
+            If the tracer does not count, or has not run a query yet.
+        """
+        if not self._counts:
+            raise ValueError("counters: this tracer does not count; make it with counters=True")
+        if self._latest is None:
+            raise ValueError("counters: not available before the first query")
+        return self._latest
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that rays are traced against; bare triangles after `load` without a scene."""
+        if self._scene is None:
+            self._scene = Scene.from_triangles(self.structure.triangles)
+        return self._scene
+
+    def update(
+        self,
+        vertices: Any,
+        *,
+        max_cost_growth: float = 1.5,
+        progress: Progress | None = None,
+    ) -> UpdateReport:
+        """Move the scene's vertices; which triangles they form stays as it is.
+
+        Parameters
+        ----------
+        vertices : array_like of shape (V, 3), real; or a sequence of them; or Scene
+            New positions of all vertices, world space, scene units: an array for a scene of
+            one mesh, else one for each mesh, or None for a mesh that stays where it is. Or a
+            scene with the same faces, such as `Scene.at` returns: its lights, materials, normals
+            and camera are used, too. If all its meshes are the same objects as before, nothing
+            is done, and the report's costs are nan.
+        max_cost_growth : float
+            Refitting a tree to moved triangles is much faster than building it, but the refitted
+            tree is slower to traverse the further neighbours move apart. It is rebuilt when the
+            expected cost of a ray exceeds this multiple of the cost right after the last build;
+            0 rebuilds every time.
+        progress : callable, optional
+            Called with (triangles placed, triangles) during a rebuild.
+
+        Returns
+        -------
+        UpdateReport
+            Whether the structure was rebuilt, how long the update took, and the costs.
+
+        Raises
+        ------
+        ValueError
+            If the number of meshes, the number of a mesh's vertices or a scene's faces differ,
+            or `max_cost_growth` is negative or NaN. Nothing has moved then.
+        TypeError
+            If the positions are not real numbers.
+
+        Notes
+        -----
+        Queries then answer as a new tracer of the moved triangles would, in the same local
+        frame: the centre and scale that float32 coordinates refer to stay, unless a coordinate
+        grew beyond 2**40 times the scale of the scene. Triangles that have become degenerate,
+        NaN or infinite are not hit until a later update makes them valid.
+
+        `scene` becomes a scene with the moved vertices; arrays do not update shading normals.
+        Earlier hits still refer to the old triangles. No query may run in another thread
+        meanwhile. An interrupt leaves everything unchanged.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import raystream as rs
+        >>> vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+        >>> tracer = rs.Tracer(rs.Scene.from_arrays(vertices, [[0, 1, 2]]))
+        >>> report = tracer.update(vertices + [0, 0, 5])
+        >>> report.rebuilt, tracer.first_hit([0.2, 0.2, 0], [0, 0, 1]).t.item()
+        (False, 5.0)
+        """
+        if not max_cost_growth >= 0.0:
+            raise ValueError(f"max_cost_growth: expected a number >= 0, got {max_cost_growth}")
+        scene = self.scene
+        if isinstance(vertices, Scene):
+            meshes: Sequence[Mesh] = same_faces(scene.meshes, vertices.meshes)
+            if all(map(operator.is_, scene.meshes, meshes)):
+                self._set(vertices.moved(meshes, self.structure.triangles), self.structure)
+                return UpdateReport(False, 0.0, math.nan, math.nan)
+            scene = vertices
+        else:
+            meshes = moved_meshes(scene.meshes, vertices)
+        parts = [(mesh.vertices, mesh.faces) for mesh in meshes]
+        triangles = move_triangles(self.structure.triangles, parts)
+        structure, report = self.structure.updated(triangles, max_cost_growth, progress)
+        self._set(scene.moved(meshes, triangles), structure)
+        return report
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the built structure and its triangles to a file.
+
+        Parameters
+        ----------
+        path : str or path
+            An ``.npz`` file, replaced atomically.
+
+        Raises
+        ------
+        ValueError
+            If the name does not end in ``.npz``.
+        OSError
+            If it cannot be written.
+        """
+        save_structure(path, self.structure)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | PathLike[str],
+        scene: Scene | None = None,
+        device: str | DeviceOptions = "cpu",
+        *,
+        machine: str | MachineOptions | None = None,
+        counters: bool = False,
+        **options: Any,
+    ) -> Self:
+        """Load a structure that `save` wrote.
+
+        Parameters
+        ----------
+        path : str or path
+        scene : Scene, optional
+            The scene it was built from, for materials, lights and camera [default: a scene of
+            bare triangles].
+        device, machine, counters, **options
+            As for a new tracer; the options are the device's and the machine's.
+
+        Returns
+        -------
+        Tracer
+
+        Raises
+        ------
+        FileFormatError
+            If the file is damaged, of another version, or not such a file at all; or if it was
+            built from other triangles than those of `scene`.
+        """
+        if scene is not None and not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
+        tracer = cls.__new__(cls)
+        tracer._choose(None, device, machine, counters, options)
+        structure = load_structure(path, None if scene is None else scene.triangles)
+        tracer._set(scene, structure)
+        return tracer
+
+    @classmethod
+    def of_structure(
+        cls,
+        structure: Structure,
+        scene: Scene | None = None,
+        device: str | DeviceOptions = "cpu",
+        *,
+        machine: str | MachineOptions | None = None,
+        counters: bool = False,
+        **options: Any,
+    ) -> Self:
+        """Make a tracer for a structure that has been built already.
+
+        Parameters
+        ----------
+        structure : Structure
+        scene : Scene, optional
+            The scene that its triangles come from, for materials, lights and camera.
+        device, machine, counters, **options
+            As for a new tracer; the options are the device's and the machine's.
+
+        Returns
+        -------
+        Tracer
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a name is unknown, or the machine has no such option.
+        """
+        tracer = cls.__new__(cls)
+        tracer._choose(None, device, machine, counters, options)
+        tracer._set(scene, structure)
+        return tracer
+
+    def __repr__(self) -> str:
+        triangle_count = len(self.structure.triangles)
+        device = "" if self.device == "cpu" else f", device={self.device!r}"
+        is_default = self.machine == device_of(self.device).machines.names[0]
+        machine = "" if is_default else f", machine={self.machine!r}"
+        return (
+            f"Tracer({triangle_count:,} triangles, structure={self.structure.name!r}"
+            f"{device}{machine})"
+        )
+
+    def _repr_html_(self) -> str:
+        """Show the structure and its figures in a notebook."""
+        structure = self.structure
+        triangles, report = structure.triangles, structure.report
+        unused = (
+            (triangles.degenerate_count, "degenerate"),
+            (triangles.nonfinite_count, "not finite"),
+        )
+        without = ", ".join(f"{count:,} {kind}" for count, kind in unused if count)
+        rows = [
+            ("triangles", f"{len(triangles):,}" + (f" ({without})" if without else "")),
+            ("structure", structure.name),
+            *(
+                (f"  {name}", f"{value}")
+                for name, value in structure.options.as_json().items()
+                if value is not None
+            ),
+            ("machine", self.machine),
+            *((f"  {name}", f"{value}") for name, value in self._machine_options.items()),
+            ("device", self.device),
+            ("build", f"{report.seconds:.3g} s"),
+            ("memory", in_bytes(report.byte_count)),
+            *((name, f"{value:,.6g}") for name, value in structure.quality().items()),
+        ]
+        return html_table("Tracer", rows)
