@@ -55,7 +55,7 @@ def in_all(views, ray, search, stack):
     return search
 
 
-QUERIES = ray_queries(in_all, STACK_BYTES, lists_twice=True)
+QUERIES = ray_queries(in_all, STACK_BYTES, has_duplicates=True)
 
 OPTIONS = {"bvh": {"quality": "high", "max_leaf_size": 1}}
 
@@ -90,7 +90,7 @@ def case(request, rng):
         queries=QUERIES,
         arrays=Views(*(part.arrays for part in parts)),
         frame=SceneFrame.of(triangles),
-        lists_twice=True,
+        has_duplicates=True,
         rays_per_call=lambda: 100,
         parts=parts,  # whose arrays are read by address
     )

@@ -72,7 +72,7 @@ def spawn_origins(
     reach = np.abs(positions).max(axis=-1)
     offset = UNIT * np.minimum(
         EXTENT_UNITS * extent + REACH_UNITS * reach,
-        MOST_UNITS * (float(triangles.extreme) + reach),
+        MOST_UNITS * (float(triangles.max_coordinate) + reach),
     )
     # The world position is float64: far from the origin its own step may be larger.
     world_reach = np.abs(triangles.center).max() * triangles.scale

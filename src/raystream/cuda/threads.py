@@ -82,7 +82,7 @@ def thread_queries(
     stack_bytes: int,
     launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
     *,
-    lists_twice: bool = False,
+    has_duplicates: bool = False,
 ) -> ThreadQueries:
     """Make the kernels of a structure.
 
@@ -94,7 +94,7 @@ def thread_queries(
         Of the memory that it is given.
     launcher : callable
         `RangeKernel` or `PersistentKernel`.
-    lists_twice : bool
+    has_duplicates : bool
         See `kernels.queries.ray_queries`.
 
     Returns
@@ -104,7 +104,7 @@ def thread_queries(
         the structure's arrays, and the address of tallies or None.
     """
     search_ray = ray_search(traverse)
-    seen_of = _seen_of if lists_twice else _no_set
+    seen_of = _seen_of if has_duplicates else _no_set
 
     @kernel
     def first_hit(i, source, frame, tree, tallies, out):

@@ -34,7 +34,7 @@ from raystream.jit.simd import (
 from raystream.jit.threads import parallel_for
 from raystream.jit.views import view
 from raystream.kernels.aligned import aligned_array
-from raystream.kernels.ray import pick
+from raystream.kernels.ray import component
 from raystream.kernels.search import is_full, offer
 from raystream.kernels.triangle_lanes import (
     distance_lanes,
@@ -243,7 +243,7 @@ class BlockRay(NamedTuple):
 
 @device
 def _in_frame(ray, x, y, z):
-    return pick(ray.kx, x, y, z), pick(ray.ky, x, y, z), pick(ray.kz, x, y, z)
+    return component(ray.kx, x, y, z), component(ray.ky, x, y, z), component(ray.kz, x, y, z)
 
 
 @device
@@ -252,8 +252,8 @@ def block_ray(ray):
     return BlockRay(
         (ray.kx * AXIS, ray.ky * AXIS, ray.kz * AXIS),
         (
-            pick(ray.kx, ray.inv_x, ray.inv_y, ray.inv_z),
-            pick(ray.ky, ray.inv_x, ray.inv_y, ray.inv_z),
+            component(ray.kx, ray.inv_x, ray.inv_y, ray.inv_z),
+            component(ray.ky, ray.inv_x, ray.inv_y, ray.inv_z),
             ray.sz,
         ),
         _in_frame(ray, ray.near_x, ray.near_y, ray.near_z),

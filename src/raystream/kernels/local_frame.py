@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.kernels.local_ray import FAR, SceneFrame, localise, world_t
+from raystream.kernels.local_ray import FAR, SceneFrame, to_local, world_t
 
 __all__ = ["FAR", "LocalRays", "SceneFrame", "TScale", "to_local_rays", "to_world_t"]
 
@@ -73,7 +73,7 @@ def to_local_rays(begin, end, origins, directions, t_min, t_max, frame, rays, t_
         Written: a `RayStatus`.
     """
     for i in range(np.uint64(begin), np.uint64(end)):
-        ray = localise(
+        ray = to_local(
             np.float64(origins[i, 0]),
             np.float64(origins[i, 1]),
             np.float64(origins[i, 2]),

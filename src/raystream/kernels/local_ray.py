@@ -18,7 +18,7 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.intrinsics import no_inline
 from raystream.jit.simd import next_float_up
 
-__all__ = ["FAR", "LocalRay", "SceneFrame", "localise", "world_t"]
+__all__ = ["FAR", "LocalRay", "SceneFrame", "to_local", "world_t"]
 
 _VALID = np.uint8(RayStatus.VALID)
 _INVALID = np.uint8(RayStatus.INVALID)
@@ -49,7 +49,7 @@ class SceneFrame(NamedTuple):
         A power of two, and its reciprocal.
     low, high : tuple of three float32
         The scene's box.
-    extreme : float32
+    max_coordinate : float32
     """
 
     center: tuple[float, float, float]
@@ -57,7 +57,7 @@ class SceneFrame(NamedTuple):
     inverse_scale: float
     low: tuple[np.float32, np.float32, np.float32]
     high: tuple[np.float32, np.float32, np.float32]
-    extreme: np.float32
+    max_coordinate: np.float32
 
     @classmethod
     def of(cls, triangles: Triangles) -> SceneFrame:
@@ -66,7 +66,7 @@ class SceneFrame(NamedTuple):
         (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
         low, high = (low_x, low_y, low_z), (high_x, high_y, high_z)
         scale = float(triangles.scale)
-        return cls((x, y, z), scale, 1.0 / scale, low, high, np.float32(triangles.extreme))
+        return cls((x, y, z), scale, 1.0 / scale, low, high, np.float32(triangles.max_coordinate))
 
     @classmethod
     def identity(cls, triangles: Triangles) -> SceneFrame:
@@ -166,7 +166,7 @@ def _crossing(o, d, low, high, margin):
 def _entry(ox, oy, oz, dx, dy, dz, frame):
     """Where the line enters the scene's box grown by the scene's size; inf if it misses it."""
     no_inline()
-    margin = np.float64(frame.extreme)
+    margin = np.float64(frame.max_coordinate)
     low, high = frame.low, frame.high
     in_x, out_x = _crossing(ox, dx, low[0], high[0], margin)
     in_y, out_y = _crossing(oy, dy, low[1], high[1], margin)
@@ -198,7 +198,7 @@ def _is_valid(ox, oy, oz, dx, dy, dz, t_min, t_max):
 
 
 @device_call
-def localise(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
+def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
     """Turn a ray into a local one.
 
     Parameters
@@ -243,7 +243,7 @@ def localise(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
         _outside_by(oy, low[1], high[1]),
         _outside_by(oz, low[2], high[2]),
     )
-    if outside > FAR * np.float64(frame.extreme):
+    if outside > FAR * np.float64(frame.max_coordinate):
         total = 0.0
         for _ in range(2):
             step = _entry(ox, oy, oz, dx, dy, dz, frame)

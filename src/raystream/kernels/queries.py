@@ -103,7 +103,7 @@ def _larger_table(table):
 
 
 def ray_queries(
-    traverse: Callable[..., Any], stack_bytes: int, *, lists_twice: bool = False
+    traverse: Callable[..., Any], stack_bytes: int, *, has_duplicates: bool = False
 ) -> RayQueries:
     """Make the queries of a structure.
 
@@ -119,7 +119,7 @@ def ray_queries(
         Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
         What a traversal leaves there, the next ray's finds; before the first ray, the first
         8 bytes are 0.
-    lists_twice : bool
+    has_duplicates : bool
         Whether the traversal may offer a triangle more than once: then searches for several hits
         remember the triangles of their hits, where `repeats` is true.
 
@@ -128,7 +128,7 @@ def ray_queries(
     RayQueries
     """
     search_ray = ray_search(traverse)
-    seen_at = _seen_at if lists_twice else _no_set
+    seen_at = _seen_at if has_duplicates else _no_set
 
     @kernel
     def first_hit(begin, end, source, frame, arrays, tallies, out):

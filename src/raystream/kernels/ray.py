@@ -9,7 +9,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import copy_sign
 
-__all__ = ["PAD", "TINY_DIRECTION", "Ray", "pick", "set_up"]
+__all__ = ["PAD", "TINY_DIRECTION", "Ray", "component", "prepare_ray"]
 
 #: A box is grown by this much of (largest scene coordinate + largest origin coordinate).
 #: Rounding moves a vertex in the ray's frame by at most about 12 units of 2**-24 of that
@@ -70,7 +70,7 @@ class Ray(NamedTuple):
 
 
 @device
-def pick(k, x, y, z):
+def component(k, x, y, z):
     """What belongs to axis k."""
     return x if k == np.uint64(0) else (y if k == np.uint64(1) else z)
 
@@ -82,14 +82,14 @@ def _reciprocal(d, tiny):
 
 
 @device
-def set_up(ox, oy, oz, dx, dy, dz, extreme):
+def prepare_ray(ox, oy, oz, dx, dy, dz, max_coordinate):
     """Prepare a ray.
 
     Parameters
     ----------
     ox, oy, oz, dx, dy, dz : float32
         Finite, local frame; the largest direction component is in [1, 2).
-    extreme : float32
+    max_coordinate : float32
         Largest absolute coordinate of the scene.
 
     Returns
@@ -113,7 +113,7 @@ def set_up(ox, oy, oz, dx, dy, dz, extreme):
     # far plane away from it, so it takes the direction's sign.
     tiny = largest * TINY_DIRECTION
     reach = max(abs(ox), abs(oy), abs(oz))
-    pad = PAD * (extreme + reach)
+    pad = PAD * (max_coordinate + reach)
     inv_x = _reciprocal(dx, tiny)
     inv_y = _reciprocal(dy, tiny)
     inv_z = _reciprocal(dz, tiny)
@@ -122,19 +122,19 @@ def set_up(ox, oy, oz, dx, dy, dz, extreme):
     pad_z = copy_sign(pad, dz)
 
     # Step 3: the shear. kz is not tiny, so its reciprocal is exact to one rounding.
-    sz = pick(kz, inv_x, inv_y, inv_z)
+    sz = component(kz, inv_x, inv_y, inv_z)
     return Ray(
         kx,
         ky,
         kz,
-        pick(kx, ox, oy, oz),
-        pick(ky, ox, oy, oz),
-        pick(kz, ox, oy, oz),
-        pick(kx, dx, dy, dz),
-        pick(ky, dx, dy, dz),
-        pick(kz, dx, dy, dz),
-        pick(kx, dx, dy, dz) * sz,
-        pick(ky, dx, dy, dz) * sz,
+        component(kx, ox, oy, oz),
+        component(ky, ox, oy, oz),
+        component(kz, ox, oy, oz),
+        component(kx, dx, dy, dz),
+        component(ky, dx, dy, dz),
+        component(kz, dx, dy, dz),
+        component(kx, dx, dy, dz) * sz,
+        component(ky, dx, dy, dz) * sz,
         sz,
         inv_x,
         inv_y,

@@ -16,7 +16,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.collect import HitAddresses, sort_hits
 from raystream.kernels.local_ray import SceneFrame, world_t
-from raystream.kernels.ray import set_up
+from raystream.kernels.ray import prepare_ray
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.kernels.search import begin_search
 from raystream.kernels.seen import SeenSet
@@ -90,7 +90,7 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
         frame = scene.frame
         ray = load_ray(scene.source, i, frame)
         _note_status(scene.status, i, ray.status)
-        local = set_up(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.extreme)
+        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
         search = begin_search(
             ray.t_min,
             ray.t_max,

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.kernels.ray import pick
+from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 
 __all__ = ["intersect", "intersect_corners"]
@@ -119,9 +119,9 @@ def intersect_corners(ray, a, b, c, surfaces):
     """As `intersect`, of corners that were read: tuples of three float32, local frame."""
     kx, ky, kz = ray.kx, ray.ky, ray.kz
     in_frame = (
-        (pick(kx, *a), pick(ky, *a), pick(kz, *a)),
-        (pick(kx, *b), pick(ky, *b), pick(kz, *b)),
-        (pick(kx, *c), pick(ky, *c), pick(kz, *c)),
+        (component(kx, *a), component(ky, *a), component(kz, *a)),
+        (component(kx, *b), component(ky, *b), component(kz, *b)),
+        (component(kx, *c), component(ky, *c), component(kz, *c)),
     )
     return _intersect(ray, a, b, c, in_frame, surfaces)
 

@@ -122,7 +122,7 @@ class Branching(Backend):
 
     def _wanted(self, query: Query) -> Wanted:
         limit = np.uint64(query.limit)
-        return Wanted(self.structure.lists_twice, query.surfaces, limit, query.is_ordered)
+        return Wanted(self.structure.has_duplicates, query.surfaces, limit, query.is_ordered)
 
     def _visit(self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None) -> None:
         """Give all hits to the sink's visitor."""

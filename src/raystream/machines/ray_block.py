@@ -63,10 +63,10 @@ class RayBlock:
         limits = _given(batch.t_min[rows], np.float32), _given(batch.t_max[rows], np.float32)
         results = self.rays, self.t_scale, status[rows]
 
-        def localise(begin: int, end: int) -> None:
+        def to_local(begin: int, end: int) -> None:
             to_local_rays(begin, end, origins, directions, *limits, frame, *results)
 
-        parallel_for(localise, count, LIGHT_CHUNK)
+        parallel_for(to_local, count, LIGHT_CHUNK)
         self.progress: Progress | None = None
         if progress is not None:
             self.progress = lambda done, _: progress(rows.start + done, len(batch))

@@ -121,7 +121,7 @@ _KERNELS = with_shade(
 
 def steps(bvh: BvhStructure) -> Steps:
     """The steps of a BVH's traversal, one ray at a time."""
-    return _with_room(bvh, LEAST_ROOM if bvh.lists_twice else _NONE)
+    return _with_room(bvh, LEAST_ROOM if bvh.has_duplicates else _NONE)
 
 
 def _with_room(bvh: BvhStructure, room: np.uint64) -> Steps:

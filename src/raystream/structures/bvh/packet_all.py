@@ -110,7 +110,7 @@ def visit_all(
     order: PacketOrder,
     packet_count: int,
     surfaces: bool,
-    lists_twice: bool,
+    has_duplicates: bool,
     is_ordered: bool,
     visitor: HitVisitor,
     status: NDArray[np.uint8],
@@ -120,14 +120,14 @@ def visit_all(
 
     Parameters
     ----------
-    lists_twice : bool
+    has_duplicates : bool
         Whether a triangle may be in several leaves: hits are then in order anyway.
     is_ordered, visitor
         See `Query.is_ordered` and `Sink.visitor`.
     """
     goal = ALL + SURFACES if surfaces else ALL
     # As they are found, 32 bits tell the rays of hits.
-    sorts = is_ordered or lists_twice or int(order.ray_count) >= 2**31
+    sorts = is_ordered or has_duplicates or int(order.ray_count) >= 2**31
     nowhere = _U0
     to = np.uint64(status.ctypes.data)
 
@@ -141,7 +141,7 @@ def visit_all(
             order,
             goal,
             sorts,
-            lists_twice,
+            has_duplicates,
             buffers.addresses,
             buffers.capacity,
             nowhere,
@@ -196,7 +196,7 @@ def _collect_packets(
     order,
     goal,
     sorts,
-    lists_twice,
+    has_duplicates,
     buffers,
     capacity,
     counts,
@@ -224,7 +224,7 @@ def _collect_packets(
         _number_rays(hits, number, order, is_final)
         if not keeps:
             _clear_counts(packet)
-        trace_packet(packet, nodes, leaves, frame.extreme, memory, goal, hits)
+        trace_packet(packet, nodes, leaves, frame.max_coordinate, memory, goal, hits)
         if not keeps:
             _store_counts(packet, number, order, counts)
             continue
@@ -233,7 +233,7 @@ def _collect_packets(
             return np.int64(number), np.int64(used), np.int64(ray_count)
         if sorts:
             row = used
-            used = sort_packet(hits, ends, used, lists_twice)
+            used = sort_packet(hits, ends, used, has_duplicates)
             ray_count = _finish_rows(
                 packet, number, order, long_groups, ends, row, written, ray_count
             )

@@ -142,7 +142,7 @@ def _localise_group(group, rays, t_min, t_max, source, first, frame, status):
     inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
     low = narrow(widen(t_min) * inverse) + _ZERO
     high = narrow(widen(t_max) * inverse) + _ZERO
-    reach = NEAR_REACH * frame.extreme
+    reach = NEAR_REACH * frame.max_coordinate
     near_by = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz)) <= reach
     short = (
         (absolute(ox) + absolute(oy) + absolute(oz) < _INF)
@@ -186,8 +186,8 @@ def _load_few(lanes, source, first, count, frame, status):
 
 
 @device
-def _prepare_group(group, extreme):
-    """`kernels.ray.set_up` of a group, and its kinds."""
+def _prepare_group(group, max_coordinate):
+    """`kernels.ray.prepare_ray` of a group, and its kinds."""
     ox, oy, oz = three(group.origin)
     dx, dy, dz = three(group.direction)
     ax, ay, az = absolute(dx), absolute(dy), absolute(dz)
@@ -197,7 +197,7 @@ def _prepare_group(group, extreme):
     largest = maximum(az, largest)
     tiny = largest * TINY_DIRECTION
     reach = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz))
-    pad = (reach + extreme) * PAD
+    pad = (reach + max_coordinate) * PAD
     one = f32x16(_ONE)
     inv_x = copy_sign(one / maximum(ax, tiny), dx)
     inv_y = copy_sign(one / maximum(ay, tiny), dy)
@@ -247,7 +247,7 @@ def load_group(group, first, count, source, frame, status):
         is_long = False
     else:
         _load_few(GroupLanes(address_of(group)), source, first, count, frame, status)
-    _prepare_group(group, frame.extreme)
+    _prepare_group(group, frame.max_coordinate)
     return is_long
 
 
@@ -268,7 +268,7 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
         Address of 16 statuses.
     """
     is_long = _localise_group(group, rays, t_min, t_max, source, _U0, frame, status)
-    _prepare_group(group, frame.extreme)
+    _prepare_group(group, frame.max_coordinate)
     return is_long
 
 

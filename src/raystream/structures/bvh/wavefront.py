@@ -199,7 +199,9 @@ def _next(slot, top, keys, children, nodes, leaves, prefetching):
 
 
 @kernel
-def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any, prefetching, out):
+def trace_wavefront(
+    begin, end, nodes, leaves, max_coordinate, frame, source, wants_any, prefetching, out
+):
     """Trace rays begin to end.
 
     Parameters
@@ -207,7 +209,7 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
     begin, end : int
     nodes, leaves : int
         Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
-    extreme : float32
+    max_coordinate : float32
         Largest absolute coordinate of the scene.
     frame : SceneFrame
     source : RaySource
@@ -251,7 +253,12 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
                 if ray.status == _INVALID:
                     store(out.status + ray_next, _INVALID)
                 start_ray(
-                    slot, all_keys + k * _STACK, all_children + k * _STACK, ray_next, ray, extreme
+                    slot,
+                    all_keys + k * _STACK,
+                    all_children + k * _STACK,
+                    ray_next,
+                    ray,
+                    max_coordinate,
                 )
                 ray_next += _ONE
                 store(inner + inner_size, k)

@@ -8,7 +8,7 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.jit.views import view
 from raystream.kernels.local_ray import world_t
-from raystream.kernels.ray import pick, set_up
+from raystream.kernels.ray import component, prepare_ray
 from raystream.structures.bvh.wide import LANE, plane_row, t_key
 
 __all__ = [
@@ -65,22 +65,22 @@ SLOT_BYTES = np.uint64(_SLOT.itemsize)
 
 
 @device
-def start_ray(slot, keys, children, i, ray, extreme):
+def start_ray(slot, keys, children, i, ray, max_coordinate):
     """Put a ray into a slot, before the root."""
-    r = set_up(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, extreme)
-    inv_x = pick(r.kx, r.inv_x, r.inv_y, r.inv_z)
-    inv_y = pick(r.ky, r.inv_x, r.inv_y, r.inv_z)
+    r = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, max_coordinate)
+    inv_x = component(r.kx, r.inv_x, r.inv_y, r.inv_z)
+    inv_y = component(r.ky, r.inv_x, r.inv_y, r.inv_z)
     inv_z = r.sz
     slot.inv = inv_x, inv_y, inv_z
     slot.near = (
-        pick(r.kx, r.near_x, r.near_y, r.near_z),
-        pick(r.ky, r.near_x, r.near_y, r.near_z),
-        pick(r.kz, r.near_x, r.near_y, r.near_z),
+        component(r.kx, r.near_x, r.near_y, r.near_z),
+        component(r.ky, r.near_x, r.near_y, r.near_z),
+        component(r.kz, r.near_x, r.near_y, r.near_z),
     )
     slot.far = (
-        pick(r.kx, r.far_x, r.far_y, r.far_z),
-        pick(r.ky, r.far_x, r.far_y, r.far_z),
-        pick(r.kz, r.far_x, r.far_y, r.far_z),
+        component(r.kx, r.far_x, r.far_y, r.far_z),
+        component(r.ky, r.far_x, r.far_y, r.far_z),
+        component(r.kz, r.far_x, r.far_y, r.far_z),
     )
     slot.origin = r.ox, r.oy, r.oz
     slot.direction = r.dx, r.dy, r.dz
