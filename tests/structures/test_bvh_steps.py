@@ -14,10 +14,9 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
-from raystream.kernels.local_frame import LocalRays, SceneFrame
-from raystream.kernels.ray import prepare_ray
-from raystream.kernels.search import Search, begin_search, is_full
-from raystream.kernels.seen import SeenSet, clear_seen
+from raystream.kernels.local_frame import LocalRays
+from raystream.kernels.ray import SceneFrame, prepare_ray
+from raystream.kernels.search import Search, SeenSet, begin_search, clear_seen, is_full
 from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching

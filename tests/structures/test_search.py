@@ -14,8 +14,8 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.kernels.collect import HitArrays
-from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import ray_queries
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.search import is_full
 from raystream.kernels.sink import Sink
 from raystream.machines import Branching

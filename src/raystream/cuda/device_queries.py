@@ -20,7 +20,7 @@ from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, Work, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import ResultAddresses
 
 __all__ = ["DeviceQueries", "DeviceScene", "report"]

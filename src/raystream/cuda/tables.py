@@ -10,7 +10,7 @@ from raystream.cuda.parts import GROWTH, NO_TABLES, TABLE_BYTES
 from raystream.cuda.scan import is_any
 from raystream.cuda.threads import RETRY, SeenTables
 from raystream.jit.cuda import DeviceArray, Work
-from raystream.kernels.seen import LEAST_ROOM
+from raystream.kernels.search import LEAST_ROOM
 
 __all__ = ["with_tables"]
 

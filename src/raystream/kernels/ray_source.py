@@ -1,7 +1,7 @@
 """Rays as the caller gave them, turned into local ones as they are traced.
 
 Batches are not copied: kernels read the caller's arrays by address, and do for each ray what
-`kernels.local_ray.to_local` does. Nearly all rays take a short way of the same result; those
+`kernels.ray.to_local` does. Nearly all rays take a short way of the same result; those
 that cannot (float64 directions, far origins, extreme lengths, limits that float32 does not
 keep, invalid numbers) call it.
 """
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from raystream.core.rays import USUAL_LIMITS, RayStatus
 from raystream.jit.cpu import device
 from raystream.jit.simd import bits_as_float, float_as_bits, load
-from raystream.kernels.local_ray import FAR, LocalRay, to_local
+from raystream.kernels.ray import FAR, LocalRay, to_local
 
 __all__ = [
     "LEAST_EXPONENT",
@@ -217,12 +217,12 @@ def load_ray(source, i, frame):
     ):
         # 2**(1023 - exponent) brings the largest component into [1, 2).
         power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
-        factor = power * frame.inverse_scale
+        t_scale = power * frame.inverse_scale
         inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
         # Adding zero turns -0 into 0, whose bits are in the order of the numbers.
         low = np.float32(np.float64(t_min) * inverse) + _ZERO
         high = np.float32(np.float64(t_max) * inverse) + _ZERO
-        if np.float64(low) * factor == t_min and np.float64(high) * factor == t_max:
+        if np.float64(low) * t_scale == t_min and np.float64(high) * t_scale == t_max:
             return LocalRay(
                 ox,
                 oy,
@@ -232,7 +232,7 @@ def load_ray(source, i, frame):
                 np.float32(dz * power),
                 low,
                 high,
-                factor,
+                t_scale,
                 np.float64(0.0),
                 _VALID,
             )

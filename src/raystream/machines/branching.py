@@ -12,8 +12,8 @@ from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.growing import Gatherer
 from raystream.kernels.hit_batch import HitAccumulator, HitBatch, allocate_hits
-from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import Wanted
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.sink import Sink
 from raystream.machines.backend import Backend

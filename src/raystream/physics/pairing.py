@@ -118,7 +118,7 @@ def find_sides(begin, end, source, frame, corners, mesh_splits, is_flipped, cros
         )
         # The triangle test may see a ray so far beside its place, see `PAD`.
         reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
-        aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.factor
+        aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.t_scale
         for row in range(first, last):
             prim_id = crossings.prim_id[row]
             mesh_id = _mesh_of(prim_id, mesh_splits)

@@ -9,7 +9,7 @@ import numpy as np
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.sink import Sink
 from raystream.structures.bvh.layout import BvhArrays

@@ -351,6 +351,6 @@ def trace_packets(begin, end, nodes, leaves, frame, source, order, wants_any, ou
     goal = ANY if wants_any else FIRST
     nowhere = Collector(_U0)
     for number in range(np.uint64(begin), np.uint64(end)):
-        long_groups = load_packet(packet, number, order, source, frame, out.status)
+        slow_groups = load_packet(packet, number, order, source, frame, out.status)
         trace_packet(packet, nodes, leaves, frame.max_coordinate, memory, goal, nowhere)
-        store_packet(packet, number, order, long_groups, wants_any, out)
+        store_packet(packet, number, order, slow_groups, wants_any, out)

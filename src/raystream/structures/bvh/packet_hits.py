@@ -84,7 +84,7 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
     if has_room(hits):
         at, found = hits.count * _LANE, Buffers(hits.buffers).found
         if hits.in_world != _U0:
-            t = world_lanes(t, group.factor)
+            t = world_lanes(t, group.t_scale)
         store(found.t + at, compress(taken, t))
         store(found.u + at, compress(taken, u))
         store(found.v + at, compress(taken, v))
