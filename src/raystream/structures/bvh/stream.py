@@ -43,11 +43,11 @@ from raystream.jit.simd import (
 from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes
 from raystream.kernels.triangle_lanes import (
-    distance_lanes,
-    image_lanes,
-    interval_lanes,
-    same_sign,
-    weigh_lanes,
+    barycentrics,
+    plane_distance,
+    shear_vertices,
+    signs_agree,
+    slab_interval,
 )
 from raystream.structures.bvh.layout import MAX_DEPTH, STACK_SIZE
 from raystream.structures.bvh.stream_rays import (
@@ -132,7 +132,7 @@ def _visit_node(node, rays, count, hot, x, y, z, hits):
     least = f32x8(_INF)
     for j in range(count):
         ray = Hot(hot, np.uint64(load(np.uint32, rays + j * LANE)))
-        t_in, t_out = interval_lanes(
+        t_in, t_out = slab_interval(
             low_x, low_y, low_z, high_x, high_y, high_z, ray.inv, ray.near, ray.far
         )
         entered = maximum(t_in, ray.t_min) <= minimum(t_out, ray.t)
@@ -165,27 +165,14 @@ def _axes(hot):
 
 
 @device
-def _images(hot, cold, block):
+def _sheared(hot, cold, block):
     """The corners of a block's four triangles in a ray's frame."""
     x, y, z = _axes(hot)
-    ox, oy, oz = hot.origin
     corners = block.corners
-    return image_lanes(
-        corners[_FIRST, x],
-        corners[_FIRST, y],
-        corners[_FIRST, z],
-        corners[_SECOND, x],
-        corners[_SECOND, y],
-        corners[_SECOND, z],
-        corners[_THIRD, x],
-        corners[_THIRD, y],
-        corners[_THIRD, z],
-        ox,
-        oy,
-        oz,
-        hot.sx,
-        cold.sy,
-    )
+    a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+    b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
+    c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
+    return shear_vertices(a, b, c, hot.origin, (hot.sx, cold.sy))
 
 
 @device
@@ -202,7 +189,7 @@ def _point64(x, y, z):
 def _distances(hot, cold, block):
     x, y, z = _axes(hot)
     corners = block.corners
-    return distance_lanes(
+    return plane_distance(
         _corner64(corners, _FIRST, x, y, z),
         _corner64(corners, _SECOND, x, y, z),
         _corner64(corners, _THIRD, x, y, z),
@@ -221,7 +208,7 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
         number = load(np.uint32, rays + j * LANE)
         hot, cold = Hot(stream.hot, np.uint64(number)), Cold(stream.cold, np.uint64(number))
         store(hits + candidate_count * LANE, number)
-        candidate_count += np.uint64(any_lane(same_sign(_images(hot, cold, block))))
+        candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
     if candidate_count == _U0:
         return _U0
 
@@ -237,7 +224,7 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
     for j in range(candidate_count):
         number = np.uint64(load(np.uint32, hits + j * LANE))
         hot, cold = Hot(stream.hot, number), Cold(stream.cold, number)
-        t_in, t_out = interval_lanes(
+        t_in, t_out = slab_interval(
             near_x,
             near_y,
             near_z,
@@ -249,8 +236,8 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
             hot.far,
         )
         nearest, t_min = hot.t, hot.t_min
-        images = _images(hot, cold, block)
-        candidates = same_sign(images) & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+        sheared = _sheared(hot, cold, block)
+        candidates = signs_agree(sheared) & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
         if any_lane(candidates):
             # The distance first: rays that leave a surface meet its triangle behind their
             # origin, and need no weights.
@@ -258,7 +245,7 @@ def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
             candidates = candidates & (t >= t_min) & (t <= nearest)
             if not any_lane(candidates):
                 continue
-            hit, u, v = weigh_lanes(images, False)
+            hit, u, v = barycentrics(sheared, False)
             bits = mask_bits(candidates & hit)
             if bits != _U0:
                 hit_count += _U1

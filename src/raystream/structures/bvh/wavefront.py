@@ -34,11 +34,11 @@ from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, Hits
 from raystream.kernels.ray import component, prepare_ray, world_t
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.triangle_lanes import (
-    distance_lanes,
-    image_lanes,
-    interval_lanes,
-    same_sign,
-    weigh_lanes,
+    barycentrics,
+    plane_distance,
+    shear_vertices,
+    signs_agree,
+    slab_interval,
 )
 from raystream.structures.bvh.layout import STACK_SIZE
 from raystream.structures.bvh.wide import (
@@ -171,7 +171,7 @@ def _visit_node(slot, node, keys, children, numbers):
     """Test a node's eight boxes; returns the height of the stack with those that are entered."""
     x, y, z = slot.planes
     planes = node.planes
-    t_in, t_out = interval_lanes(
+    t_in, t_out = slab_interval(
         planes[x],
         planes[y],
         planes[z],
@@ -200,23 +200,23 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
     at = leaf_address(leaves, child)
     end = leaf_end(at, child)
     x, y, z = slot.axes
-    ox, oy, oz = slot.origin
+    origin = slot.origin
     sx, sy, _ = slot.shear
     while at != end:
         block = Block(at)
         corners = block.corners
-        ax, ay, az = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
-        bx, by, bz = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
-        cx, cy, cz = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
-        images = image_lanes(ax, ay, az, bx, by, bz, cx, cy, cz, ox, oy, oz, sx, sy)
-        candidates = same_sign(images)
+        a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+        b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
+        c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
+        sheared = shear_vertices(a, b, c, origin, (sx, sy))
+        candidates = signs_agree(sheared)
         if any_lane(candidates):
-            low_x, high_x = minimum(minimum(ax, bx), cx), maximum(maximum(ax, bx), cx)
-            low_y, high_y = minimum(minimum(ay, by), cy), maximum(maximum(ay, by), cy)
-            low_z, high_z = minimum(minimum(az, bz), cz), maximum(maximum(az, bz), cz)
+            low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
+            low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
+            low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
             inv = slot.inv
             back_x, back_y, back_z = inv[0] < _ZERO, inv[1] < _ZERO, inv[2] < _ZERO
-            t_in, t_out = interval_lanes(
+            t_in, t_out = slab_interval(
                 select(back_x, high_x, low_x),
                 select(back_y, high_y, low_y),
                 select(back_z, high_z, low_z),
@@ -230,20 +230,20 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
             nearest, t_min = slot.t, slot.t_min
             candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
             if any_lane(candidates):
-                dx, dy, dz = slot.direction
-                t = distance_lanes(
-                    (widen(ax), widen(ay), widen(az)),
-                    (widen(bx), widen(by), widen(bz)),
-                    (widen(cx), widen(cy), widen(cz)),
-                    (np.float64(ox), np.float64(oy), np.float64(oz)),
-                    (np.float64(dx), np.float64(dy), np.float64(dz)),
+                d = slot.direction
+                t = plane_distance(
+                    (widen(a[0]), widen(a[1]), widen(a[2])),
+                    (widen(b[0]), widen(b[1]), widen(b[2])),
+                    (widen(c[0]), widen(c[1]), widen(c[2])),
+                    (np.float64(origin[0]), np.float64(origin[1]), np.float64(origin[2])),
+                    (np.float64(d[0]), np.float64(d[1]), np.float64(d[2])),
                 )
                 t = minimum(maximum(t, t_in), t_out) + _ZERO
                 candidates = candidates & (t >= t_min) & (t <= nearest)
                 # Only now the weights: rays that leave a surface meet its triangle behind
                 # their origin.
                 if any_lane(candidates):
-                    hit, u, v = weigh_lanes(images, False)
+                    hit, u, v = barycentrics(sheared, False)
                     bits = mask_bits(candidates & hit)
                     if bits != np.uint64(0):
                         if wants_any:
