@@ -131,7 +131,7 @@ def assert_nodes(view):
 def assert_lists(view, triangles):
     """Sectors list what brute force finds in them, once, and each has its own blocks."""
     corners = triangles.corners[triangles.prim_ids].astype(float)
-    reach = SURELY * BOUND * float(triangles.extreme)
+    reach = SURELY * BOUND * float(triangles.max_coordinate)
     low, high = corners.min(axis=1) - reach, corners.max(axis=1) + reach
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, other)

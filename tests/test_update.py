@@ -93,7 +93,14 @@ def test_the_store_is_what_the_constructor_would_make(rng):
             tracer.update(points)
             found = tracer.structure.triangles
             assert found is not expected
-            for name in ("corners", "prim_ids", "mesh_splits", "center", "bounds", "extreme"):
+            for name in (
+                "corners",
+                "prim_ids",
+                "mesh_splits",
+                "center",
+                "bounds",
+                "max_coordinate",
+            ):
                 assert_same_bits(getattr(found, name), getattr(expected, name))
             assert found.scale == expected.scale
             assert found.degenerate_count == expected.degenerate_count

@@ -32,7 +32,7 @@ def test_far_scenes_are_moved_exactly():
 def test_extreme_scales_become_ordinary_by_a_power_of_two(exponent):
     triangles = store(TRIANGLE * 2.0**exponent)
     assert np.frexp(triangles.scale)[0] == 0.5
-    assert 2.0**-11 <= triangles.extreme <= 2.0**20
+    assert 2.0**-11 <= triangles.max_coordinate <= 2.0**20
     np.testing.assert_array_equal(
         triangles.to_world(triangles.corners[0]), TRIANGLE * 2.0**exponent
     )
@@ -83,5 +83,5 @@ def test_meshes_are_numbered_one_after_another():
 def test_nothing_at_all():
     triangles = Triangles([])
     assert len(triangles) == 0
-    assert triangles.extreme == 0
+    assert triangles.max_coordinate == 0
     np.testing.assert_array_equal(triangles.world_bounds, np.zeros((2, 3)))

@@ -221,7 +221,7 @@ def test_all_queries_have_brute_forces_bits(gpu, case, oracle, rays, monkeypatch
     monkeypatch.setattr(tables, "TABLE_BYTES", 100)
     for options in ({"structure": "brute"}, TWICE):
         tracer = rs.Tracer(case.scene, device="cuda", **options)
-        assert tracer.structure.lists_twice == (options is TWICE)
+        assert tracer.structure.has_duplicates == (options is TWICE)
         there = given(gpu, rays, CudaArray)
         seen = tracer.any_hit(*there)
         assert_same_bits(seen.host(), oracle.any_hit(*rays))

@@ -223,7 +223,7 @@ def traced(structure, layout, case, splits):
     first, many = HitArrays.empty(len(batch)), HitArrays.empty(int(splits[-1]))
     found = np.empty(len(batch), np.int64)
     table = np.empty(4097, np.int32)
-    tables = SeenTables(address(table), np.uint64(4096 if structure.lists_twice else 0))
+    tables = SeenTables(address(table), np.uint64(4096 if structure.has_duplicates else 0))
     to = ResultAddresses(*map(address, first), NOWHERE, address(status))
     rows = HitAddresses(*map(address, many))
     shared = source, structure.frame, tree, None
@@ -233,7 +233,7 @@ def traced(structure, layout, case, splits):
         own = tables._replace(
             memory=tables.memory - (tables.room + np.uint64(1)) * np.uint64(4) * i
         )
-        more = own if structure.lists_twice else tables
+        more = own if structure.has_duplicates else tables
         kernels.multi_hit.function(i, *shared, more, False, address(splits), rows, address(found))
     np.testing.assert_array_equal(found, np.diff(splits))
     return first, many

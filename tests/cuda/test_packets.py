@@ -107,7 +107,7 @@ def emulated():
         names[name] = device(FunctionType(code, names, f"emulated_{name}"))
     with pytest.MonkeyPatch.context() as patch:  # nothing of it is kept on disk
         patch.setattr(threads, "kernel", numba.njit(**FLAGS))
-        queries = threads.thread_queries(names["traverse"], STACK_BYTES, lists_twice=True)
+        queries = threads.thread_queries(names["traverse"], STACK_BYTES, has_duplicates=True)
     return SimpleNamespace(queries=queries, warp=warp, callback=callback)
 
 

@@ -18,7 +18,7 @@ from raystream.cuda.rays import place_rays
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import PersistentKernel, RangeKernel, is_simulated
 from raystream.jit.simd import load, store
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from test_agreement import answers_of, assert_expected, case_of
 
 #: A simulated thread takes a tenth of a millisecond.

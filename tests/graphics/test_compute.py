@@ -97,7 +97,7 @@ def test_trees_of_any_kind(dent, options):
 def test_triangles_in_several_leaves_are_found_once():
     scene = rs.Scene.from_arrays(*sticks(1500, 0.01))
     tracer = rs.Tracer(scene, "bvh", "graphics", quality="high")
-    assert tracer.structure.lists_twice
+    assert tracer.structure.has_duplicates
     rays = rays_at(scene, 1000)
     brute = rs.Tracer(scene, "brute")
     assert_same_answers(tracer, brute, rays)

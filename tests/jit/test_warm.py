@@ -13,7 +13,7 @@ from raystream.jit import warm as warm_module
 from raystream.jit.cpu import kernel
 from raystream.jit.signatures import decode_type, encode_type
 from raystream.jit.warm import Entry, compile_kernels, entries_of, missing, warm
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.kernels.collect import HitArrays, hit_addresses, keep_hit, sort_hits
-from raystream.kernels.seen import FULL, NEW, OLD, SeenSet, clear_seen, mark_seen
+from raystream.kernels.search import ADDED, FULL, SEEN, SeenSet, clear_seen, mark_seen
 
 
 @kernel
@@ -68,18 +68,18 @@ def test_triangles_seen_before(rng):
     mark(np.empty((1 << 14) + 1, np.int32), prim_ids, answers)
     first = np.zeros(5000, bool)
     first[np.unique(prim_ids, return_index=True)[1]] = True
-    np.testing.assert_array_equal(answers, np.where(first, NEW, OLD))
+    np.testing.assert_array_equal(answers, np.where(first, ADDED, SEEN))
 
 
 def test_a_set_without_places_remembers_nothing():
     answers = np.empty(40, np.uint64)
     mark(np.empty(1, np.int32), np.zeros(40, np.int32), answers)
-    assert (answers == NEW).all()
+    assert (answers == ADDED).all()
 
 
 def test_a_set_that_is_full_says_so():
     prim_ids = np.arange(40, dtype=np.int32) * 64
     answers = np.empty(40, np.uint64)
     mark(np.empty(65, np.int32), prim_ids, answers)
-    assert (answers[:32] == NEW).all()
+    assert (answers[:32] == ADDED).all()
     assert (answers[32:] == FULL).all()

@@ -19,7 +19,7 @@ from raystream.kernels.leaf_block import (
     intersect_block,
     triangle_count,
 )
-from raystream.kernels.ray import set_up
+from raystream.kernels.ray import prepare_ray
 from raystream.kernels.search import begin_search
 from raystream.kernels.triangle_list import intersect_list
 
@@ -61,7 +61,7 @@ def test_the_triangles_of_a_block_are_counted(rng):
 
 
 @kernel
-def in_parts(blocks, count, extreme, origins, directions, parts, surfaces, out, counts):
+def in_parts(blocks, count, max_coordinate, origins, directions, parts, surfaces, out, counts):
     """The hits of each ray in parts of its length, kept and counted."""
     first = address(blocks)
     end = blocks_end(first, np.uint64(count))
@@ -69,7 +69,7 @@ def in_parts(blocks, count, extreme, origins, directions, parts, surfaces, out, 
     room = np.uint64(len(out.t)) // np.uint64(len(counts))
     for i in range(np.uint64(len(counts))):
         o, d = origins[i], directions[i]
-        ray = block_ray(set_up(o[0], o[1], o[2], d[0], d[1], d[2], extreme))
+        ray = block_ray(prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], max_coordinate))
         kept = begin_search(parts[0], np.float32(np.inf), room, to, i * room, surfaces, None, None)
         counted = begin_search(
             parts[0], np.float32(np.inf), room, None, _NONE, surfaces, None, None
@@ -84,14 +84,14 @@ def in_parts(blocks, count, extreme, origins, directions, parts, surfaces, out, 
 
 
 @kernel
-def in_a_list(prim_ids, corners, extreme, origins, directions, t_min, surfaces, out, counts):
+def in_a_list(prim_ids, corners, max_coordinate, origins, directions, t_min, surfaces, out, counts):
     """The same of a list, without parts."""
     to, end = hit_addresses(out), np.uint64(len(prim_ids))
     room = np.uint64(len(out.t)) // np.uint64(len(counts))
     inf = np.float32(np.inf)
     for i in range(np.uint64(len(counts))):
         o, d = origins[i], directions[i]
-        ray = set_up(o[0], o[1], o[2], d[0], d[1], d[2], extreme)
+        ray = prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], max_coordinate)
         search = begin_search(t_min, inf, room, to, i * room, surfaces, None, None)
         search = intersect_list(
             address(prim_ids), address(corners), _NONE, end, ray, search, t_min, inf
@@ -115,7 +115,7 @@ def test_parts_of_a_ray_give_the_bits_of_a_list(mesh, surfaces, rng):
     padded = np.full(-(-count // BLOCK_SIZE) * BLOCK_SIZE, -1, np.int32)
     padded[:count] = triangles.prim_ids
     blocks = filled_blocks(padded.reshape(-1, BLOCK_SIZE), triangles.corners)
-    shared = triangles.extreme, origins, directions
+    shared = triangles.max_coordinate, origins, directions
     expected, right = HitArrays.empty(rays * count), np.empty(rays, np.int64)
     t_min = np.float32(0)
     in_a_list(triangles.prim_ids, triangles.corners, *shared, t_min, surfaces, expected, right)

@@ -74,7 +74,7 @@ def test_a_triangle_in_several_leaves_counts_once(mesh, kernel, rng):
     tracer = rs.Tracer(rs.Scene.from_arrays(*mesh), kernel=kernel)
     oracle = rs.Tracer(rs.Scene.from_arrays(*mesh), "brute")
     structure = with_leaves_repeated(tracer.structure)
-    structure._lists_twice = True
+    structure._has_duplicates = True
     structure.options = rs.Bvh(kernel=kernel)
     tracer.structure = structure
     low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
@@ -94,7 +94,7 @@ def test_many_hits_of_triangles_in_several_leaves(rng):
     rays = [[0, 0, -1], [0.1, 0, 999], [5, 5, 5]], [[0.0, 0, 1], [0, 0, -1], [0, 0, 1]]
     expected = tracer.multi_hit(*rays)
     tracer.structure = with_leaves_repeated(tracer.structure)
-    tracer.structure._lists_twice = True
+    tracer.structure._has_duplicates = True
     found = tracer.multi_hit(*rays)
     assert found.counts.tolist() == [count, count, 0]
     for column in ("ray_splits", "t", "u", "v", "prim_id"):
@@ -114,8 +114,8 @@ def test_cut_triangles_are_noticed():
     scene = rs.Scene.from_arrays(corners.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
     tracer = rs.Tracer(scene, quality="high")
     assert tracer.structure.quality()["references"] > 2000
-    assert tracer.structure.lists_twice
-    assert not rs.Tracer(scene).structure.lists_twice
+    assert tracer.structure.has_duplicates
+    assert not rs.Tracer(scene).structure.has_duplicates
     origins = rng.random((500, 3)) * 3 - 1
     rays = {"origins": origins, "directions": rng.random((500, 3)) - origins}
     assert_same_answers(tracer, rs.Tracer(scene, "brute"), rays)

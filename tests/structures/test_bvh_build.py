@@ -188,8 +188,8 @@ def test_cut_boxes_reach_beyond_every_point_of_a_triangle(rng):
     weights = rng.dirichlet([0.5, 0.5, 0.5], 200)
     points = np.einsum("pk,fka->fpa", weights, triangles.corners.astype(float))
     own = triangles.corners.min(axis=1)[:, None], triangles.corners.max(axis=1)[:, None]
-    reach = 12 * 2.0**-24 * float(triangles.extreme)
-    assert reach < PAD * float(triangles.extreme)
+    reach = 12 * 2.0**-24 * float(triangles.max_coordinate)
+    assert reach < PAD * float(triangles.max_coordinate)
     least, most = np.maximum(points - reach, own[0]), np.minimum(points + reach, own[1])
     inside = np.zeros(points.shape[:2], bool)
     low, high = boxes_of(arrays.nodes)

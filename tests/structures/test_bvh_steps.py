@@ -14,10 +14,9 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
 from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
-from raystream.kernels.local_frame import LocalRays, SceneFrame
-from raystream.kernels.ray import set_up
-from raystream.kernels.search import Search, begin_search, is_full
-from raystream.kernels.seen import SeenSet, clear_seen
+from raystream.kernels.local_frame import LocalRays
+from raystream.kernels.ray import SceneFrame, prepare_ray
+from raystream.kernels.search import Search, SeenSet, begin_search, clear_seen, is_full
 from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS, LEAVES, STEPS, TESTS, add_to, new_tallies, tally_of
 from raystream.machines import Branching
@@ -91,7 +90,7 @@ def rows_of(out):
 
 @kernel
 def run_pass(
-    tree, extreme, rays, states, stacks, stride, half, surfaces, slots, out, seen, tallies
+    tree, max_coordinate, rays, states, stacks, stride, half, surfaces, slots, out, seen, tallies
 ):
     """One step of each ray. Returns how many were not done."""
     o, d = rays.origins, rays.directions
@@ -108,7 +107,9 @@ def run_pass(
         top, t_min, t_far = states.top[i], rays.t_min[i], states.t_far[i]
         first, capacity = slots.first[i], slots.capacity[i]
         tally = tally_of(tallies, i)
-        line = block_ray(set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme))
+        line = block_ray(
+            prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
+        )
         if stage == _POP:
             found, child, top = next_entry(stack, half_bytes, top, t_far)
             states.top[i], states.child[i] = top, child
@@ -145,13 +146,13 @@ def run_pass(
 
 
 @kernel
-def fused(tree, extreme, rays, surfaces, slots, out, seen, counts, tallies):
+def fused(tree, max_coordinate, rays, surfaces, slots, out, seen, counts, tallies):
     """`traverse` for each ray; the number of its hits, or _OVERFLOWED."""
     o, d = rays.origins, rays.directions
     stack = scratch(STACK_BYTES)
     room = np.uint64(seen.shape[1]) - _ONE
     for i in range(len(counts)):
-        ray = set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
+        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
         met = SeenSet(address(seen) + np.uint64(i) * (room + _ONE) * np.uint64(4), room)
         first, capacity = slots.first[i], slots.capacity[i]
         t_min, t_max, tally = rays.t_min[i], rays.t_max[i], tally_of(tallies, i)
@@ -195,9 +196,9 @@ def run_fused(structure, rays, surfaces, keep, slots, room):
     """Counts, hits and tallies of `traverse`."""
     count, out = len(rays.t_max), new_hits(slots, keep)
     counts, tallies = np.zeros(count, np.uint64), new_tallies(count)
-    extreme = structure.triangles.extreme
+    max_coordinate = structure.triangles.max_coordinate
     arguments = surfaces, slots, out, new_seen(count, room), counts, tallies
-    fused(structure.arrays, extreme, rays, *arguments)
+    fused(structure.arrays, max_coordinate, rays, *arguments)
     return counts, out, tallies
 
 
@@ -211,8 +212,8 @@ def run_steps(structure, rays, surfaces, keep, slots, room):
     where = stacks, 2 * half, half
     set_off(structure.arrays, rays, states, *where)
     constants = surfaces, slots, out, new_seen(count, room), tallies
-    extreme = structure.triangles.extreme
-    while run_pass(structure.arrays, extreme, rays, states, *where, *constants):
+    max_coordinate = structure.triangles.max_coordinate
+    while run_pass(structure.arrays, max_coordinate, rays, states, *where, *constants):
         pass
     assert (stacks[:, :, need:] == _CANARY).all()
     return states.count, out, tallies
@@ -322,8 +323,8 @@ def test_steps_give_the_bits_of_brute_force_and_the_tallies_of_traverse(pair, rn
     seen, _, _ = both(structure, rays, False, False, one, 0)
     assert_same_bits(seen != 0, answered(brute, Kind.ANY_HIT, rays).seen)
 
-    assert structure.lists_twice == (structure.options.quality == "high")
-    room = 4096 if structure.lists_twice else 0
+    assert structure.has_duplicates == (structure.options.quality == "high")
+    room = 4096 if structure.has_duplicates else 0
     for surfaces in (False, True):
         wanted = answered(brute, Kind.COUNT_HITS, rays, surfaces).counts
         counts, _, tallies = both(structure, rays, surfaces, False, unlimited, room)

@@ -12,7 +12,7 @@ from cases import CASES
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.ray import set_up
+from raystream.kernels.ray import prepare_ray
 from raystream.machines.ray_block import blocks
 from raystream.structures.graph.graphlog import load_graph
 from raystream.structures.graph.layout import SECTOR_ROWS
@@ -32,11 +32,11 @@ SECTOR_BYTES = np.uint64(16 * SECTOR_ROWS)
 
 
 @kernel
-def holders(graph, sector_count, extreme, rays, t, rows, counts):
+def holders(graph, sector_count, max_coordinate, rays, t, rows, counts):
     """For each ray, a sector that holds it at t, and how many do: every sector is asked."""
     o, d = rays.origins, rays.directions
     for i in range(len(t)):
-        ray = set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
+        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
         line = sector_ray(ray)
         counts[i] = 0
         rows[i] = NOWHERE
@@ -50,10 +50,10 @@ def holders(graph, sector_count, extreme, rays, t, rows, counts):
 
 
 @kernel
-def follow(graph, extreme, rays, i, most, rows, ends):
+def follow(graph, max_coordinate, rays, i, most, rows, ends):
     """The sectors of ray i, and where it leaves them; returns how many."""
     o, d = rays.origins, rays.directions
-    ray = set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
+    ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
     is_active, t_in, t_end = enter(graph, ray, rays.t_min[i], rays.t_max[i])
     if not is_active:
         return 0
@@ -109,7 +109,7 @@ NAMES = ["random_soup", "closed_mesh", "exact_edges_on_a_lattice", "flat_box", "
 def test_all_routes_lead_to_the_one_sector_that_holds_the_ray(name, rng):
     structure = graph_of(name, crossing_cost=2.0, link_cost=0.5, max_leaf_size=1)
     graph = structure.graph
-    extreme = np.float32(structure.triangles.extreme)
+    max_coordinate = np.float32(structure.triangles.max_coordinate)
     rays = local_rays(structure, *hard_rays(structure, rng))
     count = len(rays.t_min)
     inside = structure.start_sectors(rays)
@@ -125,7 +125,7 @@ def test_all_routes_lead_to_the_one_sector_that_holds_the_ray(name, rng):
         assert not at_home.step_counts.any()
         if t is not None:
             rows, holder_counts = np.empty(count, np.int64), np.empty(count, np.int64)
-            arguments = structure.arrays, graph.sector_count, extreme, rays, t
+            arguments = structure.arrays, graph.sector_count, max_coordinate, rays, t
             holders(*arguments, rows, holder_counts)
             # Planes that a ray meets at the same distance: sectors between them hold no t.
             assert (holder_counts[is_active] >= 1).all()
@@ -155,8 +155,8 @@ def test_a_way_goes_on_and_ends(name, rng):
     rows, ends = np.empty(most, np.int64), np.empty(most, np.float32)
     longest = 0
     for i in range(len(rays.t_min)):
-        extreme = np.float32(structure.triangles.extreme)
-        count = follow(structure.arrays, extreme, rays, i, most, rows, ends)
+        max_coordinate = np.float32(structure.triangles.max_coordinate)
+        count = follow(structure.arrays, max_coordinate, rays, i, most, rows, ends)
         assert count < most
         assert (np.diff(ends[:count]) >= 0).all()
         assert len(np.unique(rows[:count])) == count

@@ -13,7 +13,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import scratch
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.ray import set_up
+from raystream.kernels.ray import prepare_ray
 from raystream.machines import Branching
 from raystream.structures.kdtree.options import LAYOUTS, TRAVERSALS
 from raystream.structures.kdtree.state import STACK_BYTES, split_ray
@@ -84,12 +84,12 @@ def test_quality_of_nothing():
 
 
 @kernel
-def record_leaves(begin, end, tree, extreme, rays, leaves, counts):
+def record_leaves(begin, end, tree, max_coordinate, rays, leaves, counts):
     """Every leaf that a ray comes to if nothing stops it; and splits, leaves, climbs, jumps."""
     stack = scratch(STACK_BYTES)
     o, d = rays.origins, rays.directions
     for i in range(np.uint64(begin), np.uint64(end)):
-        ray = set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
+        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
         is_active, state = initialize(tree, ray, rays.t_min[i], rays.t_max[i])
         if not is_active:
             continue
@@ -125,8 +125,8 @@ def recorded(structure, origins, directions, t_min=-np.inf, t_max=np.inf):
     )
     leaves = np.zeros((count, int(structure.quality()["leaves"]) + 1, 4))
     counts = np.zeros((count, 4), np.int64)
-    extreme = structure.triangles.extreme
-    record_leaves(0, count, structure.arrays, extreme, rays, leaves, counts)
+    max_coordinate = structure.triangles.max_coordinate
+    record_leaves(0, count, structure.arrays, max_coordinate, rays, leaves, counts)
     assert (counts[:, 1] < leaves.shape[1]).all(), "a ray sees no leaf twice"
     return leaves, counts
 

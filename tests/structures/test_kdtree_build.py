@@ -78,7 +78,7 @@ def test_a_leaf_lists_all_whose_hits_may_be_in_it(mesh, max_depth, costs, rng):
     beyond = np.einsum("ftk,fkx->ftx", weights, corners)
     in_box = ((beyond >= low[:, None] - 1e-9) & (beyond <= high[:, None] + 1e-9)).all(axis=2)
     points = np.concatenate([inside, np.where(in_box[..., None], beyond, inside[:, :1])], axis=1)
-    points += rng.uniform(-1, 1, points.shape) * 0.3 * BOUND * triangles.extreme
+    points += rng.uniform(-1, 1, points.shape) * 0.3 * BOUND * triangles.max_coordinate
     prim_id = np.repeat(np.arange(len(corners)), points.shape[1])
     leaves = leaf_of(tree.nodes, points.reshape(-1, 3))
     held = {leaf: set(listed(tree, leaf).tolist()) for leaf in np.unique(leaves)}

@@ -14,8 +14,8 @@ from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
 from raystream.kernels.collect import HitArrays
-from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import ray_queries
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.search import is_full
 from raystream.kernels.sink import Sink
 from raystream.machines import Branching
@@ -55,7 +55,7 @@ def in_all(views, ray, search, stack):
     return search
 
 
-QUERIES = ray_queries(in_all, STACK_BYTES, lists_twice=True)
+QUERIES = ray_queries(in_all, STACK_BYTES, has_duplicates=True)
 
 OPTIONS = {"bvh": {"quality": "high", "max_leaf_size": 1}}
 
@@ -90,7 +90,7 @@ def case(request, rng):
         queries=QUERIES,
         arrays=Views(*(part.arrays for part in parts)),
         frame=SceneFrame.of(triangles),
-        lists_twice=True,
+        has_duplicates=True,
         rays_per_call=lambda: 100,
         parts=parts,  # whose arrays are read by address
     )

@@ -306,7 +306,7 @@ def test_a_search_that_was_given_up_does_not_count(rng):
     structure = build(*stack_of_triangles(count, rng.permutation(count)), "bvh")
     batch = rays([[0, 0, -1], [0, 0, count]], [[0, 0, 1], [0, 0, -1]])
     expected = {query: tallied(structure, query, batch) for query in QUERIES}
-    structure._lists_twice = True
+    structure._has_duplicates = True
     for query, columns in expected.items():
         found = tallied(structure, query, batch)
         for column in COLUMNS:

@@ -72,7 +72,7 @@ def spawn_origins(
     reach = np.abs(positions).max(axis=-1)
     offset = UNIT * np.minimum(
         EXTENT_UNITS * extent + REACH_UNITS * reach,
-        MOST_UNITS * (float(triangles.extreme) + reach),
+        MOST_UNITS * (float(triangles.max_coordinate) + reach),
     )
     # Far from the origin, the rounding of the float64 world position may be larger.
     world_reach = np.abs(triangles.center).max() * triangles.scale

@@ -54,7 +54,7 @@ class Triangles:
         Local units per world unit.
     bounds : ndarray of shape (2, 3), float32
         Low and high corner of the box around `prim_ids`, local frame; zeros without any.
-    extreme : float32
+    max_coordinate : float32
         Largest absolute coordinate of `prim_ids`, local frame.
     degenerate_count, nonfinite_count : int
         Triangles left out: without area, or with a vertex that is NaN, infinite or beyond
@@ -69,7 +69,7 @@ class Triangles:
     center: NDArray[np.float64]
     scale: float
     bounds: NDArray[np.float32]
-    extreme: np.float32
+    max_coordinate: np.float32
     degenerate_count: int
     nonfinite_count: int
     attributes: Attributes | None = None
@@ -162,7 +162,7 @@ class Triangles:
         self.prim_ids = np.flatnonzero(solid).astype(np.int32)
         self.degenerate_count = count - self.nonfinite_count - len(self.prim_ids)
         self.bounds = bounds if len(self.prim_ids) else np.zeros((2, 3), np.float32)
-        self.extreme = np.float32(np.abs(self.bounds).max())
+        self.max_coordinate = np.float32(np.abs(self.bounds).max())
 
     def __len__(self) -> int:
         return len(self.corners)

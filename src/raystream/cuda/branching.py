@@ -137,7 +137,7 @@ class Branching(Backend):
             self._resident,
             structure.frame,
             structure.triangles,
-            structure.lists_twice,
+            structure.has_duplicates,
             self._is_sorted,
             self._in_order,
         )
@@ -200,7 +200,7 @@ class Branching(Backend):
 
             return take
 
-        self._trace(job, answer, lists_twice=self.structure.lists_twice)
+        self._trace(job, answer, has_duplicates=self.structure.has_duplicates)
 
     def _multi_hit(self, job: HostQuery) -> None:
         splits, out, surfaces = job.sink.splits, job.sink.hits, bool(job.query.surfaces)
@@ -228,8 +228,8 @@ class Branching(Backend):
 
             return take
 
-        lists_twice = self.structure.lists_twice
-        self._trace(job, answer, lists_twice=lists_twice, splits=splits)
+        has_duplicates = self.structure.has_duplicates
+        self._trace(job, answer, has_duplicates=has_duplicates, splits=splits)
 
     def _trace(self, job: HostQuery, answer: Answer, **options: Any) -> None:
         shared = self.gpu, self._resident, self._staging_streams, self.rays_at_once

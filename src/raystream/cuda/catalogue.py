@@ -20,7 +20,7 @@ from raystream.cuda.structures import kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import Compiled, RangeKernel
 from raystream.kernels.collect import HitAddresses
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene
 from raystream.structures import STRUCTURES, build_structure, names_with

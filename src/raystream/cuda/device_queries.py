@@ -20,7 +20,7 @@ from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, Work, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import ResultAddresses
 
 __all__ = ["DeviceQueries", "DeviceScene", "report"]
@@ -38,7 +38,7 @@ class DeviceScene(NamedTuple):
     resident : Resident
     frame : SceneFrame
     triangles : Triangles
-    lists_twice : bool
+    has_duplicates : bool
         Whether rays need tables of the triangles that they have met.
     is_sorted : bool
         Whether the kernels take rays in the order of their keys, see `ray_order`.
@@ -51,7 +51,7 @@ class DeviceScene(NamedTuple):
     resident: Resident
     frame: SceneFrame
     triangles: Triangles
-    lists_twice: bool
+    has_duplicates: bool
     is_sorted: bool
     in_order: DeviceTriangles
 
@@ -190,7 +190,7 @@ class DeviceQueries:
             arguments = (*inputs.shared(first, count), tables, *wanted, *places)
             work.launch(self._scene.kernels.count_hits, count, arguments)
 
-        with_tables(work, self._scene.lists_twice, counts, run)
+        with_tables(work, self._scene.has_duplicates, counts, run)
         return counts
 
     def _fill(self, work: Work, inputs: QueryInputs, splits: DeviceArray, to: HitAddresses) -> None:
@@ -201,7 +201,7 @@ class DeviceQueries:
             arguments = (*inputs.shared(first, count), tables, *more)
             work.launch(self._scene.kernels.multi_hit, count, arguments)
 
-        with_tables(work, self._scene.lists_twice, found, run)
+        with_tables(work, self._scene.has_duplicates, found, run)
 
 
 def _moved(array: DeviceArray, first: int) -> np.uint64:

@@ -19,8 +19,8 @@ from raystream.cuda.structures import Resident
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.threads import Progress
-from raystream.kernels.local_ray import SceneFrame
-from raystream.kernels.seen import LEAST_ROOM
+from raystream.kernels.ray import SceneFrame
+from raystream.kernels.search import LEAST_ROOM
 from raystream.kernels.sink import Sink
 
 __all__ = [
@@ -200,7 +200,7 @@ def trace_parts(
     answer: Answer,
     *,
     is_sorted: bool = False,
-    lists_twice: bool = False,
+    has_duplicates: bool = False,
     splits: NDArray[np.int64] | None = None,
 ) -> None:
     """Trace all rays of a query, some at a time: while some are traced, others are copied.
@@ -218,7 +218,7 @@ def trace_parts(
         A part whose tables were too small is traced again with larger ones.
     is_sorted : bool
         See `Part`.
-    lists_twice : bool
+    has_duplicates : bool
         Whether rays need tables.
     splits : ndarray of shape (N + 1,), int64, optional
         Rows of hits for which there must be room.
@@ -256,7 +256,7 @@ def trace_parts(
 
     with staging_streams.taken() as turns:
         begun: deque[tuple[Part, int, Callable[[], bool]]] = deque()
-        room = int(LEAST_ROOM) if lists_twice else 0
+        room = int(LEAST_ROOM) if has_duplicates else 0
         for rows, staging in zip(
             parts(slice(0, len(job.batch)), room), itertools.cycle(turns), strict=False
         ):

@@ -26,7 +26,7 @@ from raystream.jit.cuda import CudaStream, DeviceArray, Gpu, RangeKernel, is_sim
 from raystream.jit.cuda.blocks import get_32
 from raystream.jit.cuda.radix import sort_pairs
 from raystream.jit.simd import store
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 
 __all__ = ["KEY_BITS", "MAKE_KEY", "in_order", "sort_rays"]

@@ -67,7 +67,7 @@ def _made(name: str, kernel: str | None, launch: str, order: str) -> ThreadQueri
     launcher: _Launcher = plain
     if order == "sorted":
         launcher = lambda function: plain(in_order(function))  # noqa: E731
-    return thread_queries(traverse, stack_bytes, launcher, lists_twice=made.can_list_twice)
+    return thread_queries(traverse, stack_bytes, launcher, has_duplicates=made.can_have_duplicates)
 
 
 class Resident(NamedTuple):

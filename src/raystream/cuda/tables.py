@@ -10,14 +10,14 @@ from raystream.cuda.parts import GROWTH, NO_TABLES, TABLE_BYTES
 from raystream.cuda.scan import is_any
 from raystream.cuda.threads import RETRY, SeenTables
 from raystream.jit.cuda import DeviceArray, Work
-from raystream.kernels.seen import LEAST_ROOM
+from raystream.kernels.search import LEAST_ROOM
 
 __all__ = ["with_tables"]
 
 
 def with_tables(
     work: Work,
-    lists_twice: bool,
+    has_duplicates: bool,
     counts: DeviceArray,
     run: Callable[[SeenTables, int, int], None],
 ) -> None:
@@ -26,7 +26,7 @@ def with_tables(
     Parameters
     ----------
     work : Work
-    lists_twice : bool
+    has_duplicates : bool
         Whether rays need any; else it runs once.
     counts : DeviceArray of shape (N,), int64
         What the kernel writes: `RETRY` for rays whose table was too small.
@@ -34,7 +34,7 @@ def with_tables(
         Given the tables, the first ray of a part, and how many.
     """
     ray_count = len(counts)
-    if not lists_twice:
+    if not has_duplicates:
         run(NO_TABLES, 0, ray_count)
         return
     room = int(LEAST_ROOM)

@@ -15,8 +15,8 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.collect import HitAddresses
-from raystream.kernels.ray_search import Goal, RayScene, finish_first, finish_rows, ray_search
-from raystream.kernels.seen import SeenSet, clear_seen
+from raystream.kernels.queries import Goal, RayScene, finish_first, finish_rows, ray_search
+from raystream.kernels.search import SeenSet, clear_seen
 from raystream.kernels.tally import ROW, SHADINGS, add_to
 
 __all__ = ["RETRY", "SeenTables", "ThreadQueries", "thread_queries"]
@@ -82,7 +82,7 @@ def thread_queries(
     stack_bytes: int,
     launcher: Callable[[Callable[..., Any]], RangeKernel] = RangeKernel,
     *,
-    lists_twice: bool = False,
+    has_duplicates: bool = False,
 ) -> ThreadQueries:
     """Make the kernels of a structure.
 
@@ -94,7 +94,7 @@ def thread_queries(
         Of the memory that it is given.
     launcher : callable
         `RangeKernel` or `PersistentKernel`.
-    lists_twice : bool
+    has_duplicates : bool
         See `kernels.queries.ray_queries`.
 
     Returns
@@ -104,7 +104,7 @@ def thread_queries(
         the structure's arrays, and the address of tallies or None.
     """
     search_ray = ray_search(traverse)
-    seen_of = _seen_of if lists_twice else _no_set
+    seen_of = _seen_of if has_duplicates else _no_set
 
     @kernel
     def first_hit(i, source, frame, tree, tallies, out):

@@ -122,7 +122,7 @@ class _Pipeline:
         form = self._form
         names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
         self._tree = upload(opened, zip(names, form.arrays, strict=True))
-        self._search = uniform(opened, form.params(structure.triangles.extreme))
+        self._search = uniform(opened, form.params(structure.triangles.max_coordinate))
         self._arrays = SurfaceArrays(scene, view, opened)
         packed = packed_view(view, size, scene.triangles)
         self._params = [

@@ -57,7 +57,7 @@ class Branching(GraphicsQueries):
         textures, device = self._textures, self.opened.device
         rows = chunk.row_count if kind == Kind.MULTI_HIT else 0
         textures.load(chunk.rays, chunk.rows, chunk.wanted, rows, tallies is not None)
-        textures.write_params(self.structure.triangles.extreme)
+        textures.write_params(self.structure.triangles.max_coordinate)
         encoder = device.create_command_encoder()
         frame = [textures.params, *(one.view for one in textures.inputs)]
         groups = [frame, *textures.resources(kind, tallies is not None)]

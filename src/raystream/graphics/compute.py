@@ -41,7 +41,7 @@ class Compute(GraphicsQueries):
         self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
     ) -> None:
         super().__init__(structure, opened, rays_at_once)
-        self._dispatches = Dispatches(self._form, opened, structure.triangles.extreme)
+        self._dispatches = Dispatches(self._form, opened, structure.triangles.max_coordinate)
         self._found: NDArray[Any] = np.empty(0, ROW)
         self._dispatches.pipeline(Task(Kind.FIRST_HIT))  # whatever is wrong is said now
 

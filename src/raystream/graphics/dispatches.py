@@ -72,7 +72,7 @@ class Dispatches:
     ----------
     form : Form
     opened : OpenDevice
-    extreme : float32
+    max_coordinate : float32
         Largest absolute coordinate of the scene.
 
     Raises
@@ -81,16 +81,16 @@ class Dispatches:
         If the structure is too large for the device.
     """
 
-    def __init__(self, form: Form, opened: OpenDevice, extreme: np.float32) -> None:
+    def __init__(self, form: Form, opened: OpenDevice, max_coordinate: np.float32) -> None:
         self._form = form
         self._opened = opened
-        self._extreme = extreme
+        self._max_coordinate = max_coordinate
         self._source = form.source("compute.wgsl")
         names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
         self._arrays = upload(opened, zip(names, form.arrays, strict=True))
         self._buffers = {name: Buffer(opened, name) for name in _NAMES}
         self._layouts = _LAYOUT, ("gather",) * len(self._arrays)
-        self._params = uniform(opened, form.params(extreme))
+        self._params = uniform(opened, form.params(max_coordinate))
         self._read_back = ReadBack(opened)
         self._groups: list[Any] = []
 
@@ -192,7 +192,7 @@ class Dispatches:
         columns = min(groups, most)
         row_size = columns * _GROUP_SIZE
         params = self._form.params(
-            self._extreme, ray_count=count, row_size=row_size, capacity=capacity
+            self._max_coordinate, ray_count=count, row_size=row_size, capacity=capacity
         )
         device = self._opened.device
         device.queue.write_buffer(self._params, 0, params)

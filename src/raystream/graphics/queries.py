@@ -130,7 +130,7 @@ class GraphicsQueries(LocalBackend):
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
     ) -> None:
         counts, limit = sink.counts, query.limit
-        if not self._form.lists_twice or limit <= 1:
+        if not self._form.has_duplicates or limit <= 1:
             counts[:] = self._count(query, rays, sink.tallies, progress)
             return
         for rows, splits, _ in self._distinct(rays, query.surfaces, sink.tallies):
@@ -142,7 +142,7 @@ class GraphicsQueries(LocalBackend):
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
     ) -> None:
         count, splits, hits = len(rays.t_min), sink.splits, sink.hits
-        if self._form.lists_twice:
+        if self._form.has_duplicates:
             for rows, own, found in self._distinct(rays, query.surfaces, sink.tallies):
                 wanted = splits[rows.start : rows.stop + 1]
                 part = hits.part(slice(wanted[0], wanted[-1]))

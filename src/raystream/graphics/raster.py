@@ -131,7 +131,7 @@ class _Raster:
         seen = Texture(opened, "numbers of triangles", size, IDS)
         found = Texture(opened, "hits", size, WORDS)
         encoder = opened.device.create_command_encoder()
-        params = uniform(opened, numbers(self._triangles.extreme, 0, 0, 0) + packed)
+        params = uniform(opened, numbers(self._triangles.max_coordinate, 0, 0, 0) + packed)
         self._rasterise(encoder, params, seen)
         groups = [[whole(params), seen.view], [self._buffers[1].binding]]
         self._resolve.draw(encoder, groups, [found])

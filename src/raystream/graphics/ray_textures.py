@@ -92,10 +92,10 @@ class RayTextures:
                 self._buffers[name].write(np.zeros((self.count, 8), np.uint32))
         return is_new
 
-    def write_params(self, extreme: np.float32) -> None:
+    def write_params(self, max_coordinate: np.float32) -> None:
         """Say how many rays there are, and what all of them share."""
         width = self.shape.width
-        params = self._form.params(extreme, ray_count=self.count, row_size=width)
+        params = self._form.params(max_coordinate, ray_count=self.count, row_size=width)
         self._opened.device.queue.write_buffer(self._uniform, 0, params)
 
     def write_tree(self, tree: bytes) -> None:

@@ -97,7 +97,7 @@ class SurfaceArrays:
         triangles = self._triangles
         world_reach = float(np.abs(triangles.center).max()) * float(triangles.scale)
         words = numbers(
-            *(float(triangles.extreme), 0, world_reach, float(min_weight)),
+            *(float(triangles.max_coordinate), 0, world_reach, float(min_weight)),
             *(*map(float, self._ambient), number),
             *(*map(float, self._background), self._attributes),
         )

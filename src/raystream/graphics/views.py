@@ -43,7 +43,7 @@ def packed_view(camera: Camera, size: tuple[int, int], triangles: Triangles) -> 
     right, up, forward = map(_halves, camera.basis())
     scale = _halves(2.0 * math.tan(math.radians(camera.fov) / 2.0) / height)
     eye = ((np.array(camera.eye) - triangles.center) * triangles.scale).astype(np.float32)
-    near = max(float(triangles.extreme), float(np.abs(eye).max()), 1e-30) * _NEAR
+    near = max(float(triangles.max_coordinate), float(np.abs(eye).max()), 1e-30) * _NEAR
     rows = [
         [*eye, near],
         [*right[0], scale[0]],

@@ -34,14 +34,14 @@ from raystream.jit.simd import (
 from raystream.jit.threads import parallel_for
 from raystream.jit.views import view
 from raystream.kernels.aligned import aligned_array
-from raystream.kernels.ray import pick
+from raystream.kernels.ray import component
 from raystream.kernels.search import is_full, offer
 from raystream.kernels.triangle_lanes import (
-    distance_lanes,
-    image_lanes,
-    interval_lanes,
-    same_sign,
-    weigh_lanes,
+    barycentrics,
+    plane_distance,
+    shear_vertices,
+    signs_agree,
+    slab_interval,
 )
 
 __all__ = [
@@ -243,7 +243,7 @@ class BlockRay(NamedTuple):
 
 @device
 def _in_frame(ray, x, y, z):
-    return pick(ray.kx, x, y, z), pick(ray.ky, x, y, z), pick(ray.kz, x, y, z)
+    return component(ray.kx, x, y, z), component(ray.ky, x, y, z), component(ray.kz, x, y, z)
 
 
 @device
@@ -252,8 +252,8 @@ def block_ray(ray):
     return BlockRay(
         (ray.kx * AXIS, ray.ky * AXIS, ray.kz * AXIS),
         (
-            pick(ray.kx, ray.inv_x, ray.inv_y, ray.inv_z),
-            pick(ray.ky, ray.inv_x, ray.inv_y, ray.inv_z),
+            component(ray.kx, ray.inv_x, ray.inv_y, ray.inv_z),
+            component(ray.ky, ray.inv_x, ray.inv_y, ray.inv_z),
             ray.sz,
         ),
         _in_frame(ray, ray.near_x, ray.near_y, ray.near_z),
@@ -294,15 +294,15 @@ def _test_block(block, ray, t_min, t_far, surfaces, lanes):
     b = _corner(block + SECOND, ray.axis)
     c = _corner(block + THIRD, ray.axis)
     o, s = ray.origin, ray.shear
-    images = image_lanes(*a, *b, *c, *o, s[0], s[1])
-    candidates = same_sign(images)
+    sheared = shear_vertices(a, b, c, o, (s[0], s[1]))
+    candidates = signs_agree(sheared)
     if not any_lane(candidates):
         return _NONE
     low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
     low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
     low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
     back_x, back_y, back_z = ray.inv[0] < _ZERO, ray.inv[1] < _ZERO, ray.inv[2] < _ZERO
-    t_in, t_out = interval_lanes(
+    t_in, t_out = slab_interval(
         select(back_x, high_x, low_x),
         select(back_y, high_y, low_y),
         select(back_z, high_z, low_z),
@@ -320,7 +320,7 @@ def _test_block(block, ray, t_min, t_far, surfaces, lanes):
     # origin, and needs none. (Single bounce, ambient occlusion and shadow rays on the bunny and
     # conference, one thread of a Zen 5: 1.03 to 1.05 times as fast; primary rays: the same.)
     d = ray.direction
-    t = distance_lanes(
+    t = plane_distance(
         (widen(a[0]), widen(a[1]), widen(a[2])),
         (widen(b[0]), widen(b[1]), widen(b[2])),
         (widen(c[0]), widen(c[1]), widen(c[2])),
@@ -331,7 +331,7 @@ def _test_block(block, ray, t_min, t_far, surfaces, lanes):
     candidates = candidates & (t >= t_min) & (t <= t_far)
     if not any_lane(candidates):
         return _NONE
-    hit, u, v = weigh_lanes(images, surfaces)
+    hit, u, v = barycentrics(sheared, surfaces)
     store(lanes, t)
     store(lanes + _U, u)
     store(lanes + _V, v)

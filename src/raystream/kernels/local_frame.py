@@ -1,16 +1,16 @@
-"""Batches of rays into a scene's local frame, and their distances back."""
+"""Batches of rays: to a scene's local frame, and their hits' distances back to world space."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import kernel
-from raystream.kernels.local_ray import FAR, SceneFrame, localise, world_t
+from raystream.kernels.ray import to_local, world_t
 
-__all__ = ["FAR", "LocalRays", "SceneFrame", "TScale", "to_local_rays", "to_world_t"]
+__all__ = ["LocalRays", "TTransform", "WorldRays", "to_local_rays", "to_world_t"]
 
 _INF = np.float32(np.inf)
 
@@ -33,55 +33,69 @@ class LocalRays(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> LocalRays:
-        """Make arrays for `count` rays, not initialised."""
+        """Uninitialised arrays for `count` rays."""
         origins, directions = (np.empty((count, 3), np.float32) for _ in range(2))
         return cls(origins, directions, np.empty(count, np.float32), np.empty(count, np.float32))
 
 
-class TScale(NamedTuple):
-    """How a ray's distances go back to world space: t = local t * factor + offset.
+class WorldRays(NamedTuple):
+    """Rays in world space.
 
     Attributes
     ----------
-    factor : ndarray of shape (N,), float64
-        A power of two.
-    offset : ndarray of shape (N,), float64
-        Zero but for origins that were advanced.
+    origins, directions : ndarray of shape (N, 3), float32 or float64
+    t_min, t_max : ndarray of shape (N,), float32
+        Closed interval, in direction lengths.
     """
 
-    factor: NDArray[np.float64]
+    origins: NDArray[Any]
+    directions: NDArray[Any]
+    t_min: NDArray[np.float32]
+    t_max: NDArray[np.float32]
+
+
+class TTransform(NamedTuple):
+    """Local to world distances, per ray: world t = local t * scale + offset.
+
+    Attributes
+    ----------
+    scale : ndarray of shape (N,), float64
+        A power of two.
+    offset : ndarray of shape (N,), float64
+        Zero except for origins that were advanced.
+    """
+
+    scale: NDArray[np.float64]
     offset: NDArray[np.float64]
 
 
 @kernel
-def to_local_rays(begin, end, origins, directions, t_min, t_max, frame, rays, t_scale, status):
-    """Turn rays begin to end into local ones.
+def to_local_rays(begin, end, world, frame, rays, to_world, status):
+    """Transform rays begin to end to the local frame.
 
     Parameters
     ----------
     begin, end : int
-    origins, directions : ndarray of shape (N, 3), float32 or float64
-        World space.
-    t_min, t_max : ndarray of shape (N,), float32
-        Closed interval, in direction lengths.
+    world : WorldRays
     frame : SceneFrame
     rays : LocalRays
         Written. Rays that are invalid or cannot reach the scene get an empty interval.
-    t_scale : TScale
+    to_world : TTransform
         Written.
     status : ndarray of shape (N,), uint8
         Written: a `RayStatus`.
     """
+    origins, directions = world.origins, world.directions
     for i in range(np.uint64(begin), np.uint64(end)):
-        ray = localise(
+        ray = to_local(
             np.float64(origins[i, 0]),
             np.float64(origins[i, 1]),
             np.float64(origins[i, 2]),
             np.float64(directions[i, 0]),
             np.float64(directions[i, 1]),
             np.float64(directions[i, 2]),
-            t_min[i],
-            t_max[i],
+            world.t_min[i],
+            world.t_max[i],
             frame,
         )
         rays.origins[i, 0] = ray.ox
@@ -92,25 +106,25 @@ def to_local_rays(begin, end, origins, directions, t_min, t_max, frame, rays, t_
         rays.directions[i, 2] = ray.dz
         rays.t_min[i] = ray.t_min
         rays.t_max[i] = ray.t_max
-        t_scale.factor[i] = ray.factor
-        t_scale.offset[i] = ray.offset
+        to_world.scale[i] = ray.t_scale
+        to_world.offset[i] = ray.t_offset
         status[i] = ray.status
 
 
 @kernel
-def to_world_t(begin, end, splits, t_scale, t):
-    """Turn the distances of rays begin to end into world direction lengths, in place.
+def to_world_t(begin, end, splits, to_world, t):
+    """Convert the distances of rays begin to end to world direction lengths, in place.
 
     Parameters
     ----------
     begin, end : int
     splits : ndarray of shape (N + 1,), int64
         Ray i owns rows splits[i] to splits[i + 1] of `t`.
-    t_scale : TScale
+    to_world : TTransform
     t : ndarray of shape (K,), float32
         Misses (inf) stay as they are.
     """
     for i in range(np.uint64(begin), np.uint64(end)):
         for row in range(np.uint64(splits[i]), np.uint64(splits[i + np.uint64(1)])):
             if t[row] < _INF:
-                t[row] = world_t(t[row], t_scale.factor[i], t_scale.offset[i])
+                t[row] = world_t(t[row], to_world.scale[i], to_world.offset[i])

@@ -8,22 +8,145 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.core.query import Kind, Query
+from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, scratch, store
-from raystream.kernels.collect import HitAddresses, hit_addresses
-from raystream.kernels.ray_search import Goal, RayScene, finish_first, finish_rows, ray_search
-from raystream.kernels.ray_source import ResultAddresses
-from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
+from raystream.jit.simd import address, load, scratch, store
+from raystream.kernels.collect import HitAddresses, hit_addresses, sort_hits
+from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
+from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray
+from raystream.kernels.search import LEAST_ROOM, SeenSet, begin_search, clear_seen
 from raystream.kernels.sink import Sink
 from raystream.kernels.tally import SHADINGS, add_to, restore_counts, save_counts, tally_of
 
-__all__ = ["RayQueries", "Wanted", "output_of", "ray_queries"]
+__all__ = [
+    "Goal",
+    "RayQueries",
+    "RayScene",
+    "Wanted",
+    "finish_first",
+    "finish_rows",
+    "output_of",
+    "ray_queries",
+    "ray_search",
+]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
+_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_INF = np.float32(np.inf)
+_ZERO = np.float32(0.0)
+_MISS = np.int32(-1)
+_VALID = np.uint8(RayStatus.VALID)
 
 #: How much more room a ray gets whose set of triangles seen was too small.
 _GROWTH = np.uint64(8)
+
+
+class RayScene(NamedTuple):
+    """What all rays of a query share.
+
+    Attributes
+    ----------
+    source : RaySource
+    frame : SceneFrame
+    arrays : NamedTuple
+        The structure's arrays.
+    stack : uint64
+        Address of the memory that the traversal needs.
+    status : uint64 or None
+        Address of the first ray's status, a byte each; written for invalid rays only.
+    """
+
+    source: RaySource
+    frame: SceneFrame
+    arrays: Any
+    stack: np.uint64
+    status: np.uint64 | None
+
+
+class Goal(NamedTuple):
+    """What is wanted of one ray: see `kernels.search.Search`."""
+
+    capacity: np.uint64
+    hits: HitAddresses | None
+    first_row: np.uint64
+    surfaces: bool
+    seen: SeenSet | None
+    counters: np.uint64 | None
+
+
+@device
+def _note_status(at, i, status):
+    if at is not None and status != _VALID:
+        store(at + i, status)
+
+
+def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
+    """Make the search of one ray around a structure's traversal.
+
+    Parameters
+    ----------
+    traverse : device function
+        See `kernels.queries.ray_queries`.
+
+    Returns
+    -------
+    device function
+        ``search_ray(i, scene, goal) -> (search, ray)`` for ray i of a `RayScene` and a `Goal`: the
+        search when it is over, and the `LocalRay`.
+    """
+
+    @device
+    def search_ray(i, scene, goal):
+        frame = scene.frame
+        ray = load_ray(scene.source, i, frame)
+        _note_status(scene.status, i, ray.status)
+        local = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, frame.max_coordinate)
+        search = begin_search(
+            ray.t_min,
+            ray.t_max,
+            goal.capacity,
+            goal.hits,
+            goal.first_row,
+            goal.surfaces,
+            goal.seen,
+            goal.counters,
+        )
+        return traverse(scene.arrays, local, search, scene.stack), ray
+
+    return search_ray
+
+
+@device
+def finish_first(out, i, count, ray):
+    """Write a miss where ray i has no hit, else its hit's distance in world direction lengths.
+
+    Parameters
+    ----------
+    out : ResultAddresses or HitAddresses
+    i : uint64
+    count : uint64
+        Hits that were found.
+    ray : LocalRay
+    """
+    at = i << _WORD
+    if count == _NONE:
+        store(out.t + at, _INF)
+        store(out.u + at, _ZERO)
+        store(out.v + at, _ZERO)
+        store(out.prim_id + at, _MISS)
+    else:
+        store(out.t + at, world_t(load(np.float32, out.t + at), ray.t_scale, ray.t_offset))
+
+
+@device
+def finish_rows(hits, first, count, ray, sorts):
+    """Sort a ray's hits by t, then prim_id, if `sorts`; distances in world direction lengths."""
+    if sorts:
+        sort_hits(hits, first, count)
+    for row in range(first, first + count):
+        at = hits.t + (row << _WORD)
+        store(at, world_t(load(np.float32, at), ray.t_scale, ray.t_offset))
 
 
 class Wanted(NamedTuple):
@@ -123,7 +246,7 @@ def _larger_table(table):
 
 
 def ray_queries(
-    traverse: Callable[..., Any], stack_bytes: int, *, lists_twice: bool = False
+    traverse: Callable[..., Any], stack_bytes: int, *, has_duplicates: bool = False
 ) -> RayQueries:
     """Make the queries of a structure.
 
@@ -139,7 +262,7 @@ def ray_queries(
         Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
         What a traversal leaves there, the next ray's finds; before the first ray, the first
         8 bytes are 0.
-    lists_twice : bool
+    has_duplicates : bool
         Whether the traversal may offer a triangle more than once: then searches for several hits
         remember the triangles of their hits, where `repeats` is true.
 
@@ -148,7 +271,7 @@ def ray_queries(
     RayQueries
     """
     search_ray = ray_search(traverse)
-    seen_at = _seen_at if lists_twice else _no_set
+    seen_at = _seen_at if has_duplicates else _no_set
 
     @kernel
     def first_hit(begin, end, source, frame, arrays, tallies, out):

@@ -1,15 +1,45 @@
-"""The ray as the tests want it: reciprocals for slabs, a sheared frame for triangles."""
+"""One ray: from world space to the scene's local frame, prepared for box and triangle tests.
+
+The move is done in float64 (design decision 3): translating by the scene's centre, scaling
+directions by a power of two, and advancing origins that lie far outside to the scene's box.
+Then float32 suffices for the rest.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from raystream.jit.cpu import device
-from raystream.jit.simd import copy_sign
+from raystream.core.rays import RayStatus
+from raystream.core.triangles import Triangles
+from raystream.jit.cpu import device, device_call
+from raystream.jit.intrinsics import no_inline
+from raystream.jit.simd import copy_sign, next_float_up
 
-__all__ = ["PAD", "TINY_DIRECTION", "Ray", "pick", "set_up"]
+__all__ = [
+    "FAR",
+    "PAD",
+    "TINY_DIRECTION",
+    "LocalRay",
+    "Ray",
+    "SceneFrame",
+    "component",
+    "prepare_ray",
+    "to_local",
+    "world_t",
+]
+
+_VALID = np.uint8(RayStatus.VALID)
+_INVALID = np.uint8(RayStatus.INVALID)
+
+#: Origins further outside the scene's box than this many times its largest coordinate are
+#: advanced: nearer ones lose at most three bits of float32 to the distance.
+FAR = 4.0
+
+#: Coordinates beyond this make a ray invalid: squares of them must stay finite in float64.
+_MAX_COORDINATE = 2.0**200
 
 #: A box is grown by this much of (largest scene coordinate + largest origin coordinate).
 #: Rounding moves a vertex in the ray's frame by at most about 12 units of 2**-24 of that
@@ -21,7 +51,245 @@ PAD = np.float32(2.0**-20)
 #: Over a length of 2**20 scene sizes such a ray moves by less than the padding.
 TINY_DIRECTION = np.float32(2.0**-40)
 
+_INF = np.float32(np.inf)
+_ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
+_LARGEST = np.float32(np.finfo(np.float32).max)
+
+
+class SceneFrame(NamedTuple):
+    """The local frame of a scene, see `core.triangles.Triangles`.
+
+    It holds no arrays: kernels hand it on for each ray, and an array costs two atomic
+    operations each time that it is handed to a function.
+
+    Attributes
+    ----------
+    center : tuple of three float64
+    scale, inverse_scale : float
+        A power of two, and its reciprocal.
+    low, high : tuple of three float32
+        The scene's box.
+    max_coordinate : float32
+    """
+
+    center: tuple[float, float, float]
+    scale: float
+    inverse_scale: float
+    low: tuple[np.float32, np.float32, np.float32]
+    high: tuple[np.float32, np.float32, np.float32]
+    max_coordinate: np.float32
+
+    @classmethod
+    def of(cls, triangles: Triangles) -> SceneFrame:
+        """The frame of a triangle store."""
+        x, y, z = triangles.center.tolist()
+        (low_x, low_y, low_z), (high_x, high_y, high_z) = triangles.bounds
+        low, high = (low_x, low_y, low_z), (high_x, high_y, high_z)
+        scale = float(triangles.scale)
+        return cls((x, y, z), scale, 1.0 / scale, low, high, np.float32(triangles.max_coordinate))
+
+    @classmethod
+    def identity(cls, triangles: Triangles) -> SceneFrame:
+        """The frame for rays that are local already."""
+        return cls.of(triangles)._replace(center=(0.0, 0.0, 0.0), scale=1.0, inverse_scale=1.0)
+
+
+class LocalRay(NamedTuple):
+    """A ray in the local frame.
+
+    Attributes
+    ----------
+    ox, oy, oz, dx, dy, dz : float32
+        The largest component of the direction is in [1, 2).
+    t_min, t_max : float32
+        Closed interval in local direction lengths; empty for a ray that cannot hit.
+    t_scale, t_offset : float64
+        World t = local t * t_scale + t_offset. The t_scale is a power of two, the t_offset zero
+        but for an origin that was advanced.
+    status : uint8
+        A `RayStatus`.
+    """
+
+    ox: np.float32
+    oy: np.float32
+    oz: np.float32
+    dx: np.float32
+    dy: np.float32
+    dz: np.float32
+    t_min: np.float32
+    t_max: np.float32
+    t_scale: np.float64
+    t_offset: np.float64
+    status: np.uint8
+
+
+@device
+def world_t(t, t_scale, t_offset):
+    """A local distance in world direction lengths, as it is reported."""
+    world = np.float32(np.float64(t) * t_scale + t_offset)
+    # A distance beyond float32 is still a hit: only a miss is infinite.
+    return min(max(world, -_LARGEST), _LARGEST)
+
+
+@device
+def _next(t, toward):
+    """The float32 next to t, above it if `toward` is positive, else below."""
+    return next_float_up(t) if toward > 0 else -next_float_up(-t)
+
+
+@device_call
+def _local_limit(t, t_scale, t_offset, toward):
+    """The outermost local distance whose reported value is still within the limit t.
+
+    `toward` is +1 for an upper limit and -1 for a lower one. Reported distances are rounded
+    to float32, so hits at exactly the limit must be looked for up to half a step beyond it.
+    """
+    no_inline()
+    if not (abs(t) < _INF):
+        return t
+    exact = np.float32((np.float64(t)) / t_scale)
+    if t_offset == 0.0 and np.float64(exact) * t_scale == np.float64(t):
+        return exact
+    step = np.float64(_next(t, toward)) - np.float64(t)
+    limit = np.float32((np.float64(t) + 0.5 * step - t_offset) / t_scale)
+    # The two roundings above are off by a few steps at most.
+    for _ in range(4):
+        beyond = _next(limit, toward)
+        if (world_t(beyond, t_scale, t_offset) - t) * np.float32(toward) > 0.0:
+            break
+        limit = beyond
+    for _ in range(8):
+        if (world_t(limit, t_scale, t_offset) - t) * np.float32(toward) <= 0.0:
+            break
+        limit = _next(limit, -toward)
+    return limit
+
+
+@device
+def _outside_by(o, low, high):
+    """How far a coordinate lies outside its side of the scene's box, if it does."""
+    return max(np.float64(low) - o, o - np.float64(high))
+
+
+@device_call
+def _crossing(o, d, low, high, margin):
+    """Where a line is between two planes, grown by a margin: (t_in, t_out)."""
+    to_low = np.float64(low) - margin - o
+    to_high = np.float64(high) + margin - o
+    if d == 0.0:
+        return (np.inf, -np.inf) if to_low > 0.0 or to_high < 0.0 else (-np.inf, np.inf)
+    t_low, t_high = to_low / d, to_high / d
+    return min(t_low, t_high), max(t_low, t_high)
+
+
+@device_call
+def _entry(ox, oy, oz, dx, dy, dz, frame):
+    """Where the line enters the scene's box grown by the scene's size; inf if it misses it."""
+    no_inline()
+    margin = np.float64(frame.max_coordinate)
+    low, high = frame.low, frame.high
+    in_x, out_x = _crossing(ox, dx, low[0], high[0], margin)
+    in_y, out_y = _crossing(oy, dy, low[1], high[1], margin)
+    in_z, out_z = _crossing(oz, dz, low[2], high[2], margin)
+    t_in = max(in_x, in_y, in_z)
+    return t_in if t_in <= min(out_x, out_y, out_z) else np.inf
+
+
+@device
+def _miss(status):
+    """A ray with an empty interval, which any kernel may trace."""
+    return LocalRay(
+        _ZERO, _ZERO, _ZERO, _ONE, _ONE, _ONE, _INF, -_INF, np.float64(1.0), np.float64(0.0), status
+    )
+
+
+@device
+def _is_valid(ox, oy, oz, dx, dy, dz, t_min, t_max):
+    # Written so that a NaN fails.
+    if not (abs(ox) <= _MAX_COORDINATE and abs(oy) <= _MAX_COORDINATE):
+        return False
+    if not (abs(oz) <= _MAX_COORDINATE and abs(dx) < np.inf):
+        return False
+    if not (abs(dy) < np.inf and abs(dz) < np.inf):
+        return False
+    if dx == 0.0 and dy == 0.0 and dz == 0.0:
+        return False
+    return t_min == t_min and t_max == t_max
+
+
+@device_call
+def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
+    """Turn a ray into a local one.
+
+    Parameters
+    ----------
+    ox, oy, oz, dx, dy, dz : float64
+        World space.
+    t_min, t_max : float32
+        Closed interval, in direction lengths.
+    frame : SceneFrame
+
+    Returns
+    -------
+    LocalRay
+        A ray that is invalid or cannot reach the scene has an empty interval.
+    """
+    no_inline()
+    if not _is_valid(ox, oy, oz, dx, dy, dz, t_min, t_max):
+        return _miss(_INVALID)
+
+    # Step 1: move by the centre; scale so that the largest component is in [1, 2).
+    # A component that vanishes on the way is below 2**-149 of the largest one.
+    ox = (ox - frame.center[0]) * frame.scale
+    oy = (oy - frame.center[1]) * frame.scale
+    oz = (oz - frame.center[2]) * frame.scale
+    exponent = math.frexp(max(abs(dx), abs(dy), abs(dz)))[1]
+    # Products with a power of two are exact; in two steps it stays a float64 even for the
+    # smallest directions.
+    half = math.ldexp(1.0, (1 - exponent) // 2)
+    rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
+    dx = dx * half * rest
+    dy = dy * half * rest
+    dz = dz * half * rest
+    # Beyond 2**800 distances leave float32 anyway; the bound keeps the t_scale finite.
+    t_scale = math.ldexp(1.0 / frame.scale, max(-800, min(1 - exponent, 800)))
+
+    # Step 2: advance an origin that lies far outside. A second step corrects what the first
+    # one's rounding leaves of a long way: float64 keeps 2**-53 of it.
+    t_offset = 0.0
+    low, high = frame.low, frame.high
+    outside = max(
+        _outside_by(ox, low[0], high[0]),
+        _outside_by(oy, low[1], high[1]),
+        _outside_by(oz, low[2], high[2]),
+    )
+    if outside > FAR * np.float64(frame.max_coordinate):
+        total = 0.0
+        for _ in range(2):
+            step = _entry(ox, oy, oz, dx, dy, dz, frame)
+            if step == np.inf:
+                return _miss(_VALID)
+            ox += step * dx
+            oy += step * dy
+            oz += step * dz
+            total += step
+        t_offset = total * t_scale
+
+    return LocalRay(
+        np.float32(ox),
+        np.float32(oy),
+        np.float32(oz),
+        np.float32(dx),
+        np.float32(dy),
+        np.float32(dz),
+        # Adding zero turns -0 into 0, whose bits are in the order of the numbers.
+        _local_limit(t_min, t_scale, t_offset, -1) + _ZERO,
+        _local_limit(t_max, t_scale, t_offset, 1) + _ZERO,
+        t_scale,
+        t_offset,
+        _VALID,
+    )
 
 
 class Ray(NamedTuple):
@@ -70,7 +338,7 @@ class Ray(NamedTuple):
 
 
 @device
-def pick(k, x, y, z):
+def component(k, x, y, z):
     """What belongs to axis k."""
     return x if k == np.uint64(0) else (y if k == np.uint64(1) else z)
 
@@ -82,14 +350,14 @@ def _reciprocal(d, tiny):
 
 
 @device
-def set_up(ox, oy, oz, dx, dy, dz, extreme):
+def prepare_ray(ox, oy, oz, dx, dy, dz, max_coordinate):
     """Prepare a ray.
 
     Parameters
     ----------
     ox, oy, oz, dx, dy, dz : float32
         Finite, local frame; the largest direction component is in [1, 2).
-    extreme : float32
+    max_coordinate : float32
         Largest absolute coordinate of the scene.
 
     Returns
@@ -113,7 +381,7 @@ def set_up(ox, oy, oz, dx, dy, dz, extreme):
     # far plane away from it, so it takes the direction's sign.
     tiny = largest * TINY_DIRECTION
     reach = max(abs(ox), abs(oy), abs(oz))
-    pad = PAD * (extreme + reach)
+    pad = PAD * (max_coordinate + reach)
     inv_x = _reciprocal(dx, tiny)
     inv_y = _reciprocal(dy, tiny)
     inv_z = _reciprocal(dz, tiny)
@@ -122,19 +390,19 @@ def set_up(ox, oy, oz, dx, dy, dz, extreme):
     pad_z = copy_sign(pad, dz)
 
     # Step 3: the shear. kz is not tiny, so its reciprocal is exact to one rounding.
-    sz = pick(kz, inv_x, inv_y, inv_z)
+    sz = component(kz, inv_x, inv_y, inv_z)
     return Ray(
         kx,
         ky,
         kz,
-        pick(kx, ox, oy, oz),
-        pick(ky, ox, oy, oz),
-        pick(kz, ox, oy, oz),
-        pick(kx, dx, dy, dz),
-        pick(ky, dx, dy, dz),
-        pick(kz, dx, dy, dz),
-        pick(kx, dx, dy, dz) * sz,
-        pick(ky, dx, dy, dz) * sz,
+        component(kx, ox, oy, oz),
+        component(ky, ox, oy, oz),
+        component(kz, ox, oy, oz),
+        component(kx, dx, dy, dz),
+        component(ky, dx, dy, dz),
+        component(kz, dx, dy, dz),
+        component(kx, dx, dy, dz) * sz,
+        component(ky, dx, dy, dz) * sz,
         sz,
         inv_x,
         inv_y,

@@ -1,7 +1,7 @@
 """Rays as the caller gave them, turned into local ones as they are traced.
 
 Batches are not copied: kernels read the caller's arrays by address, and do for each ray what
-`kernels.local_ray.localise` does. Nearly all rays take a short way of the same result; those
+`kernels.ray.to_local` does. Nearly all rays take a short way of the same result; those
 that cannot (float64 directions, far origins, extreme lengths, limits that float32 does not
 keep, invalid numbers) call it.
 """
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from raystream.core.rays import DEFAULT_LIMITS, RayStatus
 from raystream.jit.cpu import device
 from raystream.jit.simd import bits_as_float, float_as_bits, load
-from raystream.kernels.local_ray import FAR, LocalRay, localise
+from raystream.kernels.ray import FAR, LocalRay, to_local
 
 __all__ = [
     "LEAST_EXPONENT",
@@ -36,7 +36,7 @@ _Y = np.uint64(4)
 _Z = np.uint64(8)
 
 #: Origins whose local coordinates are within this many times the scene's largest are surely
-#: not so far outside that `localise` would advance them, however it rounds.
+#: not so far outside that `to_local` would advance them, however it rounds.
 NEAR_REACH = np.float32(FAR - 1.1)
 
 # Biased exponents of direction lengths, in float64, that one product brings into [1, 2): all
@@ -205,7 +205,7 @@ def load_ray(source, i, frame):
     ox = np.float32((wx - frame.center[0]) * frame.scale)
     oy = np.float32((wy - frame.center[1]) * frame.scale)
     oz = np.float32((wz - frame.center[2]) * frame.scale)
-    reach = NEAR_REACH * frame.extreme
+    reach = NEAR_REACH * frame.max_coordinate
     exponent = float_as_bits(max(abs(dx), abs(dy), abs(dz))) >> MANTISSA_BITS
     if (
         exponent >= LEAST_EXPONENT
@@ -217,12 +217,12 @@ def load_ray(source, i, frame):
     ):
         # 2**(1023 - exponent) brings the largest component into [1, 2).
         power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
-        factor = power * frame.inverse_scale
+        t_scale = power * frame.inverse_scale
         inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
         # Adding zero turns -0 into 0, whose bits are in the order of the numbers.
         low = np.float32(np.float64(t_min) * inverse) + _ZERO
         high = np.float32(np.float64(t_max) * inverse) + _ZERO
-        if np.float64(low) * factor == t_min and np.float64(high) * factor == t_max:
+        if np.float64(low) * t_scale == t_min and np.float64(high) * t_scale == t_max:
             return LocalRay(
                 ox,
                 oy,
@@ -232,8 +232,8 @@ def load_ray(source, i, frame):
                 np.float32(dz * power),
                 low,
                 high,
-                factor,
+                t_scale,
                 np.float64(0.0),
                 _VALID,
             )
-    return localise(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)
+    return to_local(wx, wy, wz, dx, dy, dz, t_min, t_max, frame)

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, device_call
-from raystream.kernels.ray import pick
+from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 
 __all__ = ["intersect", "intersect_corners"]
@@ -36,7 +36,7 @@ def _edge(ax, ay, bx, by):
 
 
 @device
-def _orders_first(ax, ay, bx, by):
+def _top_left_sign(ax, ay, bx, by):
     """Sign of a zero edge function once the ray moves by (e, e*e), e to 0: the top-left rule."""
     return ay - by if ay != by else bx - ax
 
@@ -74,11 +74,11 @@ def _plane_distance(ray, a, b, c):
 
 
 @device_call
-def _owns(ax, ay, bx, by, cx, cy, U, V, W):
+def _owns_edges(ax, ay, bx, by, cx, cy, U, V, W):
     """Whether this triangle is the one that a ray crosses, of those at an edge or vertex."""
-    sign_u = U if U != 0.0 else _orders_first(cx, cy, bx, by)
-    sign_v = V if V != 0.0 else _orders_first(ax, ay, cx, cy)
-    sign_w = W if W != 0.0 else _orders_first(bx, by, ax, ay)
+    sign_u = U if U != 0.0 else _top_left_sign(cx, cy, bx, by)
+    sign_v = V if V != 0.0 else _top_left_sign(ax, ay, cx, cy)
+    sign_w = W if W != 0.0 else _top_left_sign(bx, by, ax, ay)
     return min(sign_u, sign_v, sign_w) > 0.0 or max(sign_u, sign_v, sign_w) < 0.0
 
 
@@ -119,9 +119,9 @@ def intersect_corners(ray, a, b, c, surfaces):
     """As `intersect`, of corners that were read: tuples of three float32, local frame."""
     kx, ky, kz = ray.kx, ray.ky, ray.kz
     in_frame = (
-        (pick(kx, *a), pick(ky, *a), pick(kz, *a)),
-        (pick(kx, *b), pick(ky, *b), pick(kz, *b)),
-        (pick(kx, *c), pick(ky, *c), pick(kz, *c)),
+        (component(kx, *a), component(ky, *a), component(kz, *a)),
+        (component(kx, *b), component(ky, *b), component(kz, *b)),
+        (component(kx, *c), component(ky, *c), component(kz, *c)),
     )
     return _intersect(ray, a, b, c, in_frame, surfaces)
 
@@ -159,7 +159,7 @@ def _intersect(ray, a, b, c, in_frame, surfaces):
             return False, _INF, _ZERO, _ZERO
         if low == 0.0 and high == 0.0:  # seen edge-on
             return False, _INF, _ZERO, _ZERO
-        if surfaces and not _owns(ax, ay, bx, by, cx, cy, U, V, W):
+        if surfaces and not _owns_edges(ax, ay, bx, by, cx, cy, U, V, W):
             return False, _INF, _ZERO, _ZERO
     scale = 1.0 / (U + V + W)
 

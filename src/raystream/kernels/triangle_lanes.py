@@ -14,13 +14,20 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, maximum, minimum, narrow, select, widen
 
-__all__ = ["Images", "distance_lanes", "image_lanes", "interval_lanes", "same_sign", "weigh_lanes"]
+__all__ = [
+    "ShearedVertices",
+    "barycentrics",
+    "plane_distance",
+    "shear_vertices",
+    "signs_agree",
+    "slab_interval",
+]
 
 _ZERO = np.float32(0.0)
 _ZERO64 = np.float64(0.0)
 
 
-class Images(NamedTuple):
+class ShearedVertices(NamedTuple):
     """Corners a, b, c of triangles in the rays' frame.
 
     Attributes
@@ -40,18 +47,28 @@ class Images(NamedTuple):
 
 
 @device
-def image_lanes(ax, ay, az, bx, by, bz, cx, cy, cz, ox, oy, oz, sx, sy):
-    """Translate and shear corners, in the order of the frame, into it."""
-    az = az - oz
-    bz = bz - oz
-    cz = cz - oz
-    ax = (ax - ox) - sx * az
-    ay = (ay - oy) - sy * az
-    bx = (bx - ox) - sx * bz
-    by = (by - oy) - sy * bz
-    cx = (cx - ox) - sx * cz
-    cy = (cy - oy) - sy * cz
-    return Images(ax, ay, az, bx, by, bz, cx, cy, cz)
+def shear_vertices(a, b, c, origin, shear):
+    """Translate and shear vertices so that the ray is the z axis.
+
+    Parameters
+    ----------
+    a, b, c, origin : tuple of three float32 vectors or numbers
+        In the order of the ray's axes: kx, ky, kz.
+    shear : tuple of two float32 vectors or numbers
+        For x and y.
+
+    Returns
+    -------
+    ShearedVertices
+    """
+    az, bz, cz = a[2] - origin[2], b[2] - origin[2], c[2] - origin[2]
+    ax = (a[0] - origin[0]) - shear[0] * az
+    ay = (a[1] - origin[1]) - shear[1] * az
+    bx = (b[0] - origin[0]) - shear[0] * bz
+    by = (b[1] - origin[1]) - shear[1] * bz
+    cx = (c[0] - origin[0]) - shear[0] * cz
+    cy = (c[1] - origin[1]) - shear[1] * cz
+    return ShearedVertices(ax, ay, az, bx, by, bz, cx, cy, cz)
 
 
 @device
@@ -60,18 +77,18 @@ def _edge(ax, ay, bx, by):
 
 
 @device
-def same_sign(images):
+def signs_agree(sheared):
     """Mask of the lanes whose edge functions do not surely differ in sign; NaN is not one."""
-    U = _edge(images.cx, images.cy, images.bx, images.by)
-    V = _edge(images.ax, images.ay, images.cx, images.cy)
-    W = _edge(images.bx, images.by, images.ax, images.ay)
+    U = _edge(sheared.cx, sheared.cy, sheared.bx, sheared.by)
+    V = _edge(sheared.ax, sheared.ay, sheared.cx, sheared.cy)
+    W = _edge(sheared.bx, sheared.by, sheared.ax, sheared.ay)
     low = minimum(minimum(U, V), W)
     high = maximum(maximum(U, V), W)
     return (low >= _ZERO) | (high <= _ZERO)
 
 
 @device
-def interval_lanes(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
+def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
     """Padded slab interval of boxes: `kernels.slab.box_interval` with the planes chosen.
 
     Parameters
@@ -97,7 +114,7 @@ def interval_lanes(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
 
 
 @device
-def distance_lanes(a, b, c, o, d):
+def plane_distance(a, b, c, o, d):
     """Distance to the triangles' planes; see step 3 of `kernels.triangle.intersect`.
 
     Parameters
@@ -120,17 +137,17 @@ def distance_lanes(a, b, c, o, d):
 
 
 @device
-def _orders_first(ax, ay, bx, by):
+def _top_left_sign(ax, ay, bx, by):
     return select(ay == by, bx - ax, ay - by)
 
 
 @device
-def weigh_lanes(images, surfaces):
+def barycentrics(sheared, surfaces):
     """Weights in float64; see step 2 of `kernels.triangle.intersect`.
 
     Parameters
     ----------
-    images : Images
+    sheared : ShearedVertices
     surfaces : bool
 
     Returns
@@ -138,9 +155,9 @@ def weigh_lanes(images, surfaces):
     hit : mask
     u, v : float32 vector
     """
-    ax, ay = widen(images.ax), widen(images.ay)
-    bx, by = widen(images.bx), widen(images.by)
-    cx, cy = widen(images.cx), widen(images.cy)
+    ax, ay = widen(sheared.ax), widen(sheared.ay)
+    bx, by = widen(sheared.bx), widen(sheared.by)
+    cx, cy = widen(sheared.cx), widen(sheared.cy)
     U = _edge(cx, cy, bx, by)
     V = _edge(ax, ay, cx, cy)
     W = _edge(bx, by, ax, ay)
@@ -148,9 +165,9 @@ def weigh_lanes(images, surfaces):
     high = maximum(maximum(U, V), W)
     hit = ((low >= _ZERO64) & (high > _ZERO64)) | ((high <= _ZERO64) & (low < _ZERO64))
     if surfaces:
-        sign_u = select(U == _ZERO64, _orders_first(cx, cy, bx, by), U)
-        sign_v = select(V == _ZERO64, _orders_first(ax, ay, cx, cy), V)
-        sign_w = select(W == _ZERO64, _orders_first(bx, by, ax, ay), W)
+        sign_u = select(U == _ZERO64, _top_left_sign(cx, cy, bx, by), U)
+        sign_v = select(V == _ZERO64, _top_left_sign(ax, ay, cx, cy), V)
+        sign_w = select(W == _ZERO64, _top_left_sign(bx, by, ax, ay), W)
         least = minimum(minimum(sign_u, sign_v), sign_w)
         most = maximum(maximum(sign_u, sign_v), sign_w)
         hit = hit & ((least > _ZERO64) | (most < _ZERO64))

@@ -12,8 +12,8 @@ from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.growing import Gatherer
 from raystream.kernels.hit_batch import HitAccumulator, HitBatch, allocate_hits
-from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import Wanted, output_of
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.kernels.sink import Sink
 from raystream.machines.backend import Backend
@@ -101,7 +101,7 @@ class Branching(Backend):
         structure = self.structure
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         kernel = structure.queries[query.kind]
-        output = output_of(query, sink, structure.lists_twice)
+        output = output_of(query, sink, structure.has_duplicates)
         shared = source, structure.frame if frame is None else frame, structure.arrays, sink.tallies
 
         def body(begin: int, end: int) -> None:
@@ -118,7 +118,7 @@ class Branching(Backend):
         assert visitor is not None
         source, kept = RaySource.of(rays.origins, rays.directions, rays.limits)
         shared = source, structure.frame, structure.arrays, np.uint64(sink.status.ctypes.data)
-        wanted = Wanted.of(query, structure.lists_twice)
+        wanted = Wanted.of(query, structure.has_duplicates)
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)

@@ -155,7 +155,7 @@ class Multipass(LocalBackend):
         runs = None if job.tallies is None else new_tallies(len(job))
         stacks = np.empty((len(job), steps.stack_bytes), np.uint8)
         arguments = StepArguments(
-            np.float32(self.structure.triangles.extreme),
+            np.float32(self.structure.triangles.max_coordinate),
             goal.surfaces,
             goal.out is not None,
             goal.hands_over,

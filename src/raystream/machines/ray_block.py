@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for
-from raystream.kernels.local_frame import LocalRays, SceneFrame, TScale, to_local_rays, to_world_t
+from raystream.kernels.local_frame import (
+    LocalRays,
+    TTransform,
+    WorldRays,
+    to_local_rays,
+    to_world_t,
+)
+from raystream.kernels.ray import SceneFrame
 
 __all__ = ["LIGHT_CHUNK", "RAYS_PER_BLOCK", "RayBlock", "blocks"]
 
@@ -40,7 +47,7 @@ class RayBlock:
     ----------
     rows : slice
     rays : LocalRays
-    t_scale : TScale
+    t_transform : TTransform
     progress : callable or None
         To be called with (rays of the block done, rays of the block).
     """
@@ -56,17 +63,20 @@ class RayBlock:
         self.rows = rows
         count = rows.stop - rows.start
         self.rays = LocalRays.empty(count)
-        self.t_scale = TScale(np.empty(count), np.empty(count))
+        self.t_transform = TTransform(np.empty(count), np.empty(count))
         dtype = np.result_type(batch.origins, batch.directions)
-        origins = _given(batch.origins[rows], dtype)
-        directions = _given(batch.directions[rows], dtype)
-        limits = _given(batch.t_min[rows], np.float32), _given(batch.t_max[rows], np.float32)
-        results = self.rays, self.t_scale, status[rows]
+        world = WorldRays(
+            _given(batch.origins[rows], dtype),
+            _given(batch.directions[rows], dtype),
+            _given(batch.t_min[rows], np.float32),
+            _given(batch.t_max[rows], np.float32),
+        )
+        results = self.rays, self.t_transform, status[rows]
 
-        def localise(begin: int, end: int) -> None:
-            to_local_rays(begin, end, origins, directions, *limits, frame, *results)
+        def to_local(begin: int, end: int) -> None:
+            to_local_rays(begin, end, world, frame, *results)
 
-        parallel_for(localise, count, LIGHT_CHUNK)
+        parallel_for(to_local, count, LIGHT_CHUNK)
         self.progress: Progress | None = None
         if progress is not None:
             self.progress = lambda done, _: progress(rows.start + done, len(batch))
@@ -79,7 +89,7 @@ class RayBlock:
         """Turn rows splits[i] to splits[i + 1] of t, which belong to ray i, to world distances."""
 
         def convert(begin: int, end: int) -> None:
-            to_world_t(begin, end, splits, self.t_scale, t)
+            to_world_t(begin, end, splits, self.t_transform, t)
 
         parallel_for(convert, len(splits) - 1, LIGHT_CHUNK)
 

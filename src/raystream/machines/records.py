@@ -10,7 +10,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.kernels.collect import HitAddresses
-from raystream.kernels.ray import set_up
+from raystream.kernels.ray import prepare_ray
 from raystream.kernels.tally import ROW, add_to
 
 __all__ = [
@@ -82,8 +82,8 @@ class StepArguments(NamedTuple):
 
     Attributes
     ----------
-    extreme : float32
-        See `kernels.ray.set_up`.
+    max_coordinate : float32
+        See `kernels.ray.prepare_ray`.
     surfaces, keep : bool
         See `kernels.queries.ray_queries`.
     hands_over : bool
@@ -99,7 +99,7 @@ class StepArguments(NamedTuple):
         Traversal steps and intersections in one pass.
     """
 
-    extreme: np.float32
+    max_coordinate: np.float32
     surfaces: bool
     keep: bool
     hands_over: bool
@@ -116,7 +116,7 @@ class StepArguments(NamedTuple):
 def ray_of(ray, query):
     """A `RAY` as tests want it: set up anew in each pass."""
     o, d = ray.origin, ray.direction
-    return set_up(o[0], o[1], o[2], d[0], d[1], d[2], query.extreme)
+    return prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], query.max_coordinate)
 
 
 @device

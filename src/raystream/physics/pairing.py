@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.kernels.ray import PAD, set_up
+from raystream.kernels.ray import PAD, prepare_ray
 from raystream.kernels.ray_source import load_ray
 
 __all__ = ["NO_ROW", "Crossings", "Pairs", "find_sides", "pair_up"]
@@ -113,10 +113,12 @@ def find_sides(begin, end, source, frame, corners, mesh_splits, is_flipped, cros
         if first == last:
             continue
         local = load_ray(source, i, frame)
-        ray = set_up(local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.extreme)
+        ray = prepare_ray(
+            local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.max_coordinate
+        )
         # The triangle test may see a ray so far beside its place, see `PAD`.
         reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
-        aside = np.float64(PAD) * np.float64(frame.extreme + reach) * local.factor
+        aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.t_scale
         for row in range(first, last):
             prim_id = crossings.prim_id[row]
             mesh_id = _mesh_of(prim_id, mesh_splits)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raystream.core.hits import MultiHits
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.physics.pairing import NO_ROW, Crossings, Pairs, find_sides, pair_up
 from raystream.physics.solids import Solids, solids_of

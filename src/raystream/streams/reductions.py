@@ -33,12 +33,12 @@ def add_up(stream: Stream) -> Any:
 
 def least(stream: Stream) -> Any:
     """See `Stream.min`."""
-    return _extreme(stream, "min", np.minimum)
+    return _max_coordinate(stream, "min", np.minimum)
 
 
 def greatest(stream: Stream) -> Any:
     """See `Stream.max`."""
-    return _extreme(stream, "max", np.maximum)
+    return _max_coordinate(stream, "max", np.maximum)
 
 
 def count_nonzero(stream: Stream) -> Any:
@@ -73,7 +73,7 @@ def _folds(loop: Callable[..., Any], records: NDArray[Any], block: int) -> NDArr
     return folds
 
 
-def _extreme(stream: Stream, name: str, choose: np.ufunc) -> Any:
+def _max_coordinate(stream: Stream, name: str, choose: np.ufunc) -> Any:
     records = _numbers(stream, name)
     if not len(records):
         raise ValueError(f"{stream.label}: an empty stream has no {name}")

@@ -16,8 +16,8 @@ from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
-from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.queries import RayQueries, ray_queries
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.sink import Sink
 from raystream.structures.registry import StructureOptions
 
@@ -77,8 +77,8 @@ class Structure(ABC):
 
     Attributes
     ----------
-    can_list_twice : bool
-        Whether `lists_twice` may be true of one; of the class.
+    can_have_duplicates : bool
+        Whether `has_duplicates` may be true of one; of the class.
     triangles : Triangles
     report : BuildReport
     options : StructureOptions
@@ -87,7 +87,7 @@ class Structure(ABC):
 
     traverse: ClassVar[Callable[..., Any]]
     stack_bytes: ClassVar[int] = 8
-    can_list_twice: ClassVar[bool] = False
+    can_have_duplicates: ClassVar[bool] = False
     queries: ClassVar[RayQueries]
     triangles: Triangles
     report: BuildReport
@@ -96,7 +96,9 @@ class Structure(ABC):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "traverse" in cls.__dict__:
-            cls.queries = ray_queries(cls.traverse, cls.stack_bytes, lists_twice=cls.can_list_twice)
+            cls.queries = ray_queries(
+                cls.traverse, cls.stack_bytes, has_duplicates=cls.can_have_duplicates
+            )
 
     @abstractmethod
     def __init__(
@@ -154,7 +156,7 @@ class Structure(ABC):
         return SceneFrame.of(self.triangles)
 
     @property
-    def lists_twice(self) -> bool:
+    def has_duplicates(self) -> bool:
         """Whether its traversal may meet a triangle more than once."""
         return False
 

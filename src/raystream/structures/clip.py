@@ -24,7 +24,7 @@ from raystream.jit.simd import load, store
 __all__ = ["BOUND", "BOX_BYTES", "HIGH", "WORD", "tighten"]
 
 #: How far triangles' boxes and planes are grown, in units of the scene's largest coordinate E.
-#: Origins have coordinates of up to 5 E (`local_ray.FAR`), so lengths that round are up to 6 E.
+#: Origins have coordinates of up to 5 E (`kernels.ray.FAR`), so lengths that round are up to 6 E.
 #: A hit lies outside its triangle's box by at most the padding, 6 E * 2**-20 (`ray.PAD`), and
 #: off its plane by the rounding of images, 12 * 6 E * 2**-24; its t, and the t of a split
 #: plane, are rounded, 5 * 6 E * 2**-24 together. That is less than 8 E * 2**-20 for both.

@@ -238,7 +238,7 @@ class Multipass(Branching):
             part,
             goal,
             (self.traversal_steps, self.intersections),
-            np.float32(self.structure.triangles.extreme),
+            np.float32(self.structure.triangles.max_coordinate),
         )
         if streams.length:
             self._run(steps, streams, part, job)

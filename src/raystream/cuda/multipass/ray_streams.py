@@ -72,7 +72,7 @@ class RayStreams:
     goal : HitGoal
     limits : (int, int)
         Steps, and triangles tested, in a pass.
-    extreme : float32
+    max_coordinate : float32
         See `StepArguments`.
 
     Attributes
@@ -93,7 +93,7 @@ class RayStreams:
         part: PassPart,
         goal: HitGoal,
         limits: tuple[int, int],
-        extreme: np.float32,
+        max_coordinate: np.float32,
     ) -> None:
         self._gpu, self._steps, self._wish = gpu, steps, goal
         count = part.count
@@ -114,7 +114,7 @@ class RayStreams:
         self._rows = None if goal.rows is None else gpu.upload("rows", goal.rows)
         self.length = count if goal.rows is None else len(goal.rows)
         self._query = StepArguments(
-            extreme,
+            max_coordinate,
             bool(goal.surfaces),
             goal.keep,
             goal.hands_over,

@@ -12,7 +12,7 @@ from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.cuda.programs.records import aligned_dtype
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.collect import HitAddresses
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision
 from raystream.programs.texts import Goal

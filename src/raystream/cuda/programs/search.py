@@ -194,7 +194,7 @@ class Search(NamedTuple):
                 more = tables, bool(self.surfaces), places[0], hits, places[1]
                 work.launch(scene.kernels.multi_hit, count, (*rays, *more))
 
-            with_tables(work, scene.lists_twice, own[1], run)
+            with_tables(work, scene.has_duplicates, own[1], run)
             begin, found = (one.address for one in own)
             rows = RowsAt(*hits, begin, found, np.uint64(delivered))
             self._look(rows, part.rays, open_rays, goal)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStream
     from raystream.cuda.structures import Resident
     from raystream.cuda.threads import ThreadQueries
-    from raystream.kernels.local_ray import SceneFrame
+    from raystream.kernels.ray import SceneFrame
 
 __all__ = ["DeviceBand", "DeviceScene", "DeviceStream"]
 

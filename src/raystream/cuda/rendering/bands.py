@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from raystream.cuda.staging import StagingStreams
     from raystream.cuda.structures import Resident
     from raystream.cuda.threads import ThreadQueries
-    from raystream.kernels.local_ray import SceneFrame
+    from raystream.kernels.ray import SceneFrame
     from raystream.rendering.integrator import PathStage, RenderContext
 
 __all__ = ["CudaBands"]

@@ -43,7 +43,7 @@ class Form:
         as it is compiled.
     instead : dict of str to str
         Files that the file's own includes are replaced by; see `source.shader_source`.
-    lists_twice : bool
+    has_duplicates : bool
         Whether a search may meet a triangle more than once.
     """
 
@@ -55,13 +55,18 @@ class Form:
     constants: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, int] = field(default_factory=dict)
     instead: dict[str, str] = field(default_factory=dict)
-    lists_twice: bool = False
+    has_duplicates: bool = False
 
     def params(
-        self, extreme: np.float32, *, ray_count: int = 0, row_size: int = 0, capacity: int = 0
+        self,
+        max_coordinate: np.float32,
+        *,
+        ray_count: int = 0,
+        row_size: int = 0,
+        capacity: int = 0,
     ) -> bytes:
         """The uniform ``Params``, see params.wgsl: what all rays of a search share."""
-        shared = numbers(extreme, 0, ray_count, row_size, self.budget, capacity)
+        shared = numbers(max_coordinate, 0, ray_count, row_size, self.budget, capacity)
         return shared + bytes(TREE_AT - len(shared)) + self.tree
 
     def source(self, *names: str, instead: Mapping[str, str] | None = None) -> str:

@@ -33,7 +33,7 @@ def form(bvh: BvhStructure) -> Form:
         arrays=(tree.nodes.view(np.uint32), _blocks(tree)),
         budget=budget_for(most),
         sizes={"STACK_SIZE": _stack_size(bvh)},
-        lists_twice=bvh.lists_twice,
+        has_duplicates=bvh.has_duplicates,
     )
 
 

@@ -162,7 +162,7 @@ class Multipass(GraphicsQueries):
             return self._run_some(chunk, begins)
         row_count = chunk.row_count if is_multi else 0
         streams.load(chunk.rays, chunk.rows, wanted, row_count, counts)
-        streams.rays.write_params(self.structure.triangles.extreme)
+        streams.rays.write_params(self.structure.triangles.max_coordinate)
         work = Work(
             self.opened,
             streams.passes,

@@ -2,7 +2,7 @@
 
 struct Params {
     // Largest absolute coordinate of the scene.
-    extreme: f32,
+    max_coordinate: f32,
     // 0: see exact.wgsl.
     zero: u32,
     ray_count: u32,

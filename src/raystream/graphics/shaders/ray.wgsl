@@ -69,7 +69,7 @@ fn set_up_ray(origin: vec3f, direction: vec3f, t_min: f32, t_max: f32) -> Ray {
     // plane away from it, so it takes the direction's sign.
     let tiny = largest * TINY_DIRECTION;
     let reach = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
-    let pad = rounded(PAD * rounded(params.extreme + reach));
+    let pad = rounded(PAD * rounded(params.max_coordinate + reach));
     let inv = vec3f(
         reciprocal(direction.x, tiny),
         reciprocal(direction.y, tiny),

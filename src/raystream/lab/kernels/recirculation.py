@@ -18,7 +18,8 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import thread_count
-from raystream.kernels.local_frame import LocalRays, SceneFrame
+from raystream.kernels.local_frame import LocalRays
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.sink import Sink
 from raystream.lab.kernels.search import Search
 from raystream.machines import Branching

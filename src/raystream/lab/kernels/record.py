@@ -46,7 +46,7 @@ class RecordCode(NamedTuple):
 
 
 def first_hit_query(
-    extreme: float = 1.0,
+    max_coordinate: float = 1.0,
     hits: HitAddresses | None = None,
     stacks: int = 0,
     stack_bytes: int = 0,
@@ -55,7 +55,7 @@ def first_hit_query(
 
     Parameters
     ----------
-    extreme : float
+    max_coordinate : float
         See `kernels.ray.set_up`.
     hits : HitAddresses, optional
         Without it, kernels can be compiled and not run.
@@ -63,7 +63,7 @@ def first_hit_query(
         See `StepArguments`.
     """
     return StepArguments(
-        np.float32(extreme),
+        np.float32(max_coordinate),
         False,
         True,
         True,

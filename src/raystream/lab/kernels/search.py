@@ -78,11 +78,11 @@ class Search:
         self.hits.t.fill(np.inf)
         self.hits.prim_id.fill(-1)
         self.stacks = np.zeros((count, self.steps.stack_bytes), np.uint8)
-        self._extreme = float(structure.triangles.extreme)
+        self._max_coordinate = float(structure.triangles.max_coordinate)
         self._scheduler = make_scheduler(scheduler)
         self._compaction = compaction
         rows, one = np.arange(count, dtype=np.uint64), np.ones(count, np.uint64)
-        query = query_of(self._extreme, self.hits, self.stacks)
+        query = query_of(self._max_coordinate, self.hits, self.stacks)
         self.streams = RayStreams(self.steps, query, RayJob(rays, rows, one, None))
 
     def schedule(self) -> Iterator[tuple[int, list[int]]]:
@@ -107,7 +107,7 @@ class Search:
             {name: array[chosen] for name, array in arrays.items()},
             self.hits.copy_of(slice(None)),
             self.stacks.copy(),
-            self._extreme,
+            self._max_coordinate,
         )
 
 
@@ -125,7 +125,7 @@ class Snapshot(NamedTuple):
         What all rays of the search have found.
     stacks : ndarray of shape (N, B), uint8
         Of all of them.
-    extreme : float
+    max_coordinate : float
         See `kernels.ray.set_up`.
     """
 
@@ -134,7 +134,7 @@ class Snapshot(NamedTuple):
     arrays: dict[str, NDArray[Any]]
     hits: HitArrays
     stacks: NDArray[np.uint8]
-    extreme: float
+    max_coordinate: float
 
     def __len__(self) -> int:
         return len(self.arrays["state"])
@@ -158,7 +158,7 @@ class Snapshot(NamedTuple):
         steps = self.steps if steps is None else steps
         read = {name: Stream(array, name=name) for name, array in self.arrays.items()}
         written = {name: Stream(array, name=name) for name, array in self.arrays.items()}
-        query = query_of(self.extreme, self.hits, self.stacks)
+        query = query_of(self.max_coordinate, self.hits, self.stacks)
         one = steps.kernels[self.number]
         given = declared_as(steps, query, self.number, read, written)
         return Kernel(one.function, name=one.name, **given), written
@@ -213,7 +213,7 @@ def snapshots(search: Search, passes: dict[str, int]) -> dict[str, Snapshot]:
     return taken
 
 
-def query_of(extreme: float, hits: HitArrays, stacks: NDArray[np.uint8]) -> Any:
+def query_of(max_coordinate: float, hits: HitArrays, stacks: NDArray[np.uint8]) -> Any:
     """What kernels get for first hits that are written to some arrays, which must be kept."""
     addresses = HitAddresses(*(np.uint64(column.ctypes.data) for column in hits))
-    return first_hit_query(extreme, addresses, stacks.ctypes.data, stacks.shape[1])
+    return first_hit_query(max_coordinate, addresses, stacks.ctypes.data, stacks.shape[1])

@@ -180,7 +180,7 @@ class _Recording:
         nowhere = np.uint64(0)
         found = [nowhere] * 4 if hits is None else [_address(array) for array in hits]
         return StepArguments(
-            extreme=np.float32(self.structure.triangles.extreme),
+            max_coordinate=np.float32(self.structure.triangles.max_coordinate),
             surfaces=False,
             keep=hits is not None,
             hands_over=True,

@@ -8,8 +8,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
-from raystream.kernels.search import is_full
-from raystream.kernels.seen import LEAST_ROOM, SeenSet, clear_seen
+from raystream.kernels.search import LEAST_ROOM, SeenSet, clear_seen, is_full
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
@@ -121,7 +120,7 @@ _KERNELS = with_shade(
 
 def steps(bvh: BvhStructure) -> Steps:
     """The steps of a BVH's traversal, one ray at a time."""
-    return _with_room(bvh, LEAST_ROOM if bvh.lists_twice else _NONE)
+    return _with_room(bvh, LEAST_ROOM if bvh.has_duplicates else _NONE)
 
 
 def _with_room(bvh: BvhStructure, room: np.uint64) -> Steps:

@@ -130,7 +130,7 @@ def offset_at(tables, extent, reach):
         Largest coordinate of the point.
     """
     offset = UNIT * minimum(
-        EXTENT_UNITS * extent + REACH_UNITS * reach, MOST_UNITS * (tables.extreme + reach)
+        EXTENT_UNITS * extent + REACH_UNITS * reach, MOST_UNITS * (tables.max_coordinate + reach)
     )
     return offset + WORLD_UNIT * tables.world_reach
 

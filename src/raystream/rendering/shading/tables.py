@@ -69,7 +69,7 @@ class SceneTables(NamedTuple):
         The local frame's origin, world space.
     inverse_scale : float
         World lengths in a local length.
-    extreme, world_reach : float
+    max_coordinate, world_reach : float
         Largest coordinate of a corner, local; of the frame's origin, in local lengths.
     faces : uint64
         Address of rows of the vertex attributes, shape (F, 3), int32; 0 if no mesh has any.
@@ -95,7 +95,7 @@ class SceneTables(NamedTuple):
     corners: np.uint64
     center: tuple[float, float, float]
     inverse_scale: float
-    extreme: float
+    max_coordinate: float
     world_reach: float
     faces: np.uint64
     normals: np.uint64
@@ -136,7 +136,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
         place_of(corners),
         (x, y, z),
         1.0 / float(triangles.scale),
-        float(triangles.extreme),
+        float(triangles.max_coordinate),
         float(np.abs(triangles.center).max()) * float(triangles.scale),
         place_of(vertices.faces),
         place_of(vertices.normals),

@@ -9,7 +9,7 @@ import numpy as np
 from raystream.core.query import Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.sink import Sink
 from raystream.structures.bvh.layout import BvhArrays
@@ -57,13 +57,13 @@ class Tree(NamedTuple):
     Attributes
     ----------
     addresses : TreeAddresses
-    extreme : float32
+    max_coordinate : float32
     frame : SceneFrame
     byte_count : int
     """
 
     addresses: TreeAddresses
-    extreme: np.float32
+    max_coordinate: np.float32
     frame: SceneFrame
     byte_count: int
 
@@ -79,7 +79,7 @@ class Tree(NamedTuple):
         byte_count = sum(array.nbytes for array in arrays)
         return cls(
             TreeAddresses(np.uint64(nodes), np.uint64(leaves)),
-            frame.extreme,
+            frame.max_coordinate,
             frame,
             byte_count,
         )
@@ -135,7 +135,7 @@ def visit_batch(
     tree: Tree,
     query: Query,
     rays: RayBatch,
-    lists_twice: bool,
+    has_duplicates: bool,
     sink: Sink,
     progress: Progress | None,
     only_if_narrow: bool,
@@ -148,7 +148,7 @@ def visit_batch(
         Not empty.
     query : Query
     rays : RayBatch
-    lists_twice : bool
+    has_duplicates : bool
         Whether a triangle may be in several leaves.
     sink : Sink
     progress : callable, optional
@@ -168,7 +168,7 @@ def visit_batch(
         order,
         packet_count,
         query.surfaces,
-        lists_twice,
+        has_duplicates,
         query.is_ordered,
         sink.visitor,
         sink.status,
@@ -212,11 +212,20 @@ def _trace_wavefront(
     progress: Progress | None,
 ) -> None:
     (nodes, leaves), frame = tree.addresses, tree.frame
-    extreme, prefetching = tree.extreme, tree.prefetching
+    max_coordinate, prefetching = tree.max_coordinate, tree.prefetching
 
     def body(begin: int, end: int) -> None:
         trace_wavefront(
-            begin, end, nodes, leaves, extreme, frame, source, wants_any, prefetching, results
+            begin,
+            end,
+            nodes,
+            leaves,
+            max_coordinate,
+            frame,
+            source,
+            wants_any,
+            prefetching,
+            results,
         )
 
     if count <= SMALL_BATCH and progress is None:

@@ -147,7 +147,7 @@ class _Grower:
         self.links = np.empty((2 * room, LINK_INTS), np.int32)
         # About 64 subtrees or more, of 1 to 10 ms each.
         self.subtree_size = min(max(1 << 12, self.count >> 6), 1 << 16)
-        self.pad = np.float32(triangles.extreme * PAD)
+        self.pad = np.float32(triangles.max_coordinate * PAD)
 
     def grow(self, progress: Progress | None) -> Tree:
         root = self._make_records()

@@ -172,13 +172,13 @@ def _far_of(node, b):
 
 
 @device
-def _bounds(packet, kind, extreme):
+def _bounds(packet, kind, max_coordinate):
     """Bounds of the rays of a kind, for each axis."""
     lx, hx, olx, ohx = _extremes(packet, kind, _U0)
     ly, hy, oly, ohy = _extremes(packet, kind, _U1)
     lz, hz, olz, ohz = _extremes(packet, kind, _U2)
     reach = max(abs(olx), abs(ohx), abs(oly), abs(ohy), abs(olz), abs(ohz))
-    pad = _TWO * PAD * (extreme + reach)
+    pad = _TWO * PAD * (max_coordinate + reach)
     return (
         _slab_bounds(_U0, lx, hx, olx, ohx, pad),
         _slab_bounds(_U1, ly, hy, oly, ohy, pad),
@@ -246,9 +246,9 @@ def _visit_node(packet, node, bounds, t_min, farthest, first, last, memory, stac
 
 
 @device
-def _trace_kind(packet, kind, nodes, leaves, extreme, memory, goal, hits):
+def _trace_kind(packet, kind, nodes, leaves, max_coordinate, memory, goal, hits):
     """Trace the rays of one kind: the pass of a packet."""
-    bounds = _bounds(packet, kind, extreme)
+    bounds = _bounds(packet, kind, max_coordinate)
     kz = np.uint64(kind & np.int32(3))
     kx = kz + _U1 if kz < _U2 else _U0
     ky = kx + _U1 if kx < _U2 else _U0
@@ -308,7 +308,7 @@ def _next_kind(packet):
 
 
 @device
-def trace_packet(packet, nodes, leaves, extreme, memory, goal, hits):
+def trace_packet(packet, nodes, leaves, max_coordinate, memory, goal, hits):
     """Trace a packet that was loaded.
 
     Parameters
@@ -316,7 +316,7 @@ def trace_packet(packet, nodes, leaves, extreme, memory, goal, hits):
     packet : uint64
         Address, see `packet_rays`.
     nodes, leaves : uint64
-    extreme : float32
+    max_coordinate : float32
     memory : uint64
         Address of `TRACE_BYTES` bytes.
     goal : uint64
@@ -326,7 +326,7 @@ def trace_packet(packet, nodes, leaves, extreme, memory, goal, hits):
     """
     kind = _next_kind(packet)
     while kind != NO_KIND:
-        _trace_kind(packet, kind, nodes, leaves, extreme, memory, goal, hits)
+        _trace_kind(packet, kind, nodes, leaves, max_coordinate, memory, goal, hits)
         kind = _next_kind(packet)
 
 
@@ -351,6 +351,6 @@ def trace_packets(begin, end, nodes, leaves, frame, source, order, wants_any, ou
     goal = ANY if wants_any else FIRST
     nowhere = Collector(_U0)
     for number in range(np.uint64(begin), np.uint64(end)):
-        long_groups = load_packet(packet, number, order, source, frame, out.status)
-        trace_packet(packet, nodes, leaves, frame.extreme, memory, goal, nowhere)
-        store_packet(packet, number, order, long_groups, wants_any, out)
+        slow_groups = load_packet(packet, number, order, source, frame, out.status)
+        trace_packet(packet, nodes, leaves, frame.max_coordinate, memory, goal, nowhere)
+        store_packet(packet, number, order, slow_groups, wants_any, out)

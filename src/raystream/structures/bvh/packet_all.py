@@ -14,7 +14,7 @@ from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.collect import HitArrays
 from raystream.kernels.growing import Gatherer
 from raystream.kernels.hit_batch import HitBatch, HitVisitor
-from raystream.kernels.local_ray import SceneFrame, world_t
+from raystream.kernels.ray import SceneFrame, world_t
 from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_hits import (
@@ -110,7 +110,7 @@ def visit_all(
     order: PacketOrder,
     packet_count: int,
     surfaces: bool,
-    lists_twice: bool,
+    has_duplicates: bool,
     is_ordered: bool,
     visitor: HitVisitor,
     status: NDArray[np.uint8],
@@ -120,14 +120,14 @@ def visit_all(
 
     Parameters
     ----------
-    lists_twice : bool
+    has_duplicates : bool
         Whether a triangle may be in several leaves: hits are then in order anyway.
     is_ordered, visitor
         See `Query.is_ordered` and `Sink.visitor`.
     """
     goal = ALL + SURFACES if surfaces else ALL
     # As they are found, 32 bits tell the rays of hits.
-    sorts = is_ordered or lists_twice or int(order.ray_count) >= 2**31
+    sorts = is_ordered or has_duplicates or int(order.ray_count) >= 2**31
     nowhere = _U0
     to = np.uint64(status.ctypes.data)
 
@@ -141,7 +141,7 @@ def visit_all(
             order,
             goal,
             sorts,
-            lists_twice,
+            has_duplicates,
             buffers.addresses,
             buffers.capacity,
             nowhere,
@@ -196,7 +196,7 @@ def _collect_packets(
     order,
     goal,
     sorts,
-    lists_twice,
+    has_duplicates,
     buffers,
     capacity,
     counts,
@@ -218,13 +218,13 @@ def _collect_packets(
     written = Buffers(address(buffers))
     keeps = goal & _U1 == _U1
     for number in range(np.uint64(begin), np.uint64(end)):
-        long_groups = load_packet(packet, number, order, source, frame, status)
+        slow_groups = load_packet(packet, number, order, source, frame, status)
         hits.count = _U0 if sorts else used
-        is_final = not sorts and long_groups == _U0
+        is_final = not sorts and slow_groups == _U0
         _number_rays(hits, number, order, is_final)
         if not keeps:
             _clear_counts(packet)
-        trace_packet(packet, nodes, leaves, frame.extreme, memory, goal, hits)
+        trace_packet(packet, nodes, leaves, frame.max_coordinate, memory, goal, hits)
         if not keeps:
             _store_counts(packet, number, order, counts)
             continue
@@ -233,13 +233,13 @@ def _collect_packets(
             return np.int64(number), np.int64(used), np.int64(ray_count)
         if sorts:
             row = used
-            used = sort_packet(hits, ends, used, lists_twice)
+            used = sort_packet(hits, ends, used, has_duplicates)
             ray_count = _finish_rows(
-                packet, number, order, long_groups, ends, row, written, ray_count
+                packet, number, order, slow_groups, ends, row, written, ray_count
             )
         else:
             if not is_final:
-                _finish_found(packet, number, order, long_groups, used, count, written)
+                _finish_found(packet, number, order, slow_groups, used, count, written)
             used = count
     return np.int64(end), np.int64(used), np.int64(ray_count)
 
@@ -260,26 +260,26 @@ def _store_counts(packet, number, order, counts):
 
 
 @device
-def _way_to_world(lanes, lane, is_long):
-    """Factor and offset of a ray's distances."""
-    if is_long:
-        return lanes.long_factor[lane], lanes.long_offset[lane]
-    return np.float64(lanes.factor[lane]), np.float64(0.0)
+def _t_transform_of(lanes, lane, is_slow):
+    """Factor and t_offset of a ray's distances."""
+    if is_slow:
+        return lanes.slow_t_scale[lane], lanes.slow_t_offset[lane]
+    return np.float64(lanes.t_scale[lane]), np.float64(0.0)
 
 
 @device
-def _finish_rows(packet, number, order, long_groups, ends, row, buffers, ray_count):
+def _finish_rows(packet, number, order, slow_groups, ends, row, buffers, ray_count):
     """Write a sorted packet's distances, and its rays and where their rows end."""
     t, ids, splits = buffers.rows.t, buffers.ray_ids, buffers.splits
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
-        lanes, is_long = GroupLanes(packet, g), (long_groups >> g) & _U1 == _U1
+        lanes, is_slow = GroupLanes(packet, g), (slow_groups >> g) & _U1 == _U1
         for lane in range(count):
-            factor, offset = _way_to_world(lanes, lane, is_long)
+            t_scale, t_offset = _t_transform_of(lanes, lane, is_slow)
             row_end = ends.ends[g * _LANES + lane]
             while row != row_end:
                 at = t + row * _LANE
-                store(at, world_t(load(np.float32, at), factor, offset))
+                store(at, world_t(load(np.float32, at), t_scale, t_offset))
                 row += _U1
             store(ids + ray_count * _WORD, np.int64(first + lane))
             ray_count += _U1
@@ -299,15 +299,15 @@ def _number_rays(hits, number, order, is_final):
 
 
 @device
-def _finish_found(packet, number, order, long_groups, begin, end, buffers):
-    """Write distances, and rays' indices in the batch, of a packet with rays of the long way."""
+def _finish_found(packet, number, order, slow_groups, begin, end, buffers):
+    """Write distances, and rays' indices in the batch, of a packet with rays of the slow path."""
     t, rays = buffers.found.t, buffers.found.ray
     for row in range(begin, end):
         ray = np.uint64(load(np.int32, rays + row * _LANE))
         g, lane = ray // _LANES, ray % _LANES
-        is_long = (long_groups >> g) & _U1 == _U1
-        factor, offset = _way_to_world(GroupLanes(packet, g), lane, is_long)
+        is_slow = (slow_groups >> g) & _U1 == _U1
+        t_scale, t_offset = _t_transform_of(GroupLanes(packet, g), lane, is_slow)
         at = t + row * _LANE
-        store(at, world_t(load(np.float32, at), factor, offset))
+        store(at, world_t(load(np.float32, at), t_scale, t_offset))
         first, _ = group_rows(order, number, g)
         store(rays + row * _LANE, np.int32(first + lane))

@@ -84,7 +84,7 @@ def collect(hits, taken, t, u, v, prim_id, group, g):
     if has_room(hits):
         at, found = hits.count * _LANE, Buffers(hits.buffers).found
         if hits.in_world != _U0:
-            t = world_lanes(t, group.factor)
+            t = world_lanes(t, group.t_scale)
         store(found.t + at, compress(taken, t))
         store(found.u + at, compress(taken, u))
         store(found.v + at, compress(taken, v))
@@ -194,7 +194,7 @@ def _drop_twins(rows, first, count, to):
 
 
 @device_call
-def sort_packet(hits, ends, used, lists_twice):
+def sort_packet(hits, ends, used, has_duplicates):
     """Bring a packet's hits into the order of its rays, each ray's by t, then prim_id.
 
     Parameters
@@ -205,7 +205,7 @@ def sort_packet(hits, ends, used, lists_twice):
         Written: the row after each ray's last one.
     used : uint64
         Rows in use already.
-    lists_twice : bool
+    has_duplicates : bool
         Whether a triangle may have been found more than once.
 
     Returns
@@ -244,7 +244,7 @@ def sort_packet(hits, ends, used, lists_twice):
             for k in range(_U1, ray_count):
                 t, u, v, prim_id = _take(rows, first + k)
                 _insert(rows, first, first + k, t, u, v, prim_id)
-        if lists_twice:
+        if has_duplicates:
             to += _drop_twins(rows, first, ray_count, to)
         else:
             to += ray_count

@@ -9,11 +9,11 @@ from raystream.jit.simd import any_lane, f32x16, i32x16, maximum, minimum, selec
 from raystream.jit.views import address_of, view
 from raystream.kernels.leaf_block import BLOCK, Block, BlockLanes
 from raystream.kernels.triangle_lanes import (
-    distance_lanes,
-    image_lanes,
-    interval_lanes,
-    same_sign,
-    weigh_lanes,
+    barycentrics,
+    plane_distance,
+    shear_vertices,
+    signs_agree,
+    slab_interval,
 )
 from raystream.structures.bvh.packet_hits import collect
 from raystream.structures.bvh.packet_rays import Group, three
@@ -68,7 +68,7 @@ def box_planes(node, lane, bounds):
 def _group_interval(group, planes):
     """Slab interval of a box, or of a triangle's own, for the 16 rays of a group."""
     near_x, near_y, near_z, far_x, far_y, far_z = planes
-    return interval_lanes(
+    return slab_interval(
         f32x16(near_x),
         f32x16(near_y),
         f32x16(near_z),
@@ -138,23 +138,14 @@ def _test_triangle(group, g, block, planes, lane, axes, goal, hits):
     bx, by, bz = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
     cx, cy, cz = corners[_THIRD, kx, lane], corners[_THIRD, ky, lane], corners[_THIRD, kz, lane]
     origin, shear = group.origin, group.shear
-    images = image_lanes(
-        f32x16(ax),
-        f32x16(ay),
-        f32x16(az),
-        f32x16(bx),
-        f32x16(by),
-        f32x16(bz),
-        f32x16(cx),
-        f32x16(cy),
-        f32x16(cz),
-        origin[kx],
-        origin[ky],
-        origin[kz],
-        shear[_X],
-        shear[_Y],
+    sheared = shear_vertices(
+        (f32x16(ax), f32x16(ay), f32x16(az)),
+        (f32x16(bx), f32x16(by), f32x16(bz)),
+        (f32x16(cx), f32x16(cy), f32x16(cz)),
+        (origin[kx], origin[ky], origin[kz]),
+        (shear[_X], shear[_Y]),
     )
-    candidates = same_sign(images)
+    candidates = signs_agree(sheared)
     if not any_lane(candidates):
         return False
     near, far = planes.near, planes.far
@@ -173,7 +164,7 @@ def _test_triangle(group, g, block, planes, lane, axes, goal, hits):
         return False
     # The distance first: rays that leave a surface meet its triangle behind their origin, and
     # need no weights.
-    t = distance_lanes(
+    t = plane_distance(
         _point64(ax, ay, az),
         _point64(bx, by, bz),
         _point64(cx, cy, cz),
@@ -184,7 +175,7 @@ def _test_triangle(group, g, block, planes, lane, axes, goal, hits):
     candidates = candidates & (t >= t_min) & (t <= nearest)
     if not any_lane(candidates):
         return False
-    hit, u, v = weigh_lanes(images, goal >= SURFACES)
+    hit, u, v = barycentrics(sheared, goal >= SURFACES)
     prim_id, best = i32x16(block.prim_ids[lane]), group.prim_id
     taken = candidates & hit
     if goal > ANY:

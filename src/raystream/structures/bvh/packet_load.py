@@ -105,69 +105,69 @@ def _numbers(base, step, first):
 
 @device_call
 def _patch(lanes, lane, status, source, i, frame):
-    """Bring one ray into a lane of a group by the long way."""
+    """Bring one ray into a lane of a group by the slow path."""
     no_inline()
     ray = load_ray(source, i, frame)
     origin, direction = lanes.origin, lanes.direction
     origin[_X, lane], origin[_Y, lane], origin[_Z, lane] = ray.ox, ray.oy, ray.oz
     direction[_X, lane], direction[_Y, lane], direction[_Z, lane] = ray.dx, ray.dy, ray.dz
     lanes.t_min[lane], lanes.t[lane] = ray.t_min, ray.t_max
-    lanes.long_factor[lane], lanes.long_offset[lane] = ray.factor, ray.offset
+    lanes.slow_t_scale[lane], lanes.slow_t_offset[lane] = ray.t_scale, ray.t_offset
     if ray.status == _INVALID:
         store(status + i, _INVALID)
 
 
 @device
 def _load_group(group, source, first, frame, status):
-    """Load 16 rays into the local frame; returns whether one of them took the long way."""
+    """Load 16 rays into the local frame; returns whether one of them took the slow path."""
     rays = load_origins(source, first) + load_directions(source, first)
     t_min = _numbers(source.t_min, source.t_min_step, first)
     t_max = _numbers(source.t_max, source.t_max_step, first)
-    return _localise_group(group, rays, t_min, t_max, source, first, frame, status)
+    return _group_to_local(group, rays, t_min, t_max, source, first, frame, status)
 
 
 @device
-def _localise_group(group, rays, t_min, t_max, source, first, frame, status):
-    """Bring 16 rays into the local frame; returns whether one of them took the long way."""
+def _group_to_local(group, rays, t_min, t_max, source, first, frame, status):
+    """Bring 16 rays into the local frame; returns whether one of them took the slow path."""
     wx, wy, wz, dx, dy, dz = rays
     ox = narrow((wx - frame.center[0]) * frame.scale)
     oy = narrow((wy - frame.center[1]) * frame.scale)
     oz = narrow((wz - frame.center[2]) * frame.scale)
 
-    # See `ray_source.load_ray` for why these lanes, and only these, may take the short way.
+    # See `ray_source.load_ray` for why these lanes, and only these, may take the fast path.
     largest = maximum(maximum(absolute(dx), absolute(dy)), absolute(dz))
     exponent = float_as_bits(largest) >> MANTISSA_BITS
     power = bits_as_float((i64x16(POWER_EXPONENT) - exponent) << MANTISSA_BITS)
-    factor = power * frame.inverse_scale
+    t_scale = power * frame.inverse_scale
     inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
     low = narrow(widen(t_min) * inverse) + _ZERO
     high = narrow(widen(t_max) * inverse) + _ZERO
-    reach = NEAR_REACH * frame.extreme
+    reach = NEAR_REACH * frame.max_coordinate
     near_by = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz)) <= reach
-    short = (
+    is_fast = (
         (absolute(ox) + absolute(oy) + absolute(oz) < _INF)
         & near_by
-        & (widen(narrow(factor)) == factor)
-        & (widen(low) * factor == widen(t_min))
-        & (widen(high) * factor == widen(t_max))
+        & (widen(narrow(t_scale)) == t_scale)
+        & (widen(low) * t_scale == widen(t_min))
+        & (widen(high) * t_scale == widen(t_max))
     )
-    usual = (
+    is_usual = (
         (exponent >= LEAST_EXPONENT)
         & (exponent <= MOST_EXPONENT)
         & (absolute(dx) + absolute(dy) + absolute(dz) < _INF64)
     )
-    short = short & usual
+    is_fast = is_fast & is_usual
     origin, direction = group.origin, group.direction
     origin[_X], origin[_Y], origin[_Z] = ox, oy, oz
     direction[_X] = narrow(dx * power)
     direction[_Y] = narrow(dy * power)
     direction[_Z] = narrow(dz * power)
-    group.t_min, group.t, group.factor = low, high, narrow(factor)
-    if all_lanes(short):
+    group.t_min, group.t, group.t_scale = low, high, narrow(t_scale)
+    if all_lanes(is_fast):
         return False
-    group.long_factor, group.long_offset = factor, f64x16(np.float64(0.0))
+    group.slow_t_scale, group.slow_t_offset = t_scale, f64x16(np.float64(0.0))
     lanes = GroupLanes(address_of(group))
-    bits = mask_bits(short) ^ _ALL_LANES
+    bits = mask_bits(is_fast) ^ _ALL_LANES
     while bits != _U0:
         lane = count_trailing_zeros(bits)
         bits &= bits - _U1
@@ -186,8 +186,8 @@ def _load_few(lanes, source, first, count, frame, status):
 
 
 @device
-def _prepare_group(group, extreme):
-    """`kernels.ray.set_up` of a group, and its kinds."""
+def _prepare_group(group, max_coordinate):
+    """`kernels.ray.prepare_ray` of a group, and its kinds."""
     ox, oy, oz = three(group.origin)
     dx, dy, dz = three(group.direction)
     ax, ay, az = absolute(dx), absolute(dy), absolute(dz)
@@ -197,7 +197,7 @@ def _prepare_group(group, extreme):
     largest = maximum(az, largest)
     tiny = largest * TINY_DIRECTION
     reach = maximum(maximum(absolute(ox), absolute(oy)), absolute(oz))
-    pad = (reach + extreme) * PAD
+    pad = (reach + max_coordinate) * PAD
     one = f32x16(_ONE)
     inv_x = copy_sign(one / maximum(ax, tiny), dx)
     inv_y = copy_sign(one / maximum(ay, tiny), dy)
@@ -233,22 +233,22 @@ def _prepare_group(group, extreme):
 def load_group(group, first, count, source, frame, status):
     """Load and prepare `count` rays from `first` on as a group; the other lanes cannot hit.
 
-    Returns whether any ray took the long way: `long_factor` and `long_offset` hold.
+    Returns whether any ray took the slow path: `slow_t_scale` and `slow_t_offset` hold.
     """
-    is_long = True
+    is_slow = True
     if count == _LANES:
-        is_long = _load_group(group, source, first, frame, status)
+        is_slow = _load_group(group, source, first, frame, status)
     elif count == _U0:
         zero, one = f32x16(_ZERO), f32x16(_ONE)
         origin, direction = group.origin, group.direction
         origin[_X], origin[_Y], origin[_Z] = zero, zero, zero
         direction[_X], direction[_Y], direction[_Z] = one, one, one
         group.t_min, group.t = one, f32x16(-_INF)
-        is_long = False
+        is_slow = False
     else:
         _load_few(GroupLanes(address_of(group)), source, first, count, frame, status)
-    _prepare_group(group, frame.extreme)
-    return is_long
+    _prepare_group(group, frame.max_coordinate)
+    return is_slow
 
 
 @device
@@ -262,14 +262,14 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
         Origins and directions, world space.
     t_min, t_max : f32x16
     source : RaySource
-        Where the first of them lies, for those that take the long way.
+        Where the first of them lies, for those that take the slow path.
     frame : SceneFrame
     status : uint64
         Address of 16 statuses.
     """
-    is_long = _localise_group(group, rays, t_min, t_max, source, _U0, frame, status)
-    _prepare_group(group, frame.extreme)
-    return is_long
+    is_slow = _group_to_local(group, rays, t_min, t_max, source, _U0, frame, status)
+    _prepare_group(group, frame.max_coordinate)
+    return is_slow
 
 
 @device
@@ -292,11 +292,11 @@ def load_packet(packet, number, order, source, frame, status):
     Returns
     -------
     uint64
-        Bits of the groups with a ray that took the long way: `store_packet` must know.
+        Bits of the groups with a ray that took the slow path: `store_packet` must know.
     """
-    long_groups = _U0
+    slow_groups = _U0
     for g in range(GROUPS):
         first, count = group_rows(order, number, g)
         if load_group(Group(packet, g), first, count, source, frame, status):
-            long_groups |= _U1 << g
-    return long_groups
+            slow_groups |= _U1 << g
+    return slow_groups

@@ -25,7 +25,7 @@ from raystream.jit.simd import (
     store_nontemporal,
 )
 from raystream.jit.views import view
-from raystream.kernels.local_ray import world_t
+from raystream.kernels.ray import world_t
 
 __all__ = [
     "GROUP",
@@ -65,10 +65,10 @@ _FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
     ("u", "f4", (16,)),
     ("v", "f4", (16,)),
     ("kind", "i4", (16,)),  # octant and largest axis of the direction
-    ("factor", "f4", (16,)),
-    # In groups with a ray that took the long way into the local frame.
-    ("long_factor", "f8", (16,)),
-    ("long_offset", "f8", (16,)),
+    ("t_scale", "f4", (16,)),
+    # In groups with a ray that took the slow path into the local frame.
+    ("slow_t_scale", "f8", (16,)),
+    ("slow_t_offset", "f8", (16,)),
     ("direction", "f4", (3, 16)),
 ]
 GROUP = np.dtype(_FIELDS)
@@ -138,10 +138,10 @@ def group_rows(order, packet, group):
 
 
 @device
-def world_lanes(t, factor):
-    """Distances of a group without rays that took the long way, in world direction lengths."""
+def world_lanes(t, t_scale):
+    """Distances of a group without rays that took the slow path, in world direction lengths."""
     # A distance beyond float32 is still a hit: only a miss is infinite.
-    return minimum(maximum(t * factor, f32x16(-_LARGEST)), f32x16(_LARGEST))
+    return minimum(maximum(t * t_scale, f32x16(-_LARGEST)), f32x16(_LARGEST))
 
 
 @device
@@ -152,8 +152,8 @@ def three(rows):
 
 @device
 def _reported(group):
-    """World distances of a group without rays that took the long way; inf for a miss."""
-    t = world_lanes(group.t, group.factor)
+    """World distances of a group without rays that took the slow path; inf for a miss."""
+    t = world_lanes(group.t, group.t_scale)
     return select(group.prim_id == NO_PRIM, f32x16(_INF), t)
 
 
@@ -195,7 +195,7 @@ def _store_few(lanes, first, count, wants_any, out):
         if prim_id == NO_PRIM:
             prim_id = _MISS
         else:
-            t = world_t(lanes.t[lane], lanes.long_factor[lane], lanes.long_offset[lane])
+            t = world_t(lanes.t[lane], lanes.slow_t_scale[lane], lanes.slow_t_offset[lane])
         at = (first + lane) * _LANE
         store(out.t + at, t)
         store(out.u + at, lanes.u[lane])
@@ -204,14 +204,14 @@ def _store_few(lanes, first, count, wants_any, out):
 
 
 @device
-def store_packet(packet, number, order, long_groups, wants_any, out):
+def store_packet(packet, number, order, slow_groups, wants_any, out):
     """Write the results of a packet.
 
     Parameters
     ----------
     packet, number, order
         See `load_packet`.
-    long_groups : uint64
+    slow_groups : uint64
         What it returned.
     wants_any : bool
     out : ResultAddresses
@@ -220,7 +220,7 @@ def store_packet(packet, number, order, long_groups, wants_any, out):
         first, count = group_rows(order, number, g)
         if count == _U0:
             continue
-        if (long_groups >> g) & _U1 == _U0:
+        if (slow_groups >> g) & _U1 == _U0:
             _store_group(Group(packet, g), first, wants_any, out)
         else:
             _store_few(GroupLanes(packet, g), first, count, wants_any, out)

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from raystream.jit.cpu import kernel
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import f32x16, load, load_records, store, store_nontemporal
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
-from raystream.kernels.local_ray import SceneFrame
+from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.ray_order import (
     COUNT_BYTES,

@@ -33,7 +33,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.kernels.triangle_lanes import interval_lanes
+from raystream.kernels.triangle_lanes import slab_interval
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
 from raystream.structures.bvh.wide import (
     BOX_FLIP,
@@ -192,7 +192,7 @@ def visit(tree, child, line, t_min, t_far, stack, half, top):
     at_x = node + _first_planes(line.axis[0], line.inv[0])
     at_y = node + _first_planes(line.axis[1], line.inv[1])
     at_z = node + _first_planes(line.axis[2], line.inv[2])
-    t_in, t_out = interval_lanes(
+    t_in, t_out = slab_interval(
         load(f32x8, at_x),
         load(f32x8, at_y),
         load(f32x8, at_z),

@@ -24,6 +24,7 @@ from raystream.jit.simd import (
     address,
     any_lane,
     compress,
+    count_trailing_zeros,
     f32x8,
     float_as_bits,
     i32x8,
@@ -37,16 +38,23 @@ from raystream.jit.simd import (
     scratch,
     select,
     store,
+    widen,
 )
 from raystream.jit.views import address_of, view
-from raystream.kernels.leaf_block import BLOCK, HITS, Block
-from raystream.kernels.triangle_lanes import interval_lanes
+from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes
+from raystream.kernels.triangle_lanes import (
+    barycentrics,
+    plane_distance,
+    shear_vertices,
+    signs_agree,
+    slab_interval,
+)
 from raystream.structures.bvh.layout import MAX_DEPTH, STACK_SIZE
-from raystream.structures.bvh.stream_leaf import test_block
 from raystream.structures.bvh.stream_rays import (
     FILL_BYTES,
     STREAM_BYTES,
     STREAM_RAYS,
+    Cold,
     Fill,
     Hot,
     fill,
@@ -74,6 +82,8 @@ _SmallLanes = view([("t_in", "f4", (8, 1)), ("keys", "i4", (8, 1))])
 _SMALL_BYTES = _SMALL.itemsize
 
 _U0, _U1, _U2, _U4 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(4)
+_X, _Y, _Z = np.uint64(0), np.uint64(1), np.uint64(2)
+_FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _ZERO = np.float32(0.0)
 _INF = np.float32(np.inf)
 _KEY_BITS = np.int32(~7)
@@ -122,7 +132,7 @@ def _visit_node(node, rays, count, hot, x, y, z, hits):
     least = f32x8(_INF)
     for j in range(count):
         ray = Hot(hot, np.uint64(load(np.uint32, rays + j * LANE)))
-        t_in, t_out = interval_lanes(
+        t_in, t_out = slab_interval(
             low_x, low_y, low_z, high_x, high_y, high_z, ray.inv, ray.near, ray.far
         )
         entered = maximum(t_in, ray.t_min) <= minimum(t_out, ray.t)
@@ -145,6 +155,128 @@ def _make_list(to, rays, hits, count, lane):
         store(to + written * LANE, compress(enters, load(i32x16, rays + at)))
         written += popcount(mask_bits(enters))
     return written
+
+
+@device
+def _axes(hot):
+    """The axes of a ray's frame."""
+    kx, ky, kz = hot.axes
+    return np.uint64(kx), np.uint64(ky), np.uint64(kz)
+
+
+@device
+def _sheared(hot, cold, block):
+    """The corners of a block's four triangles in a ray's frame."""
+    x, y, z = _axes(hot)
+    corners = block.corners
+    a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+    b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
+    c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
+    return shear_vertices(a, b, c, hot.origin, (hot.sx, cold.sy))
+
+
+@device
+def _corner64(corners, corner, x, y, z):
+    return widen(corners[corner, x]), widen(corners[corner, y]), widen(corners[corner, z])
+
+
+@device
+def _point64(x, y, z):
+    return np.float64(x), np.float64(y), np.float64(z)
+
+
+@device
+def _distances(hot, cold, block):
+    x, y, z = _axes(hot)
+    corners = block.corners
+    return plane_distance(
+        _corner64(corners, _FIRST, x, y, z),
+        _corner64(corners, _SECOND, x, y, z),
+        _corner64(corners, _THIRD, x, y, z),
+        _point64(*hot.origin),
+        _point64(*cold.direction),
+    )
+
+
+@device
+def _test_block(rays, count, stream, block, backward, hits, lanes, wants_any):
+    """Test the rays of a list against a block of triangles; returns how many have a hit."""
+    # Step 1: the rays whose edge functions agree in sign, written without a branch. (With one
+    # for each ray, those that the processor foresees wrongly cost half the time of a leaf.)
+    candidate_count = _U0
+    for j in range(count):
+        number = load(np.uint32, rays + j * LANE)
+        hot, cold = Hot(stream.hot, np.uint64(number)), Cold(stream.cold, np.uint64(number))
+        store(hits + candidate_count * LANE, number)
+        candidate_count += np.uint64(any_lane(signs_agree(_sheared(hot, cold, block))))
+    if candidate_count == _U0:
+        return _U0
+
+    # Step 2: exactly.
+    hit_count = _U0
+    back_x, back_y, back_z = backward
+    low_x, high_x = _extent(block, _X)
+    low_y, high_y = _extent(block, _Y)
+    low_z, high_z = _extent(block, _Z)
+    near_x, far_x = select(back_x, high_x, low_x), select(back_x, low_x, high_x)
+    near_y, far_y = select(back_y, high_y, low_y), select(back_y, low_y, high_y)
+    near_z, far_z = select(back_z, high_z, low_z), select(back_z, low_z, high_z)
+    for j in range(candidate_count):
+        number = np.uint64(load(np.uint32, hits + j * LANE))
+        hot, cold = Hot(stream.hot, number), Cold(stream.cold, number)
+        t_in, t_out = slab_interval(
+            near_x,
+            near_y,
+            near_z,
+            far_x,
+            far_y,
+            far_z,
+            hot.inv,
+            hot.near,
+            hot.far,
+        )
+        nearest, t_min = hot.t, hot.t_min
+        sheared = _sheared(hot, cold, block)
+        candidates = signs_agree(sheared) & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
+        if any_lane(candidates):
+            # The distance first: rays that leave a surface meet its triangle behind their
+            # origin, and need no weights.
+            t = minimum(maximum(_distances(hot, cold, block), t_in), t_out) + _ZERO
+            candidates = candidates & (t >= t_min) & (t <= nearest)
+            if not any_lane(candidates):
+                continue
+            hit, u, v = barycentrics(sheared, False)
+            bits = mask_bits(candidates & hit)
+            if bits != _U0:
+                hit_count += _U1
+                if wants_any:
+                    cold.prim_id, hot.t = np.int32(0), -_INF
+                else:
+                    lanes.t, lanes.u, lanes.v = t, u, v
+                    _keep_nearest(hot, cold, block, bits, HitLanes(address_of(lanes)))
+    return hit_count
+
+
+@device
+def _extent(block, axis):
+    """Low and high coordinates of four triangles along an axis."""
+    corners = block.corners
+    a, b, c = corners[_FIRST, axis], corners[_SECOND, axis], corners[_THIRD, axis]
+    return minimum(minimum(a, b), c), maximum(maximum(a, b), c)
+
+
+@device
+def _keep_nearest(hot, cold, block, bits, lanes):
+    """Take the hits of these lanes, if they are before the ray's by t, then prim_id."""
+    nearest, best = hot.t, cold.prim_id
+    while bits != _U0:
+        lane = count_trailing_zeros(bits)
+        bits &= bits - _U1
+        t, prim_id = lanes.t[lane], block.prim_ids[lane]
+        if t < nearest or (t == nearest and prim_id < best):
+            nearest, best = t, prim_id
+            cold.u, cold.v = lanes.u[lane], lanes.v[lane]
+    hot.t, cold.prim_id = nearest, best
 
 
 @device
@@ -174,7 +306,7 @@ def _trace_stream(octant, count, stream, nodes, leaves, stack, lists, hits, smal
             at = leaf_address(leaves, child)
             end = leaf_end(at, child)
             while at != end:
-                hit_count += test_block(
+                hit_count += _test_block(
                     rays, length, stream, Block(at), backward, hits, small.hits, wants_any
                 )
                 at += BLOCK

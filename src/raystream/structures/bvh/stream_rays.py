@@ -13,7 +13,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import bits_as_float, f32x16, i32x16, load, select, store, store_records
 from raystream.jit.views import address_of, view
-from raystream.kernels.local_ray import world_t
+from raystream.kernels.ray import world_t
 from raystream.structures.bvh.packet_load import load_rays
 from raystream.structures.bvh.packet_rays import GROUP, NO_PRIM, GroupLanes
 from raystream.structures.bvh.packet_rays import three as vectors
@@ -62,7 +62,7 @@ _COLD = np.dtype(
     [
         ("direction", "f4", 3),  # in the order of the frame
         ("sy", "f4"),
-        ("factor", "f4"),
+        ("t_scale", "f4"),
         ("u", "f4"),
         ("v", "f4"),
         ("prim_id", "i4"),
@@ -70,15 +70,15 @@ _COLD = np.dtype(
 )
 Cold = view(_COLD)
 
-#: Behind them, in groups with a ray that took the long way.
-_LONG = np.dtype([("factor", "f8"), ("offset", "f8")])
-_Long = view(_LONG)
+#: Behind them, in groups with a ray that took the slow path.
+_SLOW = np.dtype([("t_scale", "f8"), ("t_offset", "f8")])
+_Slow = view(_SLOW)
 
 _HOT_BYTES = np.uint64(_HOT.itemsize)
 _COLD_BYTES = np.uint64(_COLD.itemsize)
 _COLD_AT = np.uint64(STREAM_RAYS * _HOT.itemsize)
-_LONG_AT = np.uint64(STREAM_RAYS * (_HOT.itemsize + _COLD.itemsize))
-_FLAGS_AT = np.uint64(STREAM_RAYS * (_HOT.itemsize + _COLD.itemsize + _LONG.itemsize))
+_SLOW_AT = np.uint64(STREAM_RAYS * (_HOT.itemsize + _COLD.itemsize))
+_FLAGS_AT = np.uint64(STREAM_RAYS * (_HOT.itemsize + _COLD.itemsize + _SLOW.itemsize))
 
 #: Bytes of all that belongs to the rays of a stream.
 STREAM_BYTES = int(_FLAGS_AT) + STREAM_RAYS // 16 + 64
@@ -117,21 +117,21 @@ class StreamRays(NamedTuple):
 
     Attributes
     ----------
-    hot, cold, long, flags : uint64
-        Addresses: of the records, of what the long way leaves, and of a uint8 for each group
+    hot, cold, slow, flags : uint64
+        Addresses: of the records, of what the slow path leaves, and of a uint8 for each group
         that says whether a ray of it took that way.
     """
 
     hot: np.uint64
     cold: np.uint64
-    long: np.uint64
+    slow: np.uint64
     flags: np.uint64
 
 
 @device
 def stream_rays(memory):
     """The parts of `STREAM_BYTES` of memory."""
-    return StreamRays(memory, memory + _COLD_AT, memory + _LONG_AT, memory + _FLAGS_AT)
+    return StreamRays(memory, memory + _COLD_AT, memory + _SLOW_AT, memory + _FLAGS_AT)
 
 
 @device
@@ -158,7 +158,7 @@ def _write_records(hot, cold, group):
     origin = _in_frame(is_y, is_z, ox, oy, oz)
     store_records(hot, slabs + limits + origin + (bits_as_float(axes), sx))
     zero = f32x16(_ZERO)
-    result = group.factor, zero, zero, bits_as_float(i32x16(NO_PRIM))
+    result = group.t_scale, zero, zero, bits_as_float(i32x16(NO_PRIM))
     store_records(cold, _in_frame(is_y, is_z, dx, dy, dz) + (sy,) + result)
 
 
@@ -187,13 +187,13 @@ def fill(stream, source, rays, place, count, frame, memory, status):
         memory.status[_U0], memory.status[_U1] = _U0, _U0
         copied = copy_sixteen(copies, source, rays, place + j, count - j)
         sixteen, t_min, t_max = load_copies(copies, is_double)
-        is_long = load_rays(group, sixteen, t_min, t_max, copied, frame, found)
+        is_slow = load_rays(group, sixteen, t_min, t_max, copied, frame, found)
         _write_records(stream.hot + j * _HOT_BYTES, stream.cold + j * _COLD_BYTES, group)
-        store(stream.flags + j // _LANES, np.uint8(is_long))
-        if is_long:
+        store(stream.flags + j // _LANES, np.uint8(is_slow))
+        if is_slow:
             for k in range(min(_LANES, count - j)):
-                long = _Long(stream.long, j + k)
-                long.factor, long.offset = lanes.long_factor[k], lanes.long_offset[k]
+                slow = _Slow(stream.slow, j + k)
+                slow.t_scale, slow.t_offset = lanes.slow_t_scale[k], lanes.slow_t_offset[k]
                 kind = load(np.uint8, found + k)
                 if kind != np.uint8(0):
                     store(status + rays.first + number_at(rays, place + j + k), kind)
@@ -216,11 +216,11 @@ def write_results(stream, rays, place, count, wants_any, out):
         if wants_any:
             store(out.seen + rays.first + number, np.uint8(cold.prim_id != NO_PRIM))
             continue
-        factor, offset = np.float64(cold.factor), np.float64(0.0)
+        t_scale, t_offset = np.float64(cold.t_scale), np.float64(0.0)
         if load(np.uint8, stream.flags + j // _LANES) != np.uint8(0):
-            long = _Long(stream.long, j)
-            factor, offset = long.factor, long.offset
-        t = world_t(Hot(stream.hot, j).t, factor, offset)
+            slow = _Slow(stream.slow, j)
+            t_scale, t_offset = slow.t_scale, slow.t_offset
+        t = world_t(Hot(stream.hot, j).t, t_scale, t_offset)
         if cold.prim_id == NO_PRIM:
             write_row(rays, number, _INF, cold.u, cold.v, _MISS)
         else:

@@ -48,7 +48,7 @@ class BvhStructure(Structure):
 
     traverse = staticmethod(traverse)
     stack_bytes = STACK_BYTES
-    can_list_twice = True
+    can_have_duplicates = True
     options: Bvh
 
     def __init__(
@@ -64,12 +64,12 @@ class BvhStructure(Structure):
         self.options = options
         self._numbers = Tree.of(tree, self.frame)
         self._held_ids = triangles.prim_ids
-        self._lists_twice = False
+        self._has_duplicates = False
         entry_count = int(np.count_nonzero(tree.prim_ids >= 0))
         if entry_count != len(triangles.prim_ids):
             # Some are in several leaves, or some that a moved tree holds cannot be hit now.
             self._held_ids = np.unique(tree.prim_ids[tree.prim_ids >= 0])
-            self._lists_twice = entry_count != len(self._held_ids)
+            self._has_duplicates = entry_count != len(self._held_ids)
         self.report = BuildReport(
             seconds=time.perf_counter() - started,
             byte_count=sum(array.nbytes for array in tree),
@@ -96,9 +96,9 @@ class BvhStructure(Structure):
         return {"nodes": self.tree.nodes, "leaves": self.tree.leaves}
 
     @property
-    def lists_twice(self) -> bool:
+    def has_duplicates(self) -> bool:
         """Whether a triangle may be in several leaves."""
-        return self._lists_twice
+        return self._has_duplicates
 
     @cached_property
     def stack_half(self) -> int:
@@ -191,8 +191,10 @@ class BvhStructure(Structure):
             return False
         only_if_narrow = self.kernel == "auto"
         if kind is Kind.MULTI_HIT:
-            return visit_batch(tree, query, rays, self.lists_twice, sink, progress, only_if_narrow)
-        return not self.lists_twice and count_batch(
+            return visit_batch(
+                tree, query, rays, self.has_duplicates, sink, progress, only_if_narrow
+            )
+        return not self.has_duplicates and count_batch(
             tree, query, rays, sink, progress, only_if_narrow
         )
 

@@ -29,30 +29,24 @@ from raystream.jit.simd import (
     store,
     widen,
 )
+from raystream.jit.views import view
 from raystream.kernels.leaf_block import BLOCK, HITS, Block, HitLanes, Hits
+from raystream.kernels.ray import component, prepare_ray, world_t
 from raystream.kernels.ray_source import load_ray
 from raystream.kernels.triangle_lanes import (
-    distance_lanes,
-    image_lanes,
-    interval_lanes,
-    same_sign,
-    weigh_lanes,
+    barycentrics,
+    plane_distance,
+    shear_vertices,
+    signs_agree,
+    slab_interval,
 )
 from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.wavefront_rays import (
-    BOTTOM,
-    BOTTOM_KEY,
-    NO_RAY,
-    SLOT_BYTES,
-    Slot,
-    finish_ray,
-    start_ray,
-)
 from raystream.structures.bvh.wide import (
     LANE,
     Node,
     leaf_address,
     leaf_end,
+    plane_row,
     prefetch_child,
     sort_keys,
     t_key,
@@ -68,16 +62,108 @@ _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _WORD = np.uint64(8)
 _LINE = np.uint64(64)
 _ZERO = np.float32(0.0)
+_INF = np.float32(np.inf)
+_MISS = np.int32(-1)
 _KEY_BITS = np.int32(~7)
 _INVALID = np.uint8(RayStatus.INVALID)
+
+#: The triangle of a ray that has no hit: no number is greater.
+_NO_PRIM = np.int32(2**31 - 1)
+
+#: In a slot that has no ray.
+_NO_RAY = np.int64(-1)
+
+#: At the bottom of each stack: no key is smaller, and no node has this number.
+_BOTTOM_KEY = np.int32(-(2**31))
+_BOTTOM = np.int32(2**31 - 1)
+
+#: A ray in flight. What belongs to axes is in the order of the ray's frame: kx, ky, kz.
+_SLOT = np.dtype(
+    [
+        ("inv", "f4", 3),
+        ("near", "f4", 3),
+        ("far", "f4", 3),
+        ("origin", "f4", 3),
+        ("shear", "f4", 3),
+        ("t_min", "f4"),
+        ("t", "f4"),
+        ("prim_id", "i4"),
+        ("u", "f4"),
+        ("v", "f4"),
+        ("t_key", "i4"),  # children with a larger key lie behind the nearest hit
+        ("child", "i4"),  # the node or leaf that is next
+        ("top", "u8"),  # bytes on the stack, below the next one
+        ("ray", "i8"),
+        ("t_scale", "f8"),
+        ("t_offset", "f8"),
+        ("planes", "u8", 3),  # rows of a node's planes that the ray meets first
+        ("axes", "u8", 3),  # kx, ky, kz
+        ("direction", "f4", 3),
+        ("unused", "V12"),
+    ]
+)
+_Slot = view(_SLOT)
+_SLOT_BYTES = np.uint64(_SLOT.itemsize)
 
 #: Entries of a ray's stacks, with room for the eight lanes that are always stored.
 _STACK = np.uint64(4 * (STACK_SIZE + 16))
 
-_SLOTS_BYTES = int(_IN_FLIGHT * SLOT_BYTES)
+_SLOTS_BYTES = int(_IN_FLIGHT * _SLOT_BYTES)
 _STACK_BYTES = int(_IN_FLIGHT * _STACK)
 _HITS_BYTES = HITS.itemsize
 _QUEUE_BYTES = int(_IN_FLIGHT * _WORD + _LINE)
+
+
+@device
+def _start_ray(slot, keys, children, i, ray, max_coordinate):
+    """Put a ray into a slot, before the root."""
+    r = prepare_ray(ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, max_coordinate)
+    inv_x = component(r.kx, r.inv_x, r.inv_y, r.inv_z)
+    inv_y = component(r.ky, r.inv_x, r.inv_y, r.inv_z)
+    inv_z = r.sz
+    slot.inv = inv_x, inv_y, inv_z
+    slot.near = (
+        component(r.kx, r.near_x, r.near_y, r.near_z),
+        component(r.ky, r.near_x, r.near_y, r.near_z),
+        component(r.kz, r.near_x, r.near_y, r.near_z),
+    )
+    slot.far = (
+        component(r.kx, r.far_x, r.far_y, r.far_z),
+        component(r.ky, r.far_x, r.far_y, r.far_z),
+        component(r.kz, r.far_x, r.far_y, r.far_z),
+    )
+    slot.origin = r.ox, r.oy, r.oz
+    slot.direction = r.dx, r.dy, r.dz
+    slot.shear = r.sx, r.sy, r.sz
+    slot.planes = plane_row(r.kx, inv_x), plane_row(r.ky, inv_y), plane_row(r.kz, inv_z)
+    slot.axes = r.kx, r.ky, r.kz
+    slot.t_min, slot.t, slot.t_key = ray.t_min, ray.t_max, t_key(ray.t_max)
+    slot.prim_id, slot.u, slot.v = _NO_PRIM, _ZERO, _ZERO
+    slot.child, slot.top = np.int32(0), LANE
+    slot.ray, slot.t_scale, slot.t_offset = np.int64(i), ray.t_scale, ray.t_offset
+    store(keys, _BOTTOM_KEY)
+    store(children, _BOTTOM)
+
+
+@device
+def _finish_ray(slot, wants_any, out):
+    """Write the result of a slot's ray, if it has one."""
+    if slot.ray < np.int64(0):
+        return
+    i, prim_id = np.uint64(slot.ray), slot.prim_id
+    if wants_any:
+        store(out.seen + i, np.uint8(prim_id != _NO_PRIM))
+        return
+    t = _INF
+    if prim_id == _NO_PRIM:
+        prim_id = _MISS
+    else:
+        t = world_t(slot.t, slot.t_scale, slot.t_offset)
+    at = i * LANE
+    store(out.t + at, t)
+    store(out.u + at, slot.u)
+    store(out.v + at, slot.v)
+    store(out.prim_id + at, prim_id)
 
 
 @device
@@ -85,7 +171,7 @@ def _visit_node(slot, node, keys, children, numbers):
     """Test a node's eight boxes; returns the height of the stack with those that are entered."""
     x, y, z = slot.planes
     planes = node.planes
-    t_in, t_out = interval_lanes(
+    t_in, t_out = slab_interval(
         planes[x],
         planes[y],
         planes[z],
@@ -100,7 +186,7 @@ def _visit_node(slot, node, keys, children, numbers):
     # Keys: entry distance, cut off at 0 since only the order of bits of positive numbers is
     # that of the numbers, with the lane in the lowest bits. Others sink to the end.
     key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | numbers
-    key = sort_keys(select(entered, key, i32x8(BOTTOM_KEY)))
+    key = sort_keys(select(entered, key, i32x8(_BOTTOM_KEY)))
     top = slot.top
     store(keys + top, key)
     store(children + top, permute(node.children, key))
@@ -114,23 +200,23 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
     at = leaf_address(leaves, child)
     end = leaf_end(at, child)
     x, y, z = slot.axes
-    ox, oy, oz = slot.origin
+    origin = slot.origin
     sx, sy, _ = slot.shear
     while at != end:
         block = Block(at)
         corners = block.corners
-        ax, ay, az = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
-        bx, by, bz = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
-        cx, cy, cz = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
-        images = image_lanes(ax, ay, az, bx, by, bz, cx, cy, cz, ox, oy, oz, sx, sy)
-        candidates = same_sign(images)
+        a = corners[_FIRST, x], corners[_FIRST, y], corners[_FIRST, z]
+        b = corners[_SECOND, x], corners[_SECOND, y], corners[_SECOND, z]
+        c = corners[_THIRD, x], corners[_THIRD, y], corners[_THIRD, z]
+        sheared = shear_vertices(a, b, c, origin, (sx, sy))
+        candidates = signs_agree(sheared)
         if any_lane(candidates):
-            low_x, high_x = minimum(minimum(ax, bx), cx), maximum(maximum(ax, bx), cx)
-            low_y, high_y = minimum(minimum(ay, by), cy), maximum(maximum(ay, by), cy)
-            low_z, high_z = minimum(minimum(az, bz), cz), maximum(maximum(az, bz), cz)
+            low_x, high_x = minimum(minimum(a[0], b[0]), c[0]), maximum(maximum(a[0], b[0]), c[0])
+            low_y, high_y = minimum(minimum(a[1], b[1]), c[1]), maximum(maximum(a[1], b[1]), c[1])
+            low_z, high_z = minimum(minimum(a[2], b[2]), c[2]), maximum(maximum(a[2], b[2]), c[2])
             inv = slot.inv
             back_x, back_y, back_z = inv[0] < _ZERO, inv[1] < _ZERO, inv[2] < _ZERO
-            t_in, t_out = interval_lanes(
+            t_in, t_out = slab_interval(
                 select(back_x, high_x, low_x),
                 select(back_y, high_y, low_y),
                 select(back_z, high_z, low_z),
@@ -144,20 +230,20 @@ def _visit_leaf(slot, leaves, lanes_at, wants_any):
             nearest, t_min = slot.t, slot.t_min
             candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
             if any_lane(candidates):
-                dx, dy, dz = slot.direction
-                t = distance_lanes(
-                    (widen(ax), widen(ay), widen(az)),
-                    (widen(bx), widen(by), widen(bz)),
-                    (widen(cx), widen(cy), widen(cz)),
-                    (np.float64(ox), np.float64(oy), np.float64(oz)),
-                    (np.float64(dx), np.float64(dy), np.float64(dz)),
+                d = slot.direction
+                t = plane_distance(
+                    (widen(a[0]), widen(a[1]), widen(a[2])),
+                    (widen(b[0]), widen(b[1]), widen(b[2])),
+                    (widen(c[0]), widen(c[1]), widen(c[2])),
+                    (np.float64(origin[0]), np.float64(origin[1]), np.float64(origin[2])),
+                    (np.float64(d[0]), np.float64(d[1]), np.float64(d[2])),
                 )
                 t = minimum(maximum(t, t_in), t_out) + _ZERO
                 candidates = candidates & (t >= t_min) & (t <= nearest)
                 # Only now the weights: rays that leave a surface meet its triangle behind
                 # their origin.
                 if any_lane(candidates):
-                    hit, u, v = weigh_lanes(images, False)
+                    hit, u, v = barycentrics(sheared, False)
                     bits = mask_bits(candidates & hit)
                     if bits != np.uint64(0):
                         if wants_any:
@@ -199,7 +285,9 @@ def _next(slot, top, keys, children, nodes, leaves, prefetching):
 
 
 @kernel
-def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any, prefetching, out):
+def trace_wavefront(
+    begin, end, nodes, leaves, max_coordinate, frame, source, wants_any, prefetching, out
+):
     """Trace rays begin to end.
 
     Parameters
@@ -207,7 +295,7 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
     begin, end : int
     nodes, leaves : int
         Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
-    extreme : float32
+    max_coordinate : float32
         Largest absolute coordinate of the scene.
     frame : SceneFrame
     source : RaySource
@@ -235,7 +323,7 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
     for k in range(_IN_FLIGHT):
         store(done + done_size, k)
         done_size += _WORD
-        Slot(slots, k).ray = NO_RAY
+        _Slot(slots, k).ray = _NO_RAY
 
     while True:
         # Step 1: finished slots write their result and take the next ray.
@@ -243,15 +331,20 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
         while at != done_size:
             k = load(np.uint64, done + at)
             at += _WORD
-            slot = Slot(slots, k)
-            finish_ray(slot, wants_any, out)
-            slot.ray = NO_RAY
+            slot = _Slot(slots, k)
+            _finish_ray(slot, wants_any, out)
+            slot.ray = _NO_RAY
             if ray_next < ray_end:
                 ray = load_ray(source, ray_next, frame)
                 if ray.status == _INVALID:
                     store(out.status + ray_next, _INVALID)
-                start_ray(
-                    slot, all_keys + k * _STACK, all_children + k * _STACK, ray_next, ray, extreme
+                _start_ray(
+                    slot,
+                    all_keys + k * _STACK,
+                    all_children + k * _STACK,
+                    ray_next,
+                    ray,
+                    max_coordinate,
                 )
                 ray_next += _ONE
                 store(inner + inner_size, k)
@@ -266,14 +359,14 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
         while at != inner_size:
             k = load(np.uint64, inner + at)
             at += _WORD
-            slot = Slot(slots, k)
+            slot = _Slot(slots, k)
             keys, children = all_keys + k * _STACK, all_children + k * _STACK
             node = Node(nodes, np.uint64(slot.child))
             top = _visit_node(slot, node, keys, children, numbers)
             child = _next(slot, top, keys, children, nodes, leaves, prefetching)
             # Without a branch: the slot goes to the end of all queues, one of which grows.
             is_leaf = np.uint64(child < np.int32(0))
-            is_done = np.uint64(child == BOTTOM)
+            is_done = np.uint64(child == _BOTTOM)
             store(inner_next + next_size, k)
             store(leaf + leaf_size, k)
             store(done + done_size, k)
@@ -289,14 +382,14 @@ def trace_wavefront(begin, end, nodes, leaves, extreme, frame, source, wants_any
         while at != leaf_size:
             k = load(np.uint64, leaf + at)
             at += _WORD
-            slot = Slot(slots, k)
+            slot = _Slot(slots, k)
             keys, children = all_keys + k * _STACK, all_children + k * _STACK
             top = slot.top
             if _visit_leaf(slot, leaves, lanes, wants_any):
                 top = LANE
             child = _next(slot, top, keys, children, nodes, leaves, prefetching)
             is_leaf = np.uint64(child < np.int32(0))
-            is_done = np.uint64(child == BOTTOM)
+            is_done = np.uint64(child == _BOTTOM)
             store(inner + inner_size, k)
             store(leaf_next + next_size, k)
             store(done + done_size, k)

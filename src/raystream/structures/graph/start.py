@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import device, kernel
 from raystream.jit.threads import parallel_for
 from raystream.kernels.local_frame import LocalRays
-from raystream.kernels.ray import set_up
+from raystream.kernels.ray import prepare_ray
 from raystream.structures.graph.steps import (
     GraphAddresses,
     enter,
@@ -56,7 +56,7 @@ class StartSectors(NamedTuple):
 
 def find_sectors(
     graph: GraphAddresses,
-    extreme: np.float32,
+    max_coordinate: np.float32,
     rays: LocalRays,
     t: NDArray[np.float32] | None = None,
     near: NDArray[np.int64] | None = None,
@@ -66,8 +66,8 @@ def find_sectors(
     Parameters
     ----------
     graph : GraphAddresses
-    extreme : float32
-        See `kernels.ray.set_up`.
+    max_coordinate : float32
+        See `kernels.ray.prepare_ray`.
     rays : LocalRays
     t : ndarray of shape (N,), float32, optional
         Distances; without them, where the rays' intervals begin, in the scene's box.
@@ -85,19 +85,19 @@ def find_sectors(
     found = StartSectors(np.empty(count, np.int64), np.empty(count, np.int32))
 
     def body(begin: int, end: int) -> None:
-        _find(begin, end, graph, extreme, rays, at, known, found)
+        _find(begin, end, graph, max_coordinate, rays, at, known, found)
 
     parallel_for(body, count, _CHUNK)
     return found
 
 
 @kernel
-def _find(begin, end, graph, extreme, rays, t, near, found):
+def _find(begin, end, graph, max_coordinate, rays, t, near, found):
     o, d = rays.origins, rays.directions
     for i in range(np.uint64(begin), np.uint64(end)):
         found.rows[i] = _NOWHERE
         found.step_counts[i] = 0
-        ray = set_up(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], extreme)
+        ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
         is_active, t_in, _ = enter(graph, ray, rays.t_min[i], rays.t_max[i])
         if not is_active:
             continue

@@ -26,7 +26,7 @@ import numpy as np
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load, next_float_up, store
 from raystream.kernels.leaf_block import BLOCK, blocks_end
-from raystream.kernels.ray import pick
+from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 
 __all__ = [
@@ -230,8 +230,8 @@ def cross(graph, line, link, t):
     while link & _NODE_BIT != _NONE:
         node = graph.rows + ((link ^ _NODE_BIT) << _ROW)
         axis = np.uint64(load(np.uint32, node + _AXIS))
-        inv = pick(axis, line.inv_x, line.inv_y, line.inv_z)
-        middle = pick(axis, line.middle_x, line.middle_y, line.middle_z)
+        inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
+        middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
         is_behind = fma(load(np.float32, node), inv, middle) <= t
         link = _link(node, _ABOVE if is_behind == (inv > _ZERO) else _BELOW)
         node_count += _ONE
@@ -269,9 +269,9 @@ def _bin_number(position, low, scale, count):
 def _bin_row(graph, ray, t):
     """The bin in which a ray is at t, to a rounding."""
     kz = ray.kz
-    x = fma(t, pick(kz, ray.dz, ray.dy, ray.dx), pick(kz, ray.oz, ray.oy, ray.ox))
-    y = fma(t, pick(kz, ray.dx, ray.dz, ray.dy), pick(kz, ray.ox, ray.oz, ray.oy))
-    z = fma(t, pick(kz, ray.dy, ray.dx, ray.dz), pick(kz, ray.oy, ray.ox, ray.oz))
+    x = fma(t, component(kz, ray.dz, ray.dy, ray.dx), component(kz, ray.oz, ray.oy, ray.ox))
+    y = fma(t, component(kz, ray.dx, ray.dz, ray.dy), component(kz, ray.ox, ray.oz, ray.oy))
+    z = fma(t, component(kz, ray.dy, ray.dx, ray.dz), component(kz, ray.oy, ray.ox, ray.oz))
     counts, scales, low = graph.bin_counts, graph.bin_scales, graph.bin_low
     i = _bin_number(x, low[0], scales[0], counts[0])
     j = _bin_number(y, low[1], scales[1], counts[1])

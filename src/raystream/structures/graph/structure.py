@@ -96,7 +96,7 @@ class GraphStructure(Structure):
         near: NDArray[np.int64] | None = None,
     ) -> StartSectors:
         """Find the sectors in which local rays are; see `start.find_sectors`."""
-        return find_sectors(self.arrays, np.float32(self.triangles.extreme), rays, t, near)
+        return find_sectors(self.arrays, np.float32(self.triangles.max_coordinate), rays, t, near)
 
     def dump(self, path: str | PathLike[str]) -> None:
         """Write the graph as text, a line for each triangle, sector and link node.

@@ -18,7 +18,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import copy_sign, floor, fma
-from raystream.kernels.ray import pick
+from raystream.kernels.ray import component
 
 __all__ = [
     "Walk",
@@ -173,14 +173,14 @@ def start_walk(lattice, walk, ray, t):
     low, size, counts = lattice.low, lattice.size, lattice.counts
     kz = ray.kz
     o = (
-        pick(kz, ray.oz, ray.oy, ray.ox),
-        pick(kz, ray.ox, ray.oz, ray.oy),
-        pick(kz, ray.oy, ray.ox, ray.oz),
+        component(kz, ray.oz, ray.oy, ray.ox),
+        component(kz, ray.ox, ray.oz, ray.oy),
+        component(kz, ray.oy, ray.ox, ray.oz),
     )
     d = (
-        pick(kz, ray.dz, ray.dy, ray.dx),
-        pick(kz, ray.dx, ray.dz, ray.dy),
-        pick(kz, ray.dy, ray.dx, ray.dz),
+        component(kz, ray.dz, ray.dy, ray.dx),
+        component(kz, ray.dx, ray.dz, ray.dy),
+        component(kz, ray.dy, ray.dx, ray.dz),
     )
     inv, middle = walk.inv, walk.middle
     i = _start(t, o[0], d[0], inv[0], middle[0], low[0], size[0], counts[0])

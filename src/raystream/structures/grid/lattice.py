@@ -119,13 +119,13 @@ def choose_lattice(
     extent = high - low
     if min_resolution is not None:
         side = extent[extent > 0.0].min() / min_resolution
-        side = max(side, GROWTH * float(triangles.extreme))
+        side = max(side, GROWTH * float(triangles.max_coordinate))
         counts = _counts(extent, side)
         check_cells("min_resolution", counts)
     else:
         wanted = max(1.0, _DENSITIES[levels] * len(triangles.prim_ids) / 2.0**coarser)
         side = float(cube_side(extent, np.array([min(wanted, MAX_CELLS / 4)]))[0])
-        side = max(side, LEAST_SIDE * GROWTH * float(triangles.extreme))
+        side = max(side, LEAST_SIDE * GROWTH * float(triangles.max_coordinate))
         counts = _counts(extent, side)
     return Lattice.of(triangles.bounds, counts)
 

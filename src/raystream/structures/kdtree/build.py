@@ -59,7 +59,7 @@ class Method(NamedTuple):
 
 def root_box(triangles: Triangles) -> NDArray[np.float32]:
     """The box of all references, shape (2, 3): the scene's, grown by `clip.BOUND`."""
-    bound = np.float32(float(triangles.extreme) * BOUND)
+    bound = np.float32(float(triangles.max_coordinate) * BOUND)
     return np.stack([triangles.bounds[0] - bound, triangles.bounds[1] + bound])
 
 
@@ -142,7 +142,7 @@ class _Builder:
         self.corners = triangles.corners
         self.prim_ids = triangles.prim_ids
         self.method = method
-        self.bound = float(triangles.extreme) * BOUND
+        self.bound = float(triangles.max_coordinate) * BOUND
         self.subtree_size = subtree_size(len(self.prim_ids))
 
     def build(self, progress: Progress | None) -> KdArrays:

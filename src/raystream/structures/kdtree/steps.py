@@ -31,7 +31,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, next_float_up
-from raystream.kernels.ray import pick
+from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 from raystream.structures.kdtree.layouts import is_leaf, leaf_of, split_of
 from raystream.structures.kdtree.state import KdState
@@ -55,8 +55,8 @@ _ZERO = np.float32(0.0)
 @device
 def _distance(line, axis, position):
     """Where a ray meets a plane, and whether it goes up there."""
-    inv = pick(axis, line.inv_x, line.inv_y, line.inv_z)
-    middle = pick(axis, line.middle_x, line.middle_y, line.middle_z)
+    inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
+    middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
     return fma(position, inv, middle), inv > _ZERO
 
 

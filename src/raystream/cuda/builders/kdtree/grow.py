@@ -137,7 +137,7 @@ class _Grower:
         self.costs = as_numbers(method.costs)
         self.max_depth = min(method.max_depth, MAX_DEPTH)
         self.max_leaf_size = method.max_leaf_size
-        self.bound = float(triangles.extreme) * BOUND
+        self.bound = float(triangles.max_coordinate) * BOUND
         self.room = MAX_REFERENCES * len(triangles.prim_ids) + LEAST_ROOM
         self.ids = gpu.empty("references of leaves", self.room, np.int32)
 

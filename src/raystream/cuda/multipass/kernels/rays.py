@@ -11,7 +11,7 @@ from raystream.cuda.multipass.kernels.moving import row_of
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, store
-from raystream.kernels.local_ray import world_t
+from raystream.kernels.ray import world_t
 from raystream.kernels.ray_source import load_ray
 from raystream.machines.records import RayState
 
@@ -84,8 +84,8 @@ def _begin(i, source, frame, rows, capacity, ray, wanted, found, state, world, w
     store(found + word + (row << _WORD), _NOUGHT)
     store(state + row, _STARTING)
     # A hit's t is the local ray's: these turn it into the caller's.
-    store(world + (row << _LONG), given.factor)
-    store(world + (capacity << _LONG) + (row << _LONG), given.offset)
+    store(world + (row << _LONG), given.t_scale)
+    store(world + (capacity << _LONG) + (row << _LONG), given.t_offset)
 
 
 @device

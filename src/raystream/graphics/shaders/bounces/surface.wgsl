@@ -78,7 +78,7 @@ fn between(a: f32, p: Wide, q: Wide, u: f32, v: f32) -> Wide {
 }
 
 fn offset_at(extent: f32, reach: f32) -> f32 {
-    let units = min(16.0 * extent + 4.0 * reach, 14.0 * (params.extreme + reach));
+    let units = min(16.0 * extent + 4.0 * reach, 14.0 * (params.max_coordinate + reach));
     return UNIT * units + WORLD_UNIT * params.world_reach;
 }
 

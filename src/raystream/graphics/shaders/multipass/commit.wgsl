@@ -8,7 +8,7 @@
 
 // What params.wgsl has before the structure's Tree.
 struct Params {
-    extreme: f32,
+    max_coordinate: f32,
     zero: u32,
     ray_count: u32,
     row_size: u32,
