@@ -15,7 +15,7 @@ from raystream.bench.results import (
     SceneResult,
     SetResult,
 )
-from raystream.core.whole_file import replacing
+from raystream.core.atomic_write import atomic_write
 
 __all__ = ["OUTPUT_SUFFIXES", "Table", "make_notes", "make_tables", "write_result"]
 
@@ -176,7 +176,7 @@ def write_result(path: Path, result: BenchResult) -> None:
         write = _WRITERS[path.suffix.lower()]
         parts = [*(write(table) for table in make_tables(result)), *make_notes(result)]
         text = "\n\n".join(parts)
-    with replacing(path) as part:
+    with atomic_write(path) as part:
         part.write_text(text + "\n", encoding="utf-8")
 
 

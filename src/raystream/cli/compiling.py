@@ -10,8 +10,8 @@ from typing import Any
 from raystream.cli.console import write_note
 from raystream.cli.load import Stopwatch
 from raystream.core.cache_folder import cache_folder
+from raystream.jit.compile_events import watch
 from raystream.jit.threads import thread_count
-from raystream.jit.watching import watch
 
 __all__ = ["compiling"]
 
@@ -50,7 +50,7 @@ def compiling(
 
 
 class _CompileWatcher:
-    """Watches compilation; see `jit.watching.Watcher`."""
+    """Watches compilation; see `jit.compile_events.CompileListener`."""
 
     def __init__(self, task: str | None, stopwatch: Stopwatch) -> None:
         self._task = task

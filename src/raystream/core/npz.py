@@ -17,9 +17,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import FileFormatError
 from raystream.core.memory import available_memory
-from raystream.core.whole_file import replacing
 
 __all__ = ["read_npz", "write_npz"]
 
@@ -122,5 +122,5 @@ def write_npz(path: str | PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> 
     target = Path(path)
     if target.suffix.lower() != ".npz":
         raise ValueError(f"{target}: the name must end in .npz")
-    with replacing(target) as temporary, temporary.open("wb") as stream:
+    with atomic_write(target) as temporary, temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]

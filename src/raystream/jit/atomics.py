@@ -14,8 +14,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from raystream.jit.cpu import device
-from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.memory import load, pointer_to
+from raystream.jit.simd.nvvm import is_cuda
 
 __all__ = ["atomic_add", "atomic_add_aggregated", "atomic_max", "compare_and_swap", "fence"]
 

@@ -27,12 +27,12 @@ from numba.core import config, sigutils
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.cache_folder import cache_folder
-from raystream.core.whole_file import replacing
+from raystream.jit.compile_events import LISTENERS
 from raystream.jit.compile_lock import CompileLock
-from raystream.jit.compile_time import collector_resting
+from raystream.jit.compilers import collector_resting
 from raystream.jit.fingerprint import fingerprint, type_name
-from raystream.jit.watching import WATCHERS
 
 __all__ = [
     "KERNELS",
@@ -144,7 +144,7 @@ class KernelCache(_Cache):
             if path is None or data.lifted or data.library.has_dynamic_globals:
                 return  # the code contains addresses of this process
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with replacing(path) as file:
+            with atomic_write(path) as file:
                 file.write_bytes(pickle.dumps(data._reduce(), protocol=pickle.HIGHEST_PROTOCOL))
             _evict_once(path.parent)
         except OSError:
@@ -154,14 +154,14 @@ class KernelCache(_Cache):
 
     def _begin(self, sig: Any) -> None:
         self._begun[sig] = time.perf_counter()
-        for watcher in WATCHERS:
+        for watcher in LISTENERS:
             watcher.begin(self.name)
 
     def release_lock(self, sig: Any) -> None:
         """Let other processes compile the kernel, if this one holds its lock."""
         begun = self._begun.pop(sig, None)
         if begun is not None:
-            for watcher in WATCHERS:
+            for watcher in LISTENERS:
                 watcher.end(self.name, time.perf_counter() - begun)
         path = self._waiting.pop(sig, None)
         if path is not None:

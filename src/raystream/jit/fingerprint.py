@@ -31,8 +31,8 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.cache_folder import cache_folder
-from raystream.core.whole_file import replacing
 
 __all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", "type_name"]
 
@@ -45,8 +45,8 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 #: Files of the room `jit` that no compiled code depends on: they run before or after.
 _HOST_FILES = frozenset(
-    ["__init__.py", "cache.py", "fingerprint.py", "loops.py", "signatures.py", "threads.py"]
-    + ["compile_lock.py", "warm.py", "watching.py"]
+    ["__init__.py", "cache.py", "fingerprint.py", "from_source.py", "signatures.py"]
+    + ["compile_events.py", "compile_lock.py", "threads.py", "user_loops.py", "warm.py"]
 )
 
 _CUDA_ROOM = "raystream.jit.cuda."
@@ -144,7 +144,7 @@ def _folder_hash(folder: str) -> str:
     found = _digest(" ".join(code_hash(file) for file in files))
     try:
         kept.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        with replacing(kept) as path:
+        with atomic_write(kept) as path:
             path.write_text(found, encoding="ascii")
     except OSError:
         pass  # a folder that cannot be written: the files are parsed in every process

@@ -50,7 +50,7 @@ from numba.extending import (
     register_model,
 )
 
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import VECTORS, VectorType, llvm_type, refuse
 
 __all__ = ["RowsType", "ViewType", "address_of", "view"]

@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import FileFormatError
-from raystream.core.whole_file import replacing
 
 __all__ = ["FILE_NAME", "Store", "source_hash"]
 
@@ -109,7 +109,7 @@ class Store:
                 for one, kept in self.values.items()
             },
         }
-        with replacing(self.path) as part:
+        with atomic_write(self.path) as part:
             part.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
 
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from raystream.core.whole_file import replacing
+from raystream.core.atomic_write import atomic_write
 
 __all__ = ["locked", "synchronize", "write_durably"]
 
@@ -37,7 +37,7 @@ def _synchronize(path: Path) -> None:
 
 def write_durably(path: Path, text: str) -> None:
     """Write or replace a file atomically and durably."""
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
         stream.write(text)
         stream.flush()
         os.fsync(stream.fileno())

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raystream.core.whole_file import replacing
+from raystream.core.atomic_write import atomic_write
 from raystream.rendering.color import encode_srgb
 from raystream.rendering.exr import read_exr, write_exr
 from raystream.rendering.layers import check_layers
@@ -129,7 +129,7 @@ class Image:
             raise ValueError(f"{target}: the name must end in {' or '.join(IMAGE_SUFFIXES)}")
         _check_exposure(exposure)
         check_tone(tone)
-        with replacing(target) as temporary:
+        with atomic_write(target) as temporary:
             writer(self, str(temporary), exposure, tone)
 
     def to_bytes(self, exposure: float = 1.0, tone: str = "linear") -> NDArray[np.uint8]:

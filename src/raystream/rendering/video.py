@@ -14,9 +14,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.errors import RaystreamError
 from raystream.core.memory import check_memory
-from raystream.core.whole_file import replacing
 from raystream.rendering.image import Image
 
 __all__ = ["VIDEO_SUFFIXES", "check_video", "write_video"]
@@ -106,7 +106,7 @@ def write_video(
         raise ValueError(f"fps: expected a number above 0, at most 1000, got {fps}")
     check_video(target, (0, 0), 0)
     encoded = _encoded(pictures, exposure, tone)
-    with replacing(target) as temporary:
+    with atomic_write(target) as temporary:
         if target.suffix.lower() in _BY_FFMPEG:
             _by_ffmpeg(target, temporary, encoded, fps)
         else:

@@ -57,7 +57,7 @@ from raystream.jit.simd.lanes import (
 from raystream.jit.simd.memory import address, load, load_constant, prefetch, scratch, store
 from raystream.jit.simd.numbers import next_float_up
 from raystream.jit.simd.records import load_records, store_records
-from raystream.jit.simd.single import lane_count, single_lane
+from raystream.jit.simd.single_lane import lane_count, single_lane
 from raystream.jit.simd.triples import load_triples, store_nontemporal, store_triples
 from raystream.jit.simd.types import (
     VectorType,

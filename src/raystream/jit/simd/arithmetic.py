@@ -12,7 +12,7 @@ from numba.core.errors import TypingError
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin
 
-from raystream.jit.simd.cuda_names import call_on_cuda, is_cuda
+from raystream.jit.simd.nvvm import call_on_cuda, is_cuda
 from raystream.jit.simd.types import (
     VECTORS,
     VectorType,

@@ -8,8 +8,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.memory import pointer_to
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import (
     ELEMENTS,
     VectorType,

@@ -15,7 +15,7 @@ from raystream.jit.simd.arithmetic import (
     common,
     wider,
 )
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import (
     VectorClass,
     VectorType,

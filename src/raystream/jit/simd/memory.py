@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import VectorClass, VectorType, llvm_type, refuse
 
 __all__ = ["address", "load", "load_constant", "pointer_to", "prefetch", "scratch", "store"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from raystream.core.whole_file import replacing
+from raystream.core.atomic_write import atomic_write
 from raystream.lab.results import Plot
 
 __all__ = ["can_draw", "draw"]
@@ -93,7 +93,7 @@ def draw(plot: Plot, path: Path) -> None:
     canvas.draw()
     # Few colours: a quarter of the bytes.
     drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-    with replacing(path) as part:
+    with atomic_write(path) as part:
         drawn.quantize(64).save(part, format="PNG", optimize=True)
 
 

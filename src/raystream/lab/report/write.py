@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from raystream.core.whole_file import replacing
+from raystream.core.atomic_write import atomic_write
 from raystream.lab.experiments import Outcome
 from raystream.lab.report.about import About
 from raystream.lab.report.page import as_html
@@ -63,6 +63,6 @@ def write_report(
         "report.json": json.dumps(as_json(outcomes, about), indent=1, allow_nan=False) + "\n",
     }
     for name, text in texts.items():
-        with replacing(folder / name) as part:
+        with atomic_write(folder / name) as part:
             part.write_text(text, encoding="utf-8")
     return [folder / name for name in texts]

@@ -9,7 +9,7 @@ from importlib.resources import files
 from os import PathLike
 from typing import Any
 
-from raystream.core.whole_file import replacing
+from raystream.core.atomic_write import atomic_write
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper.flat import FlatScene, teaching_scene
 from raystream.lab.stepper.heat import fan_cost, place_cost
@@ -90,7 +90,7 @@ def write_page(
 ) -> None:
     """Write the page to a file, replaced as a whole when writing succeeded; see `page`."""
     text = page(plan, rays, fan_origin=fan_origin)
-    with replacing(path) as file:
+    with atomic_write(path) as file:
         file.write_text(text, encoding="utf-8", newline="\n")
 
 

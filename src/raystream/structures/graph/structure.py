@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raystream.core.atomic_write import atomic_write
 from raystream.core.triangles import Triangles
-from raystream.core.whole_file import replacing
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import filled_blocks
@@ -106,7 +106,7 @@ class GraphStructure(Structure):
         path : str or path
             Replaced as a whole when writing succeeded. `graphlog.load_graph` reads it.
         """
-        with replacing(path) as file, file.open("w", encoding="ascii", newline="\n") as text:
+        with atomic_write(path) as file, file.open("w", encoding="ascii", newline="\n") as text:
             dump_graph(text, self.graph, self.triangles.corners)
 
     def quality(self) -> dict[str, float]:

@@ -12,7 +12,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 
 __all__ = ["active_mask", "ballot"]
 

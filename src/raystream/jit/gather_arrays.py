@@ -1,4 +1,4 @@
-"""Arrays that loops read by index, and what they accept as the result of a user's function."""
+"""Gather arrays: arrays that users' functions read by index in compiled loops."""
 
 from __future__ import annotations
 
@@ -17,73 +17,9 @@ from numba.extending import (
     register_model,
 )
 
-from raystream.jit.loops import fault
+from raystream.jit.user_loops import fault
 
-__all__ = ["accept", "counted_gather", "plain_gather"]
-
-#: A dtype's name, or a tuple of such: a vector, the fields of a record, several records.
-Shape = str | tuple[Any, ...]
-
-
-@cache
-def accept(shape: Shape, place: str) -> Callable[[Any], Any]:
-    """Make a function that takes the result of a user's function, which is not None.
-
-    At compile time it checks that the result fits, as NumPy would for an assignment with
-    casting "same_kind", except that any integer goes into any other.
-
-    Parameters
-    ----------
-    shape : str or tuple
-        What the result must be.
-    place : str
-        Where it goes, for the error.
-    """
-
-    @intrinsic
-    def accepted(typing_context, result):
-        given = result.type if isinstance(result, types.Optional) else result
-        if given == types.none:
-            raise fault(f"it never returns a record for {place}, only None")
-        _check(given, shape, place)
-
-        def generate(context, builder, signature, arguments):
-            if isinstance(result, types.Optional):
-                return context.cast(builder, arguments[0], result, given)
-            return arguments[0]
-
-        return given(result), generate
-
-    return accepted
-
-
-def _check(given: Any, shape: Shape, place: str) -> None:
-    if isinstance(shape, tuple):
-        if not isinstance(given, types.BaseTuple):
-            raise fault(f"it returns {given}, and {place} takes a tuple of {len(shape)}")
-        if len(given) != len(shape):
-            raise fault(
-                f"it returns a tuple of {len(given)}, and {place} takes a tuple of {len(shape)}"
-            )
-        for part, expected in zip(given.types, shape, strict=True):
-            _check(part, expected, place)
-        return
-    if not _fits(given, shape):
-        raise fault(f"it returns {given}, and {place} takes {shape}")
-
-
-def _fits(given: Any, dtype: str) -> bool:
-    """Whether a value may be stored as this dtype."""
-    if isinstance(given, types.Boolean):
-        return True
-    kinds: tuple[Any, ...] = ()
-    if dtype.startswith(("int", "uint")):
-        kinds = (types.Integer,)
-    elif dtype.startswith("float"):
-        kinds = (types.Integer, types.Float)
-    elif dtype.startswith("complex"):
-        kinds = (types.Number,)
-    return isinstance(given, kinds)
+__all__ = ["counted_gather", "plain_gather"]
 
 
 class GatherType(types.Type):

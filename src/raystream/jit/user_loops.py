@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import linecache
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,8 +10,9 @@ from typing import Any
 import numba
 from numba.core.errors import NumbaError
 
-from raystream.jit.cpu import device, kernel
+from raystream.jit.cpu import device
 from raystream.jit.fingerprint import fingerprint
+from raystream.jit.from_source import kernel_from_source
 
 __all__ = ["Loop", "as_device", "compile_loop", "fault"]
 
@@ -102,14 +102,9 @@ def _new_loop(
     key: str | None,
 ) -> Loop:
     digest = hashlib.sha256(f"{key} {text}".encode()).hexdigest()[:24]
+    text = text.replace("def loop(", f"def loop_{digest}(")
+    dispatcher = kernel_from_source(text, {"function": as_device(function), **names}, module)
     name = getattr(function, "__name__", "function")
-    file = f"stream_loop_{digest}.py"  # there is no such file
-    own = f"loop_{digest}"
-    text = text.replace("def loop(", f"def {own}(")
-    linecache.cache[file] = (len(text), None, text.splitlines(True), file)  # for error messages
-    namespace = {"function": as_device(function), "__name__": module, **names}
-    exec(compile(text, file, "exec"), namespace)
-    dispatcher = kernel(namespace[own])
     return Loop(dispatcher, name, fingerprint(dispatcher) is not None)
 
 

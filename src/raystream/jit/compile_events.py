@@ -6,10 +6,10 @@ import contextlib
 from collections.abc import Iterator
 from typing import Protocol
 
-__all__ = ["WATCHERS", "Watcher", "watch"]
+__all__ = ["LISTENERS", "CompileListener", "watch"]
 
 
-class Watcher(Protocol):
+class CompileListener(Protocol):
     """Is told when a kernel that this process needs is not on disk."""
 
     def begin(self, kernel: str) -> None:
@@ -20,14 +20,14 @@ class Watcher(Protocol):
 
 
 #: All of them.
-WATCHERS: list[Watcher] = []
+LISTENERS: list[CompileListener] = []
 
 
 @contextlib.contextmanager
-def watch(watcher: Watcher) -> Iterator[None]:
+def watch(watcher: CompileListener) -> Iterator[None]:
     """Tell a watcher what is compiled while the block runs."""
-    WATCHERS.append(watcher)
+    LISTENERS.append(watcher)
     try:
         yield
     finally:
-        WATCHERS.remove(watcher)
+        LISTENERS.remove(watcher)

@@ -1,4 +1,4 @@
-"""Writing a file as a whole: it appears, or is replaced, only when all of it is there."""
+"""Atomic writes: a file appears, or is replaced, only when it is complete."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 
-__all__ = ["replacing"]
+__all__ = ["atomic_write"]
 
 
 @contextlib.contextmanager
-def replacing(path: str | PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file in the same folder, which takes the place of `path` at the end.
+def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary file in the same folder, which replaces `path` at the end.
 
     If the block raises, the temporary file is removed and an old file is kept.
 
@@ -43,7 +43,7 @@ def replacing(path: str | PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp lets nobody else read; a new file gets what the user's other files have.
+        # mkstemp lets only the user read; a new file gets the permissions of their other files.
         temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_UMASK)
         temporary.replace(target)
     except BaseException:
