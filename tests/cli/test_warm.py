@@ -52,10 +52,10 @@ def started(monkeypatch):
 def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     first = warm.entries_of("render-ao")[0].kernel
     with compiling.compiling("render-ao", None, "cpu", Stopwatch()):
-        (watcher,) = LISTENERS
-        watcher.begin(first)
-        watcher.begin("another")
-        watcher.end(first, 5.0)
+        (listener,) = LISTENERS
+        listener.begin(first)
+        listener.begin("another")
+        listener.end(first, 5.0)
     count = len(warm.entries_of("render-ao"))
     assert started == [("render-ao", 2), count - 1]
     shown = capsys.readouterr().err
@@ -67,12 +67,12 @@ def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
 @pytest.mark.parametrize(("structure", "device"), [("grid", "cpu"), (None, "cuda")])
 def test_other_structures_say_it_when_a_second_has_passed(structure, device, started, capsys):
     with compiling.compiling("query-first", structure, device, Stopwatch()):
-        (watcher,) = LISTENERS
-        watcher.begin("one")
-        watcher.end("one", 0.9)
+        (listener,) = LISTENERS
+        listener.begin("one")
+        listener.end("one", 0.9)
         assert capsys.readouterr().err == ""
-        watcher.end("two", 0.2)
-        watcher.end("three", 9.0)
+        listener.end("two", 0.2)
+        listener.end("three", 9.0)
     assert capsys.readouterr().err.count("compiling kernels on first use") == 1
     assert started == []
 

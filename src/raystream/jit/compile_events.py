@@ -1,4 +1,4 @@
-"""Who is told when kernels are compiled. Imports no compiler, so that watching costs nothing."""
+"""Listeners to kernel compilation. Imports no compiler, so that listening costs no time."""
 
 from __future__ import annotations
 
@@ -6,28 +6,28 @@ import contextlib
 from collections.abc import Iterator
 from typing import Protocol
 
-__all__ = ["LISTENERS", "CompileListener", "watch"]
+__all__ = ["LISTENERS", "CompileListener", "listening"]
 
 
 class CompileListener(Protocol):
-    """Is told when a kernel that this process needs is not on disk."""
+    """Receives events of kernels that this process needs and that are not on disk."""
 
     def begin(self, kernel: str) -> None:
-        """Take note that it is going to be compiled, here or by another process."""
+        """Called before the kernel is compiled, here or by another process."""
 
     def end(self, kernel: str, seconds: float) -> None:
-        """Take note that it is there, and how long that took."""
+        """Called when the kernel is available, with the time that this took."""
 
 
-#: All of them.
+#: Listeners of this process.
 LISTENERS: list[CompileListener] = []
 
 
 @contextlib.contextmanager
-def watch(watcher: CompileListener) -> Iterator[None]:
-    """Tell a watcher what is compiled while the block runs."""
-    LISTENERS.append(watcher)
+def listening(listener: CompileListener) -> Iterator[None]:
+    """Send compile events to a listener while the block runs."""
+    LISTENERS.append(listener)
     try:
         yield
     finally:
-        LISTENERS.remove(watcher)
+        LISTENERS.remove(listener)

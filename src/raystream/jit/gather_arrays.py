@@ -23,20 +23,20 @@ __all__ = ["counted_gather", "plain_gather"]
 
 
 class GatherType(types.Type):
-    """An array whose records are read by index.
+    """The type of an array whose records are read by index.
 
     Parameters
     ----------
     array : numba type
     load : numba type
-        Of the device function (array, index) that gives a record.
+        Of the device function (array, index) that reads a record.
     index_count : int
-        Dimensions that an index has.
+        Number of dimensions of an index.
     inside : numba type, optional
-        Of the device function (array, index) that says whether there is such a record. If
-        given, reads are counted and indices checked.
+        Of the device function (array, index) that checks bounds. If given, reads are counted
+        and indices checked.
     slot : int
-        Where in the counts.
+        Index of the array's counter.
     name : str
         For errors.
     """
@@ -60,7 +60,7 @@ class _GatherModel(models.StructModel):
 
 @cache
 def plain_gather(index_count: int) -> Callable[..., Any]:
-    """Make a function (array, load) that gives what a user's function indexes."""
+    """Make a function (array, load) that gives a gather array, without checks."""
 
     @intrinsic
     def gather(typing_context, array, load):
@@ -76,9 +76,9 @@ def plain_gather(index_count: int) -> Callable[..., Any]:
 
 @cache
 def counted_gather(index_count: int, slot: int, name: str) -> Callable[..., Any]:
-    """Make a function (array, load, inside, counts); it counts reads in ``counts[slot]``.
+    """Make a function (array, load, inside, counts) that gives a checked gather array.
 
-    An index out of range raises IndexError.
+    Reads are counted in ``counts[slot]``; an index out of range raises IndexError.
     """
 
     @intrinsic
@@ -94,7 +94,7 @@ def counted_gather(index_count: int, slot: int, name: str) -> Callable[..., Any]
 
 
 def _pack(context, builder, made, **values):
-    """Borrow the arrays, which the loop's arguments keep alive: reads count no references."""
+    """Store the arrays without owners: the loop's arguments keep them alive."""
     packed = cgutils.create_struct_proxy(made)(context, builder)
     for name, kind in made.members:
         array = context.make_array(kind)(context, builder, values[name])

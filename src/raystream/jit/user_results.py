@@ -21,17 +21,17 @@ Shape = str | tuple[Any, ...]
 
 @cache
 def accept(shape: Shape, place: str) -> Callable[[Any], Any]:
-    """Make a function that takes the result of a user's function, which is not None.
+    """Make a function that accepts the result of a user's function other than None.
 
-    At compile time it checks that the result fits, as NumPy would for an assignment with
-    casting "same_kind", except that any integer goes into any other.
+    At compile time it checks the result's type, as NumPy does for an assignment with casting
+    "same_kind", except that any integer may become any other.
 
     Parameters
     ----------
     shape : str or tuple
-        What the result must be.
+        Required type of the result.
     place : str
-        Where it goes, for the error.
+        Destination of the result, for the error.
     """
 
     @intrinsic
@@ -67,7 +67,7 @@ def _check(given: Any, shape: Shape, place: str) -> None:
 
 
 def _fits(given: Any, dtype: str) -> bool:
-    """Whether a value may be stored as this dtype."""
+    """Whether a value may be stored as a dtype."""
     if isinstance(given, types.Boolean):
         return True
     kinds: tuple[Any, ...] = ()
@@ -82,15 +82,15 @@ def _fits(given: Any, dtype: str) -> bool:
 
 @cache
 def accept_decision(decisions: type[enum.IntEnum], takes_bool: bool) -> Callable[[Any], Any]:
-    """Make a function that turns the result of a user's function into an int64.
+    """Make a function that converts a user's decision to int64.
 
-    None becomes 0. Another result than a decision is an error when the loop is compiled.
+    None becomes 0. Results of other types are an error at compile time.
 
     Parameters
     ----------
     decisions : type of IntEnum
     takes_bool : bool
-        Whether it may be a boolean, which becomes 0 for true and the last decision for false.
+        Whether booleans are accepted: true becomes 0, and false the largest decision.
     """
 
     @intrinsic
