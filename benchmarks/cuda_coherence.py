@@ -39,7 +39,7 @@ import cuda_speed
 import raystream as rs
 from raystream.bench.contenders.base import Rays
 from raystream.core.rays import RayBatch
-from raystream.jit.loops import compile_loop
+from raystream.jit.user_loops import compile_loop
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.tally import COLUMNS, new_tallies
 

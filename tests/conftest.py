@@ -431,7 +431,7 @@ def leave_out_first_use(monkeypatch) -> None:
     """Let commands compile what they need and no more, and not say so: as after the first use."""
     from raystream.cli import compiling
 
-    monkeypatch.setattr(compiling._CompileWatcher, "_compile_all", lambda *_: None)
+    monkeypatch.setattr(compiling._CompileListener, "_compile_all", lambda *_: None)
     monkeypatch.setattr(compiling, "DELAY", math.inf)
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from raystream.jit.cuda import gpu, opening
+from raystream.jit.cuda import devices, gpu
 
 __all__ = ["Driver", "install"]
 
@@ -122,6 +122,6 @@ def install(monkeypatch, driver):
     """Let a driver stand for CUDA's and cuda.core's; devices are to be opened anew."""
     monkeypatch.setitem(sys.modules, "cuda.core", driver.core)
     monkeypatch.setitem(sys.modules, "cuda.bindings", SimpleNamespace(driver=driver))
-    for module in (gpu, opening):
+    for module in (gpu, devices):
         monkeypatch.setattr(module, "cuda", driver)
-    opening._opened.cache_clear()
+    devices._opened.cache_clear()

@@ -7,7 +7,7 @@ import pytest
 from raystream.cli import compiling
 from raystream.cli.load import Stopwatch
 from raystream.jit import warm
-from raystream.jit.watching import WATCHERS
+from raystream.jit.compile_events import LISTENERS
 
 
 def test_tasks_are_those_of_the_list():
@@ -52,27 +52,27 @@ def started(monkeypatch):
 def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     first = warm.entries_of("render-ao")[0].kernel
     with compiling.compiling("render-ao", None, "cpu", Stopwatch()):
-        (watcher,) = WATCHERS
-        watcher.begin(first)
-        watcher.begin("another")
-        watcher.end(first, 5.0)
+        (listener,) = LISTENERS
+        listener.begin(first)
+        listener.begin("another")
+        listener.end(first, 5.0)
     count = len(warm.entries_of("render-ao"))
     assert started == [("render-ao", 2), count - 1]
     shown = capsys.readouterr().err
     assert shown.count("\n") == 1
     assert shown.startswith(f"compiling {count} kernels on first use; cached in ")
-    assert WATCHERS == []
+    assert LISTENERS == []
 
 
 @pytest.mark.parametrize(("structure", "device"), [("grid", "cpu"), (None, "cuda")])
 def test_other_structures_say_it_when_a_second_has_passed(structure, device, started, capsys):
     with compiling.compiling("query-first", structure, device, Stopwatch()):
-        (watcher,) = WATCHERS
-        watcher.begin("one")
-        watcher.end("one", 0.9)
+        (listener,) = LISTENERS
+        listener.begin("one")
+        listener.end("one", 0.9)
         assert capsys.readouterr().err == ""
-        watcher.end("two", 0.2)
-        watcher.end("three", 9.0)
+        listener.end("two", 0.2)
+        listener.end("three", 9.0)
     assert capsys.readouterr().err.count("compiling kernels on first use") == 1
     assert started == []
 
@@ -88,6 +88,6 @@ def test_seconds_of_compiling_are_a_step_of_their_own(started, monkeypatch):
     monkeypatch.setattr(warm, "compile_kernels", lambda entries: time.sleep(0.2))
     stopwatch = Stopwatch()
     with compiling.compiling("render-ao", None, "cpu", stopwatch), stopwatch.measure("build"):
-        WATCHERS[0].begin("one")
+        LISTENERS[0].begin("one")
     assert list(stopwatch.seconds) == ["compile", "build"]
     assert stopwatch.seconds["compile"] >= 0.2 > stopwatch.seconds["build"] > 0.0

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from conftest import skip_without_cuda
-from raystream.jit.loops import compile_loop
+from raystream.jit.user_loops import compile_loop
 
 if TYPE_CHECKING:
     from raystream.jit.cuda import Gpu

@@ -25,7 +25,7 @@ from raystream.jit.cuda import (
     DeviceArray,
     Gpu,
     RangeKernel,
-    Work,
+    StreamScope,
     is_simulated,
 )
 from test_agreement import case_of
@@ -401,7 +401,7 @@ def test_counters_are_for_the_host(gpu, case, rays):
 @pytest.mark.parametrize("length", [0, 1, 1024, 1025, 65539])
 def test_sums_run_over_any_length(gpu, rng, length):
     counts = rng.integers(0, 1 << 40, length)
-    with Work(gpu, gpu.stream) as work:
+    with StreamScope(gpu, gpu.stream) as work:
         there, splits = work.placed("counts", counts), work.empty("splits", length + 1, np.int64)
         add_up(work, there, splits)
         if length < 1000:

@@ -133,9 +133,9 @@ def test_nothing_is_fused():
 
 
 def test_code_is_kept_on_disk(tmp_path, monkeypatch):
-    from raystream.jit.cuda import compiler, disk
+    from raystream.jit.cuda import compiler, ptx_cache
 
-    monkeypatch.setattr(disk, "kernel_folder", lambda: tmp_path)
+    monkeypatch.setattr(ptx_cache, "kernel_folder", lambda: tmp_path)
     zero = np.uint64(0)
     one = RangeKernel(_multiply_and_add)
     first = one.compiled((zero, zero), (7, 5))

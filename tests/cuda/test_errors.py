@@ -20,17 +20,16 @@ from raystream.jit.cuda import (
     Compiled,
     CudaError,
     RangeKernel,
+    device_array,
+    devices,
     driver_version,
     gpu,
     gpu_facts,
-    kernels,
-    listing,
-    memory,
     open_gpu,
-    opening,
+    range_kernel,
     streams,
 )
-from raystream.jit.cuda.reasons import reason_of
+from raystream.jit.cuda.driver_errors import explain
 
 SCENE = rs.Scene.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 RAY = [[0.25, 0.25, 1.0]], [0.0, 0.0, -1.0]
@@ -41,14 +40,14 @@ def driver(monkeypatch):
     """In place of CUDA and of cuda.core; its kernels do nothing."""
     made = Driver()
     install(monkeypatch, made)
-    for module in (gpu, kernels, listing, memory, opening, streams):
+    for module in (device_array, devices, gpu, range_kernel, streams):
         monkeypatch.setattr(module, "is_simulated", lambda: False)
-    monkeypatch.setattr(kernels, "cuda", made)
+    monkeypatch.setattr(range_kernel, "cuda", made)
     monkeypatch.setattr(RangeKernel, "compiled", lambda *_: Compiled("first_hit", ""))
     for one in kernels_of("brute"):
         monkeypatch.setattr(one, "_loaded", {})
     yield made
-    opening._opened.cache_clear()
+    devices._opened.cache_clear()
 
 
 def complaint(**options):
@@ -208,7 +207,7 @@ def test_devices_are_listed_with_what_keeps_them_from_use(driver):
         (0, "Fake 0", (9, 0), 10**9, None),
         (1, "Fake 1", (9, 0), 10**9, None),
     ]
-    opening._opened.cache_clear()
+    devices._opened.cache_clear()
     driver.capability = (5, 2)
     assert "kernels need 7.5" in gpu_facts()[0].error
     driver.failing["open"] = "CUDA_ERROR_OUT_OF_MEMORY"
@@ -221,5 +220,5 @@ def test_devices_are_listed_with_what_keeps_them_from_use(driver):
 
 
 def test_errors_without_words_and_with_too_many():
-    assert reason_of(OSError()) == "OSError"
-    assert len(reason_of(OSError("word\n" * 1000))) < 400
+    assert explain(OSError()) == "OSError"
+    assert len(explain(OSError("word\n" * 1000))) < 400

@@ -256,7 +256,7 @@ def test_what_surrounds_passes_compiles_without_a_device(name):
 def test_loops_of_the_device_link_without_one():
     from cuda.core import ObjectCode
 
-    from raystream.jit.cuda.linking import SET_CONDITION, link
+    from raystream.jit.cuda.compiler import SET_CONDITION, link
 
     loop = check(*multipass_catalogue_of("kdtree", rs.load("cornell"))["decide in loop"])
     assert SET_CONDITION in loop.ptx

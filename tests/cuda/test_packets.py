@@ -23,7 +23,7 @@ from raystream.cuda.bvh.kernels import lay_out
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cpu import FLAGS, device
 from raystream.jit.simd import load, store
-from raystream.jit.votes import active_mask, ballot
+from raystream.jit.warp import active_mask, ballot
 from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.tally import new_tallies

@@ -13,7 +13,7 @@ need("numba_cuda")
 
 from conftest import skip_without_cuda
 from raystream.jit.cuda import is_simulated, open_gpu
-from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.cuda.scan import Scan, TileSize
 
 #: Tiles so small that a short array takes several, and their sums several again.

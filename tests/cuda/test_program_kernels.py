@@ -128,7 +128,7 @@ def test_programs_compile(function, options):
         (squared, "it calls pow"),
         (rest, "it takes a remainder of floats"),
         (prints, "it calls vprintf"),
-        (allocates, "CUDA's compiler does not know it: .*zeros"),
+        (allocates, "CUDA's compiler does not support it: .*zeros"),
         (divides, "own_options was compiled with options of its own"),
     ],
 )
@@ -163,9 +163,9 @@ def below(limit):
 
 def test_functions_have_files_of_their_own(tmp_path, monkeypatch):
     """What a function does, and the numbers it takes from outside, decide which code is found."""
-    from raystream.jit.cuda import disk
+    from raystream.jit.cuda import ptx_cache
 
-    monkeypatch.setattr(disk, "kernel_folder", lambda: tmp_path)
+    monkeypatch.setattr(ptx_cache, "kernel_folder", lambda: tmp_path)
     texts = set()
     for limit in (1, 2, 1):
         texts.add(DeviceProgram(below(limit), "count").compiled(CAPABILITIES[0]).ptx)

@@ -12,6 +12,7 @@ from raystream.jit.simd import (
     f32x16,
     load,
     logarithm,
+    next_float_up,
     power,
     sincos_turns,
     store,
@@ -117,3 +118,26 @@ def test_numbers():
     np.testing.assert_allclose(cosine, np.cos(2.0 * np.pi * x), atol=1e-13)
     np.testing.assert_allclose(sine, np.sin(2.0 * np.pi * x), atol=1e-13)
     np.testing.assert_allclose(rest, [np.exp(x), np.log(x), x**exponents], rtol=1e-14, atol=1e-15)
+
+
+LARGEST = np.finfo(np.float32).max
+LEAST = np.float32(2.0**-149)
+
+
+@kernel
+def _next_above(values, out):
+    for i in range(len(values)):
+        out[i] = next_float_up(values[i])
+
+
+def test_the_next_float_is_numpys(rng):
+    special = [0.0, -0.0, 1.0, -1.0, LEAST, -LEAST, LARGEST, -LARGEST, np.inf, -np.inf, np.nan]
+    bits = rng.integers(0, 2**32, 1000, dtype=np.uint32)
+    values = np.concatenate([np.array(special, np.float32), bits.view(np.float32)])
+    out = np.empty_like(values)
+    _next_above(values, out)
+    with np.errstate(all="ignore"):
+        expected = np.nextafter(values, np.float32(np.inf))
+    known = ~np.isnan(values)
+    assert out[known].tobytes() == expected[known].tobytes()
+    assert np.isnan(out[~known]).all()

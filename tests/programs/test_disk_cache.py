@@ -13,7 +13,7 @@ SOURCE = Path(raystream.__file__).parents[1]
 SCRIPT = """
 import numpy as np
 import raystream as rs
-from raystream.jit import loops
+from raystream.jit import user_loops
 
 RECORD = np.dtype([("hits", "i8"), ("depth", "f8")])
 
@@ -32,7 +32,7 @@ tracer = rs.Tracer(rs.Scene.from_arrays(vertices, np.arange(9).reshape(3, 3)), "
 ray = [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]
 record = tracer.trace(*ray, on_hit=add_up, payload=RECORD)
 first = tracer.first_hit(*ray, on_hit=not_the_first)
-compiled = sum(loop.compiled_count for loop in loops._COMPILED.values())
+compiled = sum(loop.compiled_count for loop in user_loops._COMPILED.values())
 print(record["depth"], first.prim_id, compiled)
 """
 

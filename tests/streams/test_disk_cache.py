@@ -37,7 +37,7 @@ loop = kernel._loop()
 print(stream.array[0], loop.compiled_count)
 kernel = Kernel(through_module, inputs={"x": stream}, outputs=stream)
 kernel.execute()
-print(kernel._loop().is_kept)
+print(kernel._loop().is_cached)
 """
 
 

@@ -10,8 +10,8 @@ from typing import Any
 from raystream.cli.console import write_note
 from raystream.cli.load import Stopwatch
 from raystream.core.cache_folder import cache_folder
+from raystream.jit.compile_events import listening
 from raystream.jit.threads import thread_count
-from raystream.jit.watching import watch
 
 __all__ = ["compiling"]
 
@@ -41,16 +41,16 @@ def compiling(
         Records a step "compile", if anything is compiled.
     """
     is_listed = structure in (None, "bvh") and device == "cpu"
-    watcher = _CompileWatcher(task if is_listed else None, stopwatch)
+    listener = _CompileListener(task if is_listed else None, stopwatch)
     try:
-        with watch(watcher):
+        with listening(listener):
             yield
     finally:
-        watcher.stop()
+        listener.stop()
 
 
-class _CompileWatcher:
-    """Watches compilation; see `jit.watching.Watcher`."""
+class _CompileListener:
+    """Reports slow compilation; see `jit.compile_events.CompileListener`."""
 
     def __init__(self, task: str | None, stopwatch: Stopwatch) -> None:
         self._task = task
@@ -67,7 +67,7 @@ class _CompileWatcher:
         if is_first and self._task is not None:
             self._compile_all(self._task, kernel)
 
-    def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a watcher's
+    def end(self, kernel: str, seconds: float) -> None:  # noqa: ARG002 - a listener's
         with self._lock:
             self._seconds += seconds
             is_time = self._seconds > DELAY

@@ -17,7 +17,7 @@ from raystream.cuda.structures import Resident
 from raystream.cuda.tables import with_tables
 from raystream.cuda.threads import SeenTables, ThreadQueries
 from raystream.cuda.triangles import DeviceTriangles
-from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, Work, stream_of
+from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope, stream_of
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.ray import SceneFrame
@@ -168,19 +168,19 @@ class DeviceQueries:
         hits = t, u, v, prim_id
         return DeviceMultiHits(splits, *hits, status, self._scene.triangles)
 
-    def _work(self) -> Work:
+    def _work(self) -> StreamScope:
         gpu = self._scene.gpu
-        return Work(gpu, stream_of(gpu, self._given))
+        return StreamScope(gpu, stream_of(gpu, self._given))
 
-    def _rays(self, work: Work) -> DeviceRays:
+    def _rays(self, work: StreamScope) -> DeviceRays:
         return place_device_rays(work, **self._given)
 
-    def _run(self, work: Work, rays: DeviceRays, kernel: RangeKernel, to: Any) -> None:
+    def _run(self, work: StreamScope, rays: DeviceRays, kernel: RangeKernel, to: Any) -> None:
         inputs = QueryInputs(work, self._scene, rays)
         work.launch(kernel, len(inputs), (*inputs.shared(0, len(inputs)), to))
 
     def _count(
-        self, work: Work, inputs: QueryInputs, limit: int, status: DeviceArray
+        self, work: StreamScope, inputs: QueryInputs, limit: int, status: DeviceArray
     ) -> DeviceArray:
         counts = work.empty("counts", len(inputs), np.int64)
 
@@ -193,7 +193,9 @@ class DeviceQueries:
         with_tables(work, self._scene.has_duplicates, counts, run)
         return counts
 
-    def _fill(self, work: Work, inputs: QueryInputs, splits: DeviceArray, to: HitAddresses) -> None:
+    def _fill(
+        self, work: StreamScope, inputs: QueryInputs, splits: DeviceArray, to: HitAddresses
+    ) -> None:
         found = work.empty("counts", len(inputs), np.int64)
 
         def run(tables: SeenTables, first: int, count: int) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from raystream.core.arrays import as_real_array, is_on_gpu
 from raystream.core.rays import DEFAULT_LIMITS
 from raystream.cuda.packing import pack
-from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, Work, view_of
+from raystream.jit.cuda import DeviceArray, DeviceView, Gpu, StreamScope, view_of
 from raystream.kernels.ray_source import RaySource
 
 __all__ = ["DeviceRays", "place_device_rays", "usual_limits"]
@@ -59,13 +59,13 @@ def usual_limits(gpu: Gpu) -> dict[float, DeviceArray]:
 
 
 def place_device_rays(
-    work: Work, origins: Any, directions: Any, t_min: Any, t_max: Any
+    work: StreamScope, origins: Any, directions: Any, t_min: Any, t_max: Any
 ) -> DeviceRays:
     """View rays where they are, at least some of them on the device.
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
         In whose stream they are read.
     origins, directions, t_min, t_max
         As for `RayBatch`; arrays on the device are float32 or float64, and those on the host
@@ -104,7 +104,7 @@ def place_device_rays(
     return DeviceRays(shape, RaySource(*places))
 
 
-def _vectors(work: Work, name: str, values: Any) -> DeviceView:
+def _vectors(work: StreamScope, name: str, values: Any) -> DeviceView:
     view = _view(work, name, values)
     if view.shape == (0,):
         view = view._replace(shape=(0, 3), strides=(0, view.dtype.itemsize))
@@ -113,7 +113,7 @@ def _vectors(work: Work, name: str, values: Any) -> DeviceView:
     return view
 
 
-def _limit(work: Work, name: str, values: Any, shape: tuple[int, ...]) -> DeviceView:
+def _limit(work: StreamScope, name: str, values: Any, shape: tuple[int, ...]) -> DeviceView:
     usual = usual_limits(work.gpu)
     if type(values) in (float, int) and values in usual:
         return DeviceView(int(usual[values].address), (), (), np.dtype(np.float32))
@@ -130,7 +130,7 @@ def _limit(work: Work, name: str, values: Any, shape: tuple[int, ...]) -> Device
 
 
 def _view(
-    work: Work, name: str, values: Any, convert: Callable[[Any], Any] = np.ascontiguousarray
+    work: StreamScope, name: str, values: Any, convert: Callable[[Any], Any] = np.ascontiguousarray
 ) -> DeviceView:
     if is_on_gpu(values):
         view = view_of(work, name, values)
@@ -153,7 +153,7 @@ def _view(
 
 
 def _placed(
-    work: Work, name: str, view: DeviceView, shape: tuple[int, ...]
+    work: StreamScope, name: str, view: DeviceView, shape: tuple[int, ...]
 ) -> tuple[np.uint64, np.uint64]:
     """Address and step of vectors or of limits of shape S + (1,); packed if these do not do."""
     *lengths, width = view.shape

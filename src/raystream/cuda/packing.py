@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceView, RangeKernel, Work
+from raystream.jit.cuda import DeviceView, RangeKernel, StreamScope
 from raystream.jit.simd import load, store
 
 __all__ = ["PACK", "pack"]
@@ -39,13 +39,18 @@ PACK = RangeKernel(_pack)
 
 
 def pack(
-    work: Work, name: str, view: DeviceView, runs: list[tuple[int, int]], last: int, count: int
+    work: StreamScope,
+    name: str,
+    view: DeviceView,
+    runs: list[tuple[int, int]],
+    last: int,
+    count: int,
 ) -> tuple[np.uint64, np.uint64]:
     """Copy an array to memory without gaps; one number a ray becomes float32.
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
     name : str
         The argument, for errors.
     view : DeviceView

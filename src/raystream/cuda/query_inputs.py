@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from raystream.cuda.device_rays import DeviceRays
 from raystream.cuda.ray_order import sort_rays
-from raystream.jit.cuda import DeviceArray, Work
+from raystream.jit.cuda import DeviceArray, StreamScope
 
 if TYPE_CHECKING:
     from raystream.cuda.device_queries import DeviceScene
@@ -19,13 +19,13 @@ class QueryInputs:
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
         Keeps the order.
     scene : DeviceScene
     rays : DeviceRays
     """
 
-    def __init__(self, work: Work, scene: DeviceScene, rays: DeviceRays) -> None:
+    def __init__(self, work: StreamScope, scene: DeviceScene, rays: DeviceRays) -> None:
         self.work, self.scene, self.rays = work, scene, rays
         self._orders: dict[tuple[int, int], DeviceArray] = {}
 

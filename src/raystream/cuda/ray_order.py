@@ -23,8 +23,8 @@ import numpy as np
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import CudaStream, DeviceArray, Gpu, RangeKernel, is_simulated
-from raystream.jit.cuda.blocks import get_32
-from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.cuda.block_kernel import get_32
+from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.simd import store
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import kernel
-from raystream.jit.cuda import DeviceArray, RangeKernel, Work
+from raystream.jit.cuda import DeviceArray, RangeKernel, StreamScope
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, store
 
@@ -24,12 +24,12 @@ def _note(i, counts, wanted, noted):
 NOTE = RangeKernel(_note)
 
 
-def add_up(work: Work, counts: DeviceArray, splits: DeviceArray) -> None:
+def add_up(work: StreamScope, counts: DeviceArray, splits: DeviceArray) -> None:
     """Write the sums of the first 0, 1, ... N numbers.
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
     counts : DeviceArray of shape (N,), int64
     splits : DeviceArray of shape (N + 1,), int64
         Written.
@@ -44,7 +44,7 @@ def add_up(work: Work, counts: DeviceArray, splits: DeviceArray) -> None:
     scan.run(counts.address, count, splits.address, np.int64, work.stream.native)
 
 
-def is_any(work: Work, counts: DeviceArray, value: int) -> bool:
+def is_any(work: StreamScope, counts: DeviceArray, value: int) -> bool:
     """Whether a value is among int64 numbers; this waits for the device."""
     noted = work.cleared("note", 1, np.int64)
     work.launch(NOTE, counts.size, (counts.address, np.int64(value), noted.address))

@@ -21,12 +21,11 @@ from raystream.jit.cuda import (
     DeviceArray,
     Gpu,
     RangeKernel,
-    device_of_text,
-    kernel_of_text,
-    table_at,
+    gather_table_at,
 )
-from raystream.jit.gather import accept
-from raystream.jit.loops import as_device
+from raystream.jit.from_source import device_from_source, kernel_from_source
+from raystream.jit.user_loops import as_device
+from raystream.jit.user_results import accept
 from raystream.streams import Counters, Kernel, Stream
 from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
 from raystream.streams.condition import Condition, as_condition
@@ -265,7 +264,7 @@ class CudaKernel:
 
     def _make(self, condition: Condition | None, place: int | None) -> RangeKernel:
         text, names = _text_of(self._kernel, condition, place)
-        return RangeKernel(kernel_of_text(text, names, __name__))
+        return RangeKernel(kernel_from_source(text, names, __name__))
 
 
 def _flat(gather: GatherArray) -> NDArray[Any]:
@@ -288,7 +287,7 @@ def _text_of(
         **NAMES,
         "accept": accept(_shapes(source), "its output"),
         "atomic_add_aggregated": atomic_add_aggregated,
-        "table_at": table_at,
+        "gather_table_at": gather_table_at,
         "function": as_device(kernel.function),
         **{f"Record_{k}": one.layout.record for k, one in enumerate(columns)},
         **{f"Group_{k}": group for k, (_, group) in enumerate(source.groups)},
@@ -301,7 +300,7 @@ def _text_of(
     for k, gather in enumerate(declared.gathers.values()):
         names[f"load_{k}"] = _load_function(gather)
         base = f"table_{k}[0], table_{k}[1], table_{k}[2]"
-        lines.append(f"gather_{k} = table_at({base}, load_{k})")
+        lines.append(f"gather_{k} = gather_table_at({base}, load_{k})")
     test = "True"
     if condition is not None:
         parameters += ["value"] if place is not None else ["where", "value"]
@@ -332,7 +331,7 @@ def _text_of(
 
 
 def _shapes(source: Any) -> Any:
-    """What the function is to return; see `jit.gather.accept`."""
+    """What the function is to return; see `jit.user_results.accept`."""
     shapes = tuple(source.streams[k].shape for k, _ in source.outputs)
     return shapes[0] if source.is_single else shapes
 
@@ -360,4 +359,6 @@ def _load_function(gather: GatherArray) -> Callable[..., Any]:
     columns = Columns(gather.layout)
     loaded = columns.load("base", "capacity", "i", "Record")
     names = {**NAMES, "Record": gather.layout.record}
-    return device_of_text(f"def read(base, capacity, i):\n    return {loaded}\n", names, __name__)
+    return device_from_source(
+        f"def read(base, capacity, i):\n    return {loaded}\n", names, __name__
+    )

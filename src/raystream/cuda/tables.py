@@ -9,14 +9,14 @@ import numpy as np
 from raystream.cuda.parts import GROWTH, NO_TABLES, TABLE_BYTES
 from raystream.cuda.scan import is_any
 from raystream.cuda.threads import RETRY, SeenTables
-from raystream.jit.cuda import DeviceArray, Work
+from raystream.jit.cuda import DeviceArray, StreamScope
 from raystream.kernels.search import LEAST_ROOM
 
 __all__ = ["with_tables"]
 
 
 def with_tables(
-    work: Work,
+    work: StreamScope,
     has_duplicates: bool,
     counts: DeviceArray,
     run: Callable[[SeenTables, int, int], None],
@@ -25,7 +25,7 @@ def with_tables(
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
     has_duplicates : bool
         Whether rays need any; else it runs once.
     counts : DeviceArray of shape (N,), int64

@@ -1,7 +1,4 @@
-"""Memory that several threads write to: counting in it, and the order in which writes are seen.
-
-The same words for the CPU and for CUDA: kernels that use them run on both.
-"""
+"""Atomic operations and fences on memory shared by threads, for the CPU and CUDA."""
 
 from __future__ import annotations
 
@@ -14,8 +11,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from raystream.jit.cpu import device
-from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.memory import load, pointer_to
+from raystream.jit.simd.nvvm import is_cuda
 
 __all__ = ["atomic_add", "atomic_add_aggregated", "atomic_max", "compare_and_swap", "fence"]
 
@@ -25,7 +22,7 @@ _I64 = ir.IntType(64)
 
 @intrinsic
 def atomic_add(typing_context: Any, at: Any, amount: Any) -> Any:
-    """Add to the uint32 at an address, in one step for all threads; returns what was there."""
+    """Atomically add to the uint32 at an address; returns the old value."""
     if at != types.uint64 or amount != types.uint32:
         return None
 
@@ -43,10 +40,10 @@ def _call(builder: Any, name: str, returns: Any, *arguments: Any) -> Any:
 
 @intrinsic
 def atomic_add_aggregated(typing_context: Any, at: Any, amount: Any) -> Any:
-    """Add a number to the uint32 at an address; several threads may.
+    """Atomically add to the uint32 at an address; returns nothing.
 
-    On CUDA the threads of a warp that add to the same address do it by one of them: they must
-    add the same number.
+    On CUDA one thread adds for all threads of its warp that add to the same address at once:
+    these must add the same number.
     """
     if at != types.uint64 or amount != types.uint32:
         return None
@@ -57,7 +54,7 @@ def atomic_add_aggregated(typing_context: Any, at: Any, amount: Any) -> Any:
         if not is_cuda(builder):
             builder.atomic_rmw("add", place, number, "monotonic")
             return context.get_dummy_value()
-        # "Opportunistic": those that happen to be here, and which of them are of one mind.
+        # Opportunistic aggregation: the active threads, and those with the same address.
         here = ir.InlineAsm(ir.FunctionType(_I32, []), "activemask.b32 $0;", "=r", side_effect=True)
         mask = builder.call(here, [])
         alike = _call(builder, "llvm.nvvm.match.any.sync.i64", _I32, mask, address)
@@ -86,15 +83,15 @@ def _keep_greatest(typing_context: Any, at: Any, number: Any) -> Any:
 
 @device
 def atomic_max(at, number):
-    """Replace the uint32 at an address by a number, if that is greater; several threads may."""
-    # What is there only grows: most threads see that they need not write.
+    """Atomically replace the uint32 at an address by the maximum of it and a number."""
+    # The value only grows: a plain load tells most threads that they need not write.
     if load(np.uint32, at) < number:
         _keep_greatest(at, number)
 
 
 @intrinsic
 def compare_and_swap(typing_context: Any, at: Any, expected: Any, number: Any) -> Any:
-    """Replace the uint32 at an address if it is what is expected; returns what was there."""
+    """Atomically replace the uint32 at an address if it is `expected`; returns the old value."""
     if at != types.uint64 or expected != types.uint32 or number != types.uint32:
         return None
 
@@ -108,7 +105,7 @@ def compare_and_swap(typing_context: Any, at: Any, expected: Any, number: Any) -
 
 @intrinsic
 def fence(typing_context: Any) -> Any:
-    """Whatever this thread wrote before is seen by all before what it writes after."""
+    """Order this thread's writes: all threads see earlier ones before later ones."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         if is_cuda(builder):

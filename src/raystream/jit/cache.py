@@ -1,12 +1,12 @@
 """The on-disk cache of compiled kernels.
 
-Numba's own cache watches only the file that defines a kernel: edit a function that the kernel
-calls, and the old code still runs. Here a file is named by a hash of all that the code in it
-depends on: the kernel with everything that it calls or closes over (see `fingerprint`), the types
-of its arguments, versions and the processor. So an edit recompiles what depends on it and nothing
-else, nothing is ever stale, and versions of raystream share the folder. It is in the user's cache
-folder (or ``RAYSTREAM_CACHE_DIR``), never beside the sources. Of several processes that need a
-kernel which is not there yet, one compiles it and the others wait.
+Numba's own cache watches only the file that defines a kernel: after an edit of a function that the
+kernel calls, the old code still runs. Here a file is named by a hash of everything that its code
+depends on: the kernel with all that it calls or closes over (see `fingerprint`), the types of its
+arguments, versions and the processor. So an edit recompiles what depends on it and nothing else,
+nothing is ever stale, and versions of raystream share the folder. It is in the user's cache folder
+(or ``RAYSTREAM_CACHE_DIR``), never beside the sources. When several processes need a missing
+kernel, one compiles it and the others wait.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from numba.core.compiler import CompileResult
 
 from raystream.core.atomic_write import atomic_write
 from raystream.core.cache_folder import cache_folder
+from raystream.jit.compile_events import LISTENERS
 from raystream.jit.compile_lock import CompileLock
-from raystream.jit.compile_time import collector_resting
+from raystream.jit.compilers import gc_paused
 from raystream.jit.fingerprint import fingerprint, type_name
-from raystream.jit.watching import WATCHERS
 
 __all__ = [
     "KERNELS",
@@ -44,25 +44,25 @@ __all__ = [
     "mark_used",
 ]
 
-#: Bytes that the folder may grow to. All kernels that the tests compile take about 30 MB.
+#: Maximum size of the folder in bytes. All kernels that the tests compile take about 30 MB.
 SIZE_LIMIT = 500_000_000
 
-#: Seconds after which a file that was not used goes: 90 days.
+#: Seconds after which an unused file is removed: 90 days.
 AGE_LIMIT = 90 * 86_400.0
 
-#: Kernels, PTX, and hashes of what runs at compile time (see `fingerprint`).
+#: Kernels, PTX, and hashes of code that runs at compile time (see `fingerprint`).
 _SUFFIXES = (".nbc", ".ptx", ".txt")
 
-#: Seconds between two notes that a file is used: a day. Reading costs a write no more often.
+#: Seconds between two updates of a file's time of use: a day, so that reads cost few writes.
 USE_INTERVAL = 86_400.0
 
 
-#: Kernels by name: module, name in the module, and what a function that makes kernels was given.
+#: Kernels by name: module, qualified name, and the closure of a kernel made by a function.
 KERNELS: WeakValueDictionary[str, Any] = WeakValueDictionary()
 
 
 def kernel_folder() -> Path:
-    """Folder of compiled kernels; it may be missing, or impossible to write."""
+    """Folder of compiled kernels; it may be missing or read-only."""
     return cache_folder() / "kernels"
 
 
@@ -72,21 +72,21 @@ def _lock_in(folder: Path) -> CompileLock:
 
 
 class KernelCache(_Cache):
-    """The cache of one kernel, in the form that Numba's dispatchers ask.
+    """The cache of one kernel, with the interface that Numba's dispatchers use.
 
     Parameters
     ----------
     function : callable
-        The kernel in Python. If it uses something whose changes cannot be noticed, nothing is
-        kept.
+        The kernel in Python. If it uses something whose changes cannot be detected, nothing is
+        cached.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self._is_enabled = True
         self.name = name_of(function)
-        self._begun: dict[Any, float] = {}  # when compiling began
-        self._waiting: dict[Any, Path] = {}  # files that this process holds the locks of
+        self._start_times: dict[Any, float] = {}  # of compilation
+        self._locked: dict[Any, Path] = {}  # files whose locks this process holds
 
     @property
     def cache_path(self) -> str:
@@ -102,10 +102,10 @@ class KernelCache(_Cache):
         self._is_enabled = False
 
     def flush(self) -> None:
-        """Do nothing: what is old goes by itself."""
+        """Do nothing: unused files are evicted."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Read a compiled kernel; None leaves the caller, and no other process, to compile it."""
+        """Read a compiled kernel, or return None after locking it for the caller to compile."""
         target_context.refresh()
         path = self._path(sig, target_context.codegen())
         if path is None:
@@ -114,8 +114,8 @@ class KernelCache(_Cache):
         if found is None:
             self._begin(sig)
             if _lock_in(path.parent).acquire(path.name):
-                self._waiting[sig] = path
-                found = _read(path, target_context)  # written in the meantime?
+                self._locked[sig] = path
+                found = _read(path, target_context)  # another process may have written it
             if found is not None:
                 self.release_lock(sig)
         return found
@@ -138,37 +138,37 @@ class KernelCache(_Cache):
         return True
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Write a compiled kernel, if there is a folder that can be written."""
+        """Write a compiled kernel, if the folder can be written."""
         try:
             path = self._path(sig, data.codegen)
             if path is None or data.lifted or data.library.has_dynamic_globals:
-                return  # the code contains addresses of this process
+                return  # its code contains addresses of this process
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             with atomic_write(path) as file:
                 file.write_bytes(pickle.dumps(data._reduce(), protocol=pickle.HIGHEST_PROTOCOL))
             _evict_once(path.parent)
         except OSError:
-            self.disable()  # no folder to write to: compile in every process
+            self.disable()  # read-only: each process compiles
         finally:
             self.release_lock(sig)
 
     def _begin(self, sig: Any) -> None:
-        self._begun[sig] = time.perf_counter()
-        for watcher in WATCHERS:
-            watcher.begin(self.name)
+        self._start_times[sig] = time.perf_counter()
+        for listener in LISTENERS:
+            listener.begin(self.name)
 
     def release_lock(self, sig: Any) -> None:
-        """Let other processes compile the kernel, if this one holds its lock."""
-        begun = self._begun.pop(sig, None)
+        """Release the kernel's lock, if this process holds it."""
+        begun = self._start_times.pop(sig, None)
         if begun is not None:
-            for watcher in WATCHERS:
-                watcher.end(self.name, time.perf_counter() - begun)
-        path = self._waiting.pop(sig, None)
+            for listener in LISTENERS:
+                listener.end(self.name, time.perf_counter() - begun)
+        path = self._locked.pop(sig, None)
         if path is not None:
             _lock_in(path.parent).release(path.name)
 
     def _path(self, sig: Any, codegen: Any) -> Path | None:
-        """The file of a signature; None if changes of the code could not be noticed."""
+        """The file of a signature; None if changes of the code cannot be detected."""
         known = fingerprint(self._function) if self._is_enabled else None
         types = [type_name(one) for one in sigutils.normalize_signature(sig)[0]]
         if known is None or None in types:
@@ -186,7 +186,7 @@ class KernelCache(_Cache):
 
 
 def name_of(function: Callable[..., Any]) -> str:
-    """A kernel's name in `KERNELS`; a kernel made by a function names what that was given."""
+    """A kernel's name in `KERNELS`, with the values that it closes over."""
     given = [cell.cell_contents for cell in function.__closure__ or ()]
     parts = [
         f"{one.__module__}.{one.__qualname__}" if hasattr(one, "__qualname__") else repr(one)
@@ -197,7 +197,7 @@ def name_of(function: Callable[..., Any]) -> str:
 
 
 def _read(path: Path, target_context: Any) -> Any:
-    """The compiled kernel of a file; None if there is none, or it is damaged."""
+    """The compiled kernel of a file; None if the file is missing or damaged."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -211,7 +211,7 @@ def _read(path: Path, target_context: Any) -> Any:
 
 
 def mark_used(path: Path) -> None:
-    """Note that a file of the folder was read, so that it stays."""
+    """Update the time of use of a file, which delays its eviction."""
     with contextlib.suppress(OSError):
         if time.time() - path.stat().st_mtime > USE_INTERVAL:
             os.utime(path)
@@ -223,12 +223,12 @@ def _evict_once(folder: Path) -> None:
 
 
 def evict(folder: Path) -> None:
-    """Remove what was not used for long, and what was least recently used past a size.
+    """Remove files unused for `AGE_LIMIT`, and the least recently used beyond `SIZE_LIMIT`.
 
     Parameters
     ----------
     folder : Path
-        Of compiled kernels. Files that other processes remove at the same time are no error.
+        Of compiled kernels. Other processes may remove files at the same time.
     """
     now, left = time.time(), SIZE_LIMIT
     entries = []
@@ -240,23 +240,23 @@ def evict(folder: Path) -> None:
         left -= size
         if left >= 0 and now - used <= AGE_LIMIT:
             continue
-        if path.is_dir():  # of a version that had a folder for each state of the sources
+        if path.is_dir():  # older versions had a folder for each state of the sources
             shutil.rmtree(path, ignore_errors=True)
         elif path.suffix in _SUFFIXES:
-            with contextlib.suppress(OSError):  # removed, or being read (Windows)
+            with contextlib.suppress(OSError):  # removed already, or being read (Windows)
                 path.unlink()
 
 
 def keep_on_disk(dispatcher: Any) -> None:
-    """Give a function that Numba compiles this cache."""
+    """Attach this cache to a function compiled by Numba."""
     kernel_cache = KernelCache(dispatcher.py_func)
     compile_or_load = dispatcher.compile
 
     def compile_with_lock(sig: Any) -> Any:
         try:
-            with collector_resting:
+            with gc_paused:
                 return compile_or_load(sig)
-        except BaseException:  # Numba saves nothing, and does not tell the cache
+        except BaseException:  # Numba does not notify the cache
             kernel_cache.release_lock(sig)
             raise
 

@@ -10,7 +10,7 @@ from llvmlite.binding import get_host_cpu_features
 from numba.core import config
 
 from raystream.jit.cache import keep_on_disk
-from raystream.jit.compile_time import DeviceCompiler, KernelCompiler
+from raystream.jit.compilers import DeviceCompiler, KernelCompiler
 
 __all__ = ["FLAGS", "compiled", "device", "device_call", "kernel"]
 

@@ -1,10 +1,9 @@
 """Fingerprints of functions: a hash of everything that a function's compiled code depends on.
 
-A function is known by its bytecode and by what its names stand for: constants, other functions,
-closures, the fields of named tuples, and so on down. Docstrings, comments and line numbers are
-no part of it. The code that runs at compile time (intrinsics, overloads, the types of vectors)
-cannot be followed name by name, so all of those files count for every function; see
-`generator_hash`.
+A fingerprint covers a function's bytecode and the values of its names: constants, other
+functions, closures, the fields of named tuples, recursively. It leaves out docstrings, comments
+and line numbers. Code that runs at compile time (intrinsics, overloads, vector types) cannot be
+followed name by name, so all of those files count for every function; see `generator_hash`.
 """
 
 from __future__ import annotations
@@ -38,15 +37,15 @@ __all__ = ["code_hash", "cuda_generator_hash", "fingerprint", "generator_hash", 
 
 _PACKAGE = Path(__file__).parents[1]
 
-#: Modules whose attributes follow from their versions.
+#: Modules whose attributes depend on their versions alone.
 _KNOWN_MODULES = ("builtins", "cmath", "llvmlite", "math", "numba", "numpy", "operator")
 
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
-#: Files of the room `jit` that no compiled code depends on: they run before or after.
+#: Files of `jit` that no compiled code depends on: they run before or after compilation.
 _HOST_FILES = frozenset(
-    ["__init__.py", "cache.py", "fingerprint.py", "loops.py", "signatures.py", "threads.py"]
-    + ["compile_lock.py", "warm.py", "watching.py"]
+    ["__init__.py", "cache.py", "fingerprint.py", "from_source.py", "signatures.py"]
+    + ["compile_events.py", "compile_lock.py", "threads.py", "user_loops.py", "warm.py"]
 )
 
 _CUDA_ROOM = "raystream.jit.cuda."
@@ -60,16 +59,16 @@ _LOAD_ATTRIBUTE = ("LOAD_ATTR", "LOAD_METHOD")
 #: In `co_flags` since Python 3.13; before, a function's first constant is its docstring or None.
 _HAS_DOCSTRING = 0x4000000
 
-#: Also of a function: it has variables that live as long as a call.
+#: In `co_flags` of functions (CO_NEWLOCALS).
 _IS_FUNCTION = 0x2
 
 
 class _UnknownError(Exception):
-    """Something whose changes cannot be noticed."""
+    """Something whose changes cannot be detected."""
 
 
 def fingerprint(function: Callable[..., Any]) -> str | None:
-    """Hash a function with everything that its names stand for.
+    """Hash a function with everything that its names refer to.
 
     Parameters
     ----------
@@ -79,12 +78,12 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
     Returns
     -------
     str or None
-        32 hexadecimal digits; None if it uses something whose changes cannot be noticed, such
+        32 hexadecimal digits; None if it uses something whose changes cannot be detected, such
         as a class, an instance, or a module other than NumPy, ``math`` and raystream's.
 
     Notes
     -----
-    The names of raystream's own functions are looked up once in a process; Numba, too, treats
+    The names of raystream's own functions are resolved once per process; Numba, too, treats
     globals as constants.
     """
     try:
@@ -95,19 +94,19 @@ def fingerprint(function: Callable[..., Any]) -> str | None:
 
 
 def type_name(type_: Any) -> str | None:
-    """Name a Numba type with all that code for it depends on.
+    """Name a Numba type with everything that its code depends on.
 
-    Numba's own names leave out the fields of named tuples, their modules, and what functions do.
+    Numba's own names leave out the fields and modules of named tuples, and the code of functions.
 
     Parameters
     ----------
     type_ : numba type
-        Of an argument.
+        Type of an argument.
 
     Returns
     -------
     str or None
-        None if the type has something whose changes cannot be noticed.
+        None if the type contains something whose changes cannot be detected.
     """
     try:
         return _READER.describe_type(type_)
@@ -117,19 +116,19 @@ def type_name(type_: Any) -> str | None:
 
 @cache
 def generator_hash() -> str:
-    """Hash of what every compiled function depends on: versions, and code that makes code."""
+    """Hash of what every compiled function depends on: versions, and code-generating files."""
     versions = f"{sys.version_info[:2]} {numba.__version__} {llvmlite.__version__} {np.__version__}"
     return _digest(f"{versions} {_folder_hash('jit')} {_folder_hash('jit/simd')}")
 
 
 @cache
 def cuda_generator_hash() -> str:
-    """The same of the code that makes code for CUDA alone."""
+    """Hash of the files that generate code for CUDA only."""
     return _folder_hash("jit/cuda")
 
 
 def _folder_hash(folder: str) -> str:
-    """Hash of the code in a folder's files; parsing takes 100 ms, so the result is kept on disk."""
+    """Hash of the code in a folder's files, cached on disk, since parsing takes 100 ms."""
     files = [f for f in sorted((_PACKAGE / folder).glob("*.py")) if f.name not in _HOST_FILES]
     raw = hashlib.sha256(f"{sys.version_info[:2]} {len(files)}".encode())
     for file in files:
@@ -147,18 +146,12 @@ def _folder_hash(folder: str) -> str:
         with atomic_write(kept) as path:
             path.write_text(found, encoding="ascii")
     except OSError:
-        pass  # a folder that cannot be written: the files are parsed in every process
+        pass  # read-only: each process parses the files
     return found
 
 
 def code_hash(file: Path) -> str:
-    """Hash a source file without its comments and docstrings.
-
-    Parameters
-    ----------
-    file : Path
-        Of Python code.
-    """
+    """Hash a Python source file without its comments and docstrings."""
     tree = ast.parse(file.read_bytes())
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and _has_docstring(node):
@@ -175,18 +168,18 @@ def _has_docstring(node: ast.Module | ast.ClassDef | ast.FunctionDef) -> bool:
     )
 
 
-#: Deeper than functions are read: there is no cycle of calls.
+#: Larger than any depth: no cycle of calls.
 _NO_CYCLE = sys.maxsize
 
 
 class _Reader:
-    """Describes values as text; of functions, by a hash of their description."""
+    """Describes values as text, and functions by the hash of their descriptions."""
 
     def __init__(self) -> None:
         self._hashes: dict[int, str] = {}
         self._alive: list[FunctionType] = []  # so that no other object gets their id
-        self._open: dict[int, int] = {}  # functions being read, and how deep
-        self._cycle_start = _NO_CYCLE  # least depth of an open function that another one calls
+        self._open: dict[int, int] = {}  # depths of the functions being read
+        self._cycle_start = _NO_CYCLE  # least depth of an open function that is called recursively
 
     def describe(self, value: object) -> str:
         if isinstance(value, Dispatcher):
@@ -225,7 +218,7 @@ class _Reader:
         if isinstance(type_, types.Optional):
             return f"optional {self.describe_type(type_.type)}"
         name = str(type_)
-        if " at 0x" in name:  # an object's address, which stands for nothing
+        if " at 0x" in name:  # an object's address, which changes in each process
             raise _UnknownError
         return name
 
@@ -265,7 +258,7 @@ class _Reader:
         raise _UnknownError
 
     def _generator(self, value: Any) -> str:
-        """What runs at compile time: its name and closure, since all of its file counts."""
+        """Describe code that runs at compile time by name and closure: its file is hashed whole."""
         cells = [
             self.describe(cell.cell_contents) for cell in getattr(value, "__closure__", None) or ()
         ]
@@ -285,7 +278,7 @@ class _Reader:
         place = id(function)
         if place in self._hashes:
             return self._hashes[place]
-        if place in self._open:  # it calls itself, perhaps by way of others
+        if place in self._open:  # it calls itself, perhaps through others
             levels = len(self._open) - self._open[place]
             if levels > 1:
                 self._cycle_start = min(self._cycle_start, self._open[place])
@@ -297,7 +290,7 @@ class _Reader:
         try:
             digest = _digest(self._text(function))
             # The globals of users' functions may change; and in a cycle of calls the text
-            # depends on which function is met first.
+            # depends on the function read first.
             if _root(function) == "raystream" and self._cycle_start == _NO_CYCLE:
                 self._hashes[place] = digest
                 self._alive.append(function)
@@ -330,9 +323,9 @@ class _Reader:
         return used
 
     def _read_of(self, code: CodeType, name: str, module: ModuleType) -> Iterator[str]:
-        """Describe what the code, and code inside it, reads of a module of ours.
+        """Describe the attributes of a raystream module that code, and code inside it, reads.
 
-        By the code and not by what the module has: the package imports names when they are read.
+        Taken from the code rather than the module: the package imports names when they are read.
         """
         steps = [step for step in dis.get_instructions(code) if step.opname != "EXTENDED_ARG"]
         for place, step in enumerate(steps):
@@ -344,7 +337,7 @@ class _Reader:
                 if not (isinstance(value, ModuleType) and _is_ours(value)):
                     break
                 if after.opname not in _LOAD_ATTRIBUTE or not hasattr(value, after.argval):
-                    raise _UnknownError  # the module itself is handed on
+                    raise _UnknownError  # the module itself is passed on
                 path, value = f"{path}.{after.argval}", getattr(value, after.argval)
             yield f"{path} {self.describe(value)}"
         for inner in _inner(code):
@@ -358,7 +351,7 @@ class _Reader:
         return f"code {code.co_code.hex()} {table} {names} {arguments} {flags} {constants}"
 
 
-#: One for all functions: each is read once in a process.
+#: Shared, so that each function is read once per process.
 _READER = _Reader()
 
 
@@ -371,7 +364,7 @@ def _root(value: Any) -> str:
 
 
 def _makes_code(value: Any) -> bool:
-    """Whether a function or class runs at compile time, and its file is hashed as a whole."""
+    """Whether a function or class runs at compile time, so that its file is hashed whole."""
     module = str(value.__module__)
     file = module.rpartition(".")[2] + ".py"
     return module.startswith("raystream.jit.") and file not in _HOST_FILES
@@ -382,17 +375,17 @@ def _is_ours(module: ModuleType) -> bool:
 
 
 def _constants(code: CodeType) -> list[Any]:
-    """Constants of the code; in place of a docstring, None."""
+    """Constants of the code, with None in place of a docstring."""
     constants = list(code.co_consts)
     if constants and isinstance(constants[0], str) and code.co_flags & _IS_FUNCTION:
         may_be_docstring = sys.version_info < (3, 13) or code.co_flags & _HAS_DOCSTRING
-        if may_be_docstring and 0 not in _operands(code, _LOAD_CONST):  # code may use it, too
+        if may_be_docstring and 0 not in _operands(code, _LOAD_CONST):  # code may load it, too
             constants[0] = None
     return constants
 
 
 def _operands(code: CodeType, operation: int) -> Iterable[int]:
-    """Operands of all instructions of a kind; `dis` takes ten times as long."""
+    """Operands of all instructions with an opcode; `dis` takes ten times as long."""
     raw, extended = code.co_code, 0
     for i in range(0, len(raw), 2):
         if raw[i] == _EXTENDED_ARG:

@@ -1,4 +1,4 @@
-"""Reading compiled code: the optimised instructions of a function, and its assembly."""
+"""Inspection of compiled code: the optimised LLVM instructions of a function, and its assembly."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Code", "Instruction", "assume", "compile_code", "read_functions"]
 
 @intrinsic
 def assume(typing_context: Any, condition: Any) -> Any:
-    """Tell the compiler that something holds, which leaves out the code for where it does not."""
+    """Tell the compiler that a condition holds, so that it drops the code for the other case."""
     if not isinstance(condition, types.Boolean):
         return None
 
@@ -30,23 +30,23 @@ def assume(typing_context: Any, condition: Any) -> Any:
 
 
 class Instruction(NamedTuple):
-    """An instruction of LLVM's.
+    """An LLVM instruction.
 
     Attributes
     ----------
     opcode : str
         Such as ``"fadd"``, ``"load"`` or ``"call"``.
     type : str
-        Of the result, such as ``"float"`` or ``"<4 x i32>"``; of what is stored, for a store.
+        Of the result, such as ``"float"`` or ``"<4 x i32>"``; of the stored value, for a store.
     operands : tuple of int or str
-        The number of an instruction; the name of an argument, with ``%``, or of something
-        global, with ``@``; empty for constants.
+        Index of an instruction; name of an argument, with ``%``, or of a global, with ``@``;
+        empty for constants.
     block : int
-        The block that it is in.
+        Index of its basic block.
     callee : str
-        What a call calls; else empty.
+        Name of the function called; empty for other instructions.
     blocks : tuple of int
-        Where a jump goes to, or where the operands of a phi come from.
+        Targets of a branch, or incoming blocks of a phi.
     """
 
     opcode: str
@@ -63,12 +63,12 @@ class Code(NamedTuple):
     Attributes
     ----------
     name : str
-        What the compiler calls it.
+        Its LLVM name.
     functions : dict of str to tuple of Instruction
-        Its instructions, by that name, and those of what it was compiled with. Blocks are
-        numbered in their order; the first one is entered.
+        Instructions of all functions in its module, by LLVM name. Blocks are numbered in order;
+        the first one is the entry.
     assembly : str
-        Of all that was compiled with it.
+        Of its module.
     """
 
     name: str
@@ -77,24 +77,24 @@ class Code(NamedTuple):
 
     @property
     def instructions(self) -> tuple[Instruction, ...]:
-        """Of the function itself."""
+        """Instructions of the function itself."""
         return self.functions[self.name]
 
 
 def compile_code(function: Callable[..., Any], arguments: Sequence[Any]) -> Code:
-    """Compile a function as `kernel` does, for arguments of the types of some values.
+    """Compile a function as `kernel` does, for the types of example arguments.
 
     Parameters
     ----------
     function : callable
         A Python function.
     arguments : sequence
-        It is not called with them.
+        Examples of arguments; the function is not called.
 
     Returns
     -------
     Code
-        Nothing is read from the disk cache, which has no instructions.
+        Compiled in this process: the disk cache stores no instructions.
     """
     dispatcher: Any = compiled(function)
     dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
@@ -105,12 +105,12 @@ def compile_code(function: Callable[..., Any], arguments: Sequence[Any]) -> Code
 
 
 def read_functions(text: str) -> dict[str, tuple[Instruction, ...]]:
-    """The functions that a text in LLVM's language defines.
+    """Functions defined in LLVM assembly.
 
     Raises
     ------
     RuntimeError
-        If it is none.
+        If the text is not LLVM assembly.
     """
     module = binding.parse_assembly(text)
     return {one.name: _instructions(one) for one in module.functions if not one.is_declaration}

@@ -1,9 +1,12 @@
-"""Single machine operations that Python has no word for."""
+"""Intrinsics: single machine operations that Python cannot express."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
+import numba
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -16,17 +19,19 @@ __all__ = [
     "high_product",
     "int32_at",
     "no_inline",
+    "record_at",
     "row_address",
+    "row_of",
     "sum_above",
 ]
 
 
 @intrinsic
 def no_inline(typing_context: Any) -> Any:
-    """As the first statement of a function: LLVM must call it and never copy it into a caller.
+    """As the first statement of a function: LLVM must not inline it.
 
-    For long functions that are rarely needed in loops: copies of them cost compile time, and
-    registers of the loop.
+    For long functions that loops rarely call: inlined copies cost compile time, and registers of
+    the loop.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -37,7 +42,7 @@ def no_inline(typing_context: Any) -> Any:
 
 
 def array_at(context: Any, builder: Any, array: Any, at: Any, shape: list[Any]) -> Any:
-    """Generate an array without an owner that begins at an address; lengths are LLVM's."""
+    """Generate an array at an address, without an owner; lengths are LLVM values."""
     size = context.get_value_type(types.intp)
     ary = context.make_array(array)(context, builder)
     element = context.get_data_type(array.dtype)
@@ -65,10 +70,10 @@ def array_at(context: Any, builder: Any, array: Any, at: Any, shape: list[Any]) 
 
 @intrinsic
 def corners_at(typing_context: Any, at: Any) -> Any:
-    """An array of shape (?, 3, 3), float32, that begins at an address, to be read only.
+    """A read-only array of shape (?, 3, 3), float32, at an address.
 
-    It has no owner, so that handing it on costs nothing: the caller keeps the memory alive.
-    Its length is not known; nothing checks indices.
+    It has no owner, so that passing it costs nothing: the caller keeps the memory alive.
+    Its length is unknown and indices are not checked.
     """
     if at != types.uint64:
         return None
@@ -83,7 +88,7 @@ def corners_at(typing_context: Any, at: Any) -> Any:
 
 @intrinsic
 def int32_at(typing_context: Any, at: Any, count: Any) -> Any:
-    """An array of `count` int32 that begins at an address, without an owner; see `corners_at`."""
+    """An array of `count` int32 at an address, without an owner; see `corners_at`."""
     if at != types.uint64 or count != types.uint64:
         return None
     array = types.Array(types.int32, 1, "C")
@@ -96,10 +101,10 @@ def int32_at(typing_context: Any, at: Any, count: Any) -> Any:
 
 @intrinsic
 def row_address(typing_context: Any, array: Any, row: Any) -> Any:
-    """Address of a row of an array of two dimensions; or None of None.
+    """Address of a row of a two-dimensional array; None if the array is None.
 
-    Numba has no type for a function that returns a number or None, by its argument's type,
-    but one that may be either whenever it runs, and that is slow.
+    By the argument's type: a Python function that returns a number or None has an optional type,
+    which is tested whenever it runs.
     """
     if isinstance(array, types.NoneType):
         return types.none(array, row), lambda context, *_: context.get_dummy_value()
@@ -131,7 +136,7 @@ def high_product(typing_context: Any, a: Any, b: Any) -> Any:
 
 
 def _reduce_above(at: Any, k: Any, counts_bits: bool) -> Any:
-    """Add up those of 64 numbers at an address whose place is above k, or their bits."""
+    """Sum those of 64 uint64 at an address whose index is above k, or their popcounts."""
     if at != types.uint64 or k != types.uint64:
         return None
     number = ir.IntType(64)
@@ -163,17 +168,71 @@ def _reduce_above(at: Any, k: Any, counts_bits: bool) -> Any:
 
 @intrinsic
 def sum_above(typing_context: Any, at: Any, k: Any) -> Any:
-    """Sum of those of 64 uint64 at an address that come after number k of them.
+    """Sum of those of 64 uint64 at an address whose index is above k.
 
-    All are read, in vectors: there is no branch that the machine would have to foresee.
+    All are read, as vectors: there is no branch to mispredict.
     """
     return _reduce_above(at, k, counts_bits=False)
 
 
 @intrinsic
 def bits_above(typing_context: Any, at: Any, k: Any) -> Any:
-    """How many bits are set in those of 64 uint64 at an address that come after number k of them.
+    """Population count of those of 64 uint64 at an address whose index is above k.
 
     All are read, as for `sum_above`.
     """
     return _reduce_above(at, k, counts_bits=True)
+
+
+@intrinsic
+def row_of(typing_context: Any, array: Any, row: Any) -> Any:
+    """A row of a two-dimensional array, as a one-dimensional array without an owner.
+
+    The caller keeps the memory alive.
+    """
+    if not isinstance(array, types.Array) or array.ndim != 2 or row != types.uint64:
+        return None
+    view = types.Array(array.dtype, 1, "C")
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        rows = context.make_array(array)(context, builder, arguments[0])
+        offset = builder.mul(arguments[1], builder.extract_value(rows.strides, 0))
+        start = builder.add(builder.ptrtoint(rows.data, offset.type), offset)
+        width = builder.extract_value(rows.shape, 1)
+        return array_at(context, builder, view, start, [width])
+
+    return view(array, row), generate
+
+
+@cache
+def record_at(dtype: Any, width: int) -> Callable[[Any, Any], Any]:
+    """Make a function (address, index) that gives a record of an array at an address.
+
+    The record may be changed in place and has no owner; see `row_of`.
+
+    Parameters
+    ----------
+    dtype : dtype
+        Of a record, or of its elements if it has no fields.
+    width : int
+        Elements of a record without fields, which becomes an array of this length.
+    """
+    element = numba.from_dtype(dtype)
+    is_record = isinstance(element, types.Record)
+    made = element if is_record else types.Array(element, 1, "C")
+    byte_count = dtype.itemsize * (1 if is_record else width)
+
+    @intrinsic
+    def read(typing_context, first, row):
+        def generate(context, builder, signature, arguments):
+            number = ir.IntType(64)
+            offset = builder.mul(arguments[1], number(byte_count))
+            at = builder.add(arguments[0], offset)
+            if is_record:
+                return builder.inttoptr(at, context.get_value_type(made))
+            size = context.get_value_type(types.intp)
+            return array_at(context, builder, made, at, [size(width)])
+
+        return made(first, row), generate
+
+    return read

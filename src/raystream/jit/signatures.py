@@ -1,4 +1,4 @@
-"""Types of a kernel's arguments as JSON, to compile it without calling it."""
+"""Kernel signatures as JSON, to compile kernels without calling them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def encode_type(type_: Any) -> Any:
     Returns
     -------
     str, list or dict
-        None if it is another type, such as that of a function.
+        None for other types, such as functions.
     """
     if isinstance(type_, types.BaseNamedTuple):
         members = [encode_type(member) for member in type_.types]
@@ -51,7 +51,7 @@ def decode_type(code: Any) -> Any:
     Raises
     ------
     ValueError
-        If it names something that is not there.
+        If it names an unknown type.
     """
     try:
         if isinstance(code, str):

@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 __all__ = ["Progress", "parallel_for", "part_of", "set_thread_count", "thread_count", "thread_pool"]
 
-#: Called with how much is done and how much there is to do, from the calling thread.
+#: Called with the steps done and their total, from the calling thread.
 Progress = Callable[[int, int], object]
 
 #: Seconds between two calls of a progress callback.
@@ -20,7 +20,7 @@ PROGRESS_INTERVAL = 0.05
 
 
 def part_of(progress: Progress | None, first: int, total: int) -> Progress | None:
-    """The callback for one of several loops: it begins after `first` of `total` steps."""
+    """Progress callback of one of several loops, which begins after `first` of `total` steps."""
     if progress is None:
         return None
     whole = progress
@@ -34,10 +34,10 @@ _lock = threading.Lock()
 
 
 def thread_count() -> int:
-    """Number of threads that work is spread over.
+    """Number of threads that loops run on.
 
-    `set_thread_count` decides, else ``RAYSTREAM_THREADS``, else the cores that this process
-    may use.
+    Set by `set_thread_count`, else by ``RAYSTREAM_THREADS``, else the number of cores that this
+    process may use.
 
     Raises
     ------
@@ -57,14 +57,14 @@ def thread_count() -> int:
 
 
 def set_thread_count(count: int | None) -> None:
-    """Choose the number of threads for this process; None goes back to the default.
+    """Set the number of threads of this process; None restores the default.
 
     Raises
     ------
     ValueError
         If `count` is below 1.
     TypeError
-        If it is no integer.
+        If it is not an integer.
     """
     global _chosen_count
     count = None if count is None else operator.index(count)
@@ -79,7 +79,7 @@ def thread_pool() -> ThreadPoolExecutor:
     count = thread_count()
     with _lock:
         if _pool is None or _pool_size != count:
-            # An older pool ends by itself when the loops that use it are done.
+            # An older pool shuts down when the loops that use it are done.
             _pool = ThreadPoolExecutor(count, thread_name_prefix="raystream")
             _pool_size = count
         return _pool
@@ -104,32 +104,32 @@ def parallel_for(
 ) -> None:
     """Run ``body(begin, end)`` over [0, count) in chunks, on all threads.
 
-    The calling thread works too, so that a small loop needs no hand-over, and Ctrl-C is
-    noticed between two of its chunks: the other threads then finish the chunk they are in,
-    and KeyboardInterrupt is raised. An exception in any chunk stops the loop likewise.
-    A loop inside `body` stops with the loop around it, and runs on the body's thread alone
-    while the loop around it keeps all threads busy: more threads than processors would wait for
-    each other's parts, which took a quarter of the time of pictures.
+    The calling thread takes part, so that a small loop needs no other thread, and Ctrl-C takes
+    effect between two of its chunks: the other threads then finish their current chunk, and
+    KeyboardInterrupt is raised. An exception in any chunk stops the loop likewise.
+    A nested loop stops with the loop around it, and runs on the body's thread alone while the
+    outer loop keeps all threads busy: more threads than processors would wait for each other,
+    which took a quarter of the time of an image.
 
     Parameters
     ----------
     body : callable
         Called with begin < end; must release the interpreter lock to run in parallel.
-        Before threads start it is called with (0, 0), which must do nothing: what it calls
-        is then compiled on the calling thread. (An interrupt that hits one thread while
-        another compiles can leave the compiler's lock held for ever.)
+        Before threads start it is called with (0, 0), which must do nothing, so that kernels
+        are compiled on the calling thread. (An interrupt in one thread while another compiles
+        can leave the compiler's lock held forever.)
     count : int
         Length of the range.
     chunk : int
-        Most that one call of `body` gets: decides the balance between threads and how soon
+        Largest range for one call of `body`: decides the balance between threads, and how soon
         an interrupt takes effect.
     progress : callable, optional
-        Called with (done, count) from the calling thread, not more often than every
-        `PROGRESS_INTERVAL` seconds, and once at the end.
+        Called with (done, count) from the calling thread, at most every `PROGRESS_INTERVAL`
+        seconds, and once at the end.
     """
     if count <= 0:
         return
-    if count <= chunk and progress is None:  # a small loop should take little time
+    if count <= chunk and progress is None:  # fast path of small loops
         around = getattr(_current, "loop", None)
         if around is not None and around.is_stopped():
             raise _StoppedError
@@ -175,18 +175,17 @@ def parallel_for(
             pool = thread_pool()
             others = [pool.submit(work_in_pool) for _ in range(thread_total - 1)]
         work(progress)
-        # Those that did not even start have nothing left to do: do not wait for their turn
-        # behind other loops.
+        # Tasks that have not started have nothing left to do: do not wait for other loops'.
         others = [other for other in others if not other.cancel()]
         _wait(others, lambda: state.chunks_done * chunk, count, progress)
-        if state.is_stopped():  # by the loop around: its exception is on its way
+        if state.is_stopped():  # by the outer loop, whose exception propagates
             raise _StoppedError
     except BaseException as error:
         state.stop = True
         for other in others:
             other.cancel()
         errors = [other.exception() for other in others if not other.cancelled()]
-        if isinstance(error, _StoppedError):  # what stopped it, if that was in this loop
+        if isinstance(error, _StoppedError):  # raise the cause, if it was in this loop
             for cause in errors:
                 if cause is not None and not isinstance(cause, _StoppedError):
                     raise cause from None
@@ -212,13 +211,13 @@ class _LoopState:
         self._around = around
 
     def busy_threads(self) -> int:
-        """Threads at work on this loop and those around it."""
+        """Threads that run this loop and those around it."""
         own = self.thread_total - len(self.ended)
-        # One of the outer loop's threads works on this one.
+        # One of the outer loop's threads runs this one.
         return own if self._around is None else own - 1 + self._around.busy_threads()
 
     def is_stopped(self) -> bool:
-        """Whether this loop, or one around it, is to end."""
+        """Whether this loop, or one around it, has been stopped."""
         return self.stop or (self._around is not None and self._around.is_stopped())
 
 

@@ -1,4 +1,4 @@
-"""Typed views: records in memory, read and written by the names of their fields.
+"""Typed views: records in memory, read and written by field names.
 
 In a module::
 
@@ -12,15 +12,15 @@ In a kernel::
     slot.t_min = x  # one number
     low = slot.planes[axis]  # a row of eight numbers: f32x8
 
-What a field is follows from its shape. Without one, or with (1,), it is a number, or the view of a
-record inside this one. With one dimension it is a vector, where `jit.simd` has one of so many
-lanes, else a tuple. With more dimensions it is rows of those, found by uint64 indices of all
-dimensions but the last; shape (4, 1) is four numbers by index.
+The shape of a field decides its type. Without a shape, or with (1,), it is a number, or the view of
+a nested record. With one dimension it is a vector, if `jit.simd` has one of this length, else a
+tuple. With more dimensions it is an array of those, indexed by uint64 in all dimensions but the
+last; shape (4, 1) is four numbers by index.
 
-A view is a pointer and nothing else: nothing is checked, and it keeps no memory alive. A pointer
-rather than a number, since LLVM then knows that fields of one record do not overlap: the BVH's
-kernel of rays in flight has 3,365 instructions where loads and stores at computed addresses had
-3,409 (AVX-512), and compiles in 2.6 s rather than 3.0.
+A view is only a pointer: nothing is checked, and it keeps no memory alive. It is a pointer rather
+than an integer so that LLVM knows that fields of one record do not overlap: the BVH's interleaved
+kernel has 3,365 instructions where loads and stores at computed addresses had 3,409 (AVX-512), and
+compiles in 2.6 s rather than 3.0.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from numba.extending import (
     register_model,
 )
 
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import VECTORS, VectorType, llvm_type, refuse
 
 __all__ = ["RowsType", "ViewType", "address_of", "view"]
@@ -58,12 +58,12 @@ __all__ = ["RowsType", "ViewType", "address_of", "view"]
 _I64 = ir.IntType(64)
 _BYTE_POINTER = ir.IntType(8).as_pointer()
 
-#: Kinds of vectors by NumPy's names of their lanes.
+#: Vector kinds by the NumPy typestr of a lane.
 _LANES = {"<f4": "f32", "<f8": "f64", "<i4": "i32", "<i8": "i64", "<u4": "u32"}
 
 
 class ViewType(types.Type):
-    """A record at an address. Its name is a digest of the fields: equal records are one type."""
+    """The type of a record at an address. Its name is a digest of its fields."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self.record = dtype
@@ -74,7 +74,7 @@ class ViewType(types.Type):
 
 
 class RowsType(types.Type):
-    """A field of several dimensions."""
+    """The type of a field with several dimensions."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         assert dtype.subdtype is not None
@@ -95,13 +95,13 @@ class _PointerModel(models.PrimitiveModel):
 
 
 def view(fields: Any) -> Callable[..., Any]:
-    """Make the function that kernels call for a view: ``(address)`` or ``(address, row)``.
+    """Make the constructor of a view for kernels: ``(address)`` or ``(address, row)``.
 
     Parameters
     ----------
     fields : dtype_like
-        Of the record: names, types and shapes. Each field must lie at a multiple of the size of
-        its numbers, and the record's size be a multiple of each: fill gaps with fields.
+        Names, types and shapes. Each field must be aligned to the size of its numbers, and the
+        record's size be a multiple of each of these: fill gaps with fields.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def view(fields: Any) -> Callable[..., Any]:
 
     @intrinsic
     def view_at(typing_context: Any, address: Any, row: Any = 0) -> Any:
-        """The view of a record."""
+        """View a record at an address, or of an array at an address."""
         index = types.uint64 if isinstance(row, int) else row  # an int: the default
         if address != types.uint64 or index != types.uint64:
             refuse("a view", "a uint64 as address, and one as row", address, row)
@@ -146,7 +146,7 @@ def address_of(typing_context: Any, one: Any) -> Any:
 
 
 def _field_type(dtype: np.dtype[Any]) -> Any:
-    """What a field of a dtype is in a kernel."""
+    """The type of a field in kernels."""
     base, shape = dtype.subdtype or (dtype, ())
     if len(shape) > 1:
         return RowsType(dtype)
@@ -157,12 +157,12 @@ def _field_type(dtype: np.dtype[Any]) -> Any:
 
 
 def _offset(builder: Any, pointer: Any, byte_count: Any) -> Any:
-    # Not "inbounds": that would promise that neither pointer is null; see `memory.pointer_to`.
+    # Not "inbounds", which would promise that neither pointer is null; see `memory.pointer_to`.
     return builder.gep(pointer, [byte_count])
 
 
 def _pointer_to(context: Any, builder: Any, pointer: Any, type_: Any) -> tuple[Any, int]:
-    """A pointer to values of a type, and the alignment of one number of it."""
+    """A typed pointer, and the alignment of one number of the type."""
     if not is_cuda(builder):
         set.add(builder.function.attributes, "null_pointer_is_valid")
     if isinstance(type_, VectorType):

@@ -1,8 +1,8 @@
-"""Compiling kernels before they are needed, in several processes.
+"""Precompilation: kernels compiled before they are needed, in several processes.
 
-``kernels.json`` lists what the commands compile: kernels, the types of their arguments, and the
+``kernels.json`` lists the kernels that the commands compile, the types of their arguments, and the
 seconds that each took. Threads gain nothing (Numba and LLVM have one lock each), so processes
-share a list: each takes what no other has taken, by the locks of the cache (see `compile_lock`).
+share the list: each takes kernels that no other has locked (see `compile_lock`).
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ __all__ = [
     "warm",
 ]
 
-#: What can be compiled at once.
+#: Groups of kernels that can be compiled.
 TASKS = ("render", "query", "build", "all")
 
 FILE = Path(__file__).with_name("kernels.json")
 
-#: Seconds between two looks at what other processes have done.
+#: Seconds between two checks of what other processes have compiled.
 _PAUSE = 0.25
 
-#: The room whose classes make kernels of functions that they have.
+#: The room whose classes make kernels of their own functions.
 _MAKERS = "raystream.structures"
 
 
@@ -51,11 +51,11 @@ class Entry(NamedTuple):
     kernel : str
         As in `jit.cache.KERNELS`.
     types : list
-        Of its arguments, see `signatures`.
+        Types of its arguments; see `signatures`.
     tasks : list of str
         Commands that need it.
     seconds : float
-        That it took to compile, on some machine.
+        Compile time, on some machine.
     """
 
     kernel: str
@@ -65,7 +65,7 @@ class Entry(NamedTuple):
 
 
 def entries_of(task: str, file: Path = FILE) -> list[Entry]:
-    """Kernels that a task needs, those that take longest first.
+    """Kernels that a task needs, by decreasing compile time.
 
     Parameters
     ----------
@@ -84,19 +84,19 @@ def entries_of(task: str, file: Path = FILE) -> list[Entry]:
 
 
 def compile_kernels(entries: Sequence[Entry], *, takes_all: bool = False) -> int:
-    """Compile kernels that are not on disk yet.
+    """Compile the kernels that are not on disk yet.
 
     Parameters
     ----------
     entries : sequence of Entry
-        An entry that fits no kernel is left out.
+        Entries without a kernel of this name and signature are skipped.
     takes_all : bool
-        Whether to wait for those that another process is compiling; else they are left to it.
+        Whether to wait for kernels that another process is compiling, rather than skip them.
 
     Returns
     -------
     int
-        How many this process compiled.
+        Number of kernels that this process compiled.
     """
     count = 0
     for entry in entries:
@@ -112,7 +112,7 @@ def compile_kernels(entries: Sequence[Entry], *, takes_all: bool = False) -> int
 
 
 def missing(entries: Sequence[Entry]) -> list[Entry]:
-    """Those whose kernel is not on disk."""
+    """Entries whose kernel is not on disk."""
     left = []
     for entry in entries:
         ready = _prepare(entry)
@@ -132,16 +132,16 @@ def warm(
     ----------
     entries : sequence of Entry
     task : str
-        That has all of them.
+        The task of all entries.
     process_count : int
-        With this one.
+        Including this process.
     progress : callable
-        Called with the share of the work that is done, 0 to 1.
+        Called with the fraction done, 0 to 1.
 
     Returns
     -------
     int
-        How many were not on disk.
+        Number of kernels that were not on disk.
     """
     left = missing(entries)
     total, count = sum(entry.seconds for entry in left), len(left)
@@ -153,13 +153,13 @@ def warm(
             left = missing(left)
     finally:
         stop_helpers(helpers)
-    compile_kernels(left, takes_all=True)  # a helper that died left it
+    compile_kernels(left, takes_all=True)  # left by a helper that died
     progress(1.0)
     return count
 
 
 def start_helpers(task: str, count: int) -> list[Any]:
-    """Start processes that compile a task's kernels, as far as no other process does."""
+    """Start processes that compile a task's kernels, except those locked by other processes."""
     command = [sys.executable, "-m", __name__, task]
     quiet = subprocess.DEVNULL
     return [
@@ -168,7 +168,7 @@ def start_helpers(task: str, count: int) -> list[Any]:
 
 
 def stop_helpers(helpers: Sequence[Any]) -> None:
-    """End processes; what they were compiling is lost, what they have compiled is not."""
+    """Terminate processes; kernels that they have finished stay on disk."""
     for helper in helpers:
         helper.terminate()
     for helper in helpers:
@@ -176,7 +176,7 @@ def stop_helpers(helpers: Sequence[Any]) -> None:
 
 
 def _prepare(entry: Entry) -> tuple[Any, Any] | None:
-    """The kernel of an entry and its signature; None if there is none of this name."""
+    """The kernel of an entry and its signature; None if there is no such kernel."""
     try:
         importlib.import_module(entry.kernel.partition(":")[0])
         if "[" in entry.kernel:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from raystream.core.triangles import Triangles
-from raystream.jit.loops import Loop, compile_loop
+from raystream.jit.user_loops import Loop, compile_loop
 from raystream.kernels.hit_batch import HitBatch
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
 from raystream.programs.ray_subset import PendingRays

@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from raystream.jit.programs import accept_decision, row_of
+from raystream.jit.intrinsics import row_of
+from raystream.jit.user_results import accept_decision
 from raystream.programs.decisions import Decision
 from raystream.programs.hits import (
     close_ray,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from raystream.core.errors import LoopLimitError
-from raystream.jit.loops import Loop
 from raystream.jit.threads import Progress, parallel_for
+from raystream.jit.user_loops import Loop
 from raystream.streams.chains import LOOP_LIMIT, Count, check_limit
 from raystream.streams.condition import Condition, as_condition
 from raystream.streams.constants import changed_constant

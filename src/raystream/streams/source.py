@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.gather import accept, counted_gather, plain_gather
-from raystream.jit.loops import Loop, compile_loop
+from raystream.jit.gather_arrays import counted_gather, plain_gather
+from raystream.jit.user_loops import Loop, compile_loop
+from raystream.jit.user_results import accept
 from raystream.streams.layout import Layout
 
 __all__ = ["KernelSource", "compile_fold", "compile_kernel"]

@@ -9,8 +9,8 @@ import numpy as np
 from raystream.cuda.builders import clusters, linear, lists, moving, records, wide
 from raystream.cuda.builders.graph.catalogue import graph_catalogue
 from raystream.jit.cuda import RangeKernel
-from raystream.jit.cuda.blocks import BlockKernel
-from raystream.jit.cuda.radix import sort_kernels
+from raystream.jit.cuda.block_kernel import BlockKernel
+from raystream.jit.cuda.radix_sort import sort_kernels
 from raystream.jit.cuda.scan import scan_kernels
 from raystream.structures.grid.lattice import Lattice
 

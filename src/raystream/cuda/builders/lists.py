@@ -19,7 +19,7 @@ import numpy as np
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
-from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.intrinsics import corners_at
 from raystream.jit.simd import load, store

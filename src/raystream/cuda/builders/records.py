@@ -19,7 +19,7 @@ import numpy as np
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
-from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.simd import f32x8, load, maximum, scratch, store
 from raystream.structures.bvh.collapse import COST_BYTES, leaf_costs, merge_costs
 from raystream.structures.bvh.records import COUNT_AT, RECORD_BYTES, write_record

@@ -24,7 +24,7 @@ from raystream.cuda.bvh.binary_traversal import child_intervals, pop
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
 from raystream.jit.cpu import device
 from raystream.jit.simd import popcount, store
-from raystream.jit.votes import active_mask, ballot
+from raystream.jit.warp import active_mask, ballot
 from raystream.kernels.search import is_full
 from raystream.kernels.tally import LEAVES, STEPS, add_to
 
@@ -84,7 +84,7 @@ def _visit(at, ray, t_min, t_far, is_searching, voters, stack, top):
     is_searching : bool
         Whether the ray has a say.
     voters : uint32
-        See `jit.votes`.
+        See `jit.warp`.
     stack, top : uint64
 
     Returns

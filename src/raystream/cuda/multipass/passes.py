@@ -14,7 +14,8 @@ import numpy as np
 
 from raystream.cuda.columns import NAMES, Columns
 from raystream.cuda.multipass.kernels.moving import chosen_kernel, is_waiting, move, row_of
-from raystream.jit.cuda import RangeKernel, device_of_text, kernel_of_text
+from raystream.jit.cuda import RangeKernel
+from raystream.jit.from_source import device_from_source, kernel_from_source
 from raystream.machines.records import FOUND, RAY, WANTED
 from raystream.machines.steps.base import StepKernel, Steps
 
@@ -54,7 +55,7 @@ def _pass_of(kernels: tuple[StepKernel, ...], place: np.dtype[Any]) -> RangeKern
     }
     for number, one in enumerate(kernels):
         names[f"step_{number}"] = _step(number, one, columns)
-    return RangeKernel(kernel_of_text(_text(len(kernels)), names, __name__))
+    return RangeKernel(kernel_from_source(_text(len(kernels)), names, __name__))
 
 
 def _text(kernel_count: int) -> str:
@@ -98,4 +99,4 @@ def _step(number: int, one: StepKernel, columns: dict[str, Columns]) -> Any:
     lines.append(f"    return uint8({f'result[{len(one.outputs)}]' if one.outputs else 'result'})")
     records = {f"Record_{name}": columns[name].layout.record for name in columns}
     names = {**NAMES, **records, "function": one.function}
-    return device_of_text("\n".join(lines) + "\n", names, __name__)
+    return device_from_source("\n".join(lines) + "\n", names, __name__)

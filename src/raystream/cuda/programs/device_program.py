@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from raystream.cuda.programs.records import is_aligned
-from raystream.jit.cuda import CheckedKernel, Compiled, Gpu, kernel_of_text
+from raystream.jit.cuda import Compiled, Gpu, UserKernel
 from raystream.jit.fingerprint import fingerprint
-from raystream.jit.loops import as_device
-from raystream.jit.programs import record_at
+from raystream.jit.from_source import kernel_from_source
+from raystream.jit.intrinsics import record_at
+from raystream.jit.user_loops import as_device
 from raystream.kernels.collect import HitAddresses
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
 from raystream.programs.program import check_function
@@ -36,7 +37,7 @@ _GOALS: dict[str, tuple[Any, ...]] = {
 #: Kernels that stay in memory; the oldest go.
 _KEPT_KERNELS = 1024
 
-_MADE: dict[Any, CheckedKernel] = {}
+_MADE: dict[Any, UserKernel] = {}
 
 
 class DeviceProgram:
@@ -58,7 +59,7 @@ class DeviceProgram:
     ----------
     name : str
         The function's.
-    kernel : CheckedKernel
+    kernel : UserKernel
 
     Raises
     ------
@@ -114,7 +115,7 @@ class DeviceProgram:
         )
 
     def compiled(self, capability: tuple[int, int]) -> Compiled:
-        """PTX; needs no device. See `CheckedKernel.compiled`."""
+        """PTX; needs no device. See `UserKernel.compiled`."""
         return self.kernel.compiled(self.typical(), capability)
 
     def reason_against(self, gpu: Gpu) -> str | None:
@@ -130,7 +131,7 @@ class DeviceProgram:
 
 def _kernel(
     text: str, function: Callable[..., Any], goal: Goal, record: Record | None
-) -> CheckedKernel:
+) -> UserKernel:
     """Make a kernel, or find it: functions that do the same share one."""
     key = fingerprint(function)
     place = function if key is None else key, text, record
@@ -140,7 +141,7 @@ def _kernel(
         names = {**names_of(goal), "function": as_device(function)}
         if record is not None:
             names["record_of"] = record_at(*record)
-        _MADE[place] = CheckedKernel(kernel_of_text(text, names, __name__), function)
+        _MADE[place] = UserKernel(kernel_from_source(text, names, __name__), function)
     return _MADE[place]
 
 

@@ -21,7 +21,7 @@ from raystream.cuda.programs.search import Search
 from raystream.cuda.programs.steps import NOTE_INVALID
 from raystream.cuda.query_inputs import QueryInputs
 from raystream.cuda.rays import place_rays
-from raystream.jit.cuda import DeviceArray, Work
+from raystream.jit.cuda import DeviceArray, StreamScope
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.hit_batch import allocate_hits
@@ -96,7 +96,7 @@ class HostRays:
     def _first_hit(self, job: _Job, progress: Progress | None) -> None:
         hits, status = job.sink.hits, job.sink.status
 
-        def run(rows: slice, work: Work, rays: DeviceRays) -> None:
+        def run(rows: slice, work: StreamScope, rays: DeviceRays) -> None:
             memory = work.empty("hits", (4, len(rays)), np.float32)
             own = work.cleared("status", len(rays), np.uint8)
             search = self._search(work, rays, rows, job)
@@ -111,7 +111,7 @@ class HostRays:
     def _count_hits(self, job: _Job, progress: Progress | None) -> None:
         counts = job.sink.counts
 
-        def run(rows: slice, work: Work, rays: DeviceRays) -> None:
+        def run(rows: slice, work: StreamScope, rays: DeviceRays) -> None:
             own = work.cleared("counts", len(rays), np.int64)
             self._search(work, rays, rows, job).count_into(own)
             counts[rows] = work.read(own)
@@ -122,7 +122,7 @@ class HostRays:
         limit, status = job.query.limit, job.sink.status
         splits, found = np.zeros(len(job.rays) + 1, np.int64), [np.empty((4, 0), np.float32)]
 
-        def run(rows: slice, work: Work, rays: DeviceRays) -> None:
+        def run(rows: slice, work: StreamScope, rays: DeviceRays) -> None:
             own = work.cleared("status", len(rays), np.uint8)
             work.launch(NOTE_INVALID, len(rays), (rays.source, self._scene.frame, own.address))
             search = self._search(work, rays, rows, job)
@@ -144,7 +144,7 @@ class HostRays:
     def _trace(self, job: _Job, progress: Progress | None) -> None:
         records = job.sink.records
 
-        def run(rows: slice, work: Work, rays: DeviceRays) -> None:
+        def run(rows: slice, work: StreamScope, rays: DeviceRays) -> None:
             search = self._search(work, rays, rows, job)
             if records is None:
                 search.trace(np.uint64(0), 0)
@@ -171,19 +171,19 @@ class HostRays:
     def _each(
         self,
         batch: RayBatch,
-        run: Callable[[slice, Work, DeviceRays], None],
+        run: Callable[[slice, StreamScope, DeviceRays], None],
         progress: Progress | None,
     ) -> None:
         """Copy rays to the device, some at a time, and do something with them."""
         gpu = self._scene.gpu
         for rows in parts_of(slice(0, len(batch)), self._most):
-            with Work(gpu, gpu.stream) as work:
+            with StreamScope(gpu, gpu.stream) as work:
                 there = place_rays(batch, rows, partial(_copied, work))
                 run(rows, work, DeviceRays((rows.stop - rows.start,), there.source))
             if progress:
                 progress(rows.stop, len(batch))
 
-    def _search(self, work: Work, rays: DeviceRays, rows: slice, job: _Job) -> Search:
+    def _search(self, work: StreamScope, rays: DeviceRays, rows: slice, job: _Job) -> Search:
         chosen, skips = job.query.on_hit, None
         if isinstance(chosen, Filter) and chosen.skipped is not None:
             placed = _copied(work, "skip_prim_ids", chosen.skipped[rows])
@@ -193,7 +193,7 @@ class HostRays:
         return Search(inputs, triangles, rows.start, job.program, job.query.surfaces, skips)
 
 
-def _copied(work: Work, name: str, array: NDArray[Any]) -> DeviceArray:
+def _copied(work: StreamScope, name: str, array: NDArray[Any]) -> DeviceArray:
     """Copy an array of the host's to the device."""
     own = np.ascontiguousarray(array)
     work.keep(own)

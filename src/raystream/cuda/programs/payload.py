@@ -12,7 +12,7 @@ from raystream.core.arrays import is_on_gpu
 from raystream.cuda.programs.device_program import Record
 from raystream.cuda.programs.records import aligned_dtype, aligned_records
 from raystream.cuda.programs.skips import is_packed
-from raystream.jit.cuda import DeviceArray, Work, view_of
+from raystream.jit.cuda import DeviceArray, StreamScope, view_of
 from raystream.programs.payloads import as_payload, as_records
 
 __all__ = ["PlacedPayload", "place_payload", "record_of"]
@@ -54,7 +54,7 @@ class PlacedPayload:
         dtype, width = self.record
         return dtype.itemsize * width
 
-    def finish(self, work: Work) -> None:
+    def finish(self, work: StreamScope) -> None:
         """Copy records back to the host, if they are the host's."""
         if self.host is None or self.placed is None:
             return
@@ -63,12 +63,12 @@ class PlacedPayload:
             self.result[...] = self.host.reshape(self.result.shape)
 
 
-def place_payload(work: Work, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
+def place_payload(work: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
     """Make a payload on a device, view it there, or copy it there.
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
     payload : array, dtype or None
         On the device: numbers in C order, of shape S or S + (k,). Else as for `as_payload`;
         fields of records made there are aligned.
@@ -98,7 +98,7 @@ def place_payload(work: Work, payload: Any, shape: tuple[int, ...]) -> PlacedPay
     return PlacedPayload(made, record, made.address)
 
 
-def _viewed(work: Work, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
+def _viewed(work: StreamScope, payload: Any, shape: tuple[int, ...]) -> PlacedPayload:
     view = view_of(work, "payload", payload)
     if isinstance(payload, DeviceArray):  # whose fields its interface does not name
         view = view._replace(dtype=payload.dtype)

@@ -17,7 +17,7 @@ from raystream.cuda.programs.search import Search
 from raystream.cuda.programs.skips import place_skips
 from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
 from raystream.cuda.query_inputs import QueryInputs
-from raystream.jit.cuda import DeviceArray, Work
+from raystream.jit.cuda import DeviceArray, StreamScope
 from raystream.jit.threads import Progress
 from raystream.kernels.collect import HitAddresses
 from raystream.programs.filters import Filter
@@ -136,7 +136,7 @@ class ProgramQueries(DeviceQueries):
         report(progress, len(rays), 1)
         return placed.result
 
-    def _nearest(self, work: Work, rays: DeviceRays) -> DeviceHits:
+    def _nearest(self, work: StreamScope, rays: DeviceRays) -> DeviceHits:
         search = self._search(work, rays, "first")
         t, u, v = (work.empty(name, rays.shape, np.float32) for name in "tuv")
         prim_id = work.empty("prim_id", rays.shape, np.int32)
@@ -145,7 +145,7 @@ class ProgramQueries(DeviceQueries):
         search.nearest(HitAddresses(*(one.address for one in hits)), status.address)
         return DeviceHits(*hits, status, self._scene.triangles)
 
-    def _search(self, work: Work, rays: DeviceRays, goal: Goal) -> Search:
+    def _search(self, work: StreamScope, rays: DeviceRays, goal: Goal) -> Search:
         assert self._filter is not None
         scene, chosen = self._scene, self._filter
         program = program_of(scene, chosen.function, goal, chosen.skipped is not None, chosen)

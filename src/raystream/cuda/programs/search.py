@@ -20,7 +20,7 @@ from raystream.cuda.query_inputs import QueryInputs
 from raystream.cuda.scan import add_up
 from raystream.cuda.tables import with_tables
 from raystream.cuda.threads import SeenTables
-from raystream.jit.cuda import DeviceArray, Work
+from raystream.jit.cuda import DeviceArray, StreamScope
 from raystream.kernels.collect import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
@@ -78,7 +78,7 @@ class Search(NamedTuple):
     skips: SkipsAt | None = None
 
     @property
-    def work(self) -> Work:
+    def work(self) -> StreamScope:
         """What keeps the memory of the whole search."""
         return self.inputs.work
 
@@ -151,7 +151,7 @@ class Search(NamedTuple):
         while count:
             asked = open_rays.address, found, np.int64(latest), np.int64(room), wanted.address
             work.launch(WANT, count, asked)
-            with Work(work.gpu, work.stream) as own:
+            with StreamScope(work.gpu, work.stream) as own:
                 add_up(own, wanted, splits)
             total = int(work.read(splits.part(count, 1))[0])
             if total == 0:
@@ -184,7 +184,7 @@ class Search(NamedTuple):
         scene, start = self.scene, part.rays.start
         own = splits.part(start, part.ray_count + 1), counts.part(start, part.ray_count)
         row_count = part.end_row - part.first_row
-        with Work(self.work.gpu, self.work.stream) as work:
+        with StreamScope(self.work.gpu, self.work.stream) as work:
             memory = work.empty("hits", (4, row_count), np.float32)
             hits = _moved_hits(HitAddresses.of_rows(memory.address, row_count), -part.first_row)
 

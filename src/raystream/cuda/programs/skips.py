@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.core.arrays import is_on_gpu
 from raystream.cuda.programs.steps import NARROW
-from raystream.jit.cuda import DeviceView, Work, view_of
+from raystream.jit.cuda import DeviceView, StreamScope, view_of
 from raystream.programs.rows import SkipsAt, as_skips
 
 __all__ = ["is_packed", "place_skips"]
@@ -18,13 +18,13 @@ _TYPES = (np.dtype(np.int32), np.dtype(np.int64))
 
 
 def place_skips(
-    work: Work, values: Any, shape: tuple[int, ...], triangle_count: int
+    work: StreamScope, values: Any, shape: tuple[int, ...], triangle_count: int
 ) -> SkipsAt | None:
     """Copy `skip_prim_ids` to a device, or view it there.
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
     values : array_like or None
         On the host, as for `as_skips`; or on the device: int32 or int64 in C order.
     shape : tuple of int

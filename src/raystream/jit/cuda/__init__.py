@@ -1,28 +1,32 @@
-"""CUDA: functions compiled for NVIDIA's GPUs, kept on disk, and launched.
+"""CUDA: functions compiled for NVIDIA's GPUs, cached on disk, and launched.
 
 Importing it needs ``numba-cuda``, but neither a GPU nor a driver: kernels are compiled without
 one, and run in Numba's simulator (``NUMBA_ENABLE_CUDASIM=1``).
 """
 
-from raystream.jit.cuda.checked import CheckedKernel
+from raystream.jit.cuda.array_views import DeviceView, stream_of, view_of
 from raystream.jit.cuda.compiler import CAPABILITIES, Compiled, compile_function
-from raystream.jit.cuda.device_loops import DeviceLoop, Launch, set_condition
-from raystream.jit.cuda.gpu import CudaError, DeviceArray, Gpu
-from raystream.jit.cuda.kernels import RangeKernel
-from raystream.jit.cuda.listing import GpuFacts, driver_version, gpu_facts
-from raystream.jit.cuda.opening import gpu_count, open_gpu
-from raystream.jit.cuda.persistent import PersistentKernel
+from raystream.jit.cuda.device_array import DeviceArray
+from raystream.jit.cuda.devices import (
+    GpuFacts,
+    driver_version,
+    gpu_count,
+    gpu_facts,
+    open_gpu,
+)
+from raystream.jit.cuda.gather_table import MOST_DIMENSIONS, gather_table_at
+from raystream.jit.cuda.gpu import CudaError, Gpu
+from raystream.jit.cuda.graph_loop import DeviceLoop, Launch, set_condition
+from raystream.jit.cuda.persistent_kernel import PersistentKernel
+from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.cuda.stream_scope import StreamScope
 from raystream.jit.cuda.streams import CudaStream
-from raystream.jit.cuda.tables import MOST_DIMENSIONS, table_at
-from raystream.jit.cuda.texts import device_of_text, kernel_of_text
-from raystream.jit.cuda.views import DeviceView, stream_of, view_of
-from raystream.jit.cuda.work import Work
+from raystream.jit.cuda.user_kernel import UserKernel
 
 __all__ = [
     "CAPABILITIES",
     "MOST_DIMENSIONS",
-    "CheckedKernel",
     "Compiled",
     "CudaError",
     "CudaStream",
@@ -34,17 +38,16 @@ __all__ = [
     "Launch",
     "PersistentKernel",
     "RangeKernel",
-    "Work",
+    "StreamScope",
+    "UserKernel",
     "compile_function",
-    "device_of_text",
     "driver_version",
+    "gather_table_at",
     "gpu_count",
     "gpu_facts",
     "is_simulated",
-    "kernel_of_text",
     "open_gpu",
     "set_condition",
     "stream_of",
-    "table_at",
     "view_of",
 ]

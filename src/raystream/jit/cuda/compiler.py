@@ -1,7 +1,7 @@
-"""Compiling for CUDA: from Python to PTX, without a device, and the same bits as on the CPU.
+"""Compiling for CUDA: from Python to PTX, without a device, and with the CPU's bits.
 
-Numba's own way to a CUDA kernel lets the compiler fuse a product and a sum into one operation that
-rounds once. Then an edge is on another side than on the CPU, and meshes leak. Here it may not.
+Numba's own compiler contracts a product and a sum into one operation that rounds once. An edge
+function may then have another sign than on the CPU, and meshes leak. Here contraction is off.
 """
 
 from __future__ import annotations
@@ -10,29 +10,40 @@ import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numba_cuda
 from numba import types
 
-from raystream.jit.cuda.disk import kept, path_of
-from raystream.jit.cuda.exact import check_calls, check_raises, with_extremes
-from raystream.jit.cuda.types import register_types
+from raystream.jit.cuda.ptx_cache import cached_text, path_of
+from raystream.jit.cuda.user_checks import check_calls, check_raises, with_extremes
+from raystream.jit.simd.types import VectorClass, VectorType
 
-__all__ = ["CAPABILITIES", "Capability", "Compiled", "compile_function"]
+__all__ = [
+    "CAPABILITIES",
+    "SET_CONDITION",
+    "Capability",
+    "Compiled",
+    "compile_function",
+    "link",
+]
 
 #: Major and minor compute capability of a GPU.
 Capability = tuple[int, int]
 
-#: Those that kernels are checked for: Turing, Ampere, Hopper.
+#: Capabilities that kernels are checked for: Turing, Ampere, Hopper.
 CAPABILITIES: tuple[Capability, ...] = ((7, 5), (8, 0), (9, 0))
 
-#: What PTX calls a kernel.
+#: A function of CUDA's device runtime, which kernels that call it are linked with.
+SET_CONDITION = "cudaGraphSetConditional"
+
+#: A kernel's entry in PTX.
 _ENTRY = re.compile(r"^\.visible \.entry (\S+)\(", re.MULTILINE)
 
-#: One function is compiled at a time: Numba is told the target by a global name.
-_turn = threading.Lock()
+#: One function is compiled at a time: Numba finds the target by a global name.
+_compiling = threading.Lock()
 
 
 class Compiled(NamedTuple):
@@ -41,7 +52,7 @@ class Compiled(NamedTuple):
     Attributes
     ----------
     entry : str
-        What PTX calls it.
+        Its name in PTX.
     ptx : str
     """
 
@@ -56,46 +67,56 @@ def compile_function(
     *,
     is_checked: bool = False,
 ) -> Compiled:
-    """Compile a Python function as a kernel, or take it from the disk.
+    """Compile a Python function as a kernel, or read it from the disk cache.
 
     Parameters
     ----------
     function : callable
-        It returns nothing. What it calls may be compiled for the CPU: the same source is compiled
-        anew.
+        It returns nothing. Functions that it calls may be compiled for the CPU: their source is
+        compiled for CUDA.
     arguments : sequence
-        Numba's types of its arguments.
+        Numba types of its arguments.
     capability : (int, int)
         Of the oldest GPUs that are to run it.
     is_checked : bool
-        Whether it is somebody else's, and may do only what has the CPU's bits; see `exact`.
+        Whether it contains a user's function, which must have the CPU's bits; see `user_checks`.
 
     Raises
     ------
     numba.core.errors.NumbaError
         If it does not compile.
-    UnfitError
-        If it is checked, and has other bits than on the CPU, or may raise something.
+    CpuOnlyError
+        If it is checked, and has other bits than on the CPU, or may raise an exception.
     """
     make = _checked_ptx_of if is_checked else _ptx_of
-    how = f"{numba_cuda.__version__}{', checked' if is_checked else ''}"
-    path = path_of(function, arguments, capability, how)
-    ptx = kept(path, lambda: make(function, tuple(arguments), capability))
+    version = f"{numba_cuda.__version__}{', checked' if is_checked else ''}"
+    path = path_of(function, arguments, capability, version)
+    ptx = cached_text(path, lambda: make(function, tuple(arguments), capability))
     (entry,) = _ENTRY.findall(ptx)
     return Compiled(entry, ptx)
 
 
+def link(code: Any, capability: Capability) -> Any:
+    """Link PTX with CUDA's device runtime; needs no device."""
+    from cuda.core import Linker, LinkerOptions, ObjectCode
+    from cuda.pathfinder import find_static_lib
+
+    library = ObjectCode.from_library(find_static_lib("cudadevrt"), name="cudadevrt")
+    major, minor = capability
+    return Linker(code, library, options=LinkerOptions(arch=f"sm_{major}{minor}")).link("cubin")
+
+
 def _ptx_of(function: Callable[..., Any], arguments: tuple[Any, ...], capability: Any) -> str:
-    with _turn, _target(capability):
+    with _compiling, _target(capability):
         return _text_of(_lowered(function, arguments, capability, notes_errors=False), capability)
 
 
 def _checked_ptx_of(
     function: Callable[..., Any], arguments: tuple[Any, ...], capability: Any
 ) -> str:
-    with _turn, _target(capability):
+    with _compiling, _target(capability):
         code = _lowered(function, arguments, capability, notes_errors=True)
-        # The modules of what it calls are others', too: what changes is this kernel's copy.
+        # Other kernels share the modules of the callees: change this kernel's copy.
         code._llvm_strs = [with_extremes(text) for text in code.llvm_strs]
         check_calls(code.llvm_strs)
         ptx = _text_of(code, capability)
@@ -106,10 +127,10 @@ def _checked_ptx_of(
 def _lowered(
     function: Callable[..., Any], arguments: tuple[Any, ...], capability: Any, notes_errors: bool
 ) -> Any:
-    """LLVM code of a kernel; with the note of an error, which goes where none is possible."""
+    """LLVM code of a kernel; `notes_errors` adds code that records exceptions, if any."""
     from numba.cuda import compiler
 
-    register_types()
+    _register_vectors()
     made = compiler.compile_cuda(
         function, types.void, arguments, nvvm_options={"opt": 3, "fma": 0}, cc=capability
     )
@@ -119,6 +140,16 @@ def _lowered(
     return code
 
 
+@cache
+def _register_vectors() -> None:
+    """Register vector types with Numba's CUDA compiler, which has its own table of types."""
+    from numba.cuda.typing.typeof import typeof_impl
+
+    @typeof_impl.register(VectorType)
+    def type_of(value: VectorType, context: Any) -> VectorClass:
+        return VectorClass(value)
+
+
 def _text_of(code: Any, capability: Any) -> str:
     *_, ptx = code.get_asm_strs(cc=capability)
     return ptx.decode() if isinstance(ptx, bytes) else str(ptx)
@@ -126,15 +157,15 @@ def _text_of(code: Any, capability: Any) -> str:
 
 @contextmanager
 def _target(capability: Capability) -> Iterator[None]:
-    """Let Numba compile for GPUs of a kind, whether one is here or not.
+    """Let Numba compile for a capability, whether or not there is such a device.
 
-    It asks for the current device when it compiles a function that another one calls.
+    It queries the current device when it compiles a function that another one calls.
     """
     from numba.cuda import dispatcher
 
-    asked = dispatcher.get_current_device
+    original = dispatcher.get_current_device
     dispatcher.get_current_device = lambda: SimpleNamespace(compute_capability=capability)
     try:
         yield
     finally:
-        dispatcher.get_current_device = asked
+        dispatcher.get_current_device = original

@@ -18,15 +18,14 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from raystream.core.errors import RaystreamError
-from raystream.jit.cuda.compiler import CAPABILITIES, Capability, Compiled
-from raystream.jit.cuda.in_flight import InFlight
-from raystream.jit.cuda.linking import SET_CONDITION, link
-from raystream.jit.cuda.memory import DeviceArray, host_memory
-from raystream.jit.cuda.reasons import code_of, reason_of
+from raystream.jit.cuda.compiler import CAPABILITIES, SET_CONDITION, Capability, Compiled, link
+from raystream.jit.cuda.device_array import DeviceArray, host_memory
+from raystream.jit.cuda.driver_errors import driver_code, explain
+from raystream.jit.cuda.keep_alive import KeepAlive
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import LEGACY, CudaStream
 
-__all__ = ["CudaError", "DeviceArray", "Gpu"]
+__all__ = ["CudaError", "Gpu"]
 
 
 class CudaError(RaystreamError):
@@ -54,7 +53,7 @@ class Gpu:
     stream : CudaStream
         One that lives as long as this object, and waits for the legacy default stream as that
         does for it: whoever follows either finds what was done in it.
-    in_flight : InFlight
+    keep_alive : KeepAlive
         Callers' arrays that it reads.
     """
 
@@ -63,7 +62,7 @@ class Gpu:
         self.name = "CUDA simulator"
         self.capability: Capability = CAPABILITIES[0]
         self.target = self.capability
-        self.in_flight = InFlight()
+        self.keep_alive = KeepAlive()
         if is_simulated():
             self.byte_count = 2**62
             self._legacy = self.stream = CudaStream(self, LEGACY)
@@ -109,7 +108,7 @@ class Gpu:
         except Exception as error:  # the driver's
             if is_simulated():  # which has no driver
                 raise
-            raise CudaError(f"device 'cuda': {self.name}: {what}: {reason_of(error)}") from error
+            raise CudaError(f"device 'cuda': {self.name}: {what}: {explain(error)}") from error
 
     def upload(self, name: str, array: NDArray[Any]) -> DeviceArray:
         """Copy an array to the device.
@@ -346,7 +345,7 @@ class Gpu:
             try:
                 yield
             except Exception as error:  # the driver's
-                if code_of(error) == "OUT_OF_MEMORY":
+                if driver_code(error) == "OUT_OF_MEMORY":
                     raise CudaError(self._no_memory(name, byte_count)) from error
                 raise
 

@@ -14,8 +14,9 @@ import numpy as np
 from numba import cuda
 from numpy.typing import DTypeLike
 
-from raystream.jit.cuda.blocks import BlockKernel, Number, get_32, get_64, put_32, put_64
-from raystream.jit.cuda.gpu import DeviceArray, Gpu
+from raystream.jit.cuda.block_kernel import BlockKernel, Number, get_32, get_64, put_32, put_64
+from raystream.jit.cuda.device_array import DeviceArray
+from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.simulation import is_simulated
 
 __all__ = ["USUAL_TILE", "Scan", "TileSize", "scan_kernels"]

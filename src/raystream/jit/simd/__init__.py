@@ -9,10 +9,10 @@ Inside a kernel::
         store(address(out), select(near, a, b))
 
 Vector types are `f32x4`, `f32x8`, `f32x16` and likewise ``f64``, ``i32`` and ``i64``; masks are
-`mask4`, `mask8` and `mask16`. Everything becomes generic LLVM vector instructions: a type that
-is wider than the machine's registers is split by the compiler, so kernels run on SSE, AVX2,
-AVX-512 and NEON alike, with the same bits. No operation here is inexact, fused or reordered
-unless it is said: there are no fast-math flags.
+`mask4`, `mask8` and `mask16`. Everything becomes generic LLVM vector instructions: the compiler
+splits types wider than the machine's registers, so kernels run on SSE, AVX2, AVX-512 and NEON
+alike, with the same bits. No operation is inexact, fused or reordered unless documented: there are
+no fast-math flags.
 """
 
 from raystream.jit.simd.arithmetic import (
@@ -33,8 +33,20 @@ from raystream.jit.simd.convert import (
     widen,
     widen_number,
 )
-from raystream.jit.simd.elementary import exponential, logarithm, power, sincos_turns
+from raystream.jit.simd.elementary import (
+    exponential,
+    logarithm,
+    next_float_up,
+    power,
+    sincos_turns,
+)
 from raystream.jit.simd.gathers import gather, scatter
+from raystream.jit.simd.interleaved import (
+    load_records,
+    load_triples,
+    store_records,
+    store_triples,
+)
 from raystream.jit.simd.lanes import (
     all_lanes,
     any_lane,
@@ -54,11 +66,16 @@ from raystream.jit.simd.lanes import (
     reduce_min,
     select,
 )
-from raystream.jit.simd.memory import address, load, load_constant, prefetch, scratch, store
-from raystream.jit.simd.numbers import next_float_up
-from raystream.jit.simd.records import load_records, store_records
-from raystream.jit.simd.single import lane_count, single_lane
-from raystream.jit.simd.triples import load_triples, store_nontemporal, store_triples
+from raystream.jit.simd.memory import (
+    address,
+    load,
+    load_constant,
+    prefetch,
+    scratch,
+    store,
+    store_nontemporal,
+)
+from raystream.jit.simd.single_lane import lane_count, single_lane
 from raystream.jit.simd.types import (
     VectorType,
     f32x4,

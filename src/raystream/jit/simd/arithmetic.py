@@ -1,4 +1,4 @@
-"""Operators on vectors, and the few functions that belong with them."""
+"""Operators of vectors, and elementwise functions that are exact or rounded once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numba.core.errors import TypingError
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin
 
-from raystream.jit.simd.cuda_names import call_on_cuda, is_cuda
+from raystream.jit.simd.nvvm import call_on_cuda, is_cuda
 from raystream.jit.simd.types import (
     VECTORS,
     VectorType,
@@ -45,7 +45,7 @@ _NUMBERS = (*_FLOATS, *_INTEGERS)
 
 
 def _operand(value: Any, vector: VectorType) -> bool:
-    """Whether a value goes with a vector: of the same type, or a number of its lanes' type.
+    """Whether a value can be combined with a vector: the same type, or a number of its lanes' type.
 
     A number of another type is refused, so that no float64 slips into float32 arithmetic;
     integer literals are taken if they fit, with or without a sign.
@@ -59,13 +59,13 @@ def _operand(value: Any, vector: VectorType) -> bool:
 
 
 def common(*args: Any) -> VectorType | None:
-    """The vector type that operands share; None if they do not go together."""
+    """The common vector type of operands; None if they cannot be combined."""
     vector = next((type_ for type_ in args if isinstance(type_, VectorType)), None)
     return vector if vector and all(_operand(type_, vector) for type_ in args) else None
 
 
 def one_lane(type_: Any) -> VectorType | None:
-    """A vector type whose lanes are numbers of a type; None if there is none."""
+    """A vector type whose lanes are numbers of a type, or None."""
     return next((v for v in VECTORS.values() if type_ == v.element), None)
 
 
@@ -212,7 +212,7 @@ _unary(operator.invert, (*_INTEGERS, "mask"), lambda builder, vector, x: builder
 def call_intrinsic(builder: Any, name: str, returns: Any, arguments: Any) -> Any:
     """Call an LLVM intrinsic; a name that LLVM does not know crashes the process.
 
-    CUDA's compiler knows few of them: none of vectors, and some by names of its own.
+    NVVM supports few of them: none of vectors, and some under names of its own.
     """
     if is_cuda(builder):
         return call_on_cuda(builder, name, returns, arguments)
@@ -249,7 +249,7 @@ def fma(typing_context: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 def wider(x: Any, y: Any) -> Any:
-    """The type of two numbers that holds both, float64 of two floats; None of other types."""
+    """The common type of two numbers, float64 for two floats; None for other types."""
     if x == y and one_lane(x) is not None:
         return x
     floats = isinstance(x, types.Float) and isinstance(y, types.Float)
@@ -285,7 +285,7 @@ def maximum(typing_context: Any, x: Any, y: Any) -> Any:
 
 
 def _of_floats(function: str, name: str, x: Any) -> Any:
-    """An LLVM function of the lanes of a float vector, or of a float."""
+    """Call an LLVM function of a float vector or number."""
     vector = x if isinstance(x, VectorType) else one_lane(x)
     if vector is None or not vector.is_float:
         refuse(function, "a float vector or number", x)
@@ -312,7 +312,7 @@ def square_root(typing_context: Any, x: Any) -> Any:
 
 @intrinsic
 def floor(typing_context: Any, x: Any) -> Any:
-    """The largest whole numbers that are not larger than a float vector's lanes, or a float."""
+    """The largest integer not above a float, or above each lane of a float vector."""
     return _of_floats("floor", "floor", x)
 
 

@@ -1,4 +1,4 @@
-"""Conversions that keep the number of lanes, whatever it is; of numbers, too."""
+"""Conversions of vectors that keep the number of lanes, and of numbers."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def narrow(typing_context: Any, x: Any) -> Any:
 def narrow_lanes(typing_context: Any, x: Any) -> Any:
     """A float64 vector as float32; a number as it is.
 
-    For functions of vectors and numbers: where lanes are many, float32 is twice as fast; one
-    number may as well stay exact.
+    For functions of vectors and numbers: float32 is twice as fast in vectors, and a number may
+    stay exact.
     """
     if x in (types.float32, types.float64):
         return x(x), _same
@@ -94,9 +94,9 @@ def as_float32(typing_context: Any, x: Any) -> Any:
 
 @intrinsic
 def as_int32(typing_context: Any, x: Any) -> Any:
-    """A vector or number as int32: floats towards zero, of larger integers the lower bits.
+    """A vector or number as int32: floats towards zero, larger integers by their lower bits.
 
-    NaN, and floats that int32 does not hold, give any number.
+    NaN, and floats outside of int32, give undefined values.
     """
     if isinstance(x, VectorType) and x.kind != "mask":
         result: Any = vector_type("i32", x.lane_count)

@@ -1,7 +1,7 @@
-"""Sines, exponentials, logarithms and powers, of float32 vectors and numbers.
+"""Sines, exponentials, logarithms and powers of float32 vectors and numbers, and the next float.
 
-They are polynomials in float32, lane by lane the same bits on every processor. Their errors, in
-the docstrings, are measured by ``tests/jit/test_simd_elementary.py``. float64 numbers get the C
+They are float32 polynomials, with the same bits in each lane and on every processor. Their errors,
+in the docstrings, are measured by ``tests/jit/test_simd_elementary.py``. float64 numbers use the C
 library's functions.
 
 References
@@ -24,16 +24,17 @@ from raystream.jit.simd.convert import as_float32, as_int32
 from raystream.jit.simd.lanes import bits_as_float, float_as_bits, select
 from raystream.jit.simd.types import VectorType
 
-__all__ = ["exponential", "logarithm", "power", "sincos_turns"]
+__all__ = ["exponential", "logarithm", "next_float_up", "power", "sincos_turns"]
 
 _0, _HALF, _1, _2, _3 = map(np.float32, (0.0, 0.5, 1.0, 2.0, 3.0))
 _QUARTER, _4, _TWO_PI = np.float32(0.25), np.float32(4.0), np.float32(2.0 * math.pi)
 _TINY = np.float32(1e-37)
+_SMALLEST, _INF = np.float32(2.0**-149), np.float32(math.inf)
 
 _SIN = tuple(map(np.float32, (-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4)))
 _COS = tuple(map(np.float32, (4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5)))
 
-# log(2) in two parts: whole numbers times the first are exact.
+# log(2) in two parts: products of integers and the first part are exact.
 _LOG_2, _LOG_2_REST = np.float32(0.693359375), np.float32(-2.12194440e-4)
 _LOG2_E, _SQRT_HALF = np.float32(1.0 / math.log(2.0)), np.float32(math.sqrt(0.5))
 _LEAST, _MOST = np.float32(-87.0), np.float32(88.0)
@@ -52,30 +53,30 @@ _MANTISSA_BITS, _MANTISSA, _HALF_BITS = np.int32(23), np.int32(0x007FFFFF), np.i
 
 
 def sincos_turns(part: Any) -> Any:
-    """Cosine and sine of an angle that is given as a part of a whole turn.
+    """Cosine and sine of an angle in turns.
 
-    Of float32 to within 1.2e-7, for parts between -1e6 and 1e6.
+    For float32 to within 1.2e-7, from -1e6 to 1e6 turns.
     """
     raise NotImplementedError("kernels only")
 
 
 def exponential(x: Any) -> Any:
-    """E to the power of x: of float32 to within 2 units of the last place, for -87 to 88.
+    """The exponential function: for float32 to within 2 units in the last place.
 
-    Beyond, the result is that at the end.
+    Arguments are clamped to -87 to 88.
     """
     raise NotImplementedError("kernels only")
 
 
 def logarithm(x: Any) -> Any:
-    """The natural logarithm: of normal float32 above 0 to within 2 units of the last place."""
+    """The natural logarithm: for normal float32 above 0 to within 2 units in the last place."""
     raise NotImplementedError("kernels only")
 
 
 def power(x: Any, exponent: Any) -> Any:
-    """A power of x, by its exponent; 0 where x is not above 1e-37.
+    """X to the power of an exponent; 0 where x is not above 1e-37.
 
-    Of float32 with a relative error of 1.2e-7 times the exponent times log(x), or 4e-7 if that
+    For float32 with a relative error of 1.2e-7 times the exponent times log(x), or 4e-7 if that
     is more.
     """
     raise NotImplementedError("kernels only")
@@ -91,7 +92,7 @@ def _parts(x):
 
 @device
 def _power_of_2(whole):
-    """2 to the power of a whole float32 that a float32's exponent can have."""
+    """2 to the power of an integer in float32, within the range of float32's exponents."""
     return bits_as_float(as_int32((as_int32(whole) + _BIAS) << _MANTISSA_BITS))
 
 
@@ -104,7 +105,7 @@ def _turned(part):
     cosine = (_1 - _HALF * square) + square * square * (
         _COS[0] + square * (_COS[1] + square * _COS[2])
     )
-    # The quadrant modulo 4, and what the others make of the first one's cosine and sine.
+    # The quadrant modulo 4; quadrants swap and negate the first one's cosine and sine.
     quadrant = quadrant - _4 * floor(quadrant * _QUARTER)
     is_odd = (quadrant == _1) | (quadrant == _3)
     x, y = select(is_odd, sine, cosine), select(is_odd, cosine, sine)
@@ -186,3 +187,14 @@ def _power_of(x: Any, exponent: Any) -> Any:
         return lambda x, exponent: _power(x, exponent)
     both = isinstance(x, types.Float) and isinstance(exponent, types.Float)
     return (lambda x, exponent: _power_float64(x, exponent)) if both else None
+
+
+@device
+def next_float_up(x):
+    """The smallest float32 larger than x; infinity for infinity, and NaN for NaN."""
+    if not x < _INF:
+        return x
+    if x == _0:
+        return _SMALLEST
+    step = np.int32(1) if x > _0 else np.int32(-1)
+    return bits_as_float(np.int32(float_as_bits(x) + step))

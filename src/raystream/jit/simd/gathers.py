@@ -1,4 +1,4 @@
-"""Reading and writing elements of arrays that lie anywhere, one for each lane."""
+"""Gather and scatter: one element of an array per lane, at any indices."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from raystream.jit.simd.cuda_names import is_cuda
 from raystream.jit.simd.memory import pointer_to
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import (
     ELEMENTS,
     VectorType,
@@ -30,13 +30,13 @@ def _kind_of(number: Any) -> str | None:
 
 
 def _places(builder: Any, base: Any, element: Any, index: VectorType, indices: Any) -> Any:
-    """LLVM's vector of pointers to elements."""
+    """LLVM vector of pointers to elements."""
     wide = ir.VectorType(_I64, index.lane_count)
     if index.kind == "u32":
         indices = builder.zext(indices, wide)
     elif index.kind == "i32":
         indices = builder.sext(indices, wide)
-    # llvmlite knows this instruction with one index only, so it is told the rest afterwards.
+    # llvmlite supports this instruction with a single index: set the vector of indices afterwards.
     places = builder.gep(pointer_to(builder, base, element), [ir.Constant(_I64, 0)])
     places.indices = [indices]
     places.operands[1] = indices
@@ -50,7 +50,7 @@ def _is_index(index: Any) -> bool:
 
 @intrinsic
 def gather(typing_context: Any, type_: Any, base: Any, index: Any) -> Any:
-    """Elements of an array, by the address of its first one and their positions.
+    """Read elements of an array, given the address of its first one and their indices.
 
     ``gather(np.float32, base, index)`` with an index of 16 lanes is an `f32x16`; a number as
     index gives a number. All lanes are read, so each must lie in the array.
@@ -83,14 +83,14 @@ def gather(typing_context: Any, type_: Any, base: Any, index: Any) -> Any:
 
 @intrinsic
 def scatter(typing_context: Any, base: Any, index: Any, value: Any, mask: Any) -> Any:
-    """Write lanes of a vector to elements of an array, or one number.
+    """Write lanes of a vector, or a number, to elements of an array.
 
     Parameters
     ----------
     base : uint64
         Address of the array's first element.
     index : vector of integers, or an integer
-        Positions. Of lanes with the same one the last is written.
+        Indices. Of lanes with the same index the last is written.
     value : vector or number
     mask : mask or bool
         Which lanes are written.
@@ -122,12 +122,12 @@ def scatter(typing_context: Any, base: Any, index: Any, value: Any, mask: Any) -
 
 
 def _one_by_one(builder: Any, index: VectorType) -> bool:
-    """Whether each lane is read or written by itself: CUDA's compiler has nothing for many."""
+    """Whether lanes are read or written one at a time: NVVM has no instruction for vectors."""
     return index.lane_count == 1 or is_cuda(builder)
 
 
 def _lane_places(builder: Any, base: Any, vector: VectorType, index: VectorType, given: Any) -> Any:
-    """Of each lane its number, and a pointer to its element."""
+    """The number of each lane, and a pointer to its element."""
     first = pointer_to(builder, base, ELEMENTS[vector.kind][1])
     widened = builder.zext if index.kind == "u32" else builder.sext
     for k in range(index.lane_count):

@@ -1,4 +1,4 @@
-"""Choosing, counting, moving and reducing lanes."""
+"""Operations on lanes and masks: selection, counts, permutations, reductions and bit casts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from raystream.jit.simd.arithmetic import (
     common,
     wider,
 )
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import (
     VectorClass,
     VectorType,
@@ -48,9 +48,9 @@ __all__ = [
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 
-#: Bits. What is wider than a register LLVM 22 takes apart wrongly: it writes the upper part's
-#: lanes, which can start anywhere, as if their place were aligned, and the process crashes. So
-#: its intrinsic serves only where it is one instruction: up to here, with AVX-512.
+#: Widest vector, in bits, for LLVM's compress intrinsic. LLVM 22 splits vectors wider than a
+#: register incorrectly: it stores the upper part's lanes, which can start anywhere, as if they were
+#: aligned, and the process crashes. So it is used only where it is one instruction, with AVX-512.
 _WIDEST_COMPRESS = 512
 
 
@@ -59,13 +59,13 @@ def _is_mask(type_: Any) -> bool:
 
 
 def _part(builder: Any, value: Any, first: int, count: int) -> Any:
-    """Lanes of an LLVM vector, from a first one on."""
+    """Lanes of an LLVM vector, beginning with a first one."""
     lanes = ir.Constant(ir.VectorType(_I32, count), list(range(first, first + count)))
     return builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), lanes)
 
 
 def _bits(builder: Any, mask: Any) -> Any:
-    """A mask's lanes as the bits of an LLVM integer of that many bits."""
+    """A mask as an LLVM integer with one bit per lane."""
     return builder.bitcast(mask, ir.IntType(mask.type.count))
 
 
@@ -77,7 +77,7 @@ def _choose_number(context: Any, builder: Any, signature: Any, arguments: Any) -
 
 @intrinsic
 def select(typing_context: Any, mask: Any, x: Any, y: Any) -> Any:
-    """Lanes of x where the mask is set, of y elsewhere; a bool chooses one of two, whole."""
+    """Lanes of x where the mask is set, of y elsewhere; a bool selects all of x or y."""
     number = wider(x, y)
     if mask == types.boolean and number is not None:
         return number(mask, x, y), _choose_number
@@ -122,7 +122,7 @@ def lanes_from_bits(typing_context: Any, mask_class: Any, bits: Any) -> Any:
 
 @intrinsic
 def any_lane(typing_context: Any, mask: Any) -> Any:
-    """Whether any lane of a mask is set; of a bool, what it is."""
+    """Whether any lane of a mask is set; a bool is returned as it is."""
     if mask == types.boolean:
         return mask(mask), lambda context, builder, signature, arguments: arguments[0]
     if not _is_mask(mask):
@@ -150,7 +150,7 @@ def all_lanes(typing_context: Any, mask: Any) -> Any:
 
 @intrinsic
 def count_trailing_zeros(typing_context: Any, bits: Any) -> Any:
-    """Number of the lowest set bit of a uint64; undefined for 0."""
+    """Index of the lowest set bit of a uint64; undefined for 0."""
     if bits != types.uint64:
         refuse("count_trailing_zeros", "a uint64", bits)
 
@@ -163,7 +163,7 @@ def count_trailing_zeros(typing_context: Any, bits: Any) -> Any:
 
 @intrinsic
 def popcount(typing_context: Any, bits: Any) -> Any:
-    """How many bits of a uint64 are set."""
+    """Number of bits of a uint64 that are set."""
     if bits != types.uint64:
         refuse("popcount", "a uint64", bits)
 
@@ -188,7 +188,7 @@ def lane_numbers(typing_context: Any, class_: Any) -> Any:
 
 @intrinsic
 def prefix_counts(typing_context: Any, mask: Any) -> Any:
-    """Of each lane, how many lanes before it a mask has set: an int32 vector."""
+    """For each lane, the number of set lanes before it: an int32 vector."""
     if not _is_mask(mask):
         refuse("prefix_counts", "a mask", mask)
     result = vector_type("i32", mask.lane_count)
@@ -205,7 +205,7 @@ def prefix_counts(typing_context: Any, mask: Any) -> Any:
 
 @intrinsic
 def lane(typing_context: Any, x: Any, index: Any) -> Any:
-    """One lane of a vector; undefined if it has no such lane."""
+    """One lane of a vector; undefined if the index is out of range."""
     if not isinstance(x, VectorType) or not isinstance(index, types.Integer):
         refuse("lane", "a vector and an integer", x, index)
 
@@ -217,7 +217,7 @@ def lane(typing_context: Any, x: Any, index: Any) -> Any:
 
 @intrinsic
 def compress(typing_context: Any, mask: Any, x: Any) -> Any:
-    """The lanes of x where the mask is set, moved to the front; what follows is undefined."""
+    """The lanes of x where the mask is set, moved to the front; the others are undefined."""
     if not isinstance(x, VectorType) or x.kind == "mask" or mask != mask_of(x):
         refuse("compress", "a mask and a vector of as many lanes", mask, x)
 
@@ -238,7 +238,7 @@ def _compress(builder: Any, mask: Any, value: Any) -> Any:
 
 
 def _compress_in_memory(builder: Any, mask: Any, value: Any) -> Any:
-    """Write every lane behind those that are set, and read them all."""
+    """Store each lane after the set lanes before it, and load the vector."""
     element = value.type.element
     with builder.goto_entry_block():
         memory = builder.alloca(ir.ArrayType(element, value.type.count))
@@ -255,7 +255,7 @@ def _compress_in_memory(builder: Any, mask: Any, value: Any) -> Any:
 
 
 def permutation(*sources: int) -> Any:
-    """Make a function of a vector whose lane i is the given one's lane sources[i].
+    """Make a function that permutes a vector: lane i of the result is lane sources[i].
 
     Fewer sources than lanes give a narrower vector, more give a wider one.
 
@@ -269,7 +269,7 @@ def permutation(*sources: int) -> Any:
 
     @intrinsic
     def permute_lanes(typing_context: Any, x: Any) -> Any:
-        """Move lanes to fixed places."""
+        """Permute a vector."""
         if not isinstance(x, VectorType) or max(sources) >= x.lane_count:
             refuse("permutation", f"a vector of more than {max(sources)} lanes", x)
         result = vector_type(x.kind, len(sources))
@@ -310,7 +310,7 @@ def permute(typing_context: Any, x: Any, sources: Any) -> Any:
 
 
 def _reduce(name: str, sign: str, x: Any) -> Any:
-    """Combine halves until one lane is left."""
+    """Reduce a vector by combining its halves until one lane is left."""
     if not isinstance(x, VectorType) or x.kind == "mask":
         refuse(name, "a vector of numbers", x)
 
@@ -367,7 +367,7 @@ def _reinterpret(name: str, x: Any, to_float: bool) -> Any:
 def float_as_bits(typing_context: Any, x: Any) -> Any:
     """The bits of a float or float vector as integers.
 
-    Numbers that are not negative are in the same order as their bits.
+    Non-negative numbers have the order of their bits.
     """
     return _reinterpret("float_as_bits", x, to_float=False)
 

@@ -1,7 +1,7 @@
 """Loads and stores by address.
 
 Addresses are uint64 numbers: no bounds, strides or wrap-around of negative indices are
-compiled in, and nothing checks them. Loops over nodes and leaves use them; code that runs
+compiled in, and nothing is checked. Loops over nodes and leaves use them; code that runs
 once per batch uses arrays. An address keeps no array alive.
 """
 
@@ -13,22 +13,31 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 from raystream.jit.simd.types import VectorClass, VectorType, llvm_type, refuse
 
-__all__ = ["address", "load", "load_constant", "pointer_to", "prefetch", "scratch", "store"]
+__all__ = [
+    "address",
+    "load",
+    "load_constant",
+    "pointer_to",
+    "prefetch",
+    "scratch",
+    "store",
+    "store_nontemporal",
+]
 
 _I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
 
-#: Stack memory starts at a multiple of this: a cache line, and the widest vector.
+#: Alignment of stack memory: a cache line, and the widest vector.
 _SCRATCH_ALIGNMENT = 64
 
-#: What CUDA calls the address space of a device's memory.
+#: NVVM's address space of global memory.
 _GLOBAL = 1
 
 
-#: Numbers that can be in memory: those with as many bits there as in a register.
+#: Storable numbers: those with as many bits in memory as in a register.
 _NUMBERS = (
     *(types.float32, types.float64),
     *(types.int8, types.int16, types.int32, types.int64),
@@ -38,10 +47,10 @@ _NUMBERS = (
 
 def pointer_to(builder: Any, address: Any, target: Any) -> Any:
     """An LLVM pointer to an address."""
-    # LLVM takes a sum apart when it compiles a function, and may take the offset for the
-    # pointer: where that turns out to be zero in a caller, it would conclude that null is read
-    # and that the statement is never reached. (llvmlite does not know the attribute, LLVM does.)
-    if not is_cuda(builder):  # whose compiler knows neither
+    # LLVM splits sums when it compiles a function, and may take the offset for the pointer: if
+    # that is zero in a caller, it would conclude that null is read and that the statement is
+    # unreachable. (llvmlite does not know the attribute, LLVM does.)
+    if not is_cuda(builder):  # NVVM has neither
         set.add(builder.function.attributes, "null_pointer_is_valid")
     return builder.inttoptr(address, target.as_pointer())
 
@@ -95,10 +104,10 @@ def load(typing_context: Any, type_: Any, at: Any) -> Any:
 
 @intrinsic
 def load_constant(typing_context: Any, type_: Any, at: Any) -> Any:
-    """Read a vector whose address is a multiple of its size, which nothing writes meanwhile.
+    """Read a vector at an aligned address that nothing writes while the kernel runs.
 
-    On CUDA it is read from the device's memory, by one instruction for 16 bytes, past the caches
-    that would notice a change.
+    The address must be a multiple of the vector's size. On CUDA it is a read through the
+    non-coherent cache, one instruction per 16 bytes.
     """
     loaded = type_.instance_type if isinstance(type_, VectorClass) else None
     if loaded is None or not _storable(loaded):
@@ -136,11 +145,31 @@ def store(typing_context: Any, at: Any, value: Any) -> Any:
     return types.void(at, value), generate
 
 
-def _hidden(builder: Any, address: Any) -> Any:
-    """The same address, of which the compiler cannot tell where it comes from.
+@intrinsic
+def store_nontemporal(typing_context: Any, at: Any, value: Any) -> Any:
+    """Write a vector past the caches, if nothing will read it soon.
 
-    CUDA's follows addresses of local memory through integers, and is mistaken: of a branch on what
-    was stored there it kept the wrong side alone, in the graph's queries for 7.5 to 9.0.
+    The address must be a multiple of the vector's size.
+    """
+    if not isinstance(value, VectorType) or value.kind == "mask" or at != types.uint64:
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = pointer_to(builder, arguments[0], llvm_type(value))
+        written = builder.store(arguments[1], pointer)
+        written.align = int(value.element.bitwidth) // 8 * value.lane_count
+        one = ir.Constant(ir.IntType(32), 1)
+        written.set_metadata("nontemporal", builder.module.add_metadata([one]))
+        return context.get_dummy_value()
+
+    return types.void(at, value), generate
+
+
+def _hidden(builder: Any, address: Any) -> Any:
+    """The same address, whose origin the compiler cannot trace.
+
+    CUDA's compiler tracks addresses of local memory through integers, incorrectly: it removed the
+    taken side of a branch on a stored value, in the graph's queries for 7.5 to 9.0.
     """
     kind = ir.FunctionType(_I64, [_I64])
     return builder.asm(kind, "mov.u64 $0, $1;", "=l,l", [address], False)
@@ -150,8 +179,8 @@ def _hidden(builder: Any, address: Any) -> Any:
 def scratch(typing_context: Any, size: Any) -> Any:
     """Address of `size` bytes on the stack, aligned to 64, valid until the function returns.
 
-    `size` must be a constant: a number, or the name of a global one. The bytes are the same
-    ones each time the line is reached.
+    `size` must be a constant: a number or a global name. Each execution of the line gives the
+    same bytes.
     """
     if not isinstance(size, types.IntegerLiteral) or size.literal_value < 1:
         refuse("scratch", "a constant number of bytes, at least 1", size)
@@ -169,9 +198,9 @@ def scratch(typing_context: Any, size: Any) -> Any:
 
 @intrinsic
 def prefetch(typing_context: Any, at: Any) -> Any:
-    """Ask for the cache line at an address; any address will do, it is never an error.
+    """Prefetch the cache line at an address, which may be any: it is never an error.
 
-    On CUDA it does nothing: other threads run while one waits.
+    Does nothing on CUDA, where other threads run while one waits.
     """
     if at != types.uint64:
         refuse("prefetch", "a uint64 as address", at)

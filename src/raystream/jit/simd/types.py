@@ -1,4 +1,4 @@
-"""The vector types, and how numbers and vectors become vectors of another type."""
+"""The vector types, and conversions of numbers and vectors to them."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ ELEMENTS = {
 class VectorType(types.Type):
     """The type of a vector or mask; calling it in a kernel makes one.
 
-    ``f32x8(x)`` of a number puts it in every lane; of a vector with as many lanes it converts
-    each (rounding to nearest, towards zero from float to integer; NaN, and numbers that the
-    integer cannot hold, give undefined lanes; int64 to int32 drops the upper bits).
+    ``f32x8(x)`` broadcasts a number; of a vector with as many lanes it converts each (rounding to
+    nearest, towards zero from float to integer; NaN, and numbers outside of the integer's range,
+    give undefined lanes; int64 to int32 drops the upper bits).
 
     Attributes
     ----------
@@ -93,14 +93,14 @@ class _VectorModel(models.PrimitiveModel):
         super().__init__(manager, vector, llvm_type(vector))
 
 
-#: Those of one lane are for CUDA's threads, see `single`.
+#: Vectors of one lane are for CUDA's threads; see `single_lane`.
 VECTORS = {
     (kind, lanes): VectorType(kind, lanes) for kind in ELEMENTS for lanes in (2, 4, 8, 16, 1)
 }
 
 
 def vector_type(kind: str, lane_count: int) -> VectorType:
-    """The vector type of a kind and width; there is one object for each."""
+    """The vector type of a kind and width, one object for each."""
     return VECTORS[kind, lane_count]
 
 
@@ -118,14 +118,14 @@ mask4, mask8, mask16 = (VECTORS["mask", n] for n in (4, 8, 16))
 
 
 def constant(vector: VectorType, values: Any) -> ir.Constant:
-    """An LLVM constant with these lanes; one value for all of them, or a list."""
+    """An LLVM constant vector of one value for all lanes, or of a list."""
     if not isinstance(values, list):
         values = [values] * vector.lane_count
     return ir.Constant(llvm_type(vector), values)
 
 
 def refuse(function: str, wanted: str, *given: Any) -> NoReturn:
-    """Say in a typing error what a function takes and what it was given."""
+    """Raise a typing error that says what a function takes and what it was given."""
     raise TypingError(f"{function} takes {wanted}, not {', '.join(map(str, given))}")
 
 
@@ -143,7 +143,7 @@ def broadcast(builder: Any, value: Any, lane_count: int) -> Any:
 
 
 class VectorClass(types.Callable, types.Opaque):
-    """What a kernel sees when it names a vector type."""
+    """The type of a vector type's name in a kernel."""
 
     def __init__(self, vector: VectorType) -> None:
         self.instance_type = vector
@@ -151,7 +151,7 @@ class VectorClass(types.Callable, types.Opaque):
 
     @property
     def key(self) -> Any:
-        """What makes two of these the same type."""
+        """Two of these with the same vector type are the same type."""
         return self.instance_type
 
     def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
@@ -159,11 +159,11 @@ class VectorClass(types.Callable, types.Opaque):
         return context.resolve_getattr(self, "__call__").get_call_type(context, args, kws)
 
     def get_call_signatures(self) -> tuple[tuple[Any, ...], bool]:
-        """Signatures known beforehand: none."""
+        """No signatures are known in advance."""
         return (), True
 
     def get_impl_key(self, signature: Any) -> Any:
-        """What the code that makes a vector is registered for."""
+        """The key that constructors are registered with."""
         return self.instance_type
 
 

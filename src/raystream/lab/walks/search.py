@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.jit.loops import Loop, compile_loop
 from raystream.jit.simd import load
+from raystream.jit.user_loops import Loop, compile_loop
 from raystream.kernels.tally import ROW
 from raystream.lab.walks.kernels.places import cell_of, node_of
 from raystream.machines.records import FOUND, RAY, WANTED, RayState

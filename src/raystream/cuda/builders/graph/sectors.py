@@ -11,7 +11,7 @@ from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.rows import Numbers, split_at
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
-from raystream.jit.cuda.radix import sort_pairs
+from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, WORD

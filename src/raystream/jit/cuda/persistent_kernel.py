@@ -21,8 +21,9 @@ from numba import cuda
 
 from raystream.jit.cuda.arguments import flat, type_of
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
-from raystream.jit.cuda.gpu import DeviceArray, Gpu
-from raystream.jit.cuda.kernels import RangeKernel
+from raystream.jit.cuda.device_array import DeviceArray
+from raystream.jit.cuda.gpu import Gpu
+from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.simulation import is_simulated, simulating
 
 __all__ = ["PersistentKernel"]

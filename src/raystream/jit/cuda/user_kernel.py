@@ -1,4 +1,4 @@
-"""CheckedKernel: somebody else's function in a kernel, if it is one for the device."""
+"""UserKernel: a kernel around a user's function, if that can run on the device."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from numba.core.errors import NumbaError
 from raystream.jit.cpu import FLAGS, compiled
 from raystream.jit.cuda.arguments import kind_of, type_of
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
-from raystream.jit.cuda.exact import UnfitError, check_options
-from raystream.jit.cuda.kernels import RangeKernel
+from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.simulation import is_simulated
+from raystream.jit.cuda.user_checks import CpuOnlyError, check_options
 
-__all__ = ["CheckedKernel"]
+__all__ = ["UserKernel"]
 
-#: What Numba calls an exception that compiled code holds ready.
+#: Numba's name of an exception's data in compiled code.
 _EXCEPTION = "picklebuf"
 
-#: Options that CUDA's compiler would take otherwise, or not at all.
+#: Options that CUDA's compiler ignores or interprets in another way.
 _OPTIONS = {name: FLAGS[name] for name in ("error_model", "fastmath", "boundscheck")}
 
-#: Of a compiler's message.
+#: Longest compiler message that is quoted.
 _MOST_LETTERS = 200
 
 
-class CheckedKernel(RangeKernel):
+class UserKernel(RangeKernel):
     """A range kernel around a user's function; see `RangeKernel`.
 
     Parameters
@@ -39,7 +39,7 @@ class CheckedKernel(RangeKernel):
     """
 
     def __init__(self, function: Callable[..., Any], user: Callable[..., Any]) -> None:
-        # What comes from the disk does not show whether it raises anything.
+        # Not cached on disk: cached code does not show whether it raises an exception.
         super().__init__(compiled(getattr(function, "py_func", function)))
         self._user = user
         self._compiled: dict[Any, Compiled] = {}
@@ -50,8 +50,8 @@ class CheckedKernel(RangeKernel):
 
         Raises
         ------
-        UnfitError
-            If it does what only the CPU can do, or does with other bits.
+        CpuOnlyError
+            If it does what only the CPU supports, or would have other bits than on the CPU.
         """
         key = capability, kind_of(arguments)
         if key not in self._compiled:
@@ -60,32 +60,32 @@ class CheckedKernel(RangeKernel):
         return self._compiled[key]
 
     def reason_against(self, arguments: tuple[Any, ...], capability: Capability) -> str | None:
-        """Why it has to stay on the CPU; None if it runs on the device."""
+        """Why it must run on the CPU; None if the device can run it."""
         key = capability, kind_of(arguments)
         if key not in self._reasons:
-            self._reasons[key] = self._look(arguments, capability)
+            self._reasons[key] = self._find_reason(arguments, capability)
         return self._reasons[key]
 
-    def _look(self, arguments: tuple[Any, ...], capability: Capability) -> str | None:
+    def _find_reason(self, arguments: tuple[Any, ...], capability: Capability) -> str | None:
         try:
             check_options(self._user, _OPTIONS)
             if is_simulated():
                 self._check_on_host(arguments)
             else:
                 self.compiled(arguments, capability)
-        except UnfitError as error:
+        except CpuOnlyError as error:
             return str(error)
         except NumbaError as error:
             lines = [line for line in str(error).splitlines() if line.strip()]
-            return f"CUDA's compiler does not know it: {' '.join(lines)[:_MOST_LETTERS]}"
+            return f"CUDA's compiler does not support it: {' '.join(lines)[:_MOST_LETTERS]}"
         except Exception as error:  # from inside the compiler
-            return f"CUDA's compiler does not know it: {type(error).__name__} {error}"
+            return f"CUDA's compiler does not support it: {type(error).__name__} {error}"
         return None
 
     def _check_on_host(self, arguments: tuple[Any, ...]) -> None:
-        """In the simulator: whether it compiles for the CPU, and raises nothing there."""
+        """In the simulator: compile it for the CPU, and check that it raises nothing there."""
         dispatcher: Any = self.function
         types = tuple(map(type_of, (np.uint64(0), *arguments)))
         dispatcher.compile(types)
         if _EXCEPTION in dispatcher.inspect_llvm(types):
-            raise UnfitError("it may raise an exception")
+            raise CpuOnlyError("it may raise an exception")

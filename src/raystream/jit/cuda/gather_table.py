@@ -17,15 +17,15 @@ from numba.extending import (
 )
 
 from raystream.jit.cpu import device
-from raystream.jit.loops import fault
+from raystream.jit.user_loops import fault
 
-__all__ = ["MOST_DIMENSIONS", "table_at"]
+__all__ = ["MOST_DIMENSIONS", "gather_table_at"]
 
 #: Numbers that an index may have.
 MOST_DIMENSIONS = 3
 
 
-class TableType(types.Type):
+class GatherTableType(types.Type):
     """An array whose records are read by index.
 
     Parameters
@@ -47,14 +47,14 @@ class TableType(types.Type):
         return [("base", types.uint64), ("capacity", types.uint64), ("shape", shape)]
 
 
-@register_model(TableType)
+@register_model(GatherTableType)
 class _TableModel(models.StructModel):
     def __init__(self, manager, table):
         super().__init__(manager, table, table.members)
 
 
 @intrinsic
-def table_at(typing_context: Any, base: Any, capacity: Any, shape: Any, load: Any) -> Any:
+def gather_table_at(typing_context: Any, base: Any, capacity: Any, shape: Any, load: Any) -> Any:
     """What a function indexes to read records at an address: ``table[i]``, or ``table[i, j]``.
 
     Parameters
@@ -64,7 +64,7 @@ def table_at(typing_context: Any, base: Any, capacity: Any, shape: Any, load: An
     load : device function
         ``load(base, capacity, i)`` reads record i, a uint64.
     """
-    made = TableType(load, len(shape))
+    made = GatherTableType(load, len(shape))
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         packed = cgutils.create_struct_proxy(made)(context, builder)
@@ -101,7 +101,7 @@ _base, _capacity, _shape_of = map(_member, ("base", "capacity", "shape"))
 
 @overload(operator.getitem)
 def _read(table, index):
-    if not isinstance(table, TableType):
+    if not isinstance(table, GatherTableType):
         return None
     parts = index.types if isinstance(index, types.BaseTuple) else (index,)
     count = table.dimension_count
@@ -131,11 +131,11 @@ def _read(table, index):
 
 @overload(len)
 def _length(table):
-    if isinstance(table, TableType):
+    if isinstance(table, GatherTableType):
         return lambda table: _shape_of(table)[0]
     return None
 
 
-@overload_attribute(TableType, "shape")
+@overload_attribute(GatherTableType, "shape")
 def _shape(table):
     return lambda table: _shape_of(table)

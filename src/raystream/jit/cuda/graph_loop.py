@@ -15,11 +15,11 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from raystream.jit.cuda.compiler import SET_CONDITION
 from raystream.jit.cuda.gpu import Gpu
-from raystream.jit.cuda.kernels import RangeKernel
-from raystream.jit.cuda.linking import SET_CONDITION
+from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.simulation import is_simulated
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 
 __all__ = ["DeviceLoop", "Launch", "set_condition"]
 

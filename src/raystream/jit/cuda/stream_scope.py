@@ -1,4 +1,4 @@
-"""Work: kernels in a caller's stream, with the memory that they need."""
+"""StreamScope: asynchronous launches and scratch memory in a caller's stream, for one query."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from raystream.jit.cuda.device_array import DeviceArray
 from raystream.jit.cuda.gpu import CudaError, Gpu
-from raystream.jit.cuda.kernels import RangeKernel
-from raystream.jit.cuda.memory import DeviceArray
+from raystream.jit.cuda.range_kernel import RangeKernel
 from raystream.jit.cuda.streams import CudaStream
 
-__all__ = ["Work"]
+__all__ = ["StreamScope"]
 
 
-class Work:
-    """What a device is given for one query, in a stream, without waiting on the host.
+class StreamScope:
+    """A context in which kernels are launched in a stream, without waiting on the host.
 
-    Memory is had and freed in the order of the device's own stream. The caller's waits for that
-    one before it uses memory, and that one waits for the caller's at the end: so neither has
-    to exist longer than the other.
+    Memory is allocated and freed in the order of the device's own stream. The caller's stream
+    waits for that one before it uses memory, and that one waits for the caller's at the end, so
+    that neither stream has to outlive the other.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class Work:
         self._kept: list[Any] = []
         self._memory: list[DeviceArray] = []
         self._others: list[CudaStream] = []
-        self._is_new = False
+        self._has_new_memory = False
 
-    def __enter__(self) -> Work:
+    def __enter__(self) -> StreamScope:
         return self
 
     def __exit__(
@@ -52,17 +52,17 @@ class Work:
                 raise
 
     def keep(self, *objects: Any) -> None:
-        """Keep objects until all is done."""
+        """Keep objects alive until all launches are done."""
         self._kept.extend(objects)
 
     def borrow(self, stream: CudaStream) -> None:
-        """Follow another stream of the caller's now, and let it follow at the end."""
+        """Wait for another stream of the caller's, and let it wait for this one at the end."""
         if all(stream.handle != other.handle for other in self._others):
             self.stream.wait(stream)
             self._others.append(stream)
 
     def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array, not initialised.
+        """Allocate an uninitialised array.
 
         Raises
         ------
@@ -71,11 +71,11 @@ class Work:
         """
         made = self.gpu.pooled(name, shape, dtype)
         self._memory.append(made)
-        self._is_new = True
+        self._has_new_memory = True
         return made
 
     def ready(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array that may be used in the stream at once, not initialised.
+        """Allocate an uninitialised array that the stream can use at once.
 
         Raises
         ------
@@ -87,47 +87,47 @@ class Work:
         return made
 
     def cleared(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array of zeros."""
+        """Allocate an array of zeros."""
         made = self.ready(name, shape, dtype)
         self.gpu.clear(made, self.stream)
         return made
 
     def placed(self, name: str, array: NDArray[Any]) -> DeviceArray:
-        """Copy a small array of the host's, in C order, to the device."""
+        """Upload a small host array in C order."""
         made = self.ready(name, array.shape, array.dtype)
         self.gpu.copy(made.address, array.ctypes.data, array.nbytes, self.stream)
         return made
 
     def launch(self, kernel: RangeKernel, count: int, arguments: tuple[Any, ...]) -> None:
-        """Begin to run a kernel; see `RangeKernel.launch`."""
+        """Launch a kernel; see `RangeKernel.launch`."""
         self.follow()
         kernel.launch(self.gpu, count, arguments, self.stream.native)
 
     def read(self, array: DeviceArray) -> NDArray[Any]:
-        """A copy of an array on the host, when all so far is done: this waits.
+        """Copy an array to the host, after waiting for all launches so far.
 
         Raises
         ------
         CudaError
-            If some of it failed.
+            If one of them failed.
         """
         self.gpu.stream.wait(self.stream)
         return array.host()
 
     def join(self) -> None:
-        """Let the device's own stream, and those borrowed, follow what was begun.
+        """Let the device's own stream, and borrowed ones, wait for all launches.
 
-        Then memory may go: it is freed in the order of the device's own stream.
+        After that memory may be freed, in the order of the device's own stream.
         """
         for other in (self.gpu.stream, *self._others):
             other.wait(self.stream)
         if self._kept:
             with self.gpu.doing("keeping arrays"):
-                self.gpu.in_flight.keep(self.gpu.stream, self._kept)
+                self.gpu.keep_alive.keep(self.gpu.stream, self._kept)
         self._kept, self._memory = [], []
 
     def follow(self) -> None:
-        """Let the stream wait for memory that is new: before anything is begun in it."""
-        if self._is_new:
+        """Let the stream wait for newly allocated memory, before the next launch or copy."""
+        if self._has_new_memory:
             self.stream.wait(self.gpu.stream)
-            self._is_new = False
+            self._has_new_memory = False

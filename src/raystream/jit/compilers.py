@@ -1,9 +1,9 @@
-"""Cheaper compilation: device functions are linked into kernels and not compiled by themselves.
+"""Numba's compilers, made cheaper: device functions become machine code in kernels only.
 
 Numba optimises each function and emits machine code for it, also for those that are inlined into
-every caller and that Python never calls. Of a first picture's compile time that is a quarter.
+every caller and that Python never calls. That is a quarter of a first image's compile time.
 Here a device function ends as LLVM code, which each kernel that calls it links in, optimises as
-a part of itself, and emits. The cyclic garbage collector, another tenth, rests meanwhile.
+a part of itself, and emits. The cyclic garbage collector, another tenth, is paused meanwhile.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.environment import lookup_environment
 from numba.core.typed_passes import NativeLowering
 
-__all__ = ["DeviceCompiler", "KernelCompiler", "collector_resting"]
+__all__ = ["DeviceCompiler", "KernelCompiler", "gc_paused"]
 
 
 class _DeviceLibrary(JITCodeLibrary):
-    """LLVM code of a device function and of what it calls, to be linked into kernels."""
+    """LLVM code of a device function and its callees, to be linked into kernels."""
 
     def _optimize_final_module(self) -> None:
-        """Leave it to the kernel's passes, which see the same code."""
+        """Do nothing: the kernel's passes optimise the same code."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -34,18 +34,18 @@ class _DeviceLibrary(JITCodeLibrary):
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """No pointer: there is no machine code."""
+        """Return a null pointer: there is no machine code."""
         return 0
 
     @property
     def codegen(self) -> Any:
-        """For Numba's note of the environment, a variable of code that is never loaded."""
+        """A stub, for Numba to set the environment of code that is never loaded."""
         return SimpleNamespace(set_env=lambda name, environment: None)
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _ChooseDeviceLibrary(LoweringPass):
-    """Before lowering: let the function's code go into a `_DeviceLibrary`."""
+    """Before lowering: compile the function into a `_DeviceLibrary`."""
 
     _name = "raystream_choose_device_library"
 
@@ -76,10 +76,10 @@ class _SetEnvironments(LoweringPass):
 
 
 class DeviceCompiler(Compiler):
-    """Numba's compiler for functions that only kernels call."""
+    """Compiler of functions that only kernels call."""
 
     def define_pipelines(self) -> list[Any]:
-        """Numba's pipelines, with another library."""
+        """Numba's pipelines, compiling into a `_DeviceLibrary`."""
         pipelines = super().define_pipelines()
         for pipeline in pipelines:
             _add_before_lowering(pipeline, _ChooseDeviceLibrary)
@@ -88,10 +88,10 @@ class DeviceCompiler(Compiler):
 
 
 class KernelCompiler(Compiler):
-    """Numba's compiler for functions that Python calls."""
+    """Compiler of functions that Python calls."""
 
     def define_pipelines(self) -> list[Any]:
-        """Numba's pipelines, and the environments of device functions."""
+        """Numba's pipelines, which also set the environments of device functions."""
         pipelines = super().define_pipelines()
         for pipeline in pipelines:
             pipeline.add_pass_after(_SetEnvironments, NativeLowering)
@@ -104,8 +104,8 @@ def _add_before_lowering(pipeline: Any, new_pass: Any) -> None:
     pipeline.add_pass_after(new_pass, names[names.index(NativeLowering) - 1])
 
 
-class _CollectorResting:
-    """A context in which the cyclic garbage collector does not run, in any thread."""
+class _GcPaused:
+    """A context that disables the cyclic garbage collector, in all threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -126,4 +126,4 @@ class _CollectorResting:
                 gc.enable()
 
 
-collector_resting = _CollectorResting()
+gc_paused = _GcPaused()

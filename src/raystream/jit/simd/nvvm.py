@@ -1,4 +1,4 @@
-"""LLVM's functions as CUDA's compiler has them: of numbers alone, and some by other names."""
+"""LLVM's intrinsics in NVVM, CUDA's compiler: for numbers only, and some under other names."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from llvmlite import ir
 
 __all__ = ["call_on_cuda", "is_cuda"]
 
-#: Those that NVVM does not have, and what its library of device functions calls them. The rest it
-#: has under LLVM's names.
+#: Intrinsics that NVVM lacks, and their names in CUDA's library of device functions.
 _LIBRARY = {
     "llvm.copysign.f32": "__nv_copysignf",
     "llvm.copysign.f64": "__nv_copysign",
@@ -24,22 +23,22 @@ _LIBRARY = {
 
 
 def is_cuda(builder: Any) -> bool:
-    """Whether code is made for CUDA."""
+    """Whether code is generated for CUDA."""
     return str(builder.module.triple).startswith("nvptx")
 
 
 def call_on_cuda(builder: Any, name: str, returns: Any, arguments: Sequence[Any]) -> Any:
-    """Call an LLVM function of numbers, or of vectors lane by lane.
+    """Call an LLVM intrinsic of numbers, or of vectors lane by lane.
 
     Parameters
     ----------
     builder : IRBuilder
     name : str
-        LLVM's: ``llvm.fma.v8f32``.
+        LLVM's name, such as ``llvm.fma.v8f32``.
     returns : Type
         A number or a vector.
     arguments : sequence of Value
-        Vectors of as many lanes; numbers go to all of them.
+        Numbers, or vectors with as many lanes; numbers are broadcast.
     """
     if not isinstance(returns, ir.VectorType):
         name = _LIBRARY.get(name, name)

@@ -1,4 +1,4 @@
-"""Records: a few adjacent numbers of each of many things, as one vector for each number."""
+"""Loads and stores of interleaved records: one vector for each field of adjacent records."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from numba.extending import intrinsic
 from raystream.jit.simd.memory import pointer_to
 from raystream.jit.simd.types import ELEMENTS, VectorClass, VectorType, refuse
 
-__all__ = ["load_records", "store_records"]
-
+__all__ = ["load_records", "load_triples", "store_records", "store_triples"]
 _I32 = ir.IntType(32)
 
 
@@ -28,9 +27,9 @@ def _is_power_of_two(number: int) -> bool:
 
 @intrinsic(prefer_literal=True)
 def load_records(typing_context: Any, type_: Any, size: Any, at: Any) -> Any:
-    """Read as many records as a vector type has lanes; returns a vector for each number.
+    """Read as many adjacent records as a vector type has lanes; returns a vector per field.
 
-    `size` is how many numbers a record has, a constant power of two: 2, 4, 8 or 16.
+    `size` is the number of fields of a record, a constant power of two: 2, 4, 8 or 16.
     """
     vector = type_.instance_type if isinstance(type_, VectorClass) else None
     if vector is None or vector.kind == "mask":
@@ -48,7 +47,7 @@ def load_records(typing_context: Any, type_: Any, size: Any, at: Any) -> Any:
             part = builder.load(builder.gep(pointer, [ir.Constant(_I32, k)]))
             part.align = int(vector.element.bitwidth) // 8
             parts.append(part)
-        # Each round parts even from odd places; after all of them, a vector has one number.
+        # Each round separates even from odd places; after the last one, each vector is one field.
         even = [2 * k for k in range(lanes)]
         odd = [2 * k + 1 for k in range(lanes)]
         rounds = count.bit_length() - 1
@@ -63,9 +62,9 @@ def load_records(typing_context: Any, type_: Any, size: Any, at: Any) -> Any:
 
 @intrinsic
 def store_records(typing_context: Any, at: Any, numbers: Any) -> Any:
-    """Write records, one for each lane, given a tuple of a vector for each of their numbers.
+    """Write adjacent records, one per lane, given a tuple of a vector per field.
 
-    The tuple's length is a power of two, as `load_records` has it.
+    The tuple's length is a power of two, as for `load_records`.
     """
     if at != types.uint64:
         refuse("store_records", "a uint64 as address", at)
@@ -93,3 +92,51 @@ def store_records(typing_context: Any, at: Any, numbers: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(at, numbers), generate
+
+
+@intrinsic
+def load_triples(typing_context: Any, type_: Any, at: Any) -> Any:
+    """Read as many adjacent (x, y, z) triples as a vector type has lanes; returns (xs, ys, zs)."""
+    if not isinstance(type_, VectorClass) or at != types.uint64:
+        return None
+    vector = type_.instance_type
+    if vector.kind == "mask":
+        return None
+    count = vector.lane_count
+    result = types.UniTuple(vector, 3)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        wide = ir.VectorType(ELEMENTS[vector.kind][1], 3 * count)
+        value = builder.load(pointer_to(builder, arguments[1], wide))
+        value.align = int(vector.element.bitwidth) // 8
+        undefined = ir.Constant(wide, ir.Undefined)
+        axes = [
+            _shuffle(builder, value, undefined, [3 * i + axis for i in range(count)])
+            for axis in range(3)
+        ]
+        return cgutils.pack_array(builder, axes)
+
+    return result(type_, at), generate
+
+
+@intrinsic
+def store_triples(typing_context: Any, at: Any, x: Any, y: Any, z: Any) -> Any:
+    """Write as many adjacent (x, y, z) triples as three vectors have lanes."""
+    if not isinstance(x, VectorType) or not x == y == z or at != types.uint64:
+        return None
+    if x.kind == "mask":
+        return None
+    count = x.lane_count
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        xs, ys, zs = arguments[1:]
+        undefined = ir.Constant(xs.type, ir.Undefined)
+        two = _shuffle(builder, xs, ys, list(range(2 * count)))
+        rest = _shuffle(builder, zs, undefined, list(range(2 * count)))
+        lanes = [axis * count + i for i in range(count) for axis in range(3)]
+        wide = _shuffle(builder, two, rest, lanes)
+        pointer = pointer_to(builder, arguments[0], wide.type)
+        builder.store(wide, pointer).align = int(x.element.bitwidth) // 8
+        return context.get_dummy_value()
+
+    return types.void(at, x, y, z), generate

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-__all__ = ["code_of", "reason_of"]
+__all__ = ["driver_code", "explain"]
 
 #: How Numba and cuda.core write the driver's codes.
 _CODE = re.compile(r"CUDA_ERROR_([A-Z][A-Z_]*[A-Z])")
@@ -50,16 +50,16 @@ _MEANINGS: Mapping[str, str] = MappingProxyType(
 )
 
 
-def code_of(error: BaseException) -> str:
+def driver_code(error: BaseException) -> str:
     """The driver's code of an error, such as ``"OUT_OF_MEMORY"``; "" if it has none."""
     found = _CODE.search(str(error))
     return found[1] if found else ""
 
 
-def reason_of(error: BaseException) -> str:
+def explain(error: BaseException) -> str:
     """What an error of the driver's says, in a line."""
     text = " ".join(str(error).split()).rstrip(":. ")
-    code = code_of(error)
+    code = driver_code(error)
     if code in _MEANINGS:
         return f"{_MEANINGS[code]} (CUDA_ERROR_{code})"
     if "driver library cannot be found" in text:

@@ -1,4 +1,4 @@
-"""Arrays that loops read by index, and what they accept as the result of a user's function."""
+"""Gather arrays: arrays that users' functions read by index in compiled loops."""
 
 from __future__ import annotations
 
@@ -17,90 +17,26 @@ from numba.extending import (
     register_model,
 )
 
-from raystream.jit.loops import fault
+from raystream.jit.user_loops import fault
 
-__all__ = ["accept", "counted_gather", "plain_gather"]
-
-#: A dtype's name, or a tuple of such: a vector, the fields of a record, several records.
-Shape = str | tuple[Any, ...]
-
-
-@cache
-def accept(shape: Shape, place: str) -> Callable[[Any], Any]:
-    """Make a function that takes the result of a user's function, which is not None.
-
-    At compile time it checks that the result fits, as NumPy would for an assignment with
-    casting "same_kind", except that any integer goes into any other.
-
-    Parameters
-    ----------
-    shape : str or tuple
-        What the result must be.
-    place : str
-        Where it goes, for the error.
-    """
-
-    @intrinsic
-    def accepted(typing_context, result):
-        given = result.type if isinstance(result, types.Optional) else result
-        if given == types.none:
-            raise fault(f"it never returns a record for {place}, only None")
-        _check(given, shape, place)
-
-        def generate(context, builder, signature, arguments):
-            if isinstance(result, types.Optional):
-                return context.cast(builder, arguments[0], result, given)
-            return arguments[0]
-
-        return given(result), generate
-
-    return accepted
-
-
-def _check(given: Any, shape: Shape, place: str) -> None:
-    if isinstance(shape, tuple):
-        if not isinstance(given, types.BaseTuple):
-            raise fault(f"it returns {given}, and {place} takes a tuple of {len(shape)}")
-        if len(given) != len(shape):
-            raise fault(
-                f"it returns a tuple of {len(given)}, and {place} takes a tuple of {len(shape)}"
-            )
-        for part, expected in zip(given.types, shape, strict=True):
-            _check(part, expected, place)
-        return
-    if not _fits(given, shape):
-        raise fault(f"it returns {given}, and {place} takes {shape}")
-
-
-def _fits(given: Any, dtype: str) -> bool:
-    """Whether a value may be stored as this dtype."""
-    if isinstance(given, types.Boolean):
-        return True
-    kinds: tuple[Any, ...] = ()
-    if dtype.startswith(("int", "uint")):
-        kinds = (types.Integer,)
-    elif dtype.startswith("float"):
-        kinds = (types.Integer, types.Float)
-    elif dtype.startswith("complex"):
-        kinds = (types.Number,)
-    return isinstance(given, kinds)
+__all__ = ["counted_gather", "plain_gather"]
 
 
 class GatherType(types.Type):
-    """An array whose records are read by index.
+    """The type of an array whose records are read by index.
 
     Parameters
     ----------
     array : numba type
     load : numba type
-        Of the device function (array, index) that gives a record.
+        Of the device function (array, index) that reads a record.
     index_count : int
-        Dimensions that an index has.
+        Number of dimensions of an index.
     inside : numba type, optional
-        Of the device function (array, index) that says whether there is such a record. If
-        given, reads are counted and indices checked.
+        Of the device function (array, index) that checks bounds. If given, reads are counted
+        and indices checked.
     slot : int
-        Where in the counts.
+        Index of the array's counter.
     name : str
         For errors.
     """
@@ -124,7 +60,7 @@ class _GatherModel(models.StructModel):
 
 @cache
 def plain_gather(index_count: int) -> Callable[..., Any]:
-    """Make a function (array, load) that gives what a user's function indexes."""
+    """Make a function (array, load) that gives a gather array, without checks."""
 
     @intrinsic
     def gather(typing_context, array, load):
@@ -140,9 +76,9 @@ def plain_gather(index_count: int) -> Callable[..., Any]:
 
 @cache
 def counted_gather(index_count: int, slot: int, name: str) -> Callable[..., Any]:
-    """Make a function (array, load, inside, counts); it counts reads in ``counts[slot]``.
+    """Make a function (array, load, inside, counts) that gives a checked gather array.
 
-    An index out of range raises IndexError.
+    Reads are counted in ``counts[slot]``; an index out of range raises IndexError.
     """
 
     @intrinsic
@@ -158,7 +94,7 @@ def counted_gather(index_count: int, slot: int, name: str) -> Callable[..., Any]
 
 
 def _pack(context, builder, made, **values):
-    """Borrow the arrays, which the loop's arguments keep alive: reads count no references."""
+    """Store the arrays without owners: the loop's arguments keep them alive."""
     packed = cgutils.create_struct_proxy(made)(context, builder)
     for name, kind in made.members:
         array = context.make_array(kind)(context, builder, values[name])

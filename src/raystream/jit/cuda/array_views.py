@@ -13,8 +13,8 @@ import numpy as np
 
 from raystream.core.arrays import is_on_gpu
 from raystream.jit.cuda.gpu import CudaError, Gpu
+from raystream.jit.cuda.stream_scope import StreamScope
 from raystream.jit.cuda.streams import LEGACY, CudaStream
-from raystream.jit.cuda.work import Work
 
 __all__ = ["DeviceView", "stream_of", "view_of"]
 
@@ -58,12 +58,12 @@ def stream_of(gpu: Gpu, arrays: Mapping[str, Any]) -> CudaStream:
     return CudaStream(gpu, LEGACY)
 
 
-def view_of(work: Work, name: str, values: Any) -> DeviceView:
+def view_of(work: StreamScope, name: str, values: Any) -> DeviceView:
     """View an array on the device that work is done on, in the order of its stream.
 
     Parameters
     ----------
-    work : Work
+    work : StreamScope
         It waits for the array, and keeps it if nothing else does until it was read.
     name : str
         The argument, for errors.
@@ -99,7 +99,7 @@ def _handle(interface: Mapping[str, Any] | None) -> int | None:
     return None if handle is None else int(handle) or LEGACY
 
 
-def _by_interface(work: Work, name: str, interface: Mapping[str, Any]) -> DeviceView:
+def _by_interface(work: StreamScope, name: str, interface: Mapping[str, Any]) -> DeviceView:
     try:
         if interface.get("mask") is not None:
             raise ValueError("it has a mask")
@@ -119,7 +119,7 @@ def _by_interface(work: Work, name: str, interface: Mapping[str, Any]) -> Device
     return DeviceView(address, shape, strides, dtype)
 
 
-def _by_dlpack(work: Work, name: str, values: Any) -> DeviceView:
+def _by_dlpack(work: StreamScope, name: str, values: Any) -> DeviceView:
     from cuda.core.utils import StridedMemoryView
 
     gpu = work.gpu

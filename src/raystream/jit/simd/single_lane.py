@@ -1,8 +1,8 @@
-"""Functions of vectors, made functions of one lane: the same source, for a thread of a GPU.
+"""Single-lane copies of functions of vectors: the CPU's source for a thread of a GPU.
 
-A thread is a lane already: with 16 in each, it would do 16 times the work, in 16 times the
-registers. So what a function calls is compiled once more with vectors of one lane where the source
-says 16. Each lane of a vector has the bits that it has by itself, and so has this one.
+A thread is a lane already: with 16 lanes each, threads would do 16 times the work in 16 times the
+registers. So a function and its callees are compiled again, with vectors of one lane where the
+source says 16. Lanes do not depend on each other, so the bits are the same.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ __all__ = ["lane_count", "single_lane"]
 
 _PACKAGE = Path(__file__).parents[2]
 
-#: Lanes that become one.
+#: Width of the vectors that become single lanes.
 _WIDE = 16
 
 
 @intrinsic
 def lane_count(typing_context: Any, x: Any) -> Any:
-    """How many lanes a vector has, int64: for loops over them."""
+    """Number of lanes of a vector, int64: for loops over lanes."""
     if not isinstance(x, VectorType):
         refuse("lane_count", "a vector", x)
     count = ir.Constant(ir.IntType(64), x.lane_count)
@@ -42,25 +42,25 @@ def single_lane(
     function: Callable[..., Any],
     instead: Mapping[Callable[..., Any], Callable[..., Any]] | None = None,
 ) -> Callable[..., Any]:
-    """A device function with vectors of one lane instead of 16.
+    """Copy a device function, with vectors of one lane instead of 16.
 
     Parameters
     ----------
     function : compiled function
-        By `jit.cpu.device` or `device_call`, of a module of raystream. What it calls is made so,
-        too, if its name is a global one; functions that it finds in a module stay as they are.
+        By `jit.cpu.device` or `device_call`, in a module of raystream. Callees with global names
+        are copied, too; attributes of modules are not.
     instead : mapping, optional
-        What is called in place of others, such as of those that write to 16 places.
+        Replacements of callees, such as those that write to 16 places.
 
     Returns
     -------
     compiled function
-        The same one, if there is nothing to change.
+        The function itself, if nothing changes.
 
     Raises
     ------
     TypeError
-        If it is not compiled, or has variables from outside.
+        If it is not compiled, or is a closure.
     """
     if not isinstance(function, Dispatcher):
         raise TypeError(f"function: expected a compiled one, got {type(function).__name__}")
@@ -68,7 +68,7 @@ def single_lane(
 
 
 class _Copies:
-    """Copies of functions, each made once."""
+    """Makes each copy once."""
 
     def __init__(self, instead: Mapping[Any, Any]) -> None:
         self._instead = instead
@@ -92,7 +92,7 @@ class _Copies:
         if all(made[name] is value for name, value in given.items()):
             return dispatcher
         if function.__closure__:
-            raise TypeError(f"function: {function.__qualname__} has variables from outside")
+            raise TypeError(f"function: {function.__qualname__} is a closure")
         copy = FunctionType(
             function.__code__,
             {**function.__globals__, **made},

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import cuda
 
-from raystream.jit.cuda.blocks import BlockKernel, get_32, get_64, put_32, put_64
-from raystream.jit.cuda.gpu import DeviceArray, Gpu
+from raystream.jit.cuda.block_kernel import BlockKernel, get_32, get_64, put_32, put_64
+from raystream.jit.cuda.device_array import DeviceArray
+from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.scan import USUAL_TILE, Scan, TileSize
 
 __all__ = ["DIGIT_BITS", "sort_kernels", "sort_pairs"]

@@ -1,4 +1,4 @@
-"""PTX on disk, beside the CPU's kernels."""
+"""The on-disk cache of PTX, in the folder of the CPU's kernels."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from raystream.core.atomic_write import atomic_write
 from raystream.jit.cache import kernel_folder, mark_used
 from raystream.jit.fingerprint import cuda_generator_hash, fingerprint, type_name
 
-__all__ = ["kept", "path_of"]
+__all__ = ["cached_text", "path_of"]
 
 
 def path_of(
     function: Callable[..., Any], arguments: Sequence[Any], capability: Any, version: str
 ) -> Path | None:
-    """The file of a compiled function; None if changes of it could not be noticed.
+    """Path of a compiled function; None if changes of its code cannot be detected.
 
     Parameters
     ----------
     function : callable
     arguments : sequence
-        Numba's types.
+        Numba types.
     capability : (int, int)
     version : str
         Of the compiler.
@@ -36,8 +36,8 @@ def path_of(
     return kernel_folder() / f"{function.__name__}-{digest}.ptx"
 
 
-def kept(path: Path | None, make: Callable[[], str]) -> str:
-    """The text of a file; if there is none, it is made, and kept if the folder can be written."""
+def cached_text(path: Path | None, make: Callable[[], str]) -> str:
+    """Read a file; if it is missing, make its text, and write it where the folder allows that."""
     if path is None:
         return make()
     try:
@@ -51,5 +51,5 @@ def kept(path: Path | None, make: Callable[[], str]) -> str:
         with atomic_write(path) as file:
             file.write_text(text, encoding="ascii")
     except OSError:
-        pass  # read-only: it is compiled in each process
+        pass  # read-only: each process compiles it
     return text

@@ -14,10 +14,10 @@ from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
-__all__ = ["UnfitError", "check_calls", "check_options", "check_raises", "with_extremes"]
+__all__ = ["CpuOnlyError", "check_calls", "check_options", "check_raises", "with_extremes"]
 
 
-class UnfitError(Exception):
+class CpuOnlyError(Exception):
     """A function that has to stay on the CPU; it says why."""
 
 
@@ -78,7 +78,7 @@ def check_calls(modules: list[str]) -> None:
 
     Raises
     ------
-    UnfitError
+    CpuOnlyError
         If it calls anything whose bits are not known to be the CPU's.
     """
     defined = {name for text in modules for name in _DEFINED.findall(text)}
@@ -86,9 +86,9 @@ def check_calls(modules: list[str]) -> None:
         for name in _DECLARED.findall(text):
             is_exact = name.removeprefix(_LIBRARY) in _EXACT and name.startswith(_LIBRARY)
             if not (name in defined or is_exact or _EXACT_LLVM.match(name)):
-                raise UnfitError(f"it calls {name.removeprefix(_LIBRARY)}")
+                raise CpuOnlyError(f"it calls {name.removeprefix(_LIBRARY)}")
         if re.search(r"= frem ", text):
-            raise UnfitError("it takes a remainder of floats")
+            raise CpuOnlyError("it takes a remainder of floats")
 
 
 def check_raises(ptx: str) -> None:
@@ -101,14 +101,14 @@ def check_raises(ptx: str) -> None:
 
     Raises
     ------
-    UnfitError
+    CpuOnlyError
         If the compiler could not rule out that there is something to be noted.
     """
     body = ptx[ptx.index(".visible .entry") :]
     if re.search(r"__errcode__|__exc_helper__", body[: body.index("\n}")]):
-        raise UnfitError("it may raise an exception")
+        raise CpuOnlyError("it may raise an exception")
     if ".extern .func" in ptx:
-        raise UnfitError("it calls what the driver's library has, such as print")
+        raise CpuOnlyError("it calls what the driver's library has, such as print")
 
 
 def check_options(function: Callable[..., Any], options: dict[str, Any]) -> None:
@@ -122,13 +122,13 @@ def check_options(function: Callable[..., Any], options: dict[str, Any]) -> None
 
     Raises
     ------
-    UnfitError
+    CpuOnlyError
         If it, or one that it calls, was compiled with others.
     """
     for one in _reachable(function, set()):
         own = one.targetoptions
         if any(own.get(name, False) != value for name, value in options.items()):
-            raise UnfitError(f"{one.py_func.__name__} was compiled with options of its own")
+            raise CpuOnlyError(f"{one.py_func.__name__} was compiled with options of its own")
 
 
 def _reachable(value: object, met: set[int]) -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""InFlight: what must not be freed before a device has read it."""
+"""KeepAlive: objects that must not be freed before a device has read them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from raystream.jit.cuda.simulation import is_simulated
 from raystream.jit.cuda.streams import CudaStream
 
-__all__ = ["InFlight"]
+__all__ = ["KeepAlive"]
 
 
-class InFlight:
-    """Keeps callers' objects until the work that was begun with them is done.
+class KeepAlive:
+    """Holds references to callers' objects until the launches that use them are done.
 
-    Nobody waits: each time that something is kept, what is done by then is let go.
+    Nothing waits: each call of `keep` releases the objects whose launches are done by then.
     """
 
     def __init__(self) -> None:
@@ -26,10 +26,10 @@ class InFlight:
         return len(self._kept)
 
     def keep(self, stream: CudaStream, objects: Any) -> None:
-        """Keep objects until a stream has done what it was given so far."""
+        """Keep objects until a stream has done all that it has been given so far."""
         if is_simulated():
             return
-        done = []  # freed outside the lock: what frees them may come here
+        done = []  # freed outside the lock: a finalizer may call this method
         event = stream.native.record()
         with self._lock:
             self._kept.append((event, objects))

@@ -1,7 +1,4 @@
-"""Votes: what the threads of a warp tell each other, in one instruction.
-
-The same words for the CPU and for CUDA. On the CPU a thread is alone: a warp of one.
-"""
+"""Warp votes, for CUDA and the CPU, where a warp is one thread."""
 
 from __future__ import annotations
 
@@ -12,20 +9,20 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from raystream.jit.simd.cuda_names import is_cuda
+from raystream.jit.simd.nvvm import is_cuda
 
 __all__ = ["active_mask", "ballot"]
 
 _I32 = ir.IntType(32)
 _I1 = ir.IntType(1)
 
-#: Of the four kinds of vote that NVVM has: the one whose result is who said yes.
+#: NVVM's number of the vote that returns a mask.
 _BALLOT = 3
 
 
 @intrinsic
 def active_mask(typing_context: Any) -> Any:
-    """The threads of the warp that are here: a bit for each, uint32."""
+    """Mask of the warp's active threads, uint32."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         if not is_cuda(builder):
@@ -37,13 +34,13 @@ def active_mask(typing_context: Any) -> Any:
 
 
 @intrinsic
-def ballot(typing_context: Any, voters: Any, says_yes: Any) -> Any:
-    """Which of some threads say yes: a bit for each, uint32.
+def ballot(typing_context: Any, voters: Any, predicate: Any) -> Any:
+    """Mask of the threads among `voters` whose predicate is true, uint32.
 
-    `voters` is what `active_mask` returned. All of these threads have to come here, however often
-    they vote: who returns before the others leaves them waiting.
+    `voters` is a mask from `active_mask`. All of these threads must call it equally often: a
+    thread that returns early leaves the others waiting.
     """
-    if voters != types.uint32 or says_yes != types.boolean:
+    if voters != types.uint32 or predicate != types.boolean:
         return None
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -58,4 +55,4 @@ def ballot(typing_context: Any, voters: Any, says_yes: Any) -> Any:
         said = builder.call(vote, [mask, ir.Constant(_I32, _BALLOT), flag])
         return builder.extract_value(said, 0)
 
-    return types.uint32(voters, says_yes), generate
+    return types.uint32(voters, predicate), generate

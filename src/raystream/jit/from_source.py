@@ -1,0 +1,47 @@
+"""Functions generated as Python source, and compiled like any other."""
+
+from __future__ import annotations
+
+import hashlib
+import linecache
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from raystream.jit.cpu import device, kernel
+
+__all__ = ["device_from_source", "function_from_source", "kernel_from_source"]
+
+_NAME = re.compile(r"^def (\w+)\(", re.MULTILINE)
+
+
+def kernel_from_source(text: str, names: Mapping[str, Any], module: str) -> Callable[..., Any]:
+    """Make a kernel from source; see `function_from_source`."""
+    return kernel(function_from_source(text, names, module))
+
+
+def device_from_source(text: str, names: Mapping[str, Any], module: str) -> Callable[..., Any]:
+    """Make a device function from source; see `function_from_source`."""
+    return device(function_from_source(text, names, module))
+
+
+def function_from_source(text: str, names: Mapping[str, Any], module: str) -> Callable[..., Any]:
+    """Make a Python function from source that defines it alone.
+
+    Parameters
+    ----------
+    text : str
+        Source with one function on the top level.
+    names : mapping
+        Globals that it uses.
+    module : str
+        The module of raystream that generated it.
+    """
+    name = _NAME.findall(text)[0]
+    digest = hashlib.sha256(text.encode()).hexdigest()[:24]
+    file = f"source_of_{name}_{digest}.py"  # not on disk
+    linecache.cache[file] = (len(text), None, text.splitlines(True), file)  # for error messages
+    namespace = {"__name__": module, **names}
+    exec(compile(text, file, "exec"), namespace)
+    function: Callable[..., Any] = namespace[name]
+    return function
