@@ -7,14 +7,14 @@ import pytest
 
 from raystream.jit.inspect import compile_code, read_functions
 from raystream.jit.simd import load
-from raystream.lab.kernels.blocks import Blocks
-from raystream.lab.kernels.fetches import Access, accesses, byte_count
+from raystream.lab.kernels.control_flow import ControlFlow
 from raystream.lab.kernels.instructions import (
     InstructionCounts,
     count_instructions,
     count_loop,
 )
 from raystream.lab.kernels.machine_code import count_machine_code, listing
+from raystream.lab.kernels.memory_accesses import Access, accesses, byte_count
 
 #: A record's index leads to a reference, and that to a number: two dependent loads.
 CHAIN = """
@@ -141,7 +141,7 @@ def test_what_serves_an_assumption_is_no_work():
 
 def test_loops():
     instructions = code_of(LOOPS)
-    assert Blocks(instructions).loops() == [{1, 2, 3}, {4}]
+    assert ControlFlow(instructions).loops() == [{1, 2, 3}, {4}]
     assert count_loop(instructions) == InstructionCounts(
         integer=3, comparisons=2, loads=1, branches=2
     )
@@ -150,7 +150,7 @@ def test_loops():
 
 
 def test_dominators():
-    blocks = Blocks(code_of(LOOPS))
+    blocks = ControlFlow(code_of(LOOPS))
     assert blocks.dominators == [0, 0, 1, 2, 3, 4]
     assert blocks.dominates(1, 5)
     assert not blocks.dominates(5, 1)

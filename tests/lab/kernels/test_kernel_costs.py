@@ -14,16 +14,16 @@ from raystream.kernels.sink import Sink
 from raystream.lab.kernels.bandwidth import copy_bandwidth, kernel_speeds, measure_speed
 from raystream.lab.kernels.costs import cost_of, stream_words, words_fetched, words_of
 from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only
-from raystream.lab.kernels.fetches import accesses
 from raystream.lab.kernels.instructions import count_instructions
+from raystream.lab.kernels.memory_accesses import accesses
 from raystream.lab.kernels.recirculation import (
     PassTime,
     Recirculation,
     by_occupancy,
     measure_recirculation,
 )
-from raystream.lab.kernels.record import compile_steps
-from raystream.lab.kernels.search import Search, busiest, local_rays, snapshots
+from raystream.lab.kernels.record_code import compile_steps
+from raystream.lab.kernels.snapshots import Search, busiest, local_rays, snapshots
 from raystream.machines import Branching
 from raystream.machines.steps import steps_of
 from raystream.streams import Counters

@@ -11,9 +11,9 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Result
+from raystream.lab.runner import Runner
 from raystream.lab.views import View
 from raystream.machines import Branching, RayCounters
 from raystream.machines.backend import Backend
@@ -27,13 +27,13 @@ __all__ = [
     "SCENES",
     "SIZE",
     "TRAVERSALS",
-    "counted",
+    "available_views",
+    "count_states",
     "figures_of",
     "foley_tree",
     "foley_trees",
-    "known_views",
     "published_figures",
-    "states",
+    "trace_counters",
 ]
 
 #: The paper's ways to search a tree.
@@ -51,11 +51,11 @@ SCENES = MappingProxyType(
 States = dict[str, dict[str, int]]
 
 
-def known_views(
-    lab: Laboratory, names: Sequence[str], result: Result
+def available_views(
+    runner: Runner, names: Sequence[str], result: Result
 ) -> Iterator[tuple[str, View]]:
     """The scenes that are here, one after another; a note for each that is not."""
-    return result.known(names, lambda name: lab.view(SCENES[name]))
+    return result.available(names, lambda name: runner.view(SCENES[name]))
 
 
 def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTreeStructure:
@@ -82,7 +82,7 @@ def foley_trees(
     return {traversal: tree.with_traversal(traversal) for traversal in TRAVERSALS}
 
 
-def counted(
+def trace_counters(
     machine: Structure | Backend,
     origins: Any,
     directions: Any,
@@ -98,7 +98,7 @@ def counted(
     return answer_counting(backend, query, batch, progress)[1]
 
 
-def states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> States:
+def count_states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> States:
     """How often rays were in each state of each traversal (Foley 2005, Table 2).
 
     Returns
@@ -108,7 +108,7 @@ def states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> 
     """
     found: States = {}
     for traversal, tree in trees.items():
-        counters = counted(tree, origins, directions)
+        counters = trace_counters(tree, origins, directions)
         found[traversal] = {"rays": counters.steps.size, **counters.total}
     return found
 

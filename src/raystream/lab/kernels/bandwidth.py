@@ -17,9 +17,9 @@ from raystream.jit.threads import parallel_for, thread_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.lab.kernels.costs import stream_words, words_fetched
 from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only
-from raystream.lab.kernels.fetches import accesses
-from raystream.lab.kernels.record import compile_steps
-from raystream.lab.kernels.search import Search, Snapshot, busiest, snapshots
+from raystream.lab.kernels.memory_accesses import accesses
+from raystream.lab.kernels.record_code import compile_steps
+from raystream.lab.kernels.snapshots import Search, Snapshot, busiest, snapshots
 from raystream.streams import Kernel
 from raystream.structures import Structure
 

@@ -9,10 +9,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from raystream.lab.kernels.fetches import Access, accesses
 from raystream.lab.kernels.instructions import InstructionCounts, count_instructions, count_loop
 from raystream.lab.kernels.machine_code import MachineCounts, count_machine_code
-from raystream.lab.kernels.record import RecordCode, compile_steps, first_hit_query, make_streams
+from raystream.lab.kernels.memory_accesses import Access, accesses
+from raystream.lab.kernels.record_code import (
+    RecordCode,
+    compile_steps,
+    first_hit_query,
+    make_streams,
+)
 from raystream.machines.ray_streams import declared_as
 from raystream.machines.steps import Steps, steps_of
 from raystream.structures import Structure

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from raystream.jit.inspect import Instruction
-from raystream.lab.kernels.blocks import Blocks
+from raystream.lab.kernels.control_flow import ControlFlow
 
 __all__ = ["InstructionCounts", "bookkeeping", "class_of", "count_instructions", "count_loop"]
 
@@ -157,7 +157,7 @@ def count_instructions(
 
 def count_loop(instructions: Sequence[Instruction]) -> InstructionCounts | None:
     """Count the instructions of the longest loop, of those in no other; None without loops."""
-    loops = Blocks(instructions).loops()
+    loops = ControlFlow(instructions).loops()
     counts = [count_instructions(instructions, loop) for loop in loops]
     return max(counts, key=lambda one: one.total, default=None)
 

@@ -20,7 +20,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import thread_count
 from raystream.kernels.local_frame import LocalRays, SceneFrame
 from raystream.kernels.sink import Sink
-from raystream.lab.kernels.search import Search
+from raystream.lab.kernels.snapshots import Search
 from raystream.machines import Branching
 from raystream.structures import Structure
 
