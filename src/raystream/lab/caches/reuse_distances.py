@@ -16,6 +16,7 @@ from raystream.lab.caches.kernels.hash_table import home_shift
 from raystream.lab.caches.kernels.ranked_bits import BITS, BLOCK_WORDS, ROW_BLOCKS, Marks
 from raystream.lab.caches.kernels.stack_distances import (
     Clock,
+    Histogram,
     Latest,
     move_entries,
     move_times,
@@ -148,16 +149,14 @@ class ReuseDistances:
         while True:
             start = np.uint64(
                 run_distances(
-                    *(
-                        chunk.trace,
-                        start,
-                        chunk.reference_count,
-                        self._divisor,
-                        self._latest,
-                        self._marks,
-                    ),
+                    chunk.trace,
+                    start,
+                    chunk.reference_count,
+                    self._divisor,
+                    self._latest,
+                    self._marks,
                     Clock(_address(self._clock), np.uint64(self._end)),
-                    *(_address(self._histogram), np.uint64(self._histogram.shape[1])),
+                    Histogram(_address(self._histogram), np.uint64(self._histogram.shape[1])),
                     _address(self._counts),
                 )
             )

@@ -18,6 +18,8 @@ from raystream.lab.walks.kernels.emit_references import (
     TEST,
     FetchTables,
     OutAddresses,
+    PassPlan,
+    RayProgress,
     begin_rays,
     fetch_branching,
     fetch_multipass,
@@ -71,15 +73,6 @@ class ReferenceChunk(NamedTuple):
     def part(self, count: int) -> ReferenceChunk:
         """The first of them."""
         return ReferenceChunk(self.addresses[:count], self.kinds[:count], self.words[:count])
-
-
-class _Rays(NamedTuple):
-    """Where rays are in a schedule; see `fetch_multipass`."""
-
-    kernels: NDArray[np.uint8]
-    runs: NDArray[np.uint64]
-    done: NDArray[np.uint32]
-    visits: NDArray[np.uint64]
 
 
 def branching_references(
@@ -165,15 +158,13 @@ def multipass_references(
     check_memory(21 * len(walks), f"places of {len(walks):,} rays would", "record fewer rays")
     tables = _tables(walks, grid, Textures.of(grid, len(walks), given))
     at_once = np.minimum(schedule.at_once, np.maximum(walks.most_runs, 1)).astype(np.uint32)
-    places = _Rays(*(np.empty(len(walks), one) for one in ("u1", "u8", "u4", "u8")))
+    places = RayProgress(*(np.empty(len(walks), one) for one in ("u1", "u8", "u4", "u8")))
     begin_rays(tables.addresses, places)
     cursor = np.zeros(3, np.uint64)
-    passes = schedule.kernels, schedule.run_counts
+    plan = PassPlan(schedule.kernels, schedule.run_counts, at_once, words)
 
     def fill(out: OutAddresses, room: int) -> int:
-        count = fetch_multipass(
-            rays, tables.addresses, *passes, at_once, words, places, cursor, out, room
-        )
+        count = fetch_multipass(rays, tables.addresses, plan, places, cursor, out, room)
         if count < 0 or (count == 0 and (places.kernels != DONE).any()):
             raise ValueError("schedule: not one of these walks")
         return count

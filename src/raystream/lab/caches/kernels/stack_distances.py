@@ -29,7 +29,7 @@ from raystream.lab.caches.kernels.trace_access import (
     note_reference,
 )
 
-__all__ = ["Clock", "Latest", "move_entries", "move_times", "run_distances"]
+__all__ = ["Clock", "Histogram", "Latest", "move_entries", "move_times", "run_distances"]
 
 _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
@@ -73,6 +73,21 @@ class Clock(NamedTuple):
     end: np.uint64
 
 
+class Histogram(NamedTuple):
+    """Counts by distance, a row for each kind of data; all are uint64.
+
+    Attributes
+    ----------
+    counts
+        Address of the rows, uint64.
+    length
+        Length of a row: at least `Latest.limit`.
+    """
+
+    counts: np.uint64
+    length: np.uint64
+
+
 @device
 def _entry_of(latest, key):
     """Address of a key's entry, or of the empty one where it belongs."""
@@ -86,8 +101,8 @@ def _entry_of(latest, key):
 
 
 @device
-def _count_distance(histogram, row, kind, distance):
-    at = histogram + ((kind * row + distance) << _NUMBER)
+def _count_distance(histogram, kind, distance):
+    at = histogram.counts + ((kind * histogram.length + distance) << _NUMBER)
     store(at, load(np.uint64, at) + _ONE)
 
 
@@ -100,7 +115,7 @@ def _look_ahead(trace, i, count, line_size, latest):
 
 
 @kernel
-def run_distances(trace, start, count, line_size, latest, marks, clock, histogram, row, counts):
+def run_distances(trace, start, count, line_size, latest, marks, clock, histogram, counts):
     """Count the distances of a chunk from reference `start` on.
 
     Parameters
@@ -112,10 +127,7 @@ def run_distances(trace, start, count, line_size, latest, marks, clock, histogra
     marks : Marks
     clock : Clock
         The arrays of all three are read and written.
-    histogram : uint64
-        Address of a row of counts by distance for each kind; each as long as `latest.limit`.
-    row : uint64
-        Length of a row.
+    histogram : Histogram
     counts : uint64
         Address of a row for each kind, see `trace.COLUMNS`. Misses are first accesses.
 
@@ -138,13 +150,13 @@ def run_distances(trace, start, count, line_size, latest, marks, clock, histogra
         while line <= last:
             line += _ONE
             if line == former:
-                _count_distance(histogram, row, kind, _ZERO)
+                _count_distance(histogram, kind, _ZERO)
                 continue
             former = line
             entry = _entry_of(latest, line)
             if load(np.uint64, entry) == line:
                 time = load(np.uint64, entry + _TIME)
-                _count_distance(histogram, row, kind, marks_after(marks, time, now))
+                _count_distance(histogram, kind, marks_after(marks, time, now))
                 unmark(marks, time)
             else:
                 store(entry, line)

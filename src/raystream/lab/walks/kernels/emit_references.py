@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
@@ -18,6 +19,8 @@ __all__ = [
     "TEST",
     "FetchTables",
     "OutAddresses",
+    "PassPlan",
+    "RayProgress",
     "begin_rays",
     "fetch_branching",
     "fetch_multipass",
@@ -82,6 +85,48 @@ class OutAddresses(NamedTuple):
     addresses: np.uint64
     kinds: np.uint64
     words: np.uint64
+
+
+class PassPlan(NamedTuple):
+    """The P passes of a schedule of K kernels, and what each kernel does in a pass.
+
+    Attributes
+    ----------
+    kernels : ndarray of shape (P,), uint8
+        The kernel of each pass.
+    run_counts : ndarray of shape (P,), uint32
+        The number of rays that each ran on.
+    at_once : ndarray of shape (K,), uint32
+        Maximum steps of each kernel per pass.
+    state_words : ndarray of shape (K,), uint8
+        Words of state that each kernel reads per ray.
+    """
+
+    kernels: NDArray[np.uint8]
+    run_counts: NDArray[np.uint32]
+    at_once: NDArray[np.uint32]
+    state_words: NDArray[np.uint8]
+
+
+class RayProgress(NamedTuple):
+    """The position of N rays in a schedule.
+
+    Attributes
+    ----------
+    kernels : ndarray of shape (N,), uint8
+        The kernel that each ray waits for, or `DONE`.
+    runs : ndarray of shape (N,), uint64
+        The row of its run.
+    done : ndarray of shape (N,), uint32
+        Finished steps of that run.
+    visits : ndarray of shape (N,), uint64
+        The row of the next cell.
+    """
+
+    kernels: NDArray[np.uint8]
+    runs: NDArray[np.uint64]
+    done: NDArray[np.uint32]
+    visits: NDArray[np.uint64]
 
 
 @device
@@ -192,24 +237,16 @@ def begin_rays(tables, rays):
 
 
 @kernel
-def fetch_multipass(order, tables, passes, counts, at_once, words, rays, cursor, out, room):
+def fetch_multipass(order, tables, plan, rays, cursor, out, room):
     """Write references pass by pass, until there is no room for a ray.
 
     Parameters
     ----------
     order, tables, out, room
         See `fetch_branching`.
-    passes : ndarray of shape (P,), uint8
-        The kernel of each.
-    counts : ndarray of shape (P,), uint32
-        The rays that each ran on.
-    at_once : ndarray of shape (K,), uint32
-        Steps of each kernel in a pass.
-    words : ndarray of shape (K,), uint8
-        Words of state that each reads.
-    rays : tuple of ndarray of shape (N,)
-        ``kernels``, uint8: the one that each waits for; ``runs``, uint64, its row; ``done``,
-        uint32, steps of it; ``visits``, uint64, the row of the next cell. Changed.
+    plan : PassPlan
+    rays : RayProgress
+        Updated.
     cursor : ndarray of shape (3,), uint64
         Passes that are over; rays that were looked at in the next one, and how many of these it
         ran on. Changed.
@@ -220,6 +257,7 @@ def fetch_multipass(order, tables, passes, counts, at_once, words, rays, cursor,
         How many were written; -1 if a pass did not run on as many rays as it should.
     """
     at = _ZERO
+    passes, counts, at_once, words = plan
     number, place, ran = cursor[0], cursor[1], cursor[2]
     while number < np.uint64(len(passes)):
         kernel_number = np.uint64(passes[number])
