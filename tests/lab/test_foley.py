@@ -28,7 +28,6 @@ from raystream.lab.published import published
 from raystream.lab.results import Result
 from raystream.lab.runner import Runner
 from raystream.lab.store import Store
-from raystream.lab.timing import time_in_turn
 from raystream.lab.views import View
 from raystream.machines import Multipass
 from raystream.scene.camera import Camera
@@ -192,18 +191,6 @@ def test_distinct_shares():
     assert distinct_share([[[1, 2], [3]]]) == 1.0
     assert distinct_share([[[1, 2, 1], [2, 1]], [[5], [5]]]) == 0.5
     assert math.isnan(distinct_share([[[], []]]))
-
-
-def test_slow_calls_have_one_turn(monkeypatch):
-    monkeypatch.setattr("raystream.lab.timing.PATIENCE", -1.0)
-    asked = []
-    found = time_in_turn({"a": lambda: asked.append("a")}, 3)
-    assert asked == ["a"]
-    assert found["a"]["rounds"] == 1
-    monkeypatch.undo()
-    found = time_in_turn({name: lambda name=name: asked.append(name) for name in "bc"}, 2)
-    assert asked == ["a", "b", "c", "b", "c"]
-    assert found["c"]["best"] <= found["c"]["median"]
 
 
 @pytest.mark.parametrize(

@@ -12,15 +12,11 @@ from raystream.lab.purcell import compiled_kernels
 
 FIGURES = {
     "code": 100,
-    "vectors": 0,
     "loop": 40,
     "machine": 120,
     "in": 30,
-    "loaded": 20,
     "out": 15,
     "fetched": 2,
-    "dependent": 2,
-    "depth": 1,
 }
 
 

@@ -1,49 +1,64 @@
-"""Timing: several contenders in turn, so that a busy moment hits all of them."""
+"""Timing of calls, several of them in turn."""
 
 from __future__ import annotations
 
 import gc
+import math
 import statistics
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
-__all__ = ["Timed", "time_in_turn"]
+__all__ = ["median_times", "repeat", "seconds_of", "time_in_turn"]
 
-#: Who took more seconds than this in all rounds together is not asked again.
-PATIENCE = 8.0
-
-#: ``best`` and ``median``, in seconds, and in how many ``rounds``.
-Timed = dict[str, Any]
+Call = Callable[[], object]
 
 
-def time_in_turn(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, Timed]:
-    """Time calls, one after another in each round.
+def seconds_of(call: Call) -> float:
+    """Time one call."""
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def repeat(call: Call, count: int) -> list[float]:
+    """Time a call several times; returns the seconds of each."""
+    return [seconds_of(call) for _ in range(count)]
+
+
+def time_in_turn(
+    calls: Mapping[str, Call], rounds: int, *, warm_up: bool = False, patience: float = math.inf
+) -> dict[str, list[float]]:
+    """Time each call once per round, so that background load affects all of them alike.
 
     Parameters
     ----------
     calls : mapping of str to callable
-        Compiled already.
     rounds : int
+    warm_up : bool
+        Run an untimed round first, which compiles.
+    patience : float
+        Calls that took more seconds than this in all rounds together are not repeated.
 
     Returns
     -------
-    dict of str to Timed
+    dict of str to list of float
+        Seconds of each run, at least one.
     """
+    if warm_up:
+        for call in calls.values():
+            call()
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         gc.collect()  # not while one of them is timed
         for name, call in calls.items():
-            if seconds[name] and sum(seconds[name]) > PATIENCE:
-                continue
-            seconds[name].append(_seconds(call))
-    return {
-        name: {"best": min(each), "median": statistics.median(each), "rounds": len(each)}
-        for name, each in seconds.items()
-    }
+            if not seconds[name] or sum(seconds[name]) <= patience:
+                seconds[name].append(seconds_of(call))
+    return seconds
 
 
-def _seconds(call: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    call()
-    return time.perf_counter() - started
+def median_times(
+    calls: Mapping[str, Call], rounds: int, *, warm_up: bool = True, patience: float = math.inf
+) -> dict[str, float]:
+    """Median seconds of each call; see `time_in_turn`."""
+    found = time_in_turn(calls, rounds, warm_up=warm_up, patience=patience)
+    return {name: statistics.median(seconds) for name, seconds in found.items()}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from raystream.lab.christen.scenes import SCENES, christen_scene
 from raystream.lab.purcell.on_graphics import adapter_note
 from raystream.lab.results import Cell, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.rendering.picture import render
 from raystream.tracer import Tracer
 
@@ -110,16 +109,10 @@ def _one(tracer: Tracer, iterations: int, size: int, rounds: int) -> dict[str, A
     def theirs() -> Any:
         return render(tracer, "whitted", **options)
 
-    image, reference = ours(), theirs()  # and all is compiled
-    seconds: dict[str, list[float]] = {"seconds": [], "cpu_seconds": []}
-    for _ in range(rounds):
-        for name, draw in (("seconds", ours), ("cpu_seconds", theirs)):
-            began = time.perf_counter()
-            draw()
-            seconds[name].append(time.perf_counter() - began)
+    image, reference = ours(), theirs()  # compiles
     return {
         "iterations": image.figures["iterations"],
         "passes": image.figures["passes"],
         "farthest": float(np.abs(image.pixels - reference.pixels).max()),
-        **{name: statistics.median(each) for name, each in seconds.items()},
+        **median_times({"seconds": ours, "cpu_seconds": theirs}, rounds, warm_up=False),
     }

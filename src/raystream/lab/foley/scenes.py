@@ -24,6 +24,7 @@ from raystream.structures.kdtree.options import KdTree
 from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = [
+    "PATIENCE",
     "SCENES",
     "SIZE",
     "TRAVERSALS",
@@ -41,6 +42,9 @@ TRAVERSALS = ("stack", "restart", "backtrack")
 
 #: Width and height of Foley's pictures, section 4.
 SIZE = 512
+
+#: Seconds of all rounds together, after which a structure is not timed again.
+PATIENCE = 8.0
 
 #: The paper's scenes by the name under which its figures are kept: what `load` calls them.
 SCENES = MappingProxyType(

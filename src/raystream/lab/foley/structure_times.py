@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -16,12 +17,19 @@ from raystream.lab.foley.other_views import (
     lead,
     other_views_table,
 )
-from raystream.lab.foley.scenes import SCENES, SIZE, available_views, foley_trees, trace_counters
+from raystream.lab.foley.scenes import (
+    PATIENCE,
+    SCENES,
+    SIZE,
+    available_views,
+    foley_trees,
+    trace_counters,
+)
 from raystream.lab.foley.time_claims import time_claims
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
 from raystream.lab.runner import Runner
-from raystream.lab.timing import Timed, time_in_turn
+from raystream.lab.timing import time_in_turn
 from raystream.lab.views import View
 from raystream.machines import Branching, Multipass
 from raystream.structures import Structure, build_structure
@@ -107,7 +115,7 @@ class _Scene:
         share = _BRUTE_SHARE if structure == "brute" else 1
         return RayBatch(*self.view.rays(max(8, self.size // share)), 0.0, np.inf)
 
-    def times(self) -> dict[str, Timed]:
+    def times(self) -> Found:
         """Seconds a ray of each structure."""
         calls = {}
         few = RayBatch(*self.view.rays(8), 0.0, np.inf)
@@ -115,12 +123,9 @@ class _Scene:
             batch = self.batch(name)
             _tracing(structure, few if name in _SLOW else batch)()  # compiles it
             calls[name] = _tracing(structure, batch)
-        found = time_in_turn(calls, 2 if self.runner.quick else 5)
-        for name, each in found.items():
-            each["rays"] = len(self.batch(name))
-        return found
+        return self._timed(calls, 2 if self.runner.quick else 5)
 
-    def stepwise(self) -> dict[str, Timed]:
+    def stepwise(self) -> Found:
         """Seconds that the multipass machine takes, with Foley's scheduler."""
         few = RayBatch(*self.view.rays(8), 0.0, np.inf)
         calls = {}
@@ -128,10 +133,19 @@ class _Scene:
             machine = Multipass(self.structures()[name], scheduler="double")
             _tracing(machine, few)()
             calls[name] = _tracing(machine, self.batch(name))
-        found = time_in_turn(calls, 1 if self.runner.quick else 3)
-        for name, each in found.items():
-            each["rays"] = len(self.batch(name))
-        return found
+        return self._timed(calls, 1 if self.runner.quick else 3)
+
+    def _timed(self, calls: Mapping[str, Callable[[], object]], rounds: int) -> Found:
+        """``best`` and ``median`` seconds of each structure, its ``rounds`` and ``rays``."""
+        return {
+            name: {
+                "best": min(seconds),
+                "median": statistics.median(seconds),
+                "rounds": len(seconds),
+                "rays": len(self.batch(name)),
+            }
+            for name, seconds in time_in_turn(calls, rounds, patience=PATIENCE).items()
+        }
 
     def counts(self) -> dict[str, dict[str, float]]:
         """What a ray meets on the average."""

@@ -10,6 +10,7 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.lab.foley.scenes import (
+    PATIENCE,
     SIZE,
     TRAVERSALS,
     available_views,
@@ -110,8 +111,8 @@ def _times(
         for cost, each in trees.items()
         for traversal, tree in each.items()
     }
-    found = time_in_turn(calls, rounds)
-    return {cost: {t: 1e3 * found[f"{cost} {t}"]["best"] for t in TRAVERSALS} for cost in trees}
+    found = time_in_turn(calls, rounds, patience=PATIENCE)
+    return {cost: {t: 1e3 * min(found[f"{cost} {t}"]) for t in TRAVERSALS} for cost in trees}
 
 
 def _cost_table(found: Mapping[str, Found], size: int) -> Table:

@@ -39,16 +39,12 @@ class Access(NamedTuple):
     byte_count : int
     is_dependent : bool
         Whether the address follows from anything that was read, from wherever.
-    depth : int
-        For a load: how many loads must come one after another for its value, itself included,
-        of those that are neither of the arguments named as streams nor local. 0 for these.
     """
 
     opcode: str
     root: str
     byte_count: int
     is_dependent: bool
-    depth: int
 
 
 def byte_count(shown: str) -> int:
@@ -63,17 +59,12 @@ def byte_count(shown: str) -> int:
     return -(-int(shown[1:]) // 8)
 
 
-def accesses(
-    instructions: Sequence[Instruction], streams: tuple[str, ...] = ("%arg.stream_",)
-) -> list[Access]:
+def accesses(instructions: Sequence[Instruction]) -> list[Access]:
     """The loads and stores of a function, in the order of its text.
 
     Parameters
     ----------
     instructions : sequence of Instruction
-    streams : tuple of str
-        How the names of arguments begin that are streams: their addresses depend on nothing
-        that was read.
 
     Notes
     -----
@@ -85,13 +76,12 @@ def accesses(
 
     What functions read that are called is not seen, masked loads of LLVM's included.
     """
-    return _Reader(instructions, streams).accesses()
+    return _Reader(instructions).accesses()
 
 
 class _Reader:
-    def __init__(self, instructions: Sequence[Instruction], streams: tuple[str, ...]) -> None:
+    def __init__(self, instructions: Sequence[Instruction]) -> None:
         self._code = instructions
-        self._streams = streams
         self._blocks = ControlFlow(instructions)
         self._roots = {
             k: self._root(one.operands[-1])
@@ -101,22 +91,17 @@ class _Reader:
         self._written = self._local_writes()
 
     def accesses(self) -> list[Access]:
-        sources = {
-            k: self._loads_of(self._code[k].operands[-1 if one.opcode == "store" else 0])
-            for k, one in enumerate(self._code)
-            if one.opcode in ("load", "store")
-        }
-        depths = self._depths({k: v for k, v in sources.items() if self._code[k].opcode == "load"})
-        result = []
         skipped = bookkeeping(self._code)
-        for k, found in sources.items():
-            if k in skipped:
-                continue
-            one = self._code[k]
-            depth = depths[k] if one.opcode == "load" else 0
-            size = byte_count(one.type)
-            result.append(Access(one.opcode, self._name(k), size, bool(found), depth))
-        return result
+        return [
+            Access(
+                one.opcode,
+                self._name(k),
+                byte_count(one.type),
+                bool(self._loads_of(one.operands[-1 if one.opcode == "store" else 0])),
+            )
+            for k, one in enumerate(self._code)
+            if one.opcode in ("load", "store") and k not in skipped
+        ]
 
     def _name(self, k: int) -> str:
         root = self._roots[k]
@@ -189,50 +174,3 @@ class _Reader:
             self._code[x]._replace(block=0) if isinstance(x, int) else x for x in phi.operands
         }
         return len(values) > 1 or "" in values
-
-    def _depths(self, sources: dict[int, set[int]]) -> dict[int, int]:
-        """Longest chains of loads.
-
-        Those that feed each other in a loop count as one after another, once each: for one
-        round of it.
-        """
-        groups = _components(sources)
-        depths: dict[int, int] = {}
-        for group in groups:
-            outside = {s for k in group for s in sources[k]} - group
-            below = max((depths[s] for s in outside), default=0)
-            own = sum(self._is_fetch(k) for k in group)
-            for k in group:
-                depths[k] = below + own if self._is_fetch(k) else 0
-        return depths
-
-    def _is_fetch(self, k: int) -> bool:
-        root = self._roots[k]
-        return isinstance(root, str) and root != "table" and not root.startswith(self._streams)
-
-
-def _components(sources: dict[int, set[int]]) -> list[set[int]]:
-    """Loads in groups that depend on each other, sources first (Tarjan 1972)."""
-    numbers: dict[int, int] = {}
-    lows: dict[int, int] = {}
-    open_: list[int] = []
-    groups: list[set[int]] = []
-
-    def visit(k: int) -> None:
-        numbers[k] = lows[k] = len(numbers)
-        open_.append(k)
-        for one in sources[k]:
-            if one not in numbers:
-                visit(one)
-                lows[k] = min(lows[k], lows[one])
-            elif one in open_:
-                lows[k] = min(lows[k], numbers[one])
-        if lows[k] == numbers[k]:
-            group = set(open_[open_.index(k) :])
-            del open_[open_.index(k) :]
-            groups.append(group)
-
-    for k in sources:
-        if k not in numbers:
-            visit(k)
-    return groups

@@ -61,15 +61,11 @@ def _figures(one: KernelCost) -> dict[str, Any]:
     return {
         "kernel": one.kernel,
         "code": one.code.total,
-        "vectors": one.code.vectors,
         "loop": None if one.loop is None else one.loop.total,
-        "machine": one.machine.total,
+        "machine": one.machine,
         "in": sum(one.words_in.values()),
-        "loaded": sum(one.words_loaded.values()),
         "out": sum(one.words_out.values()),
         "fetched": one.fetched_words,
-        "dependent": one.dependent_loads,
-        "depth": one.depth,
     }
 
 

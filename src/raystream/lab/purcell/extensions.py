@@ -7,10 +7,9 @@ light, and every surface a mirror of a quarter: his shading sends a reflected ra
 from __future__ import annotations
 
 import dataclasses
-import statistics
-import time
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ from raystream.lab.published import published
 from raystream.lab.purcell.image_counts import SIZE
 from raystream.lab.results import Cell, Claim, Result, Table, comparison
 from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.lab.views import View
 from raystream.machines import RayCounters
 from raystream.rendering.integrator import Integrator, make_setting
@@ -270,16 +270,14 @@ def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
 
 def _times(runner: Runner, tracer: Tracer, rounds: int) -> dict[str, float]:
     """Median seconds of each row's picture, for each ray from the eye."""
-    rows = ("raycast", *(row for row in _ROWS if row != "shadow rays"))
-    seconds: dict[str, list[float]] = {row: [] for row in rows}
-    for number in range(rounds + 1):  # the first one compiles
-        for row in rows:
-            mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]
-            size, samples = _size_of(runner, row)
-            size = max(size // _TIMED_SHARE, 16) if number else _WARM_SIZE
-            started = time.perf_counter()
-            render(tracer, mode, size=(size, size), samples=samples, **own)
-            if number:
-                taken = (time.perf_counter() - started) / (size * size * samples)
-                seconds[row].append(taken)
-    return {row: statistics.median(values) for row, values in seconds.items()}
+    calls, ray_counts = {}, {}
+    for row in ("raycast", *(row for row in _ROWS if row != "shadow rays")):
+        mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]
+        size, samples = _size_of(runner, row)
+        size = max(size // _TIMED_SHARE, 16)
+        draw = partial(render, tracer, mode, samples=samples, **own)
+        draw(size=(_WARM_SIZE, _WARM_SIZE))  # compiles
+        calls[row] = partial(draw, size=(size, size))
+        ray_counts[row] = size * size * samples
+    times = median_times(calls, rounds, warm_up=False)
+    return {row: seconds / ray_counts[row] for row, seconds in times.items()}

@@ -5,9 +5,8 @@ His simulators counted what such hardware would do; this runs it, on the adapter
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -19,6 +18,7 @@ from raystream.lab.published import published
 from raystream.lab.purcell.image_counts import grid_options
 from raystream.lab.results import Cell, Claim, Result, Table
 from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.lab.views import PURCELL_VIEWS, View
 from raystream.tracer import Tracer
 
@@ -189,13 +189,5 @@ def _differences(hits: Hits, oracle: Hits) -> dict[str, float]:
 def _seconds(runner: Runner, view: View, rays: Any) -> dict[str, float]:
     """Median seconds of each contender, taking turns, without counting."""
     tracers = {one: _tracer(runner, view, one, False) for one in _CONTENDERS}
-    taken: dict[str, list[float]] = {one: [] for one in tracers}
-    for number in range(1 + (1 if runner.quick else _ROUNDS)):  # the first one compiles
-        for one, tracer in tracers.items():
-            if sum(taken[one]) > _PATIENCE:
-                continue
-            started = time.perf_counter()
-            tracer.first_hit(*rays)
-            if number:
-                taken[one].append(time.perf_counter() - started)
-    return {one: statistics.median(each) for one, each in taken.items()}
+    calls = {one: partial(tracer.first_hit, *rays) for one, tracer in tracers.items()}
+    return median_times(calls, 1 if runner.quick else _ROUNDS, patience=_PATIENCE)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from typing import Any
 
 from raystream.core.errors import RaystreamError
@@ -14,6 +12,7 @@ from raystream.lab.purcell.image_counts import SIZE, count_image, grid_options
 from raystream.lab.purcell.scene_statistics import image_statistics
 from raystream.lab.results import Cell, Result, Table
 from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.lab.views import View
 from raystream.tracer import Tracer
 
@@ -119,14 +118,9 @@ def _engine(runner: Runner, structure: str) -> list[Cell]:
 
 
 def _seconds(tracer: Tracer, view: View, size: int, rounds: int) -> float:
-    """Of a picture's first hits, the median."""
+    """Median seconds of an image's first hits."""
     rays = view.rays(size)
-    taken = []
-    for _ in range(rounds + 1):  # the first one compiles
-        started = time.perf_counter()
-        tracer.first_hit(*rays)
-        taken.append(time.perf_counter() - started)
-    return statistics.median(taken[1:])
+    return median_times({"": lambda: tracer.first_hit(*rays)}, rounds)[""]
 
 
 def _tests(runner: Runner, view: View, structure: str, size: int) -> float:

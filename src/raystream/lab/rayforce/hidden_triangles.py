@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.scene.load import load
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -119,12 +119,8 @@ def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
         values: dict[str, Any] = {"triangles": scene.triangle_count}
         for name in STRUCTURES:
             tracer = Tracer(scene, name, progress=runner.progress)
-            tracer.first_hit(*rays)  # compiles
-            seconds = []
-            for _ in range(1 if runner.quick else ROUNDS):
-                started = time.perf_counter()
-                tracer.first_hit(*rays)
-                seconds.append(time.perf_counter() - started)
+            rounds = 1 if runner.quick else ROUNDS
+            seconds = median_times({name: partial(tracer.first_hit, *rays)}, rounds)[name]
             counting = Tracer(scene, name, counters=True)
             hits = counting.first_hit(*rays)
             total, count = counting.counters.total, size * size
@@ -132,7 +128,7 @@ def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
                 "price": _price(counting, total, count),
                 "steps": (total["steps"] + total["link_nodes"]) / count,
                 "tests": total["tests"] / count,
-                "nanoseconds": 1e9 * statistics.median(seconds) / count,
+                "nanoseconds": 1e9 * seconds / count,
                 "changed": int(np.count_nonzero(hits.prim_id != alone.prim_id)),
             }
         return values

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.scene.camera import Camera
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -115,19 +115,16 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
         size = runner.size(SIZE)
         rays = scene.camera_for(1.0).rays(size, size)
         tracers = {name: Tracer(scene, name) for name in STRUCTURES}
-        seconds: dict[tuple[str, str], list[float]] = {}
-        for number in range(2 if runner.quick else ROUNDS + 1):  # the first one compiles
-            for name, tracer in tracers.items():
-                for title, ask in QUERIES.items():
-                    started = time.perf_counter()
-                    ask(tracer, rays)
-                    if number:
-                        taken = time.perf_counter() - started
-                        seconds.setdefault((name, title), []).append(taken)
+        calls = {
+            f"{name}, {title}": partial(query, tracer, rays)
+            for name, tracer in tracers.items()
+            for title, query in QUERIES.items()
+        }
+        seconds = median_times(calls, 1 if runner.quick else ROUNDS)
         return {
             name: {
                 "rays": size * size,
-                "seconds": {title: statistics.median(seconds[name, title]) for title in QUERIES},
+                "seconds": {title: seconds[f"{name}, {title}"] for title in QUERIES},
                 **_counted(scene, name, rays),
             }
             for name in STRUCTURES

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from raystream.lab.results import Cell, Table
+from collections.abc import Iterable
+from dataclasses import astuple
 
-__all__ = ["NOTHING", "are_numbers", "cell_text", "is_number", "sentence"]
+from raystream.lab.results import Cell, Claim, Table
+
+__all__ = ["NOTHING", "are_numbers", "cell_text", "claims_table", "is_number"]
 
 NOTHING = "–"
 
@@ -19,9 +22,14 @@ def are_numbers(table: Table) -> list[bool]:
     return [any(is_number(row[k]) for row in table.rows) for k in range(len(table.columns))]
 
 
-def sentence(text: str) -> str:
-    """The text with a capital."""
-    return text[:1].upper() + text[1:]
+def claims_table(claims: Iterable[Claim]) -> Table:
+    """Verdicts over the claims of all experiments."""
+    return Table.of(
+        "claims",
+        "What the papers say, and what is so here",
+        ("claim", "source", "verdict", "evidence"),
+        [(one.text[:1].upper() + one.text[1:], *astuple(one)[1:]) for one in claims],
+    )
 
 
 def cell_text(cell: Cell) -> str:

@@ -10,8 +10,8 @@ from pathlib import Path
 from raystream.lab.experiments import Outcome
 from raystream.lab.published import paper_name
 from raystream.lab.report.about import About
-from raystream.lab.report.cell_text import are_numbers, cell_text, is_number, sentence
-from raystream.lab.results import Claim, Picture, Plot, Table
+from raystream.lab.report.cell_text import are_numbers, cell_text, claims_table, is_number
+from raystream.lab.results import Cell, Picture, Plot, Table
 
 __all__ = ["as_html"]
 
@@ -42,6 +42,7 @@ figure { margin: 1rem 0; max-width: 44rem } figure img { max-width: 100%; height
   border: 1px solid var(--line); border-radius: 4px; background: #fff }
 figcaption { color: var(--quiet); font-size: .88rem }
 div.pictures { display: flex; flex-wrap: wrap; gap: 1rem } div.pictures figure { width: 15rem }
+.holds, .part, .not { font-weight: 600 }
 .holds { color: var(--good) } .part { color: var(--part) } .not { color: var(--bad) }
 """
 
@@ -78,7 +79,7 @@ def as_html(
         body.append(f"<p>{link}: through a grid, kd-trees and a graph of sectors.</p>")
     body.append(_contents(outcomes, bool(claims)))
     if claims:
-        body += ['<h2 id="claims">What the papers say, and what is so here</h2>', _claims(claims)]
+        body.append(_table(claims_table(claims), level=2))
     for experiment, result, seconds in outcomes:
         paper = paper_name(experiment.paper)
         body.append(
@@ -118,7 +119,7 @@ def _contents(outcomes: Sequence[Outcome], has_claims: bool) -> str:
     return f'<nav aria-label="Contents"><ul>{"".join(items)}</ul></nav>'
 
 
-def _table(table: Table) -> str:
+def _table(table: Table, level: int = 3) -> str:
     right = are_numbers(table)
     head = "".join(
         f"<th{' class=number' if one else ''} scope=col>{escape(name)}</th>"
@@ -126,35 +127,23 @@ def _table(table: Table) -> str:
     )
     rows = "".join(
         "<tr>"
-        + "".join(
-            f"<td{' class=number' if is_number(cell) or cell is None else ''}>"
-            f"{_inline(cell_text(cell))}</td>"
-            for cell in row
-        )
+        + "".join(f"<td{_cell_class(cell)}>{_inline(cell_text(cell))}</td>" for cell in row)
         + "</tr>\n"
         for row in table.rows
     )
     notes = "".join(f'<p class="note">{_inline(note)}</p>' for note in table.notes)
     return (
-        f'<h3 id="{escape(table.name)}">{escape(table.title)}</h3>\n<div class="wide"><table>'
+        f'<h{level} id="{escape(table.name)}">{escape(table.title)}</h{level}>\n'
+        '<div class="wide"><table>'
         f"<thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table></div>{notes}"
     )
 
 
-def _claims(claims: Sequence[Claim]) -> str:
-    rows = "".join(
-        f"<tr><td>{_inline(sentence(one.text))}</td><td>{escape(one.source)}</td>"
-        f'<td class="{_VERDICT_CLASSES.get(one.verdict, "")}"><b>{escape(one.verdict)}</b></td>'
-        f"<td>{_inline(one.evidence)}</td></tr>\n"
-        for one in claims
-    )
-    head = "".join(
-        f"<th scope=col>{one}</th>" for one in ("claim", "source", "verdict", "evidence")
-    )
-    return (
-        f'<div class="wide"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>{rows}</tbody></table></div>"
-    )
+def _cell_class(cell: Cell) -> str:
+    if is_number(cell) or cell is None:
+        return " class=number"
+    name = _VERDICT_CLASSES.get(str(cell))
+    return f" class={name}" if name else ""
 
 
 def _plot(plot: Plot, path: Path) -> str:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from raystream.lab.experiments import Outcome
 from raystream.lab.report.about import About
-from raystream.lab.report.cell_text import are_numbers, cell_text, sentence
-from raystream.lab.results import Claim, Plot, Table
+from raystream.lab.report.cell_text import are_numbers, cell_text, claims_table
+from raystream.lab.results import Plot, Table
 
 __all__ = ["as_markdown"]
 
@@ -25,7 +25,7 @@ def as_markdown(outcomes: Sequence[Outcome], about: About, plots: Sequence[str] 
     parts = ["# The papers' experiments, re-run", *about.lines()]
     claims = [claim for one in outcomes for claim in one.result.claims]
     if claims:
-        parts += ["## What the papers say", _claim_table(claims)]
+        parts += ["## What the papers say", table_text(claims_table(claims))]
     for experiment, result, seconds in outcomes:
         parts.append(f"## {experiment.title}")
         parts += [f"![{one.title}](pictures/{one.path.name})" for one in result.pictures]
@@ -50,12 +50,6 @@ def table_text(table: Table) -> str:
 
 def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-
-def _claim_table(claims: Sequence[Claim]) -> str:
-    lines = [_line(("claim", "source", "verdict", "evidence")), "| --- | --- | --- | --- |"]
-    lines += [_line((sentence(one.text), one.source, one.verdict, one.evidence)) for one in claims]
-    return "\n".join(lines)
 
 
 def _plot_text(plot: Plot) -> str:
