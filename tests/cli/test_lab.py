@@ -45,7 +45,7 @@ def test_folder_that_is_a_file_is_refused(run, tmp_path):
 def small(monkeypatch):
     """Purcell's experiments with only the built-in scenes, in a small part."""
     views = ("forest top",)
-    for module in ("statistics", "schedules", "unrolling", "costs"):
+    for module in ("scene_statistics", "schedules", "loop_unrolling", "image_costs"):
         monkeypatch.setattr(f"raystream.lab.purcell.{module}.PURCELL_VIEWS", views)
 
 
@@ -75,7 +75,7 @@ def test_break_says_how_to_go_on(run, monkeypatch, small):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("raystream.lab.purcell.unrolling.compare", stop)
+    monkeypatch.setattr("raystream.lab.purcell.loop_unrolling.compare", stop)
     found = run("lab", "purcell", "--only", "unrolling", "--quick", "--size", "32", "-o", "out")
     assert found.code == 130
     assert "measurements are saved in out; rerun with --resume" in found.err

@@ -16,7 +16,7 @@ from raystream.core.errors import RaystreamError
 from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
-from raystream.lab.asked import AskedTracer
+from raystream.lab.recording_tracer import RecordingTracer
 from raystream.rendering.integrator import make_setting
 from raystream.rendering.picture import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
@@ -285,6 +285,6 @@ def test_other_machines_shade_on_the_host(gpu):
         tracer = rs.Tracer(scene, "brute", **options)
         assert make_setting(tracer, scene.camera, (2, 2), usual, {}).bands is None
     counting = rs.Tracer(scene, "brute", "cuda", counters=True)
-    noting = AskedTracer(scene, "brute", device="cuda")
+    noting = RecordingTracer(scene, "brute", device="cuda")
     for tracer in (counting, noting):
         assert make_setting(tracer, scene.camera, (2, 2), usual, {}).bands is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import kernel
-from raystream.lab.caches.kernels.divide import divisor, quotient
+from raystream.lab.caches.kernels.fast_division import divisor, quotient
 
 
 def test_quotients_are_exact(rng):

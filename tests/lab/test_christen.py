@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.lab import Laboratory, Store
-from raystream.lab.christen import calls, scenes, times
-from raystream.lab.frames import setting_of
+from raystream.lab import Runner, Store
+from raystream.lab.christen import image_times, kernel_calls, scenes
+from raystream.lab.frame_timing import render_context
 from raystream.lab.published import published
 
 
 @pytest.fixture
-def lab(tmp_path):
+def runner(tmp_path):
     store = Store(tmp_path / "measurements.json", {}, "test")
-    return Laboratory(tmp_path, store, size=16, quick=True)
+    return Runner(tmp_path, store, size=16, quick=True)
 
 
 def test_scenes_have_as_many_triangles_as_his():
@@ -56,7 +56,7 @@ def test_bounces_are_mirrored_rays():
 def test_iterations_are_those_of_the_renderer():
     scene = scenes.christen_scene("B")
     tracer = rs.Tracer(scene, "grid", resolution=5)
-    seconds, light = scenes.timed_iterations(setting_of(tracer, (12, 12)), tracer, 12, 4)
+    seconds, light = scenes.timed_iterations(render_context(tracer, (12, 12)), tracer, 12, 4)
     assert len(seconds) == 4
     assert seconds == sorted(seconds)
     image = rs.render(scene, "whitted", (12, 12), max_bounces=3, min_weight=0.0)
@@ -66,7 +66,7 @@ def test_iterations_are_those_of_the_renderer():
 def test_passes_run_on_all_that_rays_meet():
     scene = scenes.christen_scene("B")
     (bounce, *_) = scenes.bounces_of(scene, 16, 1)
-    found = calls.passes_of(scene, bounce, 0.2, 5)
+    found = kernel_calls.passes_of(scene, bounce, 0.2, 5)
     counting = rs.Tracer(scene, "grid", resolution=5, counters=True)
     counting.first_hit(bounce.origins, bounce.directions)
     total = counting.counters.total
@@ -78,9 +78,9 @@ def test_passes_run_on_all_that_rays_meet():
         assert runs + masked == count * found["rays"]
 
 
-def test_calls_have_rows_for_every_bounce(lab, monkeypatch):
-    monkeypatch.setattr(calls, "SCENES", {})  # leaves the one with matte walls
-    result = calls.calls(lab)
+def test_calls_have_rows_for_every_bounce(runner, monkeypatch):
+    monkeypatch.setattr(kernel_calls, "SCENES", {})  # leaves the one with matte walls
+    result = kernel_calls.kernel_calls(runner)
     (table, kernels, sweep) = result.tables
     rows = table.records()
     assert [row["iteration"] for row in rows] == list(range(1, len(rows) + 1))
@@ -90,28 +90,28 @@ def test_calls_have_rows_for_every_bounce(lab, monkeypatch):
         own = [one for one in kernels.records() if one["iteration"] == row["iteration"]]
         assert sum(one["passes"] for one in own) == row["passes"]
         assert sum(one["rejected, of all pixels"] for one in own) == row["rejected early"]
-    assert len(sweep.columns) == 1 + len(calls._QUICK_THRESHOLDS)
+    assert len(sweep.columns) == 1 + len(kernel_calls._QUICK_THRESHOLDS)
     assert len(result.claims) == 4
 
 
-def test_times_are_cumulative(lab, monkeypatch):
-    monkeypatch.setattr(times, "SCENES", {"A": scenes.SCENES["A"]})
-    result = times.times(lab)
+def test_times_are_cumulative(runner, monkeypatch):
+    monkeypatch.setattr(image_times, "SCENES", {"A": scenes.SCENES["A"]})
+    result = image_times.image_times(runner)
     table = result.tables[1].records()
     assert {row["machine"] for row in table} == {"branching", "multipass"}
     for row in table:
-        numbers = [row[str(k)] for k in range(1, times.ITERATIONS + 1)]
+        numbers = [row[str(k)] for k in range(1, image_times.ITERATIONS + 1)]
         assert numbers == sorted(numbers)
     assert [plot.name for plot in result.plots] == [
         "christen-grids-1",
-        f"christen-grids-{times.ITERATIONS}",
+        f"christen-grids-{image_times.ITERATIONS}",
         "christen-iterations",
     ]
 
 
-def test_a_crowded_grid_is_left_out_with_its_reason(lab, monkeypatch):
-    monkeypatch.setattr(times, "_MOST_TESTS", 1)
+def test_a_crowded_grid_is_left_out_with_its_reason(runner, monkeypatch):
+    monkeypatch.setattr(image_times, "_MOST_TESTS", 1)
     scene = scenes.christen_scene("A")
-    value = lab.run("x", lambda lab: times._multipass(lab, scene, "A", 20))
+    value = runner.run("x", lambda runner: image_times._multipass(runner, scene, "A", 20))
     assert value["most_tests"] > 1
     assert "seconds" not in value

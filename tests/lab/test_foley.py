@@ -10,24 +10,23 @@ import pytest
 import raystream as rs
 from meshes import dented_sphere, soup
 from raystream.lab.experiments import EXPERIMENTS
-from raystream.lab.foley.rays import first_hits, ray_kinds
+from raystream.lab.foley.node_visits import TreeWalker, distinct_share
 from raystream.lab.foley.scenes import (
     SIZE,
-    counted,
+    count_states,
     figures_of,
     foley_tree,
     foley_trees,
     published_figures,
-    states,
+    trace_counters,
 )
-from raystream.lab.foley.schedule import Ratio, Watched
+from raystream.lab.foley.schedulers import RecordingScheduler, SwitchRatio
+from raystream.lab.foley.secondary_rays import first_hits, ray_kinds
+from raystream.lab.foley.sensitivity import Trial, explain_difference, is_near, nearest
 from raystream.lab.foley.settings import PBRT_BONUS, settings_of
-from raystream.lab.foley.sweep import Tried, is_near, nearest, why_differs
-from raystream.lab.foley.timing import timed_in_turn
-from raystream.lab.foley.visits import Walker, distinct_share
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Result
+from raystream.lab.runner import Runner
 from raystream.lab.store import Store
 from raystream.lab.views import View
 from raystream.machines import Multipass
@@ -52,7 +51,7 @@ def view():
     return make_view()
 
 
-class SmallLaboratory(Laboratory):
+class SmallRunner(Runner):
     """Has a small scene in the place of each sample."""
 
     def view(self, name):
@@ -60,13 +59,13 @@ class SmallLaboratory(Laboratory):
 
 
 @pytest.fixture
-def laboratory(tmp_path):
-    return SmallLaboratory(tmp_path, Store(tmp_path / "m.json", {}, "x"), size=SIDE, quick=True)
+def runner(tmp_path):
+    return SmallRunner(tmp_path, Store(tmp_path / "m.json", {}, "x"), size=SIDE, quick=True)
 
 
 @pytest.mark.parametrize("bonus", [0.0, PBRT_BONUS])
 def test_traversals_visit_the_same_leaves_and_triangles(view, bonus):
-    found = states(foley_trees(view.scene, empty_bonus=bonus), *view.rays(SIDE))
+    found = count_states(foley_trees(view.scene, empty_bonus=bonus), *view.rays(SIDE))
     stack, restart, backtrack = (found[name] for name in ("stack", "restart", "backtrack"))
     assert stack["leaves"] == restart["leaves"] == backtrack["leaves"] > SIDE**2
     assert stack["tests"] == restart["tests"] == backtrack["tests"]
@@ -119,41 +118,41 @@ def test_settings_follow_a_camera_s_way(view):
 
 def test_the_reason_names_what_was_measured():
     theirs = published_figures("robots")
-    as_is = Tried("as we have it", "", 0.0, {}, {key: 0.5 * value for key, value in theirs.items()})
-    deep = Tried("depth", "9", 0.0, {}, {key: 0.9 * value for key, value in theirs.items()})
+    as_is = Trial("as we have it", "", 0.0, {}, {key: 0.5 * value for key, value in theirs.items()})
+    deep = Trial("depth", "9", 0.0, {}, {key: 0.9 * value for key, value in theirs.items()})
     tried = [as_is, deep, deep._replace(group="costs", figures=as_is.figures)]
     assert nearest(tried, "robots") is deep
     up = theirs["up"]
-    assert why_differs("up", 0.5 * up, up, tried) == f"depth: 9 gives {0.9 * up:.3g}"
-    assert why_differs("up", 0.5 * up, up, [as_is]) == "nothing that was tried reaches it"
-    assert why_differs("up", 0.8 * up, up, tried) == ""
+    assert explain_difference("up", 0.5 * up, up, tried) == f"depth: 9 gives {0.9 * up:.3g}"
+    assert explain_difference("up", 0.5 * up, up, [as_is]) == "nothing that was tried reaches it"
+    assert explain_difference("up", 0.8 * up, up, tried) == ""
     assert not is_near(1.26, 1.0)
 
 
 def passes_of(tree, rays, scheduler):
-    counters = counted(Multipass(tree, scheduler=scheduler), *rays)
+    counters = trace_counters(Multipass(tree, scheduler=scheduler), *rays)
     return [(one.kernel, one.run_count) for one in counters.passes]
 
 
 def test_a_ratio_of_two_is_foley_s_rule(view):
     tree, rays = foley_tree(view.scene), view.rays(16)
-    watched = Watched(Ratio(2.0))
+    watched = RecordingScheduler(SwitchRatio(2.0))
     expected = passes_of(tree, rays, "double")
     assert passes_of(tree, rays, watched) == expected
     assert len(watched.active_counts) == len(expected)
     assert watched.active_counts[0] == 16**2
     switches = [
         sum(a != b for (a, _), (b, _) in pairwise(ran))
-        for ran in (expected, passes_of(tree, rays, Ratio(8.0)))
+        for ran in (expected, passes_of(tree, rays, SwitchRatio(8.0)))
     ]
     assert switches[1] < switches[0]
 
 
 def test_followed_rays_take_the_engine_s_steps(view):
     tree = foley_tree(view.scene)
-    walker = Walker(tree)
+    walker = TreeWalker(tree)
     for rays in ray_kinds(view, tree, SIDE):
-        counters = counted(
+        counters = trace_counters(
             tree, rays.origins, rays.directions, t_max=rays.t_max, any_hit=rays.any_hit
         )
         distances = first_hits(tree, rays).t
@@ -194,24 +193,12 @@ def test_distinct_shares():
     assert math.isnan(distinct_share([[[], []]]))
 
 
-def test_slow_calls_have_one_turn(monkeypatch):
-    monkeypatch.setattr("raystream.lab.foley.timing.PATIENCE", -1.0)
-    asked = []
-    found = timed_in_turn({"a": lambda: asked.append("a")}, 3)
-    assert asked == ["a"]
-    assert found["a"]["rounds"] == 1
-    monkeypatch.undo()
-    found = timed_in_turn({name: lambda name=name: asked.append(name) for name in "bc"}, 2)
-    assert asked == ["a", "b", "c", "b", "c"]
-    assert found["c"]["best"] <= found["c"]["median"]
-
-
 @pytest.mark.parametrize(
     "name", [one.name for one in EXPERIMENTS if one.paper == "foley" and "kernel" not in one.name]
 )
-def test_experiments_run_and_resume(name, laboratory, monkeypatch):
+def test_experiments_run_and_resume(name, runner, monkeypatch):
     function = next(one.function() for one in EXPERIMENTS if one.name == name)
-    result = laboratory.run(name, function)
+    result = runner.run(name, function)
     assert result.tables
     assert result.claims
     json.dumps(result.as_json(), allow_nan=False)
@@ -221,18 +208,18 @@ def test_experiments_run_and_resume(name, laboratory, monkeypatch):
     def refuse(*_):
         raise AssertionError("measured again")
 
-    monkeypatch.setattr(laboratory._store, "keep", refuse)
-    assert laboratory.run(name, function).as_json() == result.as_json()
+    monkeypatch.setattr(runner._store, "keep", refuse)
+    assert runner.run(name, function).as_json() == result.as_json()
 
 
-def test_missing_scenes_are_noted(laboratory, monkeypatch):
+def test_missing_scenes_are_noted(runner, monkeypatch):
     def refuse(name):
         raise rs.FileFormatError(name, "is not here")
 
-    monkeypatch.setattr(laboratory, "view", refuse)
+    monkeypatch.setattr(runner, "view", refuse)
     for one in EXPERIMENTS:
         if one.paper == "foley" and "kernel" not in one.name:
-            result: Result = laboratory.run(one.name, one.function())
+            result: Result = runner.run(one.name, one.function())
             assert not result.tables
             assert "left out" in result.notes[0]
 

@@ -7,31 +7,27 @@ from typing import Any
 
 import pytest
 
-from raystream.lab import Laboratory, Store, published
-from raystream.lab.purcell import compiled
+from raystream.lab import Runner, Store, published
+from raystream.lab.purcell import compiled_kernels
 
 FIGURES = {
     "code": 100,
-    "vectors": 0,
     "loop": 40,
     "machine": 120,
     "in": 30,
-    "loaded": 20,
     "out": 15,
     "fetched": 2,
-    "dependent": 2,
-    "depth": 1,
 }
 
 
 def test_kernels_stand_beside_their_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def figures(lab: Laboratory, structure: str) -> list[dict[str, Any]]:
+    def figures(runner: Runner, structure: str) -> list[dict[str, Any]]:
         names = ("set up", "traverse", "intersect", "shade")
         return [{"kernel": name, **FIGURES} for name in names]
 
-    monkeypatch.setattr(compiled, "cost_figures", figures)
-    lab = Laboratory(tmp_path, Store(tmp_path / "measurements.json", {}, ""), quick=True)
-    (table,) = compiled.compiled_kernels(lab).tables
+    monkeypatch.setattr(compiled_kernels, "cost_figures", figures)
+    runner = Runner(tmp_path, Store(tmp_path / "measurements.json", {}, ""), quick=True)
+    (table,) = compiled_kernels.compiled_kernels(runner).tables
     rows = {row["kernel"]: row for row in table.records()}
     paper = published("purcell", "table 1").values
     assert rows["grid: traverse"]["Table 1"] == paper["multipass"]["step"]["instructions"]

@@ -7,27 +7,27 @@ from pathlib import Path
 import pytest
 
 from conftest import skip_without_adapter
-from raystream.lab import EXPERIMENTS, Laboratory, Result, Store
+from raystream.lab import EXPERIMENTS, Result, Runner, Store
 from raystream.lab.experiments import choose
 
 
 @pytest.fixture
-def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Laboratory:
+def runner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
     skip_without_adapter()
     monkeypatch.setattr("raystream.lab.purcell.on_graphics.PURCELL_VIEWS", ("forest top",))
     monkeypatch.setattr("raystream.lab.christen.on_graphics.SCENES", ("A",))
     store = Store(tmp_path / "measurements.json", {}, "test")
-    return Laboratory(tmp_path, store, size=16, quick=True)
+    return Runner(tmp_path, store, size=16, quick=True)
 
 
-def run(lab: Laboratory, name: str) -> Result:
+def run(runner: Runner, name: str) -> Result:
     (experiment,) = [one for one in EXPERIMENTS if one.name == name]
-    return lab.run(name, experiment.function())
+    return runner.run(name, experiment.function())
 
 
 @pytest.mark.exhaustive
-def test_the_device_takes_the_passes_that_are_simulated(lab: Laboratory) -> None:
-    result = run(lab, "purcell-graphics")
+def test_the_device_takes_the_passes_that_are_simulated(runner: Runner) -> None:
+    result = run(runner, "purcell-graphics")
     rows = {row["machine"]: row for row in result.tables[0].records()}
     assert all(row["rays with other triangles"] == 0 for row in rows.values())
     for name in ("multipass", "multipass, naive"):
@@ -39,8 +39,8 @@ def test_the_device_takes_the_passes_that_are_simulated(lab: Laboratory) -> None
 
 
 @pytest.mark.exhaustive
-def test_iterations_take_passes(lab: Laboratory) -> None:
-    rows = run(lab, "christen-graphics").tables[0].records()
+def test_iterations_take_passes(runner: Runner) -> None:
+    rows = run(runner, "christen-graphics").tables[0].records()
     assert [row["iterations"] for row in rows] == [1, 3]
     assert rows[1]["passes"] > rows[0]["passes"]
     assert all(row["farthest colour"] < 1e-4 for row in rows)

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 import raystream as rs
-from raystream.lab import EXPERIMENTS, Laboratory, Result, Store
+from raystream.lab import EXPERIMENTS, Result, Runner, Store
 from raystream.lab.cost_model import prices
-from raystream.lab.purcell.pictures import grid_options, grid_tracer, measured
-from raystream.lab.purcell.schedules import picture_schedule
-from raystream.lab.purcell.unrolling import compare
+from raystream.lab.purcell.image_counts import count_image, grid_options, grid_tracer
+from raystream.lab.purcell.loop_unrolling import compare
+from raystream.lab.purcell.schedules import image_schedule
 from raystream.lab.purcell.zbuffer import _crossing
 
 SIZE = 32
@@ -26,27 +26,34 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def lab(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Laboratory:
+def runner(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
     """Measurements are shared by the tests of this file."""
-    for module in ("statistics", "resolution", "schedules", "unrolling", "costs", "caches"):
+    for module in (
+        "scene_statistics",
+        "grid_resolution",
+        "schedules",
+        "loop_unrolling",
+        "image_costs",
+        "texture_cache",
+    ):
         monkeypatch.setattr(f"raystream.lab.purcell.{module}.PURCELL_VIEWS", VIEWS)
     monkeypatch.setattr("raystream.lab.purcell.mailbox.PURCELL_VIEWS", VIEWS)
-    monkeypatch.setattr("raystream.lab.purcell.memory._VIEWS", VIEWS[1:])
-    monkeypatch.setattr("raystream.lab.purcell.caches._VARIED", VIEWS[1:])
+    monkeypatch.setattr("raystream.lab.purcell.small_memory._VIEWS", VIEWS[1:])
+    monkeypatch.setattr("raystream.lab.purcell.texture_cache._VARIED", VIEWS[1:])
     store = Store(folder / "measurements.json", {}, "test")
     store.read()
-    return Laboratory(folder, store, size=SIZE, quick=True)
+    return Runner(folder, store, size=SIZE, quick=True)
 
 
-def run(lab: Laboratory, name: str) -> Result:
+def run(runner: Runner, name: str) -> Result:
     (experiment,) = [one for one in EXPERIMENTS if one.name == f"purcell-{name}"]
-    return lab.run(experiment.name, experiment.function())
+    return runner.run(experiment.name, experiment.function())
 
 
-def test_statistics_are_those_of_counters(lab: Laboratory) -> None:
-    result = run(lab, "statistics")
+def test_statistics_are_those_of_counters(runner: Runner) -> None:
+    result = run(runner, "statistics")
     table = {row["quantity"]: row["ours"] for row in result.tables[0].records()}
-    view = lab.view("forest top")
+    view = runner.view("forest top")
     tracer = rs.Tracer(view.scene, "grid", counters=True, **grid_options(view, quick=True))
     hits = tracer.first_hit(*view.rays(SIZE))
     assert table["forest top: cells a ray (v)"] == tracer.counters.steps.mean()
@@ -56,11 +63,11 @@ def test_statistics_are_those_of_counters(lab: Laboratory) -> None:
 
 
 @pytest.mark.parametrize("name", VIEWS)
-def test_replayed_passes_are_the_machines(lab: Laboratory, name: str) -> None:
+def test_replayed_passes_are_the_machines(runner: Runner, name: str) -> None:
     # Identity: what the report says of passes is what the multipass machine runs.
-    run(lab, "passes")
-    found = picture_schedule(lab, name)
-    view = lab.view(name)
+    run(runner, "passes")
+    found = image_schedule(runner, name)
+    view = runner.view(name)
     options = {"machine": "multipass", "counters": True, **grid_options(view, quick=True)}
     tracer = rs.Tracer(view.scene, "grid", **options)
     tracer.first_hit(*view.rays(SIZE))
@@ -77,8 +84,8 @@ def test_replayed_passes_are_the_machines(lab: Laboratory, name: str) -> None:
     assert found["unrolled"]["passes"] == len(unrolled.counters.passes)
 
 
-def test_shares_of_costs_add_up(lab: Laboratory) -> None:
-    by_kernel, by_kind = run(lab, "costs").tables
+def test_shares_of_costs_add_up(runner: Runner) -> None:
+    by_kernel, by_kind = run(runner, "costs").tables
     sums: dict[tuple[object, object], list[float]] = {}
     for row in by_kernel.rows:
         view, architecture, part, instructions, _, moved, _ = row
@@ -90,7 +97,7 @@ def test_shares_of_costs_add_up(lab: Laboratory) -> None:
     assert all(one == pytest.approx([1.0, 1.0]) for one in sums.values())
     for row in by_kind.rows:
         assert sum(float(row[k] or 0.0) for k in (2, 4, 6)) == pytest.approx(1.0)
-    rate = run(lab, "speed").tables[0]
+    rate = run(runner, "speed").tables[0]
     assert [row["ratio"] for row in rate.records()] == pytest.approx([1.0, 1.0], rel=0.01)
 
 
@@ -117,13 +124,13 @@ def test_unrolling_by_hand() -> None:
     assert found["added"] == pytest.approx(more / once - 1)
 
 
-def test_cache_sees_every_reference(lab: Laboratory) -> None:
-    result = run(lab, "cache")
+def test_cache_sees_every_reference(runner: Runner) -> None:
+    result = run(runner, "cache")
     rates = next(one for one in result.tables if one.name == "purcell-hit-rates").records()
     assert len(rates) == 3 * len(VIEWS)
     for name in VIEWS:
-        view = lab.view(name)
-        values = measured(grid_tracer(lab, view), view, SIZE)
+        view = runner.view(name)
+        values = count_image(grid_tracer(runner, view), view, SIZE)
         steps, tests, hits = (values["rays"] * values[key] for key in ("v", "t", "s"))
         multipass, tiled, branching = (row["references"] for row in rates if row["view"] == name)
         assert multipass == tiled == branching
@@ -134,8 +141,8 @@ def test_cache_sees_every_reference(lab: Laboratory) -> None:
 
 
 @pytest.mark.parametrize("name", ["resolution", "unrolling", "mailbox", "memory"])
-def test_experiment_runs(lab: Laboratory, name: str) -> None:
-    result = run(lab, name)
+def test_experiment_runs(runner: Runner, name: str) -> None:
+    result = run(runner, name)
     assert result.notes == []
     assert all(table.rows for table in result.tables)
     assert all(one.verdict != "not measured" for one in result.claims)

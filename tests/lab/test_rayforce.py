@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.lab import Laboratory, Store
-from raystream.lab.asked import AskedTracer
-from raystream.lab.frames import affordable, frame_seconds, setting_of
-from raystream.lab.rayforce import hidden, layers, modes, scenes, sectors
+from raystream.lab import Runner, Store
+from raystream.lab.frame_timing import affordable_size, frame_seconds, render_context
+from raystream.lab.rayforce import graph_statistics, hidden_triangles, layers, render_modes, scenes
+from raystream.lab.recording_tracer import RecordingTracer
 from raystream.lab.results import Result
 from raystream.lab.views import view
 
 
 @pytest.fixture
-def lab(tmp_path):
+def runner(tmp_path):
     store = Store(tmp_path / "measurements.json", {}, "test")
-    return Laboratory(tmp_path, store, size=16, quick=True)
+    return Runner(tmp_path, store, size=16, quick=True)
 
 
 def rows_of(result, name):
@@ -34,10 +34,10 @@ def test_every_ray_meets_every_layer_once():
     np.testing.assert_array_equal(sheet, np.tile(np.arange(5), (1024, 1)))
 
 
-@pytest.mark.parametrize("place", hidden.PLACES)
+@pytest.mark.parametrize("place", hidden_triangles.PLACES)
 def test_what_is_added_is_not_seen(place):
-    bare, more = (hidden.scene_with_more(place, factor) for factor in (0, 3))
-    added = 3 * rs.load(hidden.VISIBLE).triangle_count
+    bare, more = (hidden_triangles.scene_with_hidden(place, factor) for factor in (0, 3))
+    added = 3 * rs.load(hidden_triangles.VISIBLE).triangle_count
     assert more.triangle_count == bare.triangle_count + added
     rays = bare.camera_for(1.0).rays(24, 24)
     one, other = (rs.Tracer(scene).first_hit(*rays) for scene in (bare, more))
@@ -47,28 +47,29 @@ def test_what_is_added_is_not_seen(place):
     centres = more.meshes[-1].vertices.reshape(-1, 3, 3).mean(axis=1)
     eye = np.asarray(more.camera.eye)
     blocked = rs.Tracer(bare).any_hit(eye, centres - eye, t_max=1.0)
-    assert blocked.mean() > 0.9 if place == hidden.PLACES[0] else True
+    assert blocked.mean() > 0.9 if place == hidden_triangles.PLACES[0] else True
 
 
 def test_a_place_must_be_known():
     with pytest.raises(ValueError, match=r"place: expected one of behind a wall, beside the view"):
-        hidden.scene_with_more("below", 1)
+        hidden_triangles.scene_with_hidden("below", 1)
 
 
-def test_hidden_counts_are_those_of_a_query(lab, monkeypatch):
-    monkeypatch.setattr(hidden, "STRUCTURES", ("graph", "bvh"))
-    result = hidden.hidden(lab)
+def test_hidden_counts_are_those_of_a_query(runner, monkeypatch):
+    monkeypatch.setattr(hidden_triangles, "STRUCTURES", ("graph", "bvh"))
+    result = hidden_triangles.hidden_triangles(runner)
     rows = rows_of(result, "rayforce-hidden")
-    assert len(rows) == len(hidden.PLACES) * 3 * 2
+    assert len(rows) == len(hidden_triangles.PLACES) * 3 * 2
     assert all(row["pixels that changed"] == 0 for row in rows)
-    scene = hidden.scene_with_more(hidden.PLACES[1], 8)
+    scene = hidden_triangles.scene_with_hidden(hidden_triangles.PLACES[1], 8)
     tracer = rs.Tracer(scene, "graph", counters=True)
     tracer.first_hit(*scene.camera_for(1.0).rays(16, 16))
     total = tracer.counters.total
     (row,) = (
         row
         for row in rows
-        if (row["more triangles"], row["times"], row["structure"]) == (hidden.PLACES[1], 8, "graph")
+        if (row["more triangles"], row["times"], row["structure"])
+        == (hidden_triangles.PLACES[1], 8, "graph")
     )
     assert row["steps"] == (total["steps"] + total["link_nodes"]) / 256
     assert row["tests"] == total["tests"] / 256
@@ -76,11 +77,11 @@ def test_hidden_counts_are_those_of_a_query(lab, monkeypatch):
     assert len(result.pictures) == 2
 
 
-def test_modes_count_the_rays_of_the_poster(lab, monkeypatch):
-    monkeypatch.setattr(modes, "scenes", lambda lab, _: [lab.view("cornell")])
-    monkeypatch.setattr(modes, "STRUCTURES", ("graph", "bvh"))  # all would compile for long
-    result = modes.modes(lab)
-    for mode in modes.MODES:
+def test_modes_count_the_rays_of_the_poster(runner, monkeypatch):
+    monkeypatch.setattr(render_modes, "scenes", lambda runner, _: [runner.view("cornell")])
+    monkeypatch.setattr(render_modes, "STRUCTURES", ("graph", "bvh"))  # all would compile for long
+    result = render_modes.render_modes(runner)
+    for mode in render_modes.MODES:
         rows = rows_of(result, f"rayforce-{mode}")
         assert [row["structure"] for row in rows] == ["graph", "bvh"]
         assert rows[0]["time / graph's"] == 1.0
@@ -95,10 +96,10 @@ def test_modes_count_the_rays_of_the_poster(lab, monkeypatch):
 
 def test_ambient_occlusion_asks_32_times_at_each_hit():
     scene = rs.load("cornell")
-    tracer = AskedTracer(scene)
-    frame_seconds(setting_of(tracer, (16, 12)), tracer, "ao", (16, 12))
+    tracer = RecordingTracer(scene)
+    frame_seconds(render_context(tracer, (16, 12)), tracer, "ao", (16, 12))
     counts = {
-        query: sum(one.ray_count for one in tracer.asked if one.query == query)
+        query: sum(one.ray_count for one in tracer.queries if one.query == query)
         for query in ("first_hit", "any_hit", "multi_hit")
     }
     hits = rs.Tracer(scene).first_hit(*scene.camera_for(16 / 12).rays(16, 12))
@@ -110,14 +111,14 @@ def test_ambient_occlusion_asks_32_times_at_each_hit():
 
 
 def test_pictures_get_smaller_only_as_far_as_needed():
-    assert affordable(1e-6, (1024, 768), 1.0, (256, 192)) == (1024, 768)
-    assert affordable(3e-6, (1024, 768), 1.0, (256, 192)) == (512, 384)
-    assert affordable(1.0, (1024, 768), 1.0, (256, 192)) == (256, 192)
+    assert affordable_size(1e-6, (1024, 768), 1.0, (256, 192)) == (1024, 768)
+    assert affordable_size(3e-6, (1024, 768), 1.0, (256, 192)) == (512, 384)
+    assert affordable_size(1.0, (1024, 768), 1.0, (256, 192)) == (256, 192)
 
 
-def test_the_graph_is_described(lab, monkeypatch):
-    monkeypatch.setattr(sectors, "scenes", lambda lab, _: [lab.view("spheres")])
-    result = sectors.graph(lab)
+def test_the_graph_is_described(runner, monkeypatch):
+    monkeypatch.setattr(graph_statistics, "scenes", lambda runner, _: [runner.view("spheres")])
+    result = graph_statistics.graph_statistics(runner)
     tracer = rs.Tracer(rs.load("spheres"), "graph")
     (row,) = rows_of(result, "rayforce-graph")
     assert row["sectors"] == tracer.structure.quality()["sectors"]
@@ -132,8 +133,8 @@ def test_the_graph_is_described(lab, monkeypatch):
 
 def test_rays_from_surfaces_leave_them():
     chosen = view("spheres")
-    sets = sectors.ray_sets(chosen, 16)
-    assert list(sets) == list(sectors.RAYS)
+    sets = graph_statistics.ray_sets(chosen, 16)
+    assert list(sets) == list(graph_statistics.RAYS)
     origins, directions = sets["from surfaces"]
     eyes, toward = sets["from the eye"]
     hits = rs.Tracer(chosen.scene).first_hit(eyes, toward)
@@ -161,13 +162,13 @@ def test_scenes_are_timed_opaque_and_lit():
     assert scenes.prepared(timed).lights == timed.lights
 
 
-def test_stand_ins_are_there_without_samples(lab):
+def test_stand_ins_are_there_without_samples(runner):
     result = Result()
-    assert [one.name for one in scenes.scenes(lab, result)] == list(scenes.STAND_INS)
+    assert [one.name for one in scenes.scenes(runner, result)] == list(scenes.STAND_INS)
 
 
-def test_all_structures_find_all_layers(lab):
-    rows = rows_of(layers.layers(lab), "rayforce-layer-counts")
+def test_all_structures_find_all_layers(runner):
+    rows = rows_of(layers.layers(runner), "rayforce-layer-counts")
     assert {row["structure"] for row in rows} == set(scenes.STRUCTURES)
     for row in rows:
         assert row["hits"] == row["layers"]

@@ -12,7 +12,7 @@ import pytest
 from raystream.core.errors import FileFormatError
 from raystream.lab import Claim, Store, Table, comparison, published
 from raystream.lab.published import _file
-from raystream.lab.report.cells import cell_text
+from raystream.lab.report.cell_text import cell_text
 
 
 def test_rows_have_as_many_cells_as_columns() -> None:

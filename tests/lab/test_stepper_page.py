@@ -11,9 +11,9 @@ import pytest
 
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper import Outline, page, prisms, teaching_scene, write_page
-from raystream.lab.stepper.heat import fan_cost, place_cost
+from raystream.lab.stepper.heat_maps import fan_cost, place_cost
 from raystream.lab.stepper.panels import make_panels
-from raystream.lab.stepper.rays import NamedRay, teaching_rays
+from raystream.lab.stepper.teaching_rays import NamedRay, teaching_rays
 
 #: Names that would end the element, begin a comment in it, or be markup if they were not text.
 EVIL = "</script><script>alert(1)</script><!-- & <b> \u2028 'quoted' \"twice\""

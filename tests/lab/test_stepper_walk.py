@@ -11,10 +11,10 @@ import raystream as rs
 from meshes import soup
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper import FlatScene, Outline, prisms, teaching_scene, walk
+from raystream.lab.stepper.descriptions import sentence
 from raystream.lab.stepper.maps import map_of
 from raystream.lab.stepper.panels import make_panels
-from raystream.lab.stepper.rays import FAN_ORIGIN, fan, teaching_rays
-from raystream.lab.stepper.sentences import sentence
+from raystream.lab.stepper.teaching_rays import FAN_ORIGIN, fan, teaching_rays
 from raystream.machines.records import RayState
 
 RAYS = [*teaching_rays(), *fan(FAN_ORIGIN, 11), *fan((4.0, 6.2), 7), *fan((12.0, 4.1), 5)]

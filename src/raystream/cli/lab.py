@@ -101,7 +101,7 @@ def lab(
     choose_threads(threads)
     with refuse(OSError, where=str(output)):
         (output / "pictures").mkdir(parents=True, exist_ok=True)
-    from raystream.lab import Laboratory, Store, run_all, write_report
+    from raystream.lab import Runner, Store, run_all, write_report
     from raystream.lab.stepper import write_page
     from raystream.lab.store import FILE_NAME
 
@@ -112,11 +112,9 @@ def lab(
     if resume:
         store.read()
     with Bars() as bars:
-        laboratory = Laboratory(
-            output / "pictures", store, size=size, quick=quick, watch=_watch(bars)
-        )
+        runner = Runner(output / "pictures", store, size=size, quick=quick, watch=_watch(bars))
         try:
-            outcomes = run_all(laboratory, experiments, _progress(experiments))
+            outcomes = run_all(runner, experiments, _progress(experiments))
         except KeyboardInterrupt:
             raise InterruptedRunError(
                 f"{len(store.values)} measurements are saved in {output}; rerun with --resume to "
@@ -186,7 +184,7 @@ def _about(
 
 def _show(outcomes: list[Outcome], about: About, json: bool) -> None:
     """Print every table, and the verdicts."""
-    from raystream.lab.report.cells import are_numbers, cell_text
+    from raystream.lab.report.cell_text import are_numbers, cell_text
     from raystream.lab.report.write import as_json
 
     if json:

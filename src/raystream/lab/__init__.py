@@ -1,10 +1,10 @@
 """The lab: the papers' experiments, re-run beside what they published."""
 
 from raystream.lab.experiments import EXPERIMENTS, PAPERS, Experiment, Outcome, choose, run_all
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import Published, published
 from raystream.lab.report import About, write_report
 from raystream.lab.results import Claim, Picture, Plot, Result, Series, Table, comparison
+from raystream.lab.runner import Runner
 from raystream.lab.store import Store
 
 __all__ = [
@@ -13,12 +13,12 @@ __all__ = [
     "About",
     "Claim",
     "Experiment",
-    "Laboratory",
     "Outcome",
     "Picture",
     "Plot",
     "Published",
     "Result",
+    "Runner",
     "Series",
     "Store",
     "Table",

@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import NamedTuple
 
 from raystream.core.errors import RaystreamError
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.results import Result
+from raystream.lab.runner import Runner
 
 __all__ = ["DEVICES", "EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
 
@@ -30,15 +30,15 @@ class Experiment:
     name : str
         Such as ``"purcell-statistics"``; begins with the paper's.
     title : str
-    place : str
-        Module and function, imported when it runs.
+    module : str
+        Below `raystream.lab`; imported on first use. Its function has the same name.
     device : str
-        What it measures: those of another device than the CPU run when they are asked for.
+        The device that it measures; ``"cpu"`` by default.
     """
 
     name: str
     title: str
-    place: str
+    module: str
     device: str = "cpu"
 
     @property
@@ -46,12 +46,10 @@ class Experiment:
         """One of `PAPERS`."""
         return self.name.partition("-")[0]
 
-    def function(self) -> Callable[[Laboratory], Result]:
-        """What it does."""
-        module, _, name = self.place.rpartition(".")
-        function: Callable[[Laboratory], Result] = getattr(
-            import_module(f"raystream.lab.{module}"), name
-        )
+    def function(self) -> Callable[[Runner], Result]:
+        """The function that runs it."""
+        module = import_module(f"raystream.lab.{self.module}")
+        function: Callable[[Runner], Result] = getattr(module, self.module.rpartition(".")[2])
         return function
 
 
@@ -64,107 +62,59 @@ class Outcome(NamedTuple):
 
 
 EXPERIMENTS = (
-    Experiment(
-        "purcell-statistics",
-        "What a ray meets: v, t and s",
-        "purcell.statistics.scene_statistics",
-    ),
+    Experiment("purcell-statistics", "Work per ray: v, t and s", "purcell.scene_statistics"),
     Experiment(
         "purcell-resolution",
         "Grids from coarse to fine: steps against tests",
-        "purcell.resolution.grid_resolution",
+        "purcell.grid_resolution",
     ),
-    Experiment("purcell-passes", "Passes and schedulers", "purcell.schedules.schedules"),
-    Experiment("purcell-costs", "Compute and bandwidth", "purcell.costs.picture_costs"),
-    Experiment("purcell-speed", "Triangle tests a second", "purcell.speed.tests_per_second"),
-    Experiment("purcell-unrolling", "Several steps in a pass", "purcell.unrolling.loop_unrolling"),
+    Experiment("purcell-passes", "Passes and schedulers", "purcell.schedules"),
+    Experiment("purcell-costs", "Compute and bandwidth", "purcell.image_costs"),
+    Experiment("purcell-speed", "Triangle tests per second", "purcell.triangle_rate"),
+    Experiment("purcell-unrolling", "Several steps per pass", "purcell.loop_unrolling"),
     Experiment(
         "purcell-cache",
         "The texture cache over the machines' own references",
-        "purcell.caches.texture_cache",
+        "purcell.texture_cache",
     ),
-    Experiment("purcell-mailbox", "What a mailbox would save", "purcell.mailbox.mailbox"),
-    Experiment("purcell-memory", "Geometry in a small memory", "purcell.memory.small_memory"),
-    Experiment("purcell-zbuffer", "Ray tracing against the Z-buffer", "purcell.zbuffer.zbuffer"),
-    Experiment("purcell-kernels", "Our own kernels, compiled", "purcell.compiled.compiled_kernels"),
-    Experiment(
-        "purcell-extensions",
-        "Shadows, mirrors and paths",
-        "purcell.extensions.extension_costs",
-    ),
+    Experiment("purcell-mailbox", "Savings of a mailbox", "purcell.mailbox"),
+    Experiment("purcell-memory", "Geometry in a small memory", "purcell.small_memory"),
+    Experiment("purcell-zbuffer", "Ray tracing against the Z-buffer", "purcell.zbuffer"),
+    Experiment("purcell-kernels", "Our own kernels, compiled", "purcell.compiled_kernels"),
+    Experiment("purcell-extensions", "Shadows, mirrors and paths", "purcell.extensions"),
     Experiment(
         "purcell-graphics",
-        "The same on a graphics pipeline of today",
-        "purcell.on_graphics.on_graphics",
+        "Ray casting on a current graphics pipeline",
+        "purcell.on_graphics",
         "graphics",
     ),
+    Experiment("foley-times", "Brute force, grid and kd-trees: times", "foley.structure_times"),
+    Experiment("foley-counts", "The cost of having no stack: ray states", "foley.state_counts"),
+    Experiment("foley-kernels", "Reads and bottlenecks of the key kernels", "foley.key_kernels"),
     Experiment(
-        "foley-times",
-        "Brute force, grid and kd-trees: times",
-        "foley.times.structure_times",
+        "foley-costs", "A step costs 8 tests: the cost model of the tree", "foley.tree_costs"
+    ),
+    Experiment("foley-schedule", "When to switch kernels: schedulers", "foley.schedulers"),
+    Experiment(
+        "foley-recirculation", "The cost of carrying rays from pass to pass", "foley.recirculation"
+    ),
+    Experiment("foley-secondary", "Coherence of secondary rays", "foley.coherence"),
+    Experiment("rayforce-modes", "Four render modes in three scenes", "rayforce.render_modes"),
+    Experiment("rayforce-layers", "Multi-hit against the number of layers", "rayforce.layers"),
+    Experiment(
+        "rayforce-hidden", "Cost per ray against hidden geometry", "rayforce.hidden_triangles"
     ),
     Experiment(
-        "foley-counts",
-        "What having no stack costs: states of rays",
-        "foley.counts.state_counts",
+        "rayforce-graph", "The graph beside the other structures", "rayforce.graph_statistics"
     ),
+    Experiment("christen-times", "Time against grid size and bounces", "christen.image_times"),
     Experiment(
-        "foley-kernels", "What the key kernels read and wait for", "foley.table3.key_kernels"
-    ),
-    Experiment(
-        "foley-costs",
-        "A step is 8 times a test: the costs of the tree",
-        "foley.costs.cost_sweep",
-    ),
-    Experiment(
-        "foley-schedule",
-        "When to switch kernels: schedulers",
-        "foley.schedule.schedules",
-    ),
-    Experiment(
-        "foley-recirculation",
-        "What carrying rays from pass to pass costs",
-        "foley.recirculation.recirculation",
-    ),
-    Experiment(
-        "foley-secondary",
-        "Coherence of secondary rays",
-        "foley.secondary.coherence",
-    ),
-    Experiment(
-        "rayforce-modes",
-        "Four kinds of pictures in three scenes",
-        "rayforce.modes.modes",
-    ),
-    Experiment(
-        "rayforce-layers",
-        "Multi-hit against the number of layers",
-        "rayforce.layers.layers",
-    ),
-    Experiment(
-        "rayforce-hidden",
-        "What a ray pays for",
-        "rayforce.hidden.hidden",
-    ),
-    Experiment(
-        "rayforce-graph",
-        "The graph beside the other structures",
-        "rayforce.sectors.graph",
-    ),
-    Experiment(
-        "christen-times",
-        "Time against grid size and bounces",
-        "christen.times.times",
-    ),
-    Experiment(
-        "christen-calls",
-        "Kernel calls, and rays that are masked out",
-        "christen.calls.calls",
+        "christen-calls", "Kernel calls, and rays that are masked out", "christen.kernel_calls"
     ),
     Experiment(
         "christen-graphics",
-        "Bounces on a graphics pipeline of today",
-        "christen.on_graphics.on_graphics",
+        "Bounces on a current graphics pipeline",
+        "christen.on_graphics",
         "graphics",
     ),
 )
@@ -217,7 +167,7 @@ def _is_called(experiment: Experiment, name: str) -> bool:
 
 
 def run_all(
-    lab: Laboratory,
+    runner: Runner,
     experiments: Sequence[Experiment],
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Outcome]:
@@ -225,7 +175,7 @@ def run_all(
 
     Parameters
     ----------
-    lab : Laboratory
+    runner : Runner
     experiments : sequence of Experiment
     progress : callable, optional
         Called with (experiments done, experiments).
@@ -237,14 +187,14 @@ def run_all(
     outcomes = []
     for number, one in enumerate(experiments):
         try:
-            result = lab.run(one.name, partial(_call, one))
+            result = runner.run(one.name, partial(_call, one))
         except (RaystreamError, MemoryError) as error:
             result = Result(notes=[f"{one.name} was not measured: {error}"])
-        outcomes.append(Outcome(one, result, lab.seconds))
+        outcomes.append(Outcome(one, result, runner.seconds))
         if progress:
             progress(number + 1, len(experiments))
     return outcomes
 
 
-def _call(experiment: Experiment, lab: Laboratory) -> Result:
-    return experiment.function()(lab)
+def _call(experiment: Experiment, runner: Runner) -> Result:
+    return experiment.function()(runner)

@@ -225,7 +225,7 @@ class Result:
     pictures: list[Picture] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def known(
+    def available(
         self, names: Iterable[str], find: Callable[[str], Found]
     ) -> Iterator[tuple[str, Found]]:
         """Each name with what is found for it; a note instead where a model is missing.

@@ -12,13 +12,13 @@ simulator in chunks::
     distances.counts(1 << 20)["vertices"].hit_rate  # of one MB, or of any other size
 
 `Cache` is one cache: direct-mapped, set-associative or fully associative. `ReuseDistances`
-tells from one run what every size of a fully associative cache would miss. `take_through` runs
+tells from one run what every size of a fully associative cache would miss. `feed_chunks` runs
 several of them side by side.
 """
 
 from raystream.lab.caches.cache import Cache
-from raystream.lab.caches.counts import LineCounts
-from raystream.lab.caches.reuse import MissCurve, ReuseDistances
-from raystream.lab.caches.side_by_side import take_through
+from raystream.lab.caches.feed import feed_chunks
+from raystream.lab.caches.line_counts import LineCounts
+from raystream.lab.caches.reuse_distances import MissCurve, ReuseDistances
 
-__all__ = ["Cache", "LineCounts", "MissCurve", "ReuseDistances", "take_through"]
+__all__ = ["Cache", "LineCounts", "MissCurve", "ReuseDistances", "feed_chunks"]

@@ -9,13 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
-from raystream.lab.caches.chunk import MIN_LINE_SIZE, Chunk, Kinds, as_chunk, as_count, as_kinds
-from raystream.lab.caches.counts import LineCounts, by_kind, new_counts
-from raystream.lab.caches.kernels.direct import run_direct
-from raystream.lab.caches.kernels.divide import divisor
-from raystream.lab.caches.kernels.hashing import MIN_CAPACITY, home_shift
-from raystream.lab.caches.kernels.linked import Rings, run_linked
-from raystream.lab.caches.kernels.sets import run_sets
+from raystream.lab.caches.kernels.direct_mapped import run_direct
+from raystream.lab.caches.kernels.fast_division import divisor
+from raystream.lab.caches.kernels.hash_table import MIN_CAPACITY, home_shift
+from raystream.lab.caches.kernels.hashed_sets import Rings, run_linked
+from raystream.lab.caches.kernels.set_associative import run_sets
+from raystream.lab.caches.line_counts import LineCounts, by_kind, new_counts
+from raystream.lab.caches.trace_chunk import (
+    MIN_LINE_SIZE,
+    Chunk,
+    Kinds,
+    as_chunk,
+    as_count,
+    as_kinds,
+)
 
 __all__ = ["Cache"]
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from typing import Any
 
 import numpy as np
 
 from raystream.graphics.bounces import render_bounces
 from raystream.lab.christen.scenes import SCENES, christen_scene
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.purcell.on_graphics import adapter_note
 from raystream.lab.results import Cell, Plot, Result, Series, Table
+from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.rendering.picture import render
 from raystream.tracer import Tracer
 
@@ -29,10 +28,10 @@ _CELLS = 20
 _ROUNDS = 3
 
 
-def on_graphics(lab: Laboratory) -> Result:
+def on_graphics(runner: Runner) -> Result:
     """Passes and seconds of pictures by the number of iterations, beside the CPU's renderer."""
-    size = lab.size(SIZE)
-    found = {letter: _measure(lab, letter, size) for letter in SCENES}
+    size = runner.size(SIZE)
+    found = {letter: _measure(runner, letter, size) for letter in SCENES}
     rows: list[list[Cell]] = [
         [
             letter,
@@ -84,16 +83,16 @@ def on_graphics(lab: Laboratory) -> Result:
     )
 
 
-def _measure(lab: Laboratory, letter: str, size: int) -> list[dict[str, Any]]:
+def _measure(runner: Runner, letter: str, size: int) -> list[dict[str, Any]]:
     """For each number of iterations."""
-    iterations = _QUICK_ITERATIONS if lab.quick else _ITERATIONS
-    rounds = 1 if lab.quick else _ROUNDS
+    iterations = _QUICK_ITERATIONS if runner.quick else _ITERATIONS
+    rounds = 1 if runner.quick else _ROUNDS
 
     def measure() -> list[dict[str, Any]]:
         tracer = Tracer(christen_scene(letter), "grid", resolution=_CELLS)
         return [_one(tracer, count, size, rounds) for count in iterations]
 
-    values: list[dict[str, Any]] = lab.measure(f"{letter}, {size} x {size}", measure)
+    values: list[dict[str, Any]] = runner.measure(f"{letter}, {size} x {size}", measure)
     return values
 
 
@@ -110,16 +109,10 @@ def _one(tracer: Tracer, iterations: int, size: int, rounds: int) -> dict[str, A
     def theirs() -> Any:
         return render(tracer, "whitted", **options)
 
-    image, reference = ours(), theirs()  # and all is compiled
-    seconds: dict[str, list[float]] = {"seconds": [], "cpu_seconds": []}
-    for _ in range(rounds):
-        for name, draw in (("seconds", ours), ("cpu_seconds", theirs)):
-            began = time.perf_counter()
-            draw()
-            seconds[name].append(time.perf_counter() - began)
+    image, reference = ours(), theirs()  # compiles
     return {
         "iterations": image.figures["iterations"],
         "passes": image.figures["passes"],
         "farthest": float(np.abs(image.pixels - reference.pixels).max()),
-        **{name: statistics.median(each) for name, each in seconds.items()},
+        **median_times({"seconds": ours, "cpu_seconds": theirs}, rounds, warm_up=False),
     }

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raystream.lab.asked import AskedTracer
-from raystream.lab.frames import setting_of
-from raystream.lab.laboratory import Laboratory
+from raystream.lab.frame_timing import render_context
 from raystream.lab.published import published
+from raystream.lab.recording_tracer import RecordingTracer
+from raystream.lab.runner import Runner
 from raystream.rendering.integrator import Band, PathStream, RenderContext, eye_paths
 from raystream.rendering.picture import RENDERERS
 from raystream.scene.load import load
@@ -24,7 +24,7 @@ __all__ = [
     "Bounce",
     "bounces_of",
     "christen_scene",
-    "picture_size",
+    "image_size",
     "timed_iterations",
 ]
 
@@ -98,9 +98,9 @@ def christen_scene(letter: str) -> Scene:
     )
 
 
-def picture_size(lab: Laboratory) -> int:
+def image_size(runner: Runner) -> int:
     """Width and height of his pictures, 256, or as much smaller as is wanted."""
-    return lab.size(published("christen", "settings").values["size"])
+    return runner.size(published("christen", "settings").values["size"])
 
 
 def timed_iterations(
@@ -143,10 +143,10 @@ def timed_iterations(
 
 def bounces_of(scene: Scene, size: int, iterations: int) -> list[Bounce]:
     """The rays that ``whitted`` traces for a picture, by bounce."""
-    tracer = AskedTracer(scene, keeps_rays=True)
-    timed_iterations(setting_of(tracer, (size, size)), tracer, size, iterations)
+    tracer = RecordingTracer(scene, keep_rays=True)
+    timed_iterations(render_context(tracer, (size, size)), tracer, size, iterations)
     found: list[Bounce] = []
-    for one in tracer.asked:
+    for one in tracer.queries:
         if one.query == "first_hit":
             found.append(Bounce(len(found) + 1, one.origins, one.directions, 0))
         else:

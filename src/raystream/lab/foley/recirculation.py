@@ -6,10 +6,10 @@ from typing import Any
 
 from raystream.core.errors import RaystreamError
 from raystream.lab.kernels.recirculation import by_occupancy, measure_recirculation
-from raystream.lab.kernels.search import local_rays
-from raystream.lab.laboratory import Laboratory
+from raystream.lab.kernels.snapshots import local_rays
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.runner import Runner
 
 __all__ = ["recirculation"]
 
@@ -22,10 +22,10 @@ _STRUCTURES: dict[str, dict[str, Any]] = {
 }
 
 
-def recirculation(lab: Laboratory) -> Result:
+def recirculation(runner: Runner) -> Result:
     """Time the same steps on both machines, and passes by the share of rays that take part."""
     result = Result()
-    size = lab.size(_SIZE)
+    size = runner.size(_SIZE)
     found: dict[tuple[str, bool], dict[str, Any]] = {}
     for structure, options in _STRUCTURES.items():
         for compaction in (False, True):
@@ -35,14 +35,14 @@ def recirculation(lab: Laboratory) -> Result:
                 options: dict[str, Any] = options,
                 compaction: bool = compaction,
             ) -> dict[str, Any]:
-                view = lab.view("kitchen")
-                built = lab.tracer(view, structure, **options).structure
+                view = runner.view("kitchen")
+                built = runner.tracer(view, structure, **options).structure
                 rays = local_rays(built, *view.rays(size))
                 return _figures(measure_recirculation(built, rays, compaction=compaction))
 
             name = f"{structure}, {'compaction' if compaction else 'masks'}, {size} x {size}"
             try:
-                found[structure, compaction] = lab.measure(name, measure)
+                found[structure, compaction] = runner.measure(name, measure)
             except RaystreamError as error:
                 result.notes.append(f"the kitchen is left out: {error}")
                 return result

@@ -11,9 +11,9 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Result
+from raystream.lab.runner import Runner
 from raystream.lab.views import View
 from raystream.machines import Branching, RayCounters
 from raystream.machines.backend import Backend
@@ -24,16 +24,17 @@ from raystream.structures.kdtree.options import KdTree
 from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = [
+    "PATIENCE",
     "SCENES",
     "SIZE",
     "TRAVERSALS",
-    "counted",
+    "available_views",
+    "count_states",
     "figures_of",
     "foley_tree",
     "foley_trees",
-    "known_views",
     "published_figures",
-    "states",
+    "trace_counters",
 ]
 
 #: The paper's ways to search a tree.
@@ -41,6 +42,9 @@ TRAVERSALS = ("stack", "restart", "backtrack")
 
 #: Width and height of Foley's pictures, section 4.
 SIZE = 512
+
+#: Seconds of all rounds together, after which a structure is not timed again.
+PATIENCE = 8.0
 
 #: The paper's scenes by the name under which its figures are kept: what `load` calls them.
 SCENES = MappingProxyType(
@@ -51,11 +55,11 @@ SCENES = MappingProxyType(
 States = dict[str, dict[str, int]]
 
 
-def known_views(
-    lab: Laboratory, names: Sequence[str], result: Result
+def available_views(
+    runner: Runner, names: Sequence[str], result: Result
 ) -> Iterator[tuple[str, View]]:
     """The scenes that are here, one after another; a note for each that is not."""
-    return result.known(names, lambda name: lab.view(SCENES[name]))
+    return result.available(names, lambda name: runner.view(SCENES[name]))
 
 
 def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTreeStructure:
@@ -82,7 +86,7 @@ def foley_trees(
     return {traversal: tree.with_traversal(traversal) for traversal in TRAVERSALS}
 
 
-def counted(
+def trace_counters(
     machine: Structure | Backend,
     origins: Any,
     directions: Any,
@@ -98,7 +102,7 @@ def counted(
     return answer_counting(backend, query, batch, progress)[1]
 
 
-def states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> States:
+def count_states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> States:
     """How often rays were in each state of each traversal (Foley 2005, Table 2).
 
     Returns
@@ -108,7 +112,7 @@ def states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> 
     """
     found: States = {}
     for traversal, tree in trees.items():
-        counters = counted(tree, origins, directions)
+        counters = trace_counters(tree, origins, directions)
         found[traversal] = {"rays": counters.steps.size, **counters.total}
     return found
 

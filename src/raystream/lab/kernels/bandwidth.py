@@ -8,19 +8,18 @@ versions, we concluded that the full versions were bandwidth-bound or near the c
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
 
-from raystream.jit.threads import parallel_for, thread_count
+from raystream.jit.threads import parallel_for
 from raystream.kernels.local_frame import LocalRays
 from raystream.lab.kernels.costs import stream_words, words_fetched
 from raystream.lab.kernels.fetch_only import FETCH_ONLY, fetch_only
-from raystream.lab.kernels.fetches import accesses
-from raystream.lab.kernels.record import compile_steps
-from raystream.lab.kernels.search import Search, Snapshot, busiest, snapshots
-from raystream.streams import Kernel
+from raystream.lab.kernels.memory_accesses import accesses
+from raystream.lab.kernels.record_code import compile_steps
+from raystream.lab.kernels.snapshots import Search, Snapshot, busiest, snapshots
+from raystream.lab.timing import repeat, seconds_of
 from raystream.structures import Structure
 
 __all__ = ["RUNS", "KernelSpeed", "copy_bandwidth", "kernel_speeds", "measure_speed"]
@@ -47,8 +46,6 @@ class KernelSpeed:
         branches that leave any of them out.
     seconds, fetch_seconds : ndarray of shape (runs,)
         Of each run of the kernel, and of its fetch-only version, taken in turns.
-    thread_count : int
-        Threads that each run was spread over.
     """
 
     structure: str
@@ -59,7 +56,6 @@ class KernelSpeed:
     words_out: int
     seconds: np.ndarray
     fetch_seconds: np.ndarray
-    thread_count: int
 
     @property
     def byte_count(self) -> int:
@@ -149,8 +145,8 @@ def measure_speed(structure: str, snapshot: Snapshot, runs: int = RUNS) -> Kerne
     record = compile_steps(fetching, snapshot.number, is_in_place=False)
     found = accesses(record.code.instructions)
     for kernel in kernels:  # compiles
-        _time(kernel)
-    times = np.array([[_time(kernel) for kernel in kernels] for _ in range(runs)])
+        kernel.execute()
+    times = np.array([[seconds_of(kernel.execute) for kernel in kernels] for _ in range(runs)])
     return KernelSpeed(
         structure,
         kernels[0].name,
@@ -160,7 +156,6 @@ def measure_speed(structure: str, snapshot: Snapshot, runs: int = RUNS) -> Kerne
         sum(stream_words(record, found, "store").values()),
         times[:, 0],
         times[:, 1],
-        thread_count(),
     )
 
 
@@ -179,15 +174,5 @@ def copy_bandwidth(byte_count: int = 1 << 26, runs: int = 20) -> float:
     def copy(begin: int, end: int) -> None:
         target[begin:end] = source[begin:end]
 
-    seconds = []
-    for _ in range(runs):
-        started = time.perf_counter()
-        parallel_for(copy, byte_count, 1 << 20)
-        seconds.append(time.perf_counter() - started)
+    seconds = repeat(lambda: parallel_for(copy, byte_count, 1 << 20), runs)
     return 2 * byte_count / float(np.median(seconds))
-
-
-def _time(kernel: Kernel) -> float:
-    started = time.perf_counter()
-    kernel.execute()
-    return time.perf_counter() - started

@@ -9,10 +9,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from raystream.lab.kernels.fetches import Access, accesses
 from raystream.lab.kernels.instructions import InstructionCounts, count_instructions, count_loop
-from raystream.lab.kernels.machine_code import MachineCounts, count_machine_code
-from raystream.lab.kernels.record import RecordCode, compile_steps, first_hit_query, make_streams
+from raystream.lab.kernels.machine_code import count_machine_code
+from raystream.lab.kernels.memory_accesses import Access, accesses
+from raystream.lab.kernels.record_code import (
+    RecordCode,
+    compile_steps,
+    first_hit_query,
+    make_streams,
+)
 from raystream.machines.ray_streams import declared_as
 from raystream.machines.steps import Steps, steps_of
 from raystream.structures import Structure
@@ -42,15 +47,11 @@ class Fetched(NamedTuple):
         Words of 4 bytes that these read.
     dependent_loads : int
         Those whose address follows from what was read before, a ray's state included.
-    depth : int
-        The longest chain of loads of the structure, each at an address that follows from the
-        one before; those in a loop count for one round of it.
     """
 
     loads: int
     words: int
     dependent_loads: int
-    depth: int
 
 
 @dataclass(frozen=True)
@@ -68,34 +69,27 @@ class KernelCost:
         Of these, those that each further step in the same pass needs: the body of the loop
         over steps, which keeps a ray's state in registers (Purcell's branching architecture).
         None for kernels that do one step.
-    machine : MachineCounts
-        The same code in the processor's instructions.
+    machine : int
+        Instructions of the processor for the same code.
     words_in, words_out : dict of str to int
         Words of 4 bytes of the records that a pass reads from and writes to streams for the ray,
         by the stream, as `streams.Counters` counts them: whole records. Without the state,
         of which a pass reads a word for every ray and writes one for this.
-    words_loaded, words_stored : dict of str to int
-        Those of them that the code does read and write, each as a word of its own.
     fetched : dict of str to Fetched
         What it reads of the structure, by the array, such as ``"tree.corners"``;
         ``"state"`` where a ray's state holds the address, ``"several"`` where it may be one
         array or another. A word that two ways through the code read is here twice: the
         fetch-only versions of `fetch_only` read each once.
-    calls : tuple of str
-        Functions that it calls, for what is rare.
     """
 
     structure: str
     kernel: str
     code: InstructionCounts
     loop: InstructionCounts | None
-    machine: MachineCounts
+    machine: int
     words_in: Mapping[str, int]
     words_out: Mapping[str, int]
-    words_loaded: Mapping[str, int]
-    words_stored: Mapping[str, int]
     fetched: Mapping[str, Fetched]
-    calls: tuple[str, ...]
 
     @property
     def fetched_words(self) -> int:
@@ -106,11 +100,6 @@ class KernelCost:
     def dependent_loads(self) -> int:
         """Loads of the structure whose address follows from what was read."""
         return sum(one.dependent_loads for one in self.fetched.values())
-
-    @property
-    def depth(self) -> int:
-        """The longest chain of such loads."""
-        return max((one.depth for one in self.fetched.values()), default=0)
 
 
 def kernel_costs(structure: Structure) -> list[KernelCost]:
@@ -159,10 +148,7 @@ def cost_of(name: str, steps: Steps, number: int) -> KernelCost:
         count_machine_code(code.assembly, code.name),
         words_in,
         words_out,
-        stream_words(record, found, "load"),
-        stream_words(record, found, "store"),
         words_fetched(record, found),
-        _called(record),
     )
 
 
@@ -193,12 +179,11 @@ def words_fetched(record: RecordCode, found: Iterable[Access]) -> dict[str, Fetc
         if one.opcode != "load" or is_own:
             continue
         name = _name_of(record, one.root)
-        old = result.get(name, Fetched(0, 0, 0, 0))
+        old = result.get(name, Fetched(0, 0, 0))
         result[name] = Fetched(
             old.loads + 1,
             old.words + -(-one.byte_count // _WORD),
             old.dependent_loads + one.is_dependent,
-            max(old.depth, one.depth),
         )
     return result
 
@@ -209,10 +194,3 @@ def _name_of(record: RecordCode, root: str) -> str:
         return {"memory": "state"}.get(root, root)
     argument = root.removeprefix("%arg.")
     return record.names.get(argument) or record.names.get(argument.rpartition(".")[0], root)
-
-
-def _called(record: RecordCode) -> tuple[str, ...]:
-    """Functions that code calls, by the compiler's names, each once."""
-    skipped = ("llvm.", "NRT_")
-    names = [one.callee for one in record.code.instructions if one.opcode == "call"]
-    return tuple(dict.fromkeys(name for name in names if not name.startswith(skipped)))

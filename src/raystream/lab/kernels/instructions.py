@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from raystream.jit.inspect import Instruction
-from raystream.lab.kernels.blocks import Blocks
+from raystream.lab.kernels.control_flow import ControlFlow
 
 __all__ = ["InstructionCounts", "bookkeeping", "class_of", "count_instructions", "count_loop"]
 
@@ -64,8 +64,6 @@ class InstructionCounts:
         Jumps that depend on something.
     calls : int
         Calls of functions that are not copied into this one.
-    vectors : int
-        How many of all these work on vectors.
     """
 
     floating: int = 0
@@ -78,7 +76,6 @@ class InstructionCounts:
     stores: int = 0
     branches: int = 0
     calls: int = 0
-    vectors: int = 0
 
     @property
     def total(self) -> int:
@@ -151,17 +148,11 @@ def count_instructions(
         if name is None or k in skipped or (blocks is not None and one.block not in blocks):
             continue
         counts[name] += 1
-        counts["vectors"] += _is_vector(one, instructions)
     return InstructionCounts(**counts)
 
 
 def count_loop(instructions: Sequence[Instruction]) -> InstructionCounts | None:
     """Count the instructions of the longest loop, of those in no other; None without loops."""
-    loops = Blocks(instructions).loops()
+    loops = ControlFlow(instructions).loops()
     counts = [count_instructions(instructions, loop) for loop in loops]
     return max(counts, key=lambda one: one.total, default=None)
-
-
-def _is_vector(one: Instruction, instructions: Sequence[Instruction]) -> bool:
-    own = [instructions[x].type for x in one.operands if isinstance(x, int)]
-    return any(shown.startswith("<") for shown in (one.type, *own))

@@ -8,20 +8,20 @@ and a pass takes time for rays that do not wait for it.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.jit.threads import thread_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.sink import Sink
-from raystream.lab.kernels.search import Search
+from raystream.lab.kernels.snapshots import Search
+from raystream.lab.timing import repeat, seconds_of
 from raystream.machines import Branching
 from raystream.structures import Structure
 
@@ -71,28 +71,19 @@ class Recirculation:
         Whether the multipass machine dropped rays that had ended.
     passes : list of PassTime
         Without those that hand hits over before rays are dropped.
-    scheduling_seconds : float
-        Multipass, between passes: counting states, choosing, and dropping rays.
-    launch_seconds : dict of str to float
-        By the kernel: what a pass over one ray takes that does not wait for it. The calls
-        around the loop.
     idle_seconds : dict of str to float
         By the kernel: what a pass takes more for each ray that it looks at and does not run on,
         measured on streams in which no ray waits. Without the first kernel, which all run.
     branching_seconds : float
         Of the same search on the branching machine: the median of three.
-    thread_count : int
     """
 
     structure: str
     ray_count: int
     compaction: bool
     passes: list[PassTime]
-    scheduling_seconds: float
-    launch_seconds: Mapping[str, float]
     idle_seconds: Mapping[str, float]
     branching_seconds: float
-    thread_count: int
 
     @property
     def step_count(self) -> int:
@@ -198,23 +189,17 @@ def measure_recirculation(
     extra = max(1, len(rays.t_min) - 1)
     idle = {name: max(0.0, whole[name] - launch[name]) / extra for name in whole}
     passes: list[PassTime] = []
-    started = time.perf_counter()
     for kernel, waiting in search.schedule():
-        count, begin = len(search.streams), time.perf_counter()
-        search.streams.run(kernel, None)
-        name, seconds = search.steps.kernels[kernel].name, time.perf_counter() - begin
+        count, name = len(search.streams), search.steps.kernels[kernel].name
+        seconds = seconds_of(partial(search.streams.run, kernel, None))
         passes.append(PassTime(name, waiting[kernel], count, seconds))
-    between = time.perf_counter() - started - sum(one.seconds for one in passes)
     return Recirculation(
         structure.name,
         len(rays.t_min),
         compaction,
         passes,
-        between,
-        launch,
         idle,
         _time_branching(structure, rays),
-        thread_count(),
     )
 
 
@@ -252,11 +237,7 @@ def _time_idle(search: Search) -> dict[str, float]:
     """Seconds of a pass of each kernel but the first, on rays that all wait for the first."""
     result = {}
     for kernel, one in enumerate(search.steps.kernels[1:], 1):
-        seconds = []
-        for _ in range(_IDLE_RUNS):
-            started = time.perf_counter()
-            search.streams.run(kernel, None)
-            seconds.append(time.perf_counter() - started)
+        seconds = repeat(partial(search.streams.run, kernel, None), _IDLE_RUNS)
         result[one.name] = float(np.median(seconds))
     return result
 
@@ -267,9 +248,6 @@ def _time_branching(structure: Structure, rays: LocalRays) -> float:
     sink = Sink.of(query, len(batch))
     one = RayBatch(*(column[:1] for column in rays))
     backend.trace_singly(query, one, Sink.of(query, 1), frame=frame)
-    seconds = []
-    for _ in range(3):
-        started = time.perf_counter()
-        backend.trace_singly(query, batch, sink, frame=frame)
-        seconds.append(time.perf_counter() - started)
-    return float(np.median(seconds))
+    return float(
+        np.median(repeat(lambda: backend.trace_singly(query, batch, sink, frame=frame), 3))
+    )

@@ -7,19 +7,19 @@ light, and every surface a mirror of a quarter: his shading sends a reflected ra
 from __future__ import annotations
 
 import dataclasses
-import statistics
-import time
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from raystream.core.hits import Hits
 from raystream.lab.cost_model import prices
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
-from raystream.lab.purcell.pictures import SIZE
+from raystream.lab.purcell.image_counts import SIZE
 from raystream.lab.results import Cell, Claim, Result, Table, comparison
+from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.lab.views import View
 from raystream.machines import RayCounters
 from raystream.rendering.integrator import Integrator, make_setting
@@ -28,7 +28,7 @@ from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["extension_costs"]
+__all__ = ["extensions"]
 
 #: Scenes, and options of their grids: Purcell's, of section 4.1, where he has the scene. In one
 #: level, all robots share a few cells, and 60,000 triangles are tested for a ray.
@@ -111,14 +111,14 @@ class _CountingTracer(Tracer):
         return sums
 
 
-def extension_costs(lab: Laboratory) -> Result:
+def extensions(runner: Runner) -> Result:
     """The table of section 4.3, by counts and by time."""
     result = Result()
     rows: list[list[Cell]] = []
     compared: list[tuple[str, Cell, Cell, str]] = []
     near: dict[str, bool] = {}
-    for name, view in result.known(_QUICK_SCENES if lab.quick else _SCENES, lab.view):
-        found = _measure(lab, _with_mirrors(view), _SCENES[name])
+    for name, view in result.available(_QUICK_SCENES if runner.quick else _SCENES, runner.view):
+        found = _measure(runner, _with_mirrors(view), _SCENES[name])
         base = found["raycast"]
         for row, ours in found.items():
             ratios = base if row == "raycast" else {key: n / base[key] for key, n in ours.items()}
@@ -186,12 +186,12 @@ def _scaled(color: tuple[float, float, float], share: float) -> tuple[float, flo
     return share * red, share * green, share * blue
 
 
-def _measure(lab: Laboratory, view: View, options: dict[str, Any]) -> dict[str, dict[str, float]]:
+def _measure(runner: Runner, view: View, options: dict[str, Any]) -> dict[str, dict[str, float]]:
     """Costs of each row for each ray from the eye, by name."""
     tracer: _CountingTracer | None = None
     found = {}
     for row in ("raycast", *_ROWS):
-        size, samples = _size_of(lab, row)
+        size, samples = _size_of(runner, row)
 
         def measure(row: str = row, size: int = size, samples: int = samples) -> dict[str, float]:
             nonlocal tracer
@@ -199,23 +199,23 @@ def _measure(lab: Laboratory, view: View, options: dict[str, Any]) -> dict[str, 
             sums = _count(tracer, row, size, samples)
             return _cost(row, sums, size * size * samples)
 
-        found[row] = lab.measure(f"{view.name}, {row}, {size} x {size} x {samples}", measure)
-    rounds = 1 if lab.quick else _ROUNDS
-    size = max(lab.size(SIZE) // _TIMED_SHARE, 16)
-    times = lab.measure(
+        found[row] = runner.measure(f"{view.name}, {row}, {size} x {size} x {samples}", measure)
+    rounds = 1 if runner.quick else _ROUNDS
+    size = max(runner.size(SIZE) // _TIMED_SHARE, 16)
+    times = runner.measure(
         f"{view.name}, times, {size} x {size}, {rounds} rounds",
-        lambda: _times(lab, Tracer(view.scene, "grid", **options), rounds),
+        lambda: _times(runner, Tracer(view.scene, "grid", **options), rounds),
     )
     for row, seconds in times.items():
         found[row]["time"] = seconds * 1e6
     return found
 
 
-def _size_of(lab: Laboratory, row: str) -> tuple[int, int]:
+def _size_of(runner: Runner, row: str) -> tuple[int, int]:
     """Pixels along a side, and samples of each."""
     if row.startswith("path"):
-        return lab.size(_PATH_SIZE), 4 if lab.quick else _PATH_SAMPLES
-    return lab.size(SIZE), 1
+        return runner.size(_PATH_SIZE), 4 if runner.quick else _PATH_SAMPLES
+    return runner.size(SIZE), 1
 
 
 def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
@@ -268,18 +268,16 @@ def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
     }
 
 
-def _times(lab: Laboratory, tracer: Tracer, rounds: int) -> dict[str, float]:
+def _times(runner: Runner, tracer: Tracer, rounds: int) -> dict[str, float]:
     """Median seconds of each row's picture, for each ray from the eye."""
-    rows = ("raycast", *(row for row in _ROWS if row != "shadow rays"))
-    seconds: dict[str, list[float]] = {row: [] for row in rows}
-    for number in range(rounds + 1):  # the first one compiles
-        for row in rows:
-            mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]
-            size, samples = _size_of(lab, row)
-            size = max(size // _TIMED_SHARE, 16) if number else _WARM_SIZE
-            started = time.perf_counter()
-            render(tracer, mode, size=(size, size), samples=samples, **own)
-            if number:
-                taken = (time.perf_counter() - started) / (size * size * samples)
-                seconds[row].append(taken)
-    return {row: statistics.median(values) for row, values in seconds.items()}
+    calls, ray_counts = {}, {}
+    for row in ("raycast", *(row for row in _ROWS if row != "shadow rays")):
+        mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]
+        size, samples = _size_of(runner, row)
+        size = max(size // _TIMED_SHARE, 16)
+        draw = partial(render, tracer, mode, samples=samples, **own)
+        draw(size=(_WARM_SIZE, _WARM_SIZE))  # compiles
+        calls[row] = partial(draw, size=(size, size))
+        ray_counts[row] = size * size * samples
+    times = median_times(calls, rounds, warm_up=False)
+    return {row: seconds / ray_counts[row] for row, seconds in times.items()}

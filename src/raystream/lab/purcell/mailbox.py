@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.lab.laboratory import Laboratory
-from raystream.lab.purcell.pictures import SIZE
-from raystream.lab.purcell.schedules import recorded
+from raystream.lab.purcell.image_counts import SIZE
+from raystream.lab.purcell.schedules import record_view
 from raystream.lab.results import Cell, Result, Table
+from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS
 from raystream.lab.walks import repeated_tests
 
 __all__ = ["mailbox"]
 
 
-def mailbox(lab: Laboratory) -> Result:
+def mailbox(runner: Runner) -> Result:
     """Tests of a triangle that the same ray has tested before, in another cell."""
     result = Result()
     rows: list[list[Cell]] = []
     entries: list[int] = []
-    size = lab.size(SIZE)
-    for name, found in result.known(PURCELL_VIEWS, lambda name: _repeats(lab, name, size)):
+    size = runner.size(SIZE)
+    for name, found in result.available(PURCELL_VIEWS, lambda name: _repeats(runner, name, size)):
         tests = max(found["tests"], 1)
         entries = [count for count, _ in found["saved"]]
         shares = [saved / tests for _, saved in found["saved"]]
@@ -44,13 +44,13 @@ def mailbox(lab: Laboratory) -> Result:
     return result
 
 
-def _repeats(lab: Laboratory, name: str, size: int) -> dict[str, Any]:
+def _repeats(runner: Runner, name: str, size: int) -> dict[str, Any]:
     """Tests, those that were repeated, and how many of them mailboxes would save."""
 
     def measure() -> dict[str, Any]:
-        found = repeated_tests(recorded(lab, name, visits=True))
+        found = repeated_tests(record_view(runner, name, visits=True))
         saved = [[entries, count] for entries, count in found.saved.items()]
         return {"tests": found.tests, "repeats": found.repeats, "saved": saved}
 
-    found: dict[str, Any] = lab.measure(f"{name}, {size} x {size}", measure)
+    found: dict[str, Any] = runner.measure(f"{name}, {size} x {size}", measure)
     return found

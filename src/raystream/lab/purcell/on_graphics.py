@@ -5,9 +5,8 @@ His simulators counted what such hardware would do; this runs it, on the adapter
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -15,10 +14,11 @@ import numpy as np
 
 from raystream.core.hits import Hits
 from raystream.graphics.adapters import open_device
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
-from raystream.lab.purcell.pictures import grid_options
+from raystream.lab.purcell.image_counts import grid_options
 from raystream.lab.results import Cell, Claim, Result, Table
+from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.lab.views import PURCELL_VIEWS, View
 from raystream.tracer import Tracer
 
@@ -52,14 +52,14 @@ _CONTENDERS: Mapping[str, dict[str, Any]] = MappingProxyType(
 _ORACLE = "cpu, multipass"
 
 
-def on_graphics(lab: Laboratory) -> Result:
+def on_graphics(runner: Runner) -> Result:
     """Hits, passes, draws and seconds of each machine, beside the CPU's."""
     result = Result()
-    size = lab.size(SIZE)
+    size = runner.size(SIZE)
     rows: list[list[Cell]] = []
     equal: dict[str, bool] = {}
     ratios: dict[str, float] = {}
-    for name, found in result.known(PURCELL_VIEWS, lambda name: _measure(lab, name, size)):
+    for name, found in result.available(PURCELL_VIEWS, lambda name: _measure(runner, name, size)):
         oracle = found[_ORACLE]
         for contender, one in found.items():
             rays = size * size
@@ -136,26 +136,26 @@ def adapter_note() -> str:
     return f"Adapter: {adapter.name}, {adapter.backend}, {adapter.description} ({kind})."
 
 
-def _measure(lab: Laboratory, name: str, size: int) -> dict[str, dict[str, Any]]:
+def _measure(runner: Runner, name: str, size: int) -> dict[str, dict[str, Any]]:
     """Each contender's passes, draws and time, and how far its hits are from the oracle's."""
 
     def measure() -> dict[str, dict[str, Any]]:
-        view = lab.view(name)
+        view = runner.view(name)
         rays = view.rays(size)
-        answers = {one: _counted(lab, view, one, rays) for one in _CONTENDERS}
+        answers = {one: _counted(runner, view, one, rays) for one in _CONTENDERS}
         oracle = answers[_ORACLE][0]
-        seconds = _seconds(lab, view, rays)
+        seconds = _seconds(runner, view, rays)
         return {
             one: {**figures, **_differences(hits, oracle), "seconds": seconds[one]}
             for one, (hits, figures) in answers.items()
         }
 
-    values: dict[str, dict[str, Any]] = lab.measure(f"{name}, {size} x {size}", measure)
+    values: dict[str, dict[str, Any]] = runner.measure(f"{name}, {size} x {size}", measure)
     return values
 
 
-def _tracer(lab: Laboratory, view: View, contender: str, counters: bool) -> Tracer:
-    options = {**_CONTENDERS[contender], **grid_options(view, lab.quick)}
+def _tracer(runner: Runner, view: View, contender: str, counters: bool) -> Tracer:
+    options = {**_CONTENDERS[contender], **grid_options(view, runner.quick)}
     if contender.endswith("unrolled"):
         values = published("purcell", "unrolling").values
         options["traversal_steps"] = values["traversal_steps"]
@@ -163,9 +163,9 @@ def _tracer(lab: Laboratory, view: View, contender: str, counters: bool) -> Trac
     return Tracer(view.scene, "grid", counters=counters, **options)
 
 
-def _counted(lab: Laboratory, view: View, contender: str, rays: Any) -> tuple[Hits, dict[str, Any]]:
+def _counted(runner: Runner, view: View, contender: str, rays: Any) -> tuple[Hits, dict[str, Any]]:
     """Hits, and what it took to find them."""
-    tracer = _tracer(lab, view, contender, True)
+    tracer = _tracer(runner, view, contender, True)
     hits = tracer.first_hit(*rays)
     passes = tracer.counters.passes
     if passes is None:
@@ -186,16 +186,8 @@ def _differences(hits: Hits, oracle: Hits) -> dict[str, float]:
     return {"other_hits": int(is_other.sum()), "farthest": float(farthest.max(initial=0.0))}
 
 
-def _seconds(lab: Laboratory, view: View, rays: Any) -> dict[str, float]:
+def _seconds(runner: Runner, view: View, rays: Any) -> dict[str, float]:
     """Median seconds of each contender, taking turns, without counting."""
-    tracers = {one: _tracer(lab, view, one, False) for one in _CONTENDERS}
-    taken: dict[str, list[float]] = {one: [] for one in tracers}
-    for number in range(1 + (1 if lab.quick else _ROUNDS)):  # the first one compiles
-        for one, tracer in tracers.items():
-            if sum(taken[one]) > _PATIENCE:
-                continue
-            started = time.perf_counter()
-            tracer.first_hit(*rays)
-            if number:
-                taken[one].append(time.perf_counter() - started)
-    return {one: statistics.median(each) for one, each in taken.items()}
+    tracers = {one: _tracer(runner, view, one, False) for one in _CONTENDERS}
+    calls = {one: partial(tracer.first_hit, *rays) for one, tracer in tracers.items()}
+    return median_times(calls, 1 if runner.quick else _ROUNDS, patience=_PATIENCE)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
-from raystream.lab.purcell.pictures import SIZE, grid_tracer
-from raystream.lab.purcell.statistics import (
+from raystream.lab.purcell.image_counts import SIZE, grid_tracer
+from raystream.lab.purcell.scene_statistics import (
     TOLERANCE,
     camera_sweep,
+    image_statistics,
     paper_view,
-    picture_statistics,
 )
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, comparison
+from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS
 from raystream.lab.walks import Replay, Walks, record, replay, sweep
 from raystream.machines.schedulers import SCHEDULERS
 
-__all__ = ["picture_schedule", "recorded", "schedules"]
+__all__ = ["image_schedule", "record_view", "schedules"]
 
 #: Percent.
 _THRESHOLDS = (
@@ -31,14 +31,14 @@ _QUICK_THRESHOLDS = (1, 5, 10, 20, 30, 50, 70, 90)
 _TRAVERSE, _INTERSECT = "traverse", "intersect"
 
 
-def recorded(lab: Laboratory, name: str, *, visits: bool = False) -> Walks:
+def record_view(runner: Runner, name: str, *, visits: bool = False) -> Walks:
     """The walks of a view's rays on Purcell's grid."""
-    view = lab.view(name)
-    tracer = grid_tracer(lab, view)
-    return record(tracer, *view.rays(lab.size(SIZE)), visits=visits, progress=lab.progress)
+    view = runner.view(name)
+    tracer = grid_tracer(runner, view)
+    return record(tracer, *view.rays(runner.size(SIZE)), visits=visits, progress=runner.progress)
 
 
-def picture_schedule(lab: Laboratory, name: str) -> dict[str, Any]:
+def image_schedule(runner: Runner, name: str) -> dict[str, Any]:
     """Passes of each scheduler for a view; recorded once, replayed for each.
 
     Returns
@@ -49,14 +49,14 @@ def picture_schedule(lab: Laboratory, name: str) -> dict[str, Any]:
         ``schedulers``, all passes by name; ``sweep``, pairs of a threshold in percent and all
         passes; ``unrolled``, passes and runs of each kernel with several steps in a pass.
     """
-    size = lab.size(SIZE)
+    size = runner.size(SIZE)
 
     def measure() -> dict[str, Any]:
-        walks = recorded(lab, name)
+        walks = record_view(runner, name)
         usual = replay(walks)
         unroll = published("purcell", "unrolling").values
         steps, tests = unroll["traversal_steps"], unroll["intersections"]
-        percents = _QUICK_THRESHOLDS if lab.quick else _THRESHOLDS
+        percents = _QUICK_THRESHOLDS if runner.quick else _THRESHOLDS
         replays = sweep(walks, [one / 100 for one in percents])
         counters = walks.counters
         return {
@@ -74,7 +74,9 @@ def picture_schedule(lab: Laboratory, name: str) -> dict[str, Any]:
             },
         }
 
-    found: dict[str, Any] = lab.measure(f"{name}, schedules, {size} x {size}", measure, shared=True)
+    found: dict[str, Any] = runner.measure(
+        f"{name}, schedules, {size} x {size}", measure, shared=True
+    )
     return found
 
 
@@ -89,22 +91,22 @@ def _summary(found: Replay) -> dict[str, Any]:
     }
 
 
-def schedules(lab: Laboratory) -> Result:
+def schedules(runner: Runner) -> Result:
     """Table 2, schedulers, and the sweep of the threshold."""
     result = Result()
-    found = dict(result.known(PURCELL_VIEWS, lambda name: picture_schedule(lab, name)))
-    size = lab.size(SIZE)
-    result.tables = [_table_2(lab, found, size), _schedulers(found, size), _thresholds(found)]
+    found = dict(result.available(PURCELL_VIEWS, lambda name: image_schedule(runner, name)))
+    size = runner.size(SIZE)
+    result.tables = [_table_2(runner, found, size), _schedulers(found, size), _thresholds(found)]
     result.plots = [_plot(found)]
     result.claims = _claims(found)
     return result
 
 
-def _table_2(lab: Laboratory, found: dict[str, dict[str, Any]], size: int) -> Table:
+def _table_2(runner: Runner, found: dict[str, dict[str, Any]], size: int) -> Table:
     rows: list[tuple[str, Cell, Cell, str]] = []
     for name, ours in found.items():
         theirs = published("purcell", "table 2").values[paper_view(name)]
-        reasons = _reasons(lab, name, ours, theirs)
+        reasons = _reasons(runner, name, ours, theirs)
         rows += [
             (f"{name}: {what}", theirs[key], ours[own], reasons.get(own, ""))
             for what, key, own in (
@@ -122,7 +124,7 @@ def _table_2(lab: Laboratory, found: dict[str, dict[str, Any]], size: int) -> Ta
 
 
 def _reasons(
-    lab: Laboratory, name: str, ours: dict[str, Any], theirs: dict[str, float]
+    runner: Runner, name: str, ours: dict[str, Any], theirs: dict[str, float]
 ) -> dict[str, str]:
     """Why figures of Table 2 differ, from what was measured; by the figure."""
     bounds = ours["most_steps"] + ours["most_tests"], theirs["most_steps"] + theirs["most_tests"]
@@ -134,12 +136,12 @@ def _reasons(
         "passes": f"longest rays: {bounds[0]:,} steps and tests, the paper's {bounds[1]:,}; "
         f"passes over that {over[0]:.2f}, the paper's {over[1]:.2f}"
     }
-    sweep = camera_sweep(lab, lab.view(name)).values()
+    sweep = camera_sweep(runner, runner.view(name)).values()
     for key in ("most_steps", "most_tests"):
         among = sorted(int(one[key]) for one in sweep)
         if abs(ours[key] / theirs[key] - 1.0) > TOLERANCE:
             reasons[key] = f"from other cameras {among[0]:,} to {among[-1]:,}, at fewer rays"
-    values, figure = picture_statistics(lab, name), published("purcell", "figure 6").values
+    values, figure = image_statistics(runner, name), published("purcell", "figure 6").values
     paper = figure[paper_view(name)]
     work = values["v"] + values["t"], paper["v"] + paper["t"]
     reasons["efficiency"] = (

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.lab.cost_model import cost, prices
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
-from raystream.lab.purcell.pictures import Measured, counts_of, measured
+from raystream.lab.purcell.image_counts import ImageCounts, count_image, counts_of
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.runner import Runner
 from raystream.lab.views import View, without_lawn
 from raystream.scene.camera import Camera
 from raystream.scene.procedural import building as _building
@@ -52,15 +52,17 @@ _FAMILIES = (
 )
 
 
-def zbuffer(lab: Laboratory) -> Result:
+def zbuffer(runner: Runner) -> Result:
     """Instructions of both ways to a picture, and where they cross."""
     result = Result()
-    size = min(lab.size(_SIZE), _SIZE)
+    size = min(runner.size(_SIZE), _SIZE)
     rows: list[list[Cell]] = []
     crossings, growth = [], {}
     faster: dict[str, bool] = {}
     for family in _FAMILIES:
-        found = [_measure(lab, family.name, number, size) for number in _numbers(lab, family.name)]
+        found = [
+            _measure(runner, family.name, number, size) for number in _numbers(runner, family.name)
+        ]
         found.sort(key=lambda one: one["depth"])
         lines = {name: [one[name] for one in map(_costs, found)] for name in _costs(found[0])}
         depths = [one["depth"] for one in found]
@@ -128,9 +130,9 @@ def zbuffer(lab: Laboratory) -> Result:
     return result
 
 
-def _numbers(lab: Laboratory, family: str) -> tuple[int, ...]:
+def _numbers(runner: Runner, family: str) -> tuple[int, ...]:
     numbers = _LAYERS if family == "layers" else _TRIANGLES
-    return numbers[:4] if lab.quick else numbers
+    return numbers[:4] if runner.quick else numbers
 
 
 def _view(family: str, number: int) -> View:
@@ -168,11 +170,11 @@ def _grid(family: str, number: int) -> dict[str, Any]:
     return {"min_resolution": max(4, round(cells * (number / triangles) ** (1 / 3)))}
 
 
-def _measure(lab: Laboratory, family: str, number: int, size: int) -> dict[str, Any]:
+def _measure(runner: Runner, family: str, number: int, size: int) -> dict[str, Any]:
     def measure() -> dict[str, Any]:
         view = _view(family, number)
         grid = Tracer(view.scene, "grid", counters=True, **_grid(family, number))
-        values: Measured = measured(grid, view, size)
+        values: ImageCounts = count_image(grid, view, size)
         counts = Tracer(view.scene).count_hits(*view.rays(size))
         return {
             **values,
@@ -180,7 +182,7 @@ def _measure(lab: Laboratory, family: str, number: int, size: int) -> dict[str, 
             "depth": float(np.mean(counts)),
         }
 
-    found: dict[str, Any] = lab.measure(f"{family}, {number}, {size} x {size}", measure)
+    found: dict[str, Any] = runner.measure(f"{family}, {number}, {size} x {size}", measure)
     return found
 
 

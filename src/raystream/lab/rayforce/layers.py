@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from raystream.lab.frames import picture
-from raystream.lab.laboratory import Laboratory
+from raystream.lab.frame_timing import picture
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.runner import Runner
+from raystream.lab.timing import median_times
 from raystream.scene.camera import Camera
 from raystream.scene.mesh import Mesh
 from raystream.scene.scene import Scene
@@ -67,10 +67,10 @@ def layered_scene(count: int) -> Scene:
     return Scene(sheets, camera=Camera((0.031, 0.017, -3.0), (0.0, 0.0, 0.5), fov=24.0))
 
 
-def layers(lab: Laboratory) -> Result:
+def layers(runner: Runner) -> Result:
     """Five questions about the same rays, with more and more layers in their way."""
-    counts = _QUICK_LAYERS if lab.quick else LAYERS
-    found = {count: _measured(lab, count) for count in counts}
+    counts = _QUICK_LAYERS if runner.quick else LAYERS
+    found = {count: _measured(runner, count) for count in counts}
     source = published("rayforce", "structure").source
     ratios = {
         f"{count}": _ratio(each[REFERENCE], "multi_hit, 1", "first_hit")
@@ -81,7 +81,7 @@ def layers(lab: Laboratory) -> Result:
         f"multi-hit takes at most {LOW_OVERHEAD:g} times as long as first-hit"
     )
     return Result(
-        tables=[_times(lab, found), _counts(found)],
+        tables=[_times(runner, found), _counts(found)],
         plots=[_plot_all(found), _plot_queries(found)],
         claims=[
             Claim.judged(
@@ -95,7 +95,7 @@ def layers(lab: Laboratory) -> Result:
         ],
         pictures=[
             picture(
-                lab,
+                runner,
                 "rayforce layers",
                 "16 layers, drawn as clear sheets",
                 layered_scene(16),
@@ -107,33 +107,30 @@ def layers(lab: Laboratory) -> Result:
     )
 
 
-def _measured(lab: Laboratory, count: int) -> dict[str, dict[str, Any]]:
+def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
     """Seconds and counts of each structure."""
 
     def measure() -> dict[str, dict[str, Any]]:
         scene = layered_scene(count)
-        size = lab.size(SIZE)
+        size = runner.size(SIZE)
         rays = scene.camera_for(1.0).rays(size, size)
         tracers = {name: Tracer(scene, name) for name in STRUCTURES}
-        seconds: dict[tuple[str, str], list[float]] = {}
-        for number in range(2 if lab.quick else ROUNDS + 1):  # the first one compiles
-            for name, tracer in tracers.items():
-                for title, ask in QUERIES.items():
-                    started = time.perf_counter()
-                    ask(tracer, rays)
-                    if number:
-                        taken = time.perf_counter() - started
-                        seconds.setdefault((name, title), []).append(taken)
+        calls = {
+            f"{name}, {title}": partial(query, tracer, rays)
+            for name, tracer in tracers.items()
+            for title, query in QUERIES.items()
+        }
+        seconds = median_times(calls, 1 if runner.quick else ROUNDS)
         return {
             name: {
                 "rays": size * size,
-                "seconds": {title: statistics.median(seconds[name, title]) for title in QUERIES},
+                "seconds": {title: seconds[f"{name}, {title}"] for title in QUERIES},
                 **_counted(scene, name, rays),
             }
             for name in STRUCTURES
         }
 
-    values: dict[str, dict[str, Any]] = lab.measure(f"{count} layers", measure)
+    values: dict[str, dict[str, Any]] = runner.measure(f"{count} layers", measure)
     return values
 
 
@@ -155,7 +152,7 @@ def _ratio(one: dict[str, Any], query: str, other: str) -> float:
     return float(one["seconds"][query] / one["seconds"][other])
 
 
-def _times(lab: Laboratory, found: dict[int, dict[str, dict[str, Any]]]) -> Table:
+def _times(runner: Runner, found: dict[int, dict[str, dict[str, Any]]]) -> Table:
     rows: list[list[Cell]] = []
     for count, each in found.items():
         for name, one in each.items():
@@ -163,7 +160,7 @@ def _times(lab: Laboratory, found: dict[int, dict[str, dict[str, Any]]]) -> Tabl
             times: list[Cell] = [1e9 * one["seconds"][title] / rays for title in QUERIES]
             per_hit = 1e9 * one["seconds"]["multi_hit, all"] / one["hits"]
             rows.append([count, name, *times, per_hit])
-    size = lab.size(SIZE)
+    size = runner.size(SIZE)
     return Table.of(
         "rayforce-layers",
         f"Layers: nanoseconds a ray, {size} x {size} rays",

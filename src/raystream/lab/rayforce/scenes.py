@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from raystream.core.errors import RaystreamError
-from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Result
+from raystream.lab.runner import Runner
 from raystream.lab.views import View
 from raystream.scene.lights import PointLight
 from raystream.scene.material import Material
@@ -75,18 +75,18 @@ def _light(scene: Scene) -> PointLight:
     return PointLight((x, y, z), (_BRIGHTNESS * middle**2,) * 3)
 
 
-def scenes(lab: Laboratory, result: Result) -> Iterator[View]:
+def scenes(runner: Runner, result: Result) -> Iterator[View]:
     """Three scenes with cameras, one after the other; notes say which are missing.
 
     With ``quick`` the built-in ones.
     """
     wanted: int = published("rayforce", "figure 3").values["scenes"]
     for name, other in zip(SCENES[:wanted], STAND_INS, strict=True):
-        if lab.quick:
-            yield lab.view(other)
+        if runner.quick:
+            yield runner.view(other)
             continue
         try:
-            yield lab.view(name)
+            yield runner.view(name)
         except RaystreamError as error:
             result.notes.append(f"{other} stands in for {name}: {error}")
-            yield lab.view(other)
+            yield runner.view(other)

@@ -1,8 +1,8 @@
 """The report: an experiment's results as a page, as Markdown and as JSON."""
 
 from raystream.lab.report.about import About
-from raystream.lab.report.page import as_html
-from raystream.lab.report.plain import as_markdown
+from raystream.lab.report.html import as_html
+from raystream.lab.report.markdown import as_markdown
 from raystream.lab.report.write import write_report
 
 __all__ = ["About", "as_html", "as_markdown", "write_report"]

@@ -10,8 +10,8 @@ from typing import Any
 from raystream.core.atomic_write import atomic_write
 from raystream.lab.experiments import Outcome
 from raystream.lab.report.about import About
-from raystream.lab.report.page import as_html
-from raystream.lab.report.plain import as_markdown
+from raystream.lab.report.html import as_html
+from raystream.lab.report.markdown import as_markdown
 from raystream.lab.report.plots import can_draw, draw
 
 __all__ = ["as_json", "write_report"]

@@ -1,6 +1,6 @@
 """The stepper: one ray's walk through a structure, kernel by kernel, and a page that plays it."""
 
-from raystream.lab.stepper.flat import FlatScene, Outline, prisms, teaching_scene
+from raystream.lab.stepper.flat_scene import FlatScene, Outline, prisms, teaching_scene
 from raystream.lab.stepper.page import page, write_page
 from raystream.lab.stepper.walk import Spot, Step, Walk, walk
 

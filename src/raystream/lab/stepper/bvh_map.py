@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.kernels.leaf_block import BLOCK_BYTES
-from raystream.lab.stepper.chart import BlockMap, LocalSpot, Records, to_world
+from raystream.lab.stepper.structure_map import BlockMap, LocalSpot, Records, to_world
 from raystream.structures.bvh.layout import WIDTH
 from raystream.structures.bvh.structure import BvhStructure
 

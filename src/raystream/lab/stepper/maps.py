@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.lab.stepper.bvh_map import BvhMap
-from raystream.lab.stepper.chart import BlockMap, LocalSpot, Records, StructureMap, to_world
+from raystream.lab.stepper.structure_map import BlockMap, LocalSpot, Records, StructureMap, to_world
 from raystream.structures import Structure
 from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.graph.layout import FACES, NODE_BIT, SECTOR_ROWS, VOID

@@ -11,11 +11,11 @@ from typing import Any
 
 from raystream.core.atomic_write import atomic_write
 from raystream.kernels.tally import COLUMNS
-from raystream.lab.stepper.flat import FlatScene, teaching_scene
-from raystream.lab.stepper.heat import fan_cost, place_cost
+from raystream.lab.stepper.descriptions import sentence, source
+from raystream.lab.stepper.flat_scene import FlatScene, teaching_scene
+from raystream.lab.stepper.heat_maps import fan_cost, place_cost
 from raystream.lab.stepper.panels import Panel, make_panels
-from raystream.lab.stepper.rays import FAN_ORIGIN, NamedRay, fan, teaching_rays
-from raystream.lab.stepper.sentences import sentence, source
+from raystream.lab.stepper.teaching_rays import FAN_ORIGIN, NamedRay, fan, teaching_rays
 from raystream.lab.stepper.walk import Spot, walk
 from raystream.machines.records import RayState
 from raystream.rendering.color import encode_srgb

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from raystream.lab.stepper.flat import FlatScene
+from raystream.lab.stepper.flat_scene import FlatScene
 from raystream.lab.stepper.maps import GraphMap, GridMap, KdMap, map_of
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.tracer import Tracer

@@ -12,8 +12,8 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS
-from raystream.lab.stepper.chart import LocalSpot, Records, StructureMap
 from raystream.lab.stepper.maps import map_of
+from raystream.lab.stepper.structure_map import LocalSpot, Records, StructureMap
 from raystream.machines import Multipass, PassSnapshot
 from raystream.machines.ray_block import RayBlock, blocks
 from raystream.machines.records import RayState

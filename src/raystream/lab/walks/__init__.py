@@ -1,16 +1,16 @@
 """Walks of rays: recorded once, replayed under any schedule, and read as memory references."""
 
-from raystream.lab.walks.orders import ORDERS, ray_order
-from raystream.lab.walks.recording import record
-from raystream.lab.walks.references import (
+from raystream.lab.walks.mailboxes import RepeatedTests, repeated_tests
+from raystream.lab.walks.memory_references import (
     CHUNK,
     ReferenceChunk,
     branching_references,
     multipass_references,
 )
-from raystream.lab.walks.repeats import RepeatedTests, repeated_tests
+from raystream.lab.walks.ray_orders import ORDERS, ray_order
+from raystream.lab.walks.recording import record
 from raystream.lab.walks.replaying import Replay, ReplayedPass, replay, sweep
-from raystream.lab.walks.textures import ALIGNMENT, Kind, StateWords, Textures
+from raystream.lab.walks.texture_layout import ALIGNMENT, Kind, StateWords, Textures
 from raystream.lab.walks.walks import Run, Walks
 
 __all__ = [

@@ -12,7 +12,7 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, part_of
 from raystream.kernels.collect import HitAddresses, HitArrays
 from raystream.kernels.tally import new_tallies
-from raystream.lab.walks.search import search_loop, visits_of
+from raystream.lab.walks.record_loop import search_loop, visits_of
 from raystream.lab.walks.walks import Walks
 from raystream.machines.counters import RayCounters
 from raystream.machines.ray_block import RayBlock, blocks

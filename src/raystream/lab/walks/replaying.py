@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.jit.threads import Progress, parallel_for
-from raystream.lab.walks.kernels.schedule import (
+from raystream.lab.walks.kernels.replay_passes import (
     CHOSEN,
     DOUBLE,
     END,

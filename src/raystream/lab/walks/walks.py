@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.lab.walks.distinct import DistinctWalks, distinct_walks
+from raystream.lab.walks.distinct_walks import DistinctWalks, distinct_walks
 from raystream.machines.counters import RayCounters
 from raystream.machines.steps.base import StepKernel
 from raystream.structures import Structure

@@ -1,0 +1,303 @@
+"""ReuseDistances: what fully associative caches of every size would miss."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from raystream.core.arrays import as_host_array
+from raystream.core.memory import check_memory
+from raystream.lab.caches.kernels.fast_division import divisor
+from raystream.lab.caches.kernels.hash_table import home_shift
+from raystream.lab.caches.kernels.ranked_bits import BITS, BLOCK_WORDS, ROW_BLOCKS, Marks
+from raystream.lab.caches.kernels.stack_distances import (
+    Clock,
+    Histogram,
+    Latest,
+    move_entries,
+    move_times,
+    run_distances,
+)
+from raystream.lab.caches.line_counts import LineCounts, by_kind, new_counts
+from raystream.lab.caches.trace_chunk import MIN_LINE_SIZE, Kinds, as_chunk, as_count, as_kinds
+
+__all__ = ["MissCurve", "ReuseDistances"]
+
+#: A reference touches at most this many lines: 255 bytes, in lines of 4.
+_MOST_TOUCHED = 65
+
+#: Larger sizes are as good as this one.
+_MOST_BYTES = (1 << 63) - 1
+
+
+class MissCurve(NamedTuple):
+    """Misses of fully associative LRU caches.
+
+    Attributes
+    ----------
+    sizes : ndarray of shape (S,), int64
+        Bytes of each cache.
+    misses : ndarray of shape (S, K), int64
+        Of each cache and each kind of data.
+    accesses : ndarray of shape (K,), int64
+        Of each kind of data.
+    """
+
+    sizes: NDArray[np.int64]
+    misses: NDArray[np.int64]
+    accesses: NDArray[np.int64]
+
+    @property
+    def hit_rates(self) -> NDArray[np.float64]:
+        """Share of all accesses that hit, of shape (S,); nan without any."""
+        count = int(self.accesses.sum())
+        missed = self.misses.sum(axis=1)
+        return 1.0 - missed / count if count else np.full(len(missed), np.nan)
+
+
+class ReuseDistances:
+    """Exact LRU stack distances of a trace.
+
+    The distance of an access is the number of other lines that were accessed since the latest
+    access to its line. A fully associative cache that drops the least recently used line misses
+    where the distance is at least its number of lines (Mattson et al. 1970 [1]_), so that the
+    distances of one run tell what every size misses.
+
+    Parameters
+    ----------
+    line_size : int
+        Bytes of a line, at least 4; need not be a power of two.
+    kinds : sequence of str
+        Names of the kinds of data that are counted apart, at most 256. An access is counted
+        for the kind of the reference that makes it.
+
+    Attributes
+    ----------
+    line_size : int
+    kinds : tuple of str
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an option is no integer or no names, or out of range.
+
+    Notes
+    -----
+    Distances are counted exactly, none is put together with its neighbours. Memory is bounded by
+    the number of distinct lines, whatever the trace's length: 34 to 68 bytes for each, and 8 to 16
+    more for each kind; half as much again while a table grows, and as much again for each kind
+    while misses are asked for.
+
+    References
+    ----------
+    .. [1] Mattson, Gecsei, Slutz and Traiger, "Evaluation techniques for storage hierarchies",
+       IBM Systems Journal 9(2), 1970.
+
+    Examples
+    --------
+    >>> distances = ReuseDistances(48)
+    >>> distances.access(np.array([0, 4, 48, 96, 0], np.uint64))
+    >>> distances.line_count, distances.misses([48, 96, 144]).tolist()
+    (3, [4, 4, 3])
+    """
+
+    #: Places of the first table, and the end of the first time line: powers of two.
+    _first_capacity = 1 << 12
+    _first_end = 1 << 16
+
+    #: The time line has room for this many times the lines when it begins anew.
+    _times_per_line = 8
+
+    def __init__(self, line_size: int, *, kinds: Sequence[str] = ("all",)) -> None:
+        self.line_size = as_count("line_size", line_size, MIN_LINE_SIZE)
+        self.kinds = as_kinds(kinds)
+        self._divisor = divisor(self.line_size)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the trace, and begin to count anew."""
+        self._counts = new_counts(len(self.kinds))
+        self._clock = np.zeros(3, np.uint64)
+        self._entries = np.zeros((self._first_capacity, 2), np.uint64)
+        self._histogram = np.zeros((len(self.kinds), self._first_capacity // 2), np.uint64)
+        self._latest = _table_of(self._entries)
+        self._begin(self._first_end, _first_marks(self._first_end, 0))
+
+    @property
+    def line_count(self) -> int:
+        """Distinct lines that were accessed: as many first accesses miss in every cache."""
+        return int(self._clock[1])
+
+    def access(self, addresses: NDArray[np.uint64], kinds: Kinds = 0, lengths: Kinds = 4) -> None:
+        """Take the next chunk of a trace: see `Cache.access`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an array has another dtype or shape, or a value is out of range. Nothing is
+            counted then.
+        MemoryError
+            If there are too many distinct lines for this machine's memory. A part of the chunk
+            has been counted then.
+        """
+        chunk = as_chunk(addresses, kinds, lengths, len(self.kinds))
+        start = np.uint64(0)
+        while True:
+            start = np.uint64(
+                run_distances(
+                    chunk.trace,
+                    start,
+                    chunk.reference_count,
+                    self._divisor,
+                    self._latest,
+                    self._marks,
+                    Clock(_address(self._clock), np.uint64(self._end)),
+                    Histogram(_address(self._histogram), np.uint64(self._histogram.shape[1])),
+                    _address(self._counts),
+                )
+            )
+            if start == chunk.reference_count:
+                return
+            self._make_room()
+
+    def misses(self, sizes: ArrayLike) -> NDArray[np.int64]:
+        """Count what fully associative caches of some sizes would have missed, of all kinds.
+
+        Parameters
+        ----------
+        sizes : array_like of int
+            Bytes of each cache, any shape; a cache that is smaller than a line hits nothing.
+
+        Returns
+        -------
+        ndarray of the shape of sizes, int64
+        """
+        wanted = _as_sizes(sizes)
+        return self._misses(wanted).sum(axis=-1)
+
+    def curve(self, sizes: ArrayLike | None = None) -> MissCurve:
+        """What fully associative caches of some sizes would have missed, by kind.
+
+        Parameters
+        ----------
+        sizes : array_like of int, of shape (S,), optional
+            Bytes of each cache; by default from one line to one that keeps all, with four sizes
+            for each doubling.
+
+        Returns
+        -------
+        MissCurve
+        """
+        if sizes is None:
+            doublings = int(np.ceil(4.0 * np.log2(max(self.line_count, 1))))
+            lines = np.unique(np.ceil(2.0 ** (np.arange(doublings + 1) / 4.0)).astype(np.int64))
+            wanted = lines * self.line_size
+        else:
+            wanted = _as_sizes(sizes)
+            if wanted.ndim != 1:
+                raise ValueError(f"sizes: must have shape (S,), not {wanted.shape}")
+        return MissCurve(wanted, self._misses(wanted), self._counts[:, 2].astype(np.int64))
+
+    def counts(self, size: int) -> MappingProxyType[str, LineCounts]:
+        """What a fully associative cache of some size would have counted, by kind of data."""
+        wanted = np.array(min(as_count("size", size, 0), _MOST_BYTES), np.int64)
+        missed = self._misses(wanted).astype(np.uint64)
+        return by_kind(self.kinds, self._counts, missed, self.line_size)
+
+    def histogram(self) -> NDArray[np.int64]:
+        """How many accesses had each distance, by kind.
+
+        Returns
+        -------
+        ndarray of shape (K, D), int64
+            Of distances 0 to D - 1, where D is `line_count`. First accesses have no distance
+            and are not in it.
+        """
+        return self._histogram[:, : self.line_count].astype(np.int64)
+
+    def _misses(self, sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Misses of caches by kind, of shape (*S, K)."""
+        accesses = self._counts[:, 2].astype(np.int64)
+        lines = np.minimum(sizes // self.line_size, self.line_count)
+        hits = np.zeros((len(self.kinds), self.line_count + 1), np.int64)
+        np.cumsum(self.histogram(), axis=1, out=hits[:, 1:])
+        return accesses - np.moveaxis(hits[:, lines], 0, -1)
+
+    def _make_room(self) -> None:
+        """Let the table or the time line take another reference."""
+        if self.line_count + _MOST_TOUCHED > len(self._entries) // 2:
+            self._grow_table()
+        if int(self._clock[0]) + _MOST_TOUCHED > self._end:
+            self._begin_anew()
+
+    def _grow_table(self) -> None:
+        former, capacity = self._latest, 2 * len(self._entries)
+        while self.line_count + _MOST_TOUCHED > capacity // 2:
+            capacity *= 2
+        check_memory(capacity * (16 + 4 * len(self.kinds)), f"{capacity // 2:,} lines would")
+        # Both before either is kept: the kernel relies on their lengths.
+        entries = np.zeros((capacity, 2), np.uint64)
+        histogram = np.zeros((len(self.kinds), capacity // 2), np.uint64)
+        histogram[:, : self.line_count] = self._histogram[:, : self.line_count]
+        latest = _table_of(entries)
+        move_entries(former, latest)
+        self._entries, self._latest, self._histogram = entries, latest, histogram
+
+    def _begin_anew(self) -> None:
+        """Move the marks together at the beginning of a time line that may be longer."""
+        end = self._end
+        while end < self._times_per_line * self.line_count + 2 * _MOST_TOUCHED:
+            end *= 2
+        parts = _first_marks(end, self.line_count)
+        words = self._parts[0]
+        before = np.cumsum(np.bitwise_count(words), dtype=np.uint64)
+        before -= np.bitwise_count(words)
+        move_times(self._latest, _address(words), _address(before))
+        self._begin(end, parts)
+
+    def _begin(self, end: int, parts: list[NDArray[np.uint64]]) -> None:
+        """Take marks of the first times into use; the clock stands behind them."""
+        self._end, self._parts = end, parts
+        self._marks = Marks(*map(_address, parts))
+        self._clock[0] = self.line_count
+
+
+def _address(array: NDArray[np.uint64]) -> np.uint64:
+    return np.uint64(array.ctypes.data)
+
+
+def _table_of(entries: NDArray[np.uint64]) -> Latest:
+    capacity = len(entries)
+    numbers = home_shift(capacity), capacity - 1, capacity // 2
+    return Latest(_address(entries), *(np.uint64(number) for number in numbers))
+
+
+def _first_marks(end: int, count: int) -> list[NDArray[np.uint64]]:
+    """Marks at the first `count` times, as words, blocks and rows; whole 64s of each."""
+    words = np.zeros(_in_64s(end, BITS), np.uint64)
+    words[: count // BITS] = ~np.uint64(0)
+    if count % BITS:
+        words[count // BITS] = (1 << (count % BITS)) - 1
+    sums = [words]
+    for part in (BITS * BLOCK_WORDS, BITS * BLOCK_WORDS * ROW_BLOCKS):
+        begins = part * np.arange(_in_64s(end, part))
+        sums.append(np.clip(count - begins, 0, part).astype(np.uint64))
+    return sums
+
+
+def _in_64s(end: int, part: int) -> int:
+    """How many parts of some length a time line has, rounded up to a multiple of 64."""
+    return -(-end // (64 * part)) * 64
+
+
+def _as_sizes(sizes: ArrayLike) -> NDArray[np.int64]:
+    array = as_host_array("sizes", sizes)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"sizes: must be integers, not {array.dtype}")
+    if array.size and int(array.min()) < 0:
+        raise ValueError(f"sizes: must not be negative, as {array.min()} is")
+    return np.minimum(array, _MOST_BYTES).astype(np.int64)

@@ -1,0 +1,205 @@
+"""Times: pictures of scenes A, B and C against grid size and bounces (Christen 2005, 6.2)."""
+
+from __future__ import annotations
+
+import statistics
+from typing import Any
+
+from raystream.lab.christen.scenes import (
+    SCENES,
+    christen_scene,
+    image_size,
+    timed_iterations,
+)
+from raystream.lab.frame_timing import affordable_size, picture, render_context
+from raystream.lab.published import published
+from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
+from raystream.lab.runner import Runner
+from raystream.rendering.integrator import RenderContext
+from raystream.scene.scene import Scene
+from raystream.tracer import Tracer
+
+__all__ = ["GRIDS", "ITERATIONS", "image_times"]
+
+#: Cells along each axis, and those with which the multipass machine runs as well.
+GRIDS = (5, 10, 20, 50, 100)
+_MULTIPASS_GRIDS = (5, 20, 100)
+_QUICK_GRIDS = (10, 20)
+
+#: Surfaces on a ray's way: five bounces after the first one.
+ITERATIONS = 6
+
+ROUNDS = 3
+
+#: Seconds that a picture may take; those that would take longer get smaller.
+_LIMIT = 2.0
+
+#: The multipass machine needs a pass for each triangle that the longest ray tests. With more
+#: than so many it is left out.
+_MOST_TESTS = 1500
+
+_Times = dict[str, Any]
+
+
+def image_times(runner: Runner) -> Result:
+    """Seconds of pictures on every device and machine."""
+    grids = _QUICK_GRIDS if runner.quick else GRIDS
+    result = Result()
+    found: dict[tuple[str, int, str], _Times] = {}
+    triangles: dict[str, int] = {}
+    for letter in SCENES:
+        scene = christen_scene(letter)
+        triangles[letter] = scene.triangle_count
+        for grid in grids:
+            found[letter, grid, "branching"] = _branching(runner, scene, letter, grid)
+        for grid in grids:
+            if grid in _MULTIPASS_GRIDS:
+                found[letter, grid, "multipass"] = _multipass(runner, scene, letter, grid)
+        title = f"Scene {letter}, {ITERATIONS} iterations"
+        name = f"christen {letter}"
+        bounces = {"max_bounces": ITERATIONS - 1, "min_weight": 0.0}
+        result.pictures.append(
+            picture(runner, name, title, scene, "whitted", (256, 256), samples=4, **bounces)
+        )
+    result.tables = [_scenes(triangles), _table(runner, found)]
+    result.plots = [_grid_plot(found, 1), _grid_plot(found, ITERATIONS), _bounce_plot(found)]
+    result.notes = [
+        (
+            "The values of his Figures 6.8 to 6.10 are not in our copy, so that no time is called "
+            "published. They are of a GeForce 6 in 2005; CPUs are the only devices here so far."
+        ),
+        (
+            "Scene B's glass lets no light through here, and rays never end for weighing too "
+            "little, as in his renderer. Ours sends rays to lights as well, which his does not."
+        ),
+    ]
+    return result
+
+
+def _branching(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
+    size = image_size(runner)
+
+    def measure() -> _Times:
+        tracer = Tracer(scene, "grid", resolution=grid)
+        setting = render_context(tracer, (size, size))
+        least = max(size // 8, 1)
+        timed_iterations(setting, tracer, 8, ITERATIONS)  # compiles
+        small = timed_iterations(setting, tracer, least, ITERATIONS)[0][-1] / least**2
+        chosen, _ = affordable_size(small, (size, size), _LIMIT, (least, least))
+        rounds = 1 if runner.quick else ROUNDS
+        return _timed(setting, tracer, chosen, rounds)
+
+    values: _Times = runner.measure(f"{letter}, {grid} cells, branching", measure)
+    return values
+
+
+def _multipass(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
+    """The same, once; nothing but a reason if too many passes are needed."""
+    size = image_size(runner)
+
+    def measure() -> _Times:
+        counting = Tracer(scene, "grid", resolution=grid, counters=True)
+        counting.first_hit(*scene.camera_for(1.0).rays(64, 64))
+        most = int(counting.counters.tests.max())
+        if most > _MOST_TESTS:
+            return {"most_tests": most}
+        tracer = Tracer(scene, "grid", resolution=grid, machine="multipass")
+        setting = render_context(tracer, (size, size))
+        timed_iterations(setting, tracer, 8, ITERATIONS)  # compiles
+        return _timed(setting, tracer, size, 1)
+
+    values: _Times = runner.measure(f"{letter}, {grid} cells, multipass", measure)
+    return values
+
+
+def _timed(setting: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
+    """Medians over rounds, after each iteration."""
+    runs = [timed_iterations(setting, tracer, size, ITERATIONS) for _ in range(rounds)]
+    seconds = [statistics.median(one) for one in zip(*(run[0] for run in runs), strict=True)]
+    return {"size": size, "seconds": seconds, "light": runs[0][1]}
+
+
+def _scenes(triangles: dict[str, int]) -> Table:
+    theirs = published("christen", "table 6.1")
+    return comparison(
+        "christen-scenes",
+        f"Triangles of the scenes: {theirs.source}",
+        [
+            (f"{letter}: `{SCENES[letter][0]}`", theirs.values[letter], count, SCENES[letter][1])
+            for letter, count in triangles.items()
+        ],
+        "His scenes were not published but in pictures; the column says how ours differ.",
+    )
+
+
+def _milliseconds(lab_size: int, one: _Times) -> list[float | None]:
+    """Of a whole picture, after each iteration."""
+    if "seconds" not in one:
+        return [None] * ITERATIONS
+    scale = (lab_size / one["size"]) ** 2
+    return [1000.0 * scale * seconds for seconds in one["seconds"]]
+
+
+def _table(runner: Runner, found: dict[tuple[str, int, str], _Times]) -> Table:
+    size = image_size(runner)
+    rows: list[list[Cell]] = []
+    for (letter, grid, machine), one in found.items():
+        drawn = f"{one['size']} x {one['size']}" if "size" in one else "not: too many passes"
+        rows.append([letter, f"{grid}³", "cpu", machine, drawn, *_milliseconds(size, one)])
+    reasons = [
+        f"{letter} with {grid}³ cells: its longest ray tests {one['most_tests']:,} triangles, and "
+        f"a pass tests one; above {_MOST_TESTS:,} the multipass machine is left out."
+        for (letter, grid, _), one in found.items()
+        if "most_tests" in one
+    ]
+    return Table.of(
+        "christen-times",
+        f"Milliseconds of a picture of {size} x {size} pixels, by the number of iterations",
+        ["scene", "grid", "device", "machine", "drawn", *map(str, range(1, ITERATIONS + 1))],
+        rows,
+        "An iteration is a surface on a ray's way: n iterations are n - 1 bounces after the first "
+        f"surface. Branching: medians of {ROUNDS} rounds; multipass: once. Where less was drawn "
+        "than a whole picture, its time is scaled by the number of pixels.",
+        *reasons,
+    )
+
+
+def _labelled(found: dict[tuple[str, int, str], _Times]) -> dict[str, dict[int, list[Any]]]:
+    """Milliseconds by scene and machine, then by grid."""
+    whole = max(one.get("size", 1) for one in found.values())
+    lines: dict[str, dict[int, list[Any]]] = {}
+    for (letter, grid, machine), one in found.items():
+        lines.setdefault(f"{letter}, {machine}", {})[grid] = _milliseconds(whole, one)
+    return lines
+
+
+def _grid_plot(found: dict[tuple[str, int, str], _Times], iteration: int) -> Plot:
+    return Plot(
+        f"christen-grids-{iteration}",
+        f"Time against grid size, {iteration} iteration{'s' if iteration > 1 else ''}",
+        "cells along each axis",
+        "milliseconds a picture",
+        [
+            Series(label, list(line), [each[iteration - 1] for each in line.values()])
+            for label, line in _labelled(found).items()
+            if any(each[0] is not None for each in line.values())
+        ],
+        log_x=True,
+        log_y=True,
+    )
+
+
+def _bounce_plot(found: dict[tuple[str, int, str], _Times]) -> Plot:
+    grid = published("christen", "settings").values["resolution"]
+    return Plot(
+        "christen-iterations",
+        f"Time against iterations, {grid}³ cells",
+        "iterations",
+        "milliseconds a picture",
+        [
+            Series(label, list(range(1, ITERATIONS + 1)), line[grid])
+            for label, line in _labelled(found).items()
+            if any(line[grid])
+        ],
+        log_y=True,
+    )

@@ -1,0 +1,152 @@
+"""What Foley says of Table 1, judged by our times and counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from raystream.lab.foley.other_views import kernel_runs
+from raystream.lab.published import published
+from raystream.lab.results import Claim
+
+__all__ = ["time_claims"]
+
+#: Brute force is linear if the time of a test is the same in all scenes within this share.
+_LINEAR = 0.25
+
+#: Of which the paper says that restart and backtrack are very similar.
+_COMPLEX = ("robots", "kitchen")
+
+Found = Mapping[str, Mapping[str, Any]]
+
+#: A cost of a ray, by scene and structure.
+Costs = Mapping[str, Mapping[str, float]]
+
+
+def time_claims(
+    both: Mapping[str, Found], counts: Found, triangles: Mapping[str, int]
+) -> list[Claim]:
+    """Judge section 4.1 by the times of both machines, and by counts.
+
+    Parameters
+    ----------
+    both : mapping
+        ``"branching"`` and ``"multipass"``: by scene and structure, ``best`` seconds of so many
+        ``rays``.
+    counts : mapping
+        By scene and structure, ``steps``, ``leaves`` and ``tests`` of a ray. Counts are steps and
+        tests; kernel runs are also those of Foley's Leaf and Continue.
+    triangles : mapping of str to int
+        Of each scene.
+    """
+    ways: dict[str, Costs] = {
+        way: {
+            name: {s: one["best"] / one["rays"] for s, one in each.items()}
+            for name, each in found.items()
+        }
+        for way, found in both.items()
+    }
+    ways["counts"] = {
+        name: {s: one["steps"] + one["tests"] for s, one in each.items()}
+        for name, each in counts.items()
+    }
+    ways["kernel runs"] = {
+        name: {s: kernel_runs(s, one) for s, one in each.items()} for name, each in counts.items()
+    }
+    present = set(triangles)
+    claims = [_robots(ways)] if "robots" in present else []
+    claims += [_uneven(ways)] if {"robots", "bunny"} <= present else []
+    claims += [_even(ways)] if "bunny" in present else []
+    claims += [_linear(ways["branching"], triangles), _close(ways)]
+    return claims
+
+
+def _robots(ways: Mapping[str, Costs]) -> Claim:
+    least = published("foley", "claims").values["kdtree_over_grid_robots"]
+    ratios = {
+        way: each["robots"]["grid"] / each["robots"]["backtrack"] for way, each in ways.items()
+    }
+    return Claim.judged(
+        f"In the robots, a kd-tree is {least} times faster than a grid, or more",
+        "Foley 2005, abstract and Table 1",
+        {way: ratio >= least for way, ratio in ratios.items()},
+        _listed(ratios),
+    )
+
+
+def _uneven(ways: Mapping[str, Costs]) -> Claim:
+    least = published("foley", "claims").values["grid_robots_over_bunny"]
+    ratios = {way: each["robots"]["grid"] / each["bunny"]["grid"] for way, each in ways.items()}
+    return Claim.judged(
+        f"A grid is more than {least} times slower in the robots than in the bunny",
+        "Foley 2005, section 4.1",
+        {way: ratio > least for way, ratio in ratios.items()},
+        _listed(ratios),
+    )
+
+
+def _even(ways: Mapping[str, Costs]) -> Claim:
+    ratios = {
+        way: each["bunny"]["grid"] / min(each["bunny"][s] for s in ("restart", "backtrack"))
+        for way, each in ways.items()
+    }
+    return Claim.judged(
+        "In the bunny, a grid is faster than the stackless kd-trees",
+        "Foley 2005, Table 1",
+        {way: ratio < 1.0 for way, ratio in ratios.items()},
+        f"grid / better of the two: {_listed(ratios)}",
+    )
+
+
+def _linear(branching: Costs, triangles: Mapping[str, int]) -> Claim:
+    """Of the large scenes: in a small one, setting a ray up counts as well."""
+    prices = {
+        name: 1e9 * each["brute"] / triangles[name]
+        for name, each in branching.items()
+        if name != "cornell"
+    }
+    theirs = published("foley", "table 1").values
+    cases = {}
+    if len(prices) > 1:
+        mean = sum(prices.values()) / len(prices)
+        cases = {name: abs(price / mean - 1.0) <= _LINEAR for name, price in prices.items()}
+    rays = 512**2
+    published_counts = published("foley", "scenes").values
+    old = {
+        name: 1e6 * theirs[name]["brute"] / rays / published_counts[name]["triangles"]
+        for name in prices
+    }
+    return Claim.judged(
+        "Brute force is linear in the number of triangles",
+        "Foley 2005, section 4.1",
+        cases,
+        f"nanoseconds for a ray and a triangle: {_listed(prices)}; published {_listed(old)}",
+    )
+
+
+def _close(ways: Mapping[str, Costs]) -> Claim:
+    """No further apart than the published times of these scenes."""
+    theirs = published("foley", "table 1").values
+    most = max(_apart(theirs[name]) for name in _COMPLEX)
+    apart = {
+        f"{way} {name}": _apart(each[name])
+        for way, each in ways.items()
+        for name in _COMPLEX
+        if name in each
+    }
+    return Claim.judged(
+        "In the robots and the kitchen, restart and backtrack are close: no further apart than "
+        "in Table 1",
+        "Foley 2005, section 4.1",
+        {case: ratio <= most for case, ratio in apart.items()},
+        f"published at most {most:.3g} times; ours {_listed(apart)}",
+    )
+
+
+def _apart(each: Mapping[str, float]) -> float:
+    ratio = each["restart"] / each["backtrack"]
+    return max(ratio, 1.0 / ratio)
+
+
+def _listed(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in values.items())

@@ -1,0 +1,107 @@
+"""A picture of rays on the grid: what Purcell's simulators counted of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raystream.lab.cost_model import Counts
+from raystream.lab.published import published
+from raystream.lab.runner import Runner
+from raystream.lab.views import View
+from raystream.machines import RayCounters
+from raystream.structures.grid.structure import GridStructure
+from raystream.tracer import Tracer
+
+__all__ = [
+    "SIZE",
+    "ImageCounts",
+    "count_image",
+    "counts_of",
+    "grid_of",
+    "grid_options",
+    "grid_tracer",
+    "scene_of",
+]
+
+#: Width and height of Purcell's pictures, section 4.1.
+SIZE = 1024
+
+#: With ``quick``, grids have this share of the cells along each axis.
+_QUICK_SHARE = 4
+
+ImageCounts = dict[str, float]
+
+
+def scene_of(view: View) -> str:
+    """Which of the paper's three scenes a view is of."""
+    return view.name.split()[0]
+
+
+def grid_options(view: View, quick: bool = False) -> dict[str, Any]:
+    """The grid that Purcell 2002, section 4.1, prescribes for a view.
+
+    Parameters
+    ----------
+    view : View
+        Of `views.PURCELL_VIEWS`.
+    quick : bool
+        Fewer cells, for fewer triangles.
+    """
+    grids = published("purcell", "grids").values
+    if view.name == "bunny on a floor":
+        return {"resolution": tuple(grids["bunny"])}
+    least = grids["min_resolution"][scene_of(view)]
+    is_smaller = quick and scene_of(view) != "bunny"
+    return {"min_resolution": least // _QUICK_SHARE if is_smaller else least}
+
+
+def grid_tracer(runner: Runner, view: View, **options: Any) -> Tracer:
+    """A tracer with counters, on Purcell's grid unless told otherwise."""
+    chosen = options or grid_options(view, runner.quick)
+    return runner.tracer(view, "grid", counters=True, **chosen)
+
+
+def grid_of(tracer: Tracer) -> GridStructure:
+    """The tracer's grid."""
+    structure = tracer.structure
+    assert isinstance(structure, GridStructure)
+    return structure
+
+
+def count_image(tracer: Tracer, view: View, size: int) -> ImageCounts:
+    """Trace a picture, and take its means and extremes.
+
+    Returns
+    -------
+    dict
+        ``v``, ``t``, ``s`` as in Figure 6: a mean over all rays; ``entering``, the share that
+        meets the scene's box; the most steps and tests of a ray; ``rays``.
+    """
+    hits = tracer.first_hit(*view.rays(size))
+    counters = tracer.counters
+    assert isinstance(counters, RayCounters)
+    total, count = counters.total, size * size
+    return {
+        "rays": count,
+        "v": total["steps"] / count,
+        "t": total["tests"] / count,
+        "s": float(np.mean(hits.is_hit)),
+        "entering": float(np.mean(counters.steps > 0)),
+        "most_steps": int(counters.steps.max()),
+        "most_tests": int(counters.tests.max()),
+    }
+
+
+def counts_of(values: ImageCounts, passes: int = 0) -> Counts:
+    """How often each kernel ran in a measured picture."""
+    rays = values["rays"]
+    return Counts(
+        int(rays),
+        round(rays * values.get("entering", 1.0)),
+        round(rays * values["v"]),
+        round(rays * values["t"]),
+        round(rays * values["s"]),
+        passes,
+    )

@@ -1,0 +1,130 @@
+"""Geometry in a small memory: what a cache of pages would have to load (Purcell 2002, 5.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from raystream.lab.caches import ReuseDistances, feed_chunks
+from raystream.lab.diffuse_bounces import bounce_rays
+from raystream.lab.published import published
+from raystream.lab.purcell.image_counts import SIZE, grid_of, grid_tracer
+from raystream.lab.purcell.texture_cache import KIND_NAMES
+from raystream.lab.results import Cell, Plot, Result, Series, Table
+from raystream.lab.runner import Runner
+from raystream.lab.views import View
+from raystream.lab.walks import ReferenceChunk, Textures, Walks, branching_references, record
+
+__all__ = ["small_memory"]
+
+_VIEWS = ("forest inside", "building inside")
+
+_SIZE = 512
+
+#: Bytes that are loaded together.
+_PAGE = 4096
+
+#: Megabytes of the card.
+_MEGABYTES = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
+
+#: How rays come: of a picture, row by row or in tiles; and diffuse bounces of the same rays.
+_ORDERS = ("rows", "tiles", "bounces")
+
+
+def small_memory(runner: Runner) -> Result:
+    """Pages loaded, by memory, for coherent and for secondary rays."""
+    result = Result()
+    rows: list[list[Cell]] = []
+    size = min(runner.size(SIZE), _SIZE)
+    place = published("purcell", "memory")
+    board, (least, most) = place.values["board_megabytes"], place.values["scene_megabytes"]
+    shown = (4, 16, board, 256)
+    for name, found in result.available(_VIEWS, lambda name: _by_order(runner, name, size)):
+        for order, one in found.items():
+            at = dict(zip(_MEGABYTES, one["loaded"], strict=True))
+            rows.append(
+                [
+                    name,
+                    order,
+                    one["rays"],
+                    one["scene"] / 2**20,
+                    one["touched"] / 2**20,
+                    *(at[megabytes] / one["rays"] for megabytes in shown),
+                ]
+            )
+        result.plots.append(_plot(name, found))
+    result.tables = [
+        Table.of(
+            "purcell-memory",
+            f"Geometry in a small memory: {place.source}; up to {_SIZE} x {_SIZE} rays",
+            [
+                "view",
+                "rays",
+                "count",
+                "scene, MB",
+                "touched, MB",
+                *(f"bytes a ray, {megabytes} MB" for megabytes in shown),
+            ],
+            rows,
+            "The scene's textures (grid, lists, corners, shading data) lie in a large memory; a "
+            "smaller one keeps the pages of 4096 bytes that were used last. Bytes a ray: what is "
+            "loaded, first loads included. Touched: pages that any of the rays needs.",
+            f"The paper's largest scenes take {least} to {most} MB, and its card has {board}.",
+        )
+    ]
+    return result
+
+
+def _by_order(runner: Runner, name: str, size: int) -> dict[str, dict[str, Any]]:
+    return {order: _measure(runner, name, order, size) for order in _ORDERS}
+
+
+def _measure(runner: Runner, name: str, order: str, size: int) -> dict[str, Any]:
+    def measure() -> dict[str, Any]:
+        view = runner.view(name)
+        walks = _walks(runner, view, order, size)
+        pages = ReuseDistances(_PAGE, kinds=KIND_NAMES)
+        feed_chunks(
+            _references(walks, order),
+            [lambda chunk: pages.access(chunk.addresses, chunk.kinds, chunk.words * np.uint8(4))],
+        )
+        misses = pages.misses([megabytes << 20 for megabytes in _MEGABYTES])
+        return {
+            "rays": len(walks),
+            "scene": Textures.of(grid_of(grid_tracer(runner, view)), 0).byte_count,
+            "touched": pages.line_count * _PAGE,
+            "loaded": [int(count) * _PAGE for count in misses],
+        }
+
+    found: dict[str, Any] = runner.measure(f"{name}, {order}, {size} x {size}", measure)
+    return found
+
+
+def _walks(runner: Runner, view: View, order: str, size: int) -> Walks:
+    tracer = grid_tracer(runner, view)
+    origins, directions = view.rays(size)
+    if order == "bounces":
+        hits = tracer.first_hit(origins, directions)
+        origins, directions = bounce_rays(hits, directions)
+    return record(tracer, origins, directions, visits=True, progress=runner.progress)
+
+
+def _references(walks: Walks, order: str) -> Iterator[ReferenceChunk]:
+    return branching_references(walks, order="tiles" if order == "tiles" else "rows")
+
+
+def _plot(name: str, found: dict[str, dict[str, Any]]) -> Plot:
+    return Plot(
+        f"purcell-memory-{name.replace(' ', '-')}",
+        f"{name}: what a memory of some size loads, pages of 4096 bytes",
+        "memory, MB",
+        "bytes loaded a ray",
+        [
+            Series(order, list(_MEGABYTES), [loaded / one["rays"] for loaded in one["loaded"]])
+            for order, one in found.items()
+        ],
+        log_x=True,
+        log_y=True,
+    )

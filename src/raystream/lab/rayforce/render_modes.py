@@ -1,0 +1,234 @@
+"""Modes: vis, x-ray, ao and kajiya in three scenes (Rayforce 2013, Figure 3)."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any
+
+from raystream.lab.frame_timing import Size, affordable_size, frame_seconds, picture, render_context
+from raystream.lab.published import published
+from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
+from raystream.lab.recording_tracer import RecordingTracer
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.runner import Runner
+from raystream.lab.views import View
+from raystream.rendering.ao import REACH
+from raystream.rendering.integrator import RenderContext
+from raystream.scene.scene import Scene
+
+__all__ = ["MODES", "render_modes"]
+
+#: Mode, and what the poster has of it.
+MODES = {
+    "vis": "visible surfaces, shaded by the cosine between normal and view",
+    "xray": "all surfaces along a ray as clear sheets",
+    "ao": "the first surface, and 32 any-hit rays",
+    "kajiya": "the first surface, any-hit shadows and two diffuse bounces",
+}
+
+ROUNDS = 3
+
+#: Seconds that a frame may take; pictures that would take longer get smaller.
+_LIMIT = 1.0
+_QUICK_LIMIT = 0.2
+
+#: May be drawn smaller than the others, which share a size.
+_SLOW = "grid"
+
+_PICTURE_SIZE = (320, 240)
+
+
+#: Of a scene and mode, by structure.
+_Frames = dict[str, dict[str, Any]]
+
+
+class _Contenders:
+    """Tracers for one scene, of all structures at once, built when the first is needed."""
+
+    def __init__(self, runner: Runner, view: View) -> None:
+        self._runner = runner
+        self._view = view
+
+    def seconds(self, structure: str, mode: str, size: Size) -> float:
+        """Draw a frame."""
+        return frame_seconds(self.setting, self.tracers[structure], mode, size)
+
+    @cached_property
+    def scene(self) -> Scene:
+        return prepared(self._view.scene)
+
+    @cached_property
+    def tracers(self) -> dict[str, RecordingTracer]:
+        scene, progress = self.scene, self._runner.progress
+        return {name: RecordingTracer(scene, name, progress=progress) for name in STRUCTURES}
+
+    @cached_property
+    def setting(self) -> RenderContext:
+        return render_context(self.tracers[REFERENCE], frame_size(self._runner))
+
+
+def frame_size(runner: Runner) -> Size:
+    """The poster's 1024 x 768, or as much smaller as is wanted."""
+    width, height = published("rayforce", "figure 3").values["size"]
+    chosen = runner.size(width)
+    return chosen, max(chosen * height // width, 1)
+
+
+def render_modes(runner: Runner) -> Result:
+    """Whole frames of four modes, with every structure but brute force."""
+    result = Result()
+    found: dict[str, dict[str, _Frames]] = {mode: {} for mode in MODES}
+    for view in scenes(runner, result):
+        contenders = _Contenders(runner, view)
+        for mode in MODES:
+            found[mode][view.name] = _measured(runner, contenders, view.name, mode)
+            title = f"{view.name}: {mode}, one sample a pixel"
+            name = f"rayforce {view.name} {mode}"
+            result.pictures.append(
+                picture(runner, name, title, contenders.scene, mode, _PICTURE_SIZE)
+            )
+    size = frame_size(runner)
+    result.tables = [_table(mode, frames, size) for mode, frames in found.items()]
+    result.plots = [_plot(found, size)]
+    result.claims = [_claim(found, size)]
+    result.notes += list(_notes(found, size))
+    return result
+
+
+def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> _Frames:
+    """Medians of rounds in which structures take turns."""
+    size = frame_size(runner)
+    small = max(size[0] // 4, 1), max(size[1] // 4, 1)
+
+    def measure() -> _Frames:
+        frames: _Frames = {}
+        for structure in contenders.tracers:
+            contenders.seconds(structure, mode, small)  # compiles
+            seconds = contenders.seconds(structure, mode, small)
+            limit = _QUICK_LIMIT if runner.quick else _LIMIT
+            pixel = seconds / (small[0] * small[1])
+            frames[structure] = {
+                "size": affordable_size(pixel, size, limit, small),
+                "small_pixel": pixel,
+                "seconds": [],
+            }
+        # Pixels of small frames take longer: those that are compared have one size.
+        common = min(frames[one]["size"] for one in STRUCTURES if one != _SLOW)
+        for structure, frame in frames.items():
+            frame["size"] = min(frame["size"], common) if structure == _SLOW else common
+        for number in range(2 if runner.quick else ROUNDS + 1):
+            for structure, tracer in contenders.tracers.items():
+                tracer.queries.clear()
+                frame = frames[structure]
+                taken = contenders.seconds(structure, mode, frame["size"])
+                if number:  # the first one may compile: kernels depend on how many rays there are
+                    frame["seconds"].append(taken)
+                frame["rays"] = sum(one.ray_count for one in tracer.queries)
+        return frames
+
+    frames: _Frames = runner.measure(f"{name}, {mode}", measure)
+    return frames
+
+
+def _pixel_seconds(frame: dict[str, Any]) -> float:
+    width, height = frame["size"]
+    return statistics.median(frame["seconds"]) / (width * height)
+
+
+def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
+    rows: list[list[Cell]] = []
+    for name, frames in found.items():
+        reference = _pixel_seconds(frames[REFERENCE])
+        for structure, frame in frames.items():
+            pixel = _pixel_seconds(frame)
+            width, height = frame["size"]
+            seconds = pixel * size[0] * size[1]
+            rows.append(
+                [
+                    name,
+                    structure,
+                    f"{width} x {height}",
+                    frame["rays"] / (width * height),
+                    1000.0 * seconds,
+                    1.0 / seconds,
+                    frame["rays"] / (width * height) / pixel / 1e6,
+                    pixel / reference,
+                ]
+            )
+    return Table.of(
+        f"rayforce-{mode}",
+        f"{mode}: {MODES[mode]}; frames of {size[0]} x {size[1]} pixels",
+        ["scene", "structure", "drawn", "rays a pixel", "ms", "frames/s"]
+        + ["Mrays/s", f"time / {REFERENCE}'s"],
+        rows,
+        f"Whole frames without display, medians of {ROUNDS} rounds in which structures take "
+        "turns. Tables of materials are made once for a scene. Where less was drawn than a whole "
+        "frame, its time is scaled by the number of pixels.",
+    )
+
+
+def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
+    bars = [f"{name}, {mode}" for mode, scenes in found.items() for name in scenes]
+    series = []
+    for structure in STRUCTURES:
+        rates: list[float | None] = [
+            frames[structure]["rays"]
+            / (frames[structure]["size"][0] * frames[structure]["size"][1])
+            / _pixel_seconds(frames[structure])
+            / 1e6
+            for scenes in found.values()
+            for frames in scenes.values()
+        ]
+        series.append(Series(structure, bars, rates))
+    return Plot(
+        "rayforce-modes",
+        f"Rays a second in whole frames of {size[0]} x {size[1]} pixels",
+        "",
+        "million rays a second",
+        series,
+        kind="bars",
+    )
+
+
+def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
+    """The poster's figure had numbers for this; without them there is nothing to decide."""
+    rates = {
+        mode: [1.0 / (_pixel_seconds(one[REFERENCE]) * size[0] * size[1]) for one in each.values()]
+        for mode, each in found.items()
+    }
+    evidence = "; ".join(
+        f"{mode}: {min(values):.2g} to {max(values):.2g} frames/s" for mode, values in rates.items()
+    )
+    return Claim.judged(
+        "ambient occlusion and the other modes are drawn at interactive rates",
+        published("rayforce", "figure 3").source,
+        {},
+        f"the poster's values are lost, and its GeForce GTX 690 is no machine to compare a CPU "
+        f"with; the {REFERENCE} here: {evidence}",
+    )
+
+
+def _notes(found: dict[str, dict[str, _Frames]], size: Size) -> Iterator[str]:
+    yield (
+        "The values of the poster's Figure 3 are not in our copy, nor which three scenes they are "
+        "of; so no column is called published. The scenes here are rooms seen from inside, with "
+        "different sizes of details, or small built-in ones instead. Where a scene has no light, "
+        "one is added near the eye; surfaces that are not opaque are made so. Rays of ao are "
+        f"{REACH:g} of the scene's diagonal long; the poster does not say how long."
+    )
+    ratios = [
+        frame["small_pixel"] / _pixel_seconds(frame)
+        for scenes in found.values()
+        for frames in scenes.values()
+        for frame in frames.values()
+        if frame["size"][0] > size[0] // 4
+    ]
+    if ratios:
+        yield (
+            "How far scaling can be trusted: where more was drawn than a frame of a quarter of the "
+            f"width, a pixel of that took {min(ratios):.2g} to {max(ratios):.2g} times as long "
+            f"(median {statistics.median(ratios):.2g}). Scaled times may be too long by as much; "
+            f"{', '.join(one for one in STRUCTURES if one != _SLOW)} are drawn in the same size."
+        )

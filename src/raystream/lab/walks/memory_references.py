@@ -1,0 +1,243 @@
+"""Memory references of recorded walks through a grid, for a simulator of a cache."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.memory import check_memory
+from raystream.lab.walks.kernels.emit_references import (
+    DONE,
+    NOTHING,
+    SHADE,
+    STEP,
+    STEP_ROOM,
+    TEST,
+    FetchTables,
+    OutAddresses,
+    PassPlan,
+    RayProgress,
+    begin_rays,
+    fetch_branching,
+    fetch_multipass,
+)
+from raystream.lab.walks.ray_orders import ray_order
+from raystream.lab.walks.replaying import Replay
+from raystream.lab.walks.texture_layout import Kind, StateWords, Textures
+from raystream.lab.walks.walks import Walks
+from raystream.machines.records import RayState
+from raystream.structures.grid.structure import GridStructure
+
+__all__ = [
+    "CHUNK",
+    "Kind",
+    "ReferenceChunk",
+    "StateWords",
+    "branching_references",
+    "multipass_references",
+]
+
+#: References in a chunk, of 10 MB: of one that takes 40, the system clears the pages each time,
+#: which was a tenth of a simulator's time.
+CHUNK = 1 << 20
+
+_ROLES = {RayState.TRAVERSING: STEP, RayState.INTERSECTING: TEST, RayState.SHADING: SHADE}
+_NOT_BEGUN = np.uint64(2**64 - 1)
+
+
+class ReferenceChunk(NamedTuple):
+    """Some references of a trace, in their order.
+
+    Attributes
+    ----------
+    addresses : ndarray of shape (R,), uint64
+        Of the first byte of each texel.
+    kinds : ndarray of shape (R,), uint8
+        A `Kind` for each.
+    words : ndarray of shape (R,), uint8
+        Words of 4 bytes that are read from there.
+    """
+
+    addresses: NDArray[np.uint64]
+    kinds: NDArray[np.uint8]
+    words: NDArray[np.uint8]
+
+    @classmethod
+    def empty(cls, count: int) -> ReferenceChunk:
+        """Make room for so many."""
+        return cls(np.empty(count, np.uint64), np.empty(count, np.uint8), np.empty(count, np.uint8))
+
+    def part(self, count: int) -> ReferenceChunk:
+        """The first of them."""
+        return ReferenceChunk(self.addresses[:count], self.kinds[:count], self.words[:count])
+
+
+def branching_references(
+    walks: Walks, *, order: str | Any = "rows", chunk: int = CHUNK
+) -> Iterator[ReferenceChunk]:
+    """What a machine with branches reads: all of a ray, then all of the next.
+
+    Parameters
+    ----------
+    walks : Walks
+        Through a grid of one level, with visits.
+    order : {"rows", "tiles", "morton"} or array_like of int
+        In which rays are traced; see `orders.ray_order`.
+    chunk : int
+        Most references at a time.
+
+    Returns
+    -------
+    iterator of ReferenceChunk
+
+    Raises
+    ------
+    ValueError
+        If the walks are others, or the order is none.
+
+    Notes
+    -----
+    A step reads a cell. A test reads an entry of the cell's list, and three corners: 10 words, as
+    in Table 1 of Purcell 2002; the null pointer that ends a list is not read. Shading a first hit
+    reads 21 words, and an any hit none. `Textures` says where these are.
+    """
+    grid = grid_of(walks)
+    rays = ray_order(order, walks.shape)
+    tables = _tables(walks, grid, Textures.of(grid, len(walks)))
+    cursor = np.array([0, _NOT_BEGUN, 0, 0], np.uint64)
+
+    def fill(out: OutAddresses, room: int) -> int:
+        return fetch_branching(rays, tables.addresses, cursor, out, room)
+
+    return _chunks(fill, max(chunk, STEP_ROOM))
+
+
+def multipass_references(
+    walks: Walks,
+    schedule: Replay,
+    *,
+    order: str | Any = "rows",
+    chunk: int = CHUNK,
+    state_words: StateWords | None = None,
+) -> Iterator[ReferenceChunk]:
+    """What a machine without branches reads: in each pass, of every ray that it runs on.
+
+    Parameters
+    ----------
+    walks, order, chunk
+        See `branching_references`.
+    schedule : Replay
+        Of the same walks.
+    state_words : StateWords, optional
+        Words of state that each kernel reads for each ray; without it, Purcell's.
+
+    Returns
+    -------
+    iterator of ReferenceChunk
+        Of a ray in a pass first its state, then what its steps read.
+
+    Raises
+    ------
+    ValueError
+        If the walks are others, the schedule is not theirs, or the order is none.
+
+    Notes
+    -----
+    Each pass that runs on a ray reads its state from the first textures of `Textures.state`, four
+    words a texel. The stencil buffer, and what passes write, are not among the references.
+    """
+    grid = grid_of(walks)
+    if schedule.names != walks.names or schedule.ray_count != len(walks):
+        raise ValueError("schedule: not one of these walks")
+    given = StateWords.of_purcell() if state_words is None else state_words
+    words = np.array(_in_order(walks, given), np.uint8)
+    rays = ray_order(order, walks.shape)
+    check_memory(21 * len(walks), f"places of {len(walks):,} rays would", "record fewer rays")
+    tables = _tables(walks, grid, Textures.of(grid, len(walks), given))
+    at_once = np.minimum(schedule.at_once, np.maximum(walks.most_runs, 1)).astype(np.uint32)
+    places = RayProgress(*(np.empty(len(walks), one) for one in ("u1", "u8", "u4", "u8")))
+    begin_rays(tables.addresses, places)
+    cursor = np.zeros(3, np.uint64)
+    plan = PassPlan(schedule.kernels, schedule.run_counts, at_once, words)
+
+    def fill(out: OutAddresses, room: int) -> int:
+        count = fetch_multipass(rays, tables.addresses, plan, places, cursor, out, room)
+        if count < 0 or (count == 0 and (places.kernels != DONE).any()):
+            raise ValueError("schedule: not one of these walks")
+        return count
+
+    return _chunks(fill, max(chunk, STEP_ROOM * (int(at_once.max()) + 1)))
+
+
+def _chunks(fill: Callable[[OutAddresses, int], int], room: int) -> Iterator[ReferenceChunk]:
+    """Chunks as long as there are references."""
+    while True:
+        chunk = ReferenceChunk.empty(room)
+        count = fill(OutAddresses(*(_address(array) for array in chunk)), room)
+        if count == 0:
+            break
+        yield chunk.part(count)
+
+
+def grid_of(walks: Walks) -> GridStructure:
+    """The grid of walks with cells; ValueError for others."""
+    if not isinstance(walks.structure, GridStructure):
+        raise ValueError(f"walks: expected walks through a grid, got {walks.structure.name}")
+    if len(walks.structure.fine.cells):
+        raise ValueError("walks: expected a grid of one level; build it with levels=1")
+    if walks.visits is None:
+        raise ValueError("walks: expected their cells, too; record with visits=True")
+    return walks.structure
+
+
+def roles_of(walks: Walks) -> NDArray[np.uint8]:
+    """What each kernel reads; see `kernels.fetches`."""
+    return np.array([_ROLES.get(one.state, NOTHING) for one in walks.kernels], np.uint8)
+
+
+def _in_order(walks: Walks, words: StateWords) -> list[int]:
+    """Words by the position of the kernel."""
+    by_state = {
+        RayState.STARTING: words.set_up,
+        RayState.TRAVERSING: words.traverse,
+        RayState.INTERSECTING: words.intersect,
+        RayState.SHADING: words.shade,
+    }
+    chosen = [by_state[one.state] for one in walks.kernels]
+    if not all(0 <= count <= 4 * (STEP_ROOM - 1) for count in chosen):
+        raise ValueError(f"state_words: expected 0 to {4 * (STEP_ROOM - 1)} words, got {words}")
+    return chosen
+
+
+class _Tables(NamedTuple):
+    """Addresses, and the arrays that must stay there."""
+
+    addresses: FetchTables
+    arrays: tuple[NDArray[Any] | None, ...]
+
+
+def _tables(walks: Walks, grid: GridStructure, layout: Textures) -> _Tables:
+    arrays = (
+        *(walks.run_splits, walks.run_kernels, walks.run_lengths),
+        *(walks.visit_splits, walks.visits, walks.prim_ids),
+        *(grid.lists.splits, grid.lists.references, layout.entries, roles_of(walks)),
+    )
+    places = [layout.grid, layout.lists]
+    for begins in (layout.corners, layout.shading, layout.state):
+        places += _first_and_pitch(begins)
+    addresses = FetchTables(*(_address(array) for array in arrays), *map(np.uint64, places))
+    return _Tables(addresses, arrays)
+
+
+def _first_and_pitch(begins: tuple[int, ...]) -> list[int]:
+    """Where the first of several textures of one size begins, and how far it is to the next."""
+    if not begins:
+        return [0, 0]
+    return [begins[0], begins[1] - begins[0] if len(begins) > 1 else 0]
+
+
+def _address(array: NDArray[Any] | None) -> np.uint64:
+    return np.uint64(0 if array is None else array.ctypes.data)
