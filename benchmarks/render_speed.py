@@ -113,8 +113,8 @@ def seconds(function):
 STAGES = {
     "first_hit": (rs.Tracer, "first_hit"),
     "any_hit": (rs.Tracer, "any_hit"),
-    "shading of paths": (path, "follow_paths"),
-    "shading of ao": (ao, "sample_ambient"),
+    "shading of paths": (path, "shade_paths"),
+    "shading of ao": (ao, "spawn_ao_rays"),
     "rays from the eye": (integrator, "eye_paths"),
     "adding light": (integrator, "add_unblocked"),
 }

@@ -18,11 +18,12 @@ from raystream.rendering.integrator import (
     PathStream,
     RenderContext,
     find_surfaces,
+    shading_batch,
     trace_shadow_rays,
 )
-from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.ambient_rays import sample_ambient
-from raystream.rendering.shading.streams import ShadowRays
+from raystream.rendering.sampling.sampler import PixelSample, Sampler
+from raystream.rendering.shading.ambient_occlusion import OcclusionOptions, spawn_ao_rays
+from raystream.rendering.shading.shadow_rays import ShadowRays
 
 __all__ = ["AO", "REACH", "distance_of", "sampler_of", "spawn_ambient_rays"]
 
@@ -35,21 +36,14 @@ REACH = 0.1
 
 def spawn_ambient_rays(stream: PathStream, band: Band) -> PathStream:
     """Stage: send rays from the surfaces; the paths end."""
-    assert stream.hits is not None
-    setting, hits = band.setting, stream.hits
+    setting = band.setting
     count = setting.options["rays"]
     rays = ShadowRays.empty(len(stream) * count)
-    sampler = sampler_of(setting)
-    ray_count = sample_ambient(
-        stream.paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
+    ray_count = spawn_ao_rays(
+        shading_batch(stream, band),
         setting.tables,
-        sampler,
-        band.sample,
-        count,
-        distance_of(setting),
-        band.first_pixel,
-        band.radiance,
+        PixelSample(sampler_of(setting), band.sample),
+        OcclusionOptions(count, distance_of(setting)),
         rays,
     )
     return PathStream(stream.paths.first(0), rays=rays.first(ray_count))

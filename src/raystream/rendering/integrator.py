@@ -26,7 +26,8 @@ from raystream.rendering.shading.camera_rays import generate_camera_rays, view_o
 from raystream.rendering.shading.first_surfaces import SeenSurfaces, see_surfaces
 from raystream.rendering.shading.light_tables import LightTables, lights_of
 from raystream.rendering.shading.punctual_lights import PunctualLights, classic_lights_of
-from raystream.rendering.shading.streams import Paths, ShadowRays, add_unblocked
+from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
+from raystream.rendering.shading.streams import Paths, ShadingBatch
 from raystream.rendering.shading.tables import SceneTables, tables_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
@@ -41,6 +42,7 @@ __all__ = [
     "eye_paths",
     "find_surfaces",
     "make_setting",
+    "shading_batch",
     "take_no_options",
     "trace_shadow_rays",
 ]
@@ -305,6 +307,14 @@ def eye_paths(
     paths.origins[:] = np.reshape(origins, (-1, 3))
     paths.directions[:] = np.reshape(directions, (-1, 3))
     return paths
+
+
+def shading_batch(stream: PathStream, band: Band) -> ShadingBatch:
+    """The stream's paths at the surfaces that they hit, as shading kernels take them."""
+    hits = stream.hits
+    assert hits is not None
+    rows = hits.t, hits.u, hits.v, hits.prim_id
+    return ShadingBatch(len(stream), stream.paths, rows, band.first_pixel, band.radiance)
 
 
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:

@@ -7,25 +7,18 @@ from raystream.rendering.integrator import (
     Integrator,
     PathStream,
     find_surfaces,
+    shading_batch,
     take_no_options,
 )
-from raystream.rendering.shading.first import shade_by_view
+from raystream.rendering.shading.local_shading import shade_facing_ratio
 
 __all__ = ["VIS", "show_facing"]
 
 
 def show_facing(stream: PathStream, band: Band) -> PathStream:
     """Stage: grey by the cosine between the normal and the direction to the viewer."""
-    assert stream.hits is not None
-    setting, hits = band.setting, stream.hits
-    shade_by_view(
-        stream.paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
-        setting.tables,
-        setting.classic,
-        band.first_pixel,
-        band.radiance,
-    )
+    setting = band.setting
+    shade_facing_ratio(shading_batch(stream, band), setting.tables, setting.classic)
     return PathStream(stream.paths.first(0))
 
 

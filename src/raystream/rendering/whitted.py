@@ -18,30 +18,28 @@ from raystream.rendering.integrator import (
     PathStream,
     RenderContext,
     find_surfaces,
+    shading_batch,
     trace_shadow_rays,
 )
-from raystream.rendering.shading.streams import Paths, ShadowRays
-from raystream.rendering.shading.whitted import light_surfaces
+from raystream.rendering.shading.shadow_rays import ShadowRays
+from raystream.rendering.shading.streams import Paths
+from raystream.rendering.shading.whitted import shade_whitted
 
 __all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sample_all_lights"]
 
 
 def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: light the surfaces, by rays that are to be tested, and reflect and refract."""
-    assert stream.hits is not None
-    setting, hits, count = band.setting, stream.hits, len(stream)
-    goes_on = stream.bounce < setting.options["max_bounces"]
+    setting, count = band.setting, len(stream)
+    continues = stream.bounce < setting.options["max_bounces"]
     rays = ShadowRays.empty(count * lights_per_pixel(setting))
-    onward = Paths.empty(2 * count if goes_on else 0)
-    path_count, ray_count = light_surfaces(
-        stream.paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
+    onward = Paths.empty(2 * count if continues else 0)
+    path_count, ray_count = shade_whitted(
+        shading_batch(stream, band),
         setting.tables,
         setting.classic,
-        goes_on,
+        continues,
         setting.options["min_weight"],
-        band.first_pixel,
-        band.radiance,
         onward,
         rays,
     )

@@ -62,7 +62,7 @@ def see_surfaces(paths, hits, tables, first_pixel, seen):
     Parameters
     ----------
     paths, hits, tables, first_pixel
-        See `paths.follow_paths`.
+        See `ShadingBatch`.
     seen : SeenSurfaces
         Written, for the pixels of all paths; all but `emission`.
     """

@@ -39,7 +39,7 @@ __all__ = [
     "spawned",
     "surface_point",
     "surface_points",
-    "world_place",
+    "world_position",
 ]
 
 _NONE = np.uint64(0)
@@ -315,7 +315,7 @@ def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
 
 
 @device
-def world_place(tables, x, y, z):
+def world_position(tables, x, y, z):
     """A point of the local frame in world space."""
     scale, center = tables.inverse_scale, tables.center
     return x * scale + center[0], y * scale + center[1], z * scale + center[2]
@@ -326,7 +326,7 @@ def spawned(tables, point, toward):
     """The origin of a ray that leaves a point in a direction, world space; see `Hits.spawn`."""
     is_below = point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < _NULL
     away = select(is_below, -point.offset, point.offset)
-    return world_place(
+    return world_position(
         tables,
         point.x + away * widen(point.gx),
         point.y + away * widen(point.gy),

@@ -25,7 +25,7 @@ from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
 
-__all__ = ["PunctualLights", "arriving", "classic_lights_of", "light_rows"]
+__all__ = ["PunctualLights", "classic_lights_of", "incident_light", "light_rows"]
 
 # Kinds of lights: a point whose light falls with the square of the distance, one whose light
 # does not, a sun, a flat patch, a bulb.
@@ -144,7 +144,7 @@ def _narrowed(a):
 
 
 @device_call
-def arriving(tables, lights, number, point):
+def incident_light(tables, lights, number, point):
     """What a light sends to a point, or to 16, if nothing is in its way.
 
     Parameters

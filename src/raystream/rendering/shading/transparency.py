@@ -23,7 +23,7 @@ def look_through(paths, splits, rows, tables, opacity, lights, first_pixel, radi
     Parameters
     ----------
     paths, tables, first_pixel, radiance
-        See `paths.follow_paths`.
+        See `ShadingBatch`.
     splits, rows : ndarray of shape (N + 1,), int64, and tuple of u, v, prim_id
         All hits of the rays, as in `MultiHits`.
     opacity : float
