@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from raystream.lab import Laboratory, Store
 from raystream.lab.christen import calls, scenes, times
-from raystream.lab.frames import setting_of
+from raystream.lab.frames import context_of
 from raystream.lab.published import published
 
 
@@ -56,7 +56,7 @@ def test_bounces_are_mirrored_rays():
 def test_iterations_are_those_of_the_renderer():
     scene = scenes.christen_scene("B")
     tracer = rs.Tracer(scene, "grid", resolution=5)
-    seconds, light = scenes.timed_iterations(setting_of(tracer, (12, 12)), tracer, 12, 4)
+    seconds, light = scenes.timed_iterations(context_of(tracer, (12, 12)), tracer, 12, 4)
     assert len(seconds) == 4
     assert seconds == sorted(seconds)
     image = rs.render(scene, "whitted", (12, 12), max_bounces=3, min_weight=0.0)

@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from raystream.lab import Laboratory, Store
 from raystream.lab.asked import AskedTracer
-from raystream.lab.frames import affordable, frame_seconds, setting_of
+from raystream.lab.frames import affordable, frame_seconds, context_of
 from raystream.lab.rayforce import hidden, layers, modes, scenes, sectors
 from raystream.lab.results import Result
 from raystream.lab.views import view
@@ -96,7 +96,7 @@ def test_modes_count_the_rays_of_the_poster(lab, monkeypatch):
 def test_ambient_occlusion_asks_32_times_at_each_hit():
     scene = rs.load("cornell")
     tracer = AskedTracer(scene)
-    frame_seconds(setting_of(tracer, (16, 12)), tracer, "ao", (16, 12))
+    frame_seconds(context_of(tracer, (16, 12)), tracer, "ao", (16, 12))
     counts = {
         query: sum(one.ray_count for one in tracer.asked if one.query == query)
         for query in ("first_hit", "any_hit", "multi_hit")

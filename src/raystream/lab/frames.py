@@ -8,37 +8,37 @@ from typing import Any
 
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.results import Picture
-from raystream.rendering.integrator import RenderContext, make_setting
-from raystream.rendering.picture import RENDERERS, render
+from raystream.rendering.integrator import RenderContext, make_context
 from raystream.rendering.progressive import trace_sample
+from raystream.rendering.render import RENDERERS, render
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["Size", "affordable", "frame_seconds", "picture", "setting_of"]
+__all__ = ["Size", "affordable", "context_of", "frame_seconds", "picture"]
 
 Size = tuple[int, int]
 
 
-def setting_of(tracer: Tracer, size: Size) -> RenderContext:
+def context_of(tracer: Tracer, size: Size) -> RenderContext:
     """What all modes need of a tracer's scene, through its own camera, for one sample a pixel.
 
     Tables of materials and lights are made here, once for a scene and not for each frame.
     """
     width, height = size
     camera = tracer.scene.camera_for(width / height)
-    return make_setting(tracer, camera, size, Sampler.of("sobol", 0, 1), {})
+    return make_context(tracer, camera, size, Sampler.of("sobol", 0, 1), {})
 
 
 def frame_seconds(
-    setting: RenderContext, tracer: Tracer, mode: str, size: Size, **options: Any
+    context: RenderContext, tracer: Tracer, mode: str, size: Size, **options: Any
 ) -> float:
     """Time a frame: rays from the eye, traversal, shading; not display.
 
     Parameters
     ----------
-    setting : RenderContext
-        See `setting_of`; of the tracer's scene, with any size.
+    context : RenderContext
+        See `context_of`; of the tracer's scene, with any size.
     tracer : Tracer
     mode : str
         A key of `RENDERERS`, whose usual options hold unless others are given.
@@ -48,7 +48,7 @@ def frame_seconds(
     renderer = RENDERERS[mode]
     chosen = renderer.check({**renderer.options, **options})
     width, height = size
-    own = replace(setting, tracer=tracer, width=width, height=height, options=chosen)
+    own = replace(context, tracer=tracer, width=width, height=height, options=chosen)
     started = time.perf_counter()
     trace_sample(renderer, own, 0)
     return time.perf_counter() - started

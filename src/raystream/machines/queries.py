@@ -339,7 +339,7 @@ class Queries:
             result[...] = records.reshape(result.shape)
         return result
 
-    def bands_on_device(self, setting: Any) -> Any:
+    def bands_on_device(self, context: Any) -> Any:
         """What takes samples of a picture on the tracer's device; None if the host does.
 
         The host does if the backend does not shade, or a subclass overrides queries, which the
@@ -347,7 +347,7 @@ class Queries:
 
         Parameters
         ----------
-        setting : rendering.sampled.RenderContext
+        context : rendering.integrator.RenderContext
 
         Returns
         -------
@@ -357,7 +357,7 @@ class Queries:
         is_usual = own.first_hit is Queries.first_hit and own.any_hit is Queries.any_hit
         if not (self._backend.capabilities.shading and is_usual) or self._counts:
             return None
-        return self._backend.bands_on_device(setting)
+        return self._backend.bands_on_device(context)
 
     def _rays(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch | RayArrays:
         """The rays in the host's memory; or as they are, if the backend reads them there."""

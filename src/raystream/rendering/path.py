@@ -34,15 +34,15 @@ ROULETTE_BOUNCE = 3
 
 def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: add light that surfaces emit, ask for that of lights, and scatter the paths."""
-    setting, paths = band.setting, stream.paths
+    context, paths = band.context, stream.paths
     rays = ShadowRays.empty(len(stream))
     path_count, ray_count = shade_paths(
         shading_batch(stream, band),
-        setting.tables,
-        setting.lights,
-        PixelSample(setting.sampler, band.sample),
+        context.tables,
+        context.lights,
+        PixelSample(context.sampler, band.sample),
         stream.bounce,
-        setting.options["rules"],
+        context.options["rules"],
         paths,
         rays,
     )

@@ -21,8 +21,8 @@ __all__ = ["RAYCAST", "shade_by_lights"]
 
 def shade_by_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: light the surfaces by every light; the paths end."""
-    setting = band.setting
-    shade_unshadowed(shading_batch(stream, band), setting.tables, setting.classic)
+    context = band.context
+    shade_unshadowed(shading_batch(stream, band), context.tables, context.punctual)
     return PathStream(stream.paths.first(0))
 
 

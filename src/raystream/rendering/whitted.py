@@ -30,25 +30,25 @@ __all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sa
 
 def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: light the surfaces, by rays that are to be tested, and reflect and refract."""
-    setting, count = band.setting, len(stream)
-    continues = stream.bounce < setting.options["max_bounces"]
-    rays = ShadowRays.empty(count * lights_per_pixel(setting))
+    context, count = band.context, len(stream)
+    continues = stream.bounce < context.options["max_bounces"]
+    rays = ShadowRays.empty(count * lights_per_pixel(context))
     onward = Paths.empty(2 * count if continues else 0)
     path_count, ray_count = shade_whitted(
         shading_batch(stream, band),
-        setting.tables,
-        setting.classic,
+        context.tables,
+        context.punctual,
         continues,
-        setting.options["min_weight"],
+        context.options["min_weight"],
         onward,
         rays,
     )
     return PathStream(onward.first(path_count), stream.bounce + 1, rays=rays.first(ray_count))
 
 
-def lights_per_pixel(setting: RenderContext) -> int:
+def lights_per_pixel(context: RenderContext) -> int:
     """Rays that a pixel's first surface sends to lights."""
-    return int(setting.classic.light_count)
+    return int(context.punctual.light_count)
 
 
 def check_whitted(options: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -13,7 +13,7 @@ from raystream.lab.christen.scenes import SCENES, christen_scene
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.purcell.on_graphics import adapter_note
 from raystream.lab.results import Cell, Plot, Result, Series, Table
-from raystream.rendering.picture import render
+from raystream.rendering.render import render
 from raystream.tracer import Tracer
 
 __all__ = ["SIZE", "on_graphics"]

@@ -11,7 +11,7 @@ from raystream.lab.christen.scenes import (
     picture_size,
     timed_iterations,
 )
-from raystream.lab.frames import affordable, picture, setting_of
+from raystream.lab.frames import affordable, context_of, picture
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
@@ -81,13 +81,13 @@ def _branching(lab: Laboratory, scene: Scene, letter: str, grid: int) -> _Times:
 
     def measure() -> _Times:
         tracer = Tracer(scene, "grid", resolution=grid)
-        setting = setting_of(tracer, (size, size))
+        context = context_of(tracer, (size, size))
         least = max(size // 8, 1)
-        timed_iterations(setting, tracer, 8, ITERATIONS)  # compiles
-        small = timed_iterations(setting, tracer, least, ITERATIONS)[0][-1] / least**2
+        timed_iterations(context, tracer, 8, ITERATIONS)  # compiles
+        small = timed_iterations(context, tracer, least, ITERATIONS)[0][-1] / least**2
         chosen, _ = affordable(small, (size, size), _LIMIT, (least, least))
         rounds = 1 if lab.quick else ROUNDS
-        return _timed(setting, tracer, chosen, rounds)
+        return _timed(context, tracer, chosen, rounds)
 
     values: _Times = lab.measure(f"{letter}, {grid} cells, branching", measure)
     return values
@@ -104,17 +104,17 @@ def _multipass(lab: Laboratory, scene: Scene, letter: str, grid: int) -> _Times:
         if most > _MOST_TESTS:
             return {"most_tests": most}
         tracer = Tracer(scene, "grid", resolution=grid, machine="multipass")
-        setting = setting_of(tracer, (size, size))
-        timed_iterations(setting, tracer, 8, ITERATIONS)  # compiles
-        return _timed(setting, tracer, size, 1)
+        context = context_of(tracer, (size, size))
+        timed_iterations(context, tracer, 8, ITERATIONS)  # compiles
+        return _timed(context, tracer, size, 1)
 
     values: _Times = lab.measure(f"{letter}, {grid} cells, multipass", measure)
     return values
 
 
-def _timed(setting: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
+def _timed(context: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
     """Medians over rounds, after each iteration."""
-    runs = [timed_iterations(setting, tracer, size, ITERATIONS) for _ in range(rounds)]
+    runs = [timed_iterations(context, tracer, size, ITERATIONS) for _ in range(rounds)]
     seconds = [statistics.median(one) for one in zip(*(run[0] for run in runs), strict=True)]
     return {"size": size, "seconds": seconds, "light": runs[0][1]}
 

@@ -20,7 +20,7 @@ from raystream.lab.purcell.resolution import resolution_sweep
 from raystream.lab.results import Cell, Claim, Picture, Result, Table, comparison
 from raystream.lab.views import PURCELL_VIEWS, View
 from raystream.rendering.heatmap import heatmap
-from raystream.rendering.picture import render
+from raystream.rendering.render import render
 from raystream.scene.camera import Camera
 
 __all__ = ["STATISTICS", "camera_sweep", "paper_view", "picture_statistics", "scene_statistics"]

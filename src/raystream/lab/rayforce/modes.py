@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from raystream.lab.asked import AskedTracer
-from raystream.lab.frames import Size, affordable, frame_seconds, picture, setting_of
+from raystream.lab.frames import Size, affordable, context_of, frame_seconds, picture
 from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
@@ -53,7 +53,7 @@ class _Contenders:
 
     def seconds(self, structure: str, mode: str, size: Size) -> float:
         """Draw a frame."""
-        return frame_seconds(self.setting, self.tracers[structure], mode, size)
+        return frame_seconds(self.context, self.tracers[structure], mode, size)
 
     @cached_property
     def scene(self) -> Scene:
@@ -65,8 +65,8 @@ class _Contenders:
         return {name: AskedTracer(scene, name, progress=progress) for name in STRUCTURES}
 
     @cached_property
-    def setting(self) -> RenderContext:
-        return setting_of(self.tracers[REFERENCE], frame_size(self._lab))
+    def context(self) -> RenderContext:
+        return context_of(self.tracers[REFERENCE], frame_size(self._lab))
 
 
 def frame_size(lab: Laboratory) -> Size:
