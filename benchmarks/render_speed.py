@@ -19,7 +19,7 @@ import numpy as np
 
 import raystream as rs
 from raystream.rendering import ao, integrator, path
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.render import RENDERERS
 
 #: Of a picture; its time is that of one.
 SAMPLES = 8
@@ -75,12 +75,12 @@ def rays_of(tracer, mode, size, camera, options):
     listener = Listener(tracer)
     chosen = renderer.check({**renderer.options, **options})
     numbers = integrator.Sampler.of("sobol", 0, 16)
-    setting = integrator.make_setting(listener, camera, size, numbers, chosen)
+    context = integrator.make_context(listener, camera, size, numbers, chosen)
     parts = defaultdict(list)
     rows = max(1, (1 << 16) // size[0])
     for first in range(0, size[1], rows):
         listener.batches = []
-        renderer.trace(setting, range(first, min(first + rows, size[1])), 0)
+        renderer.trace(context, range(first, min(first + rows, size[1])), 0)
         seen = defaultdict(int)
         for query, *batch in listener.batches:
             parts[query, seen[query]].append(batch)
@@ -113,9 +113,9 @@ def seconds(function):
 STAGES = {
     "first_hit": (rs.Tracer, "first_hit"),
     "any_hit": (rs.Tracer, "any_hit"),
-    "shading of paths": (path, "follow_paths"),
-    "shading of ao": (ao, "sample_ambient"),
-    "rays from the eye": (integrator, "eye_paths"),
+    "shading of paths": (path, "shade_paths"),
+    "shading of ao": (ao, "spawn_ao_rays"),
+    "rays from the eye": (integrator, "camera_paths"),
     "adding light": (integrator, "add_unblocked"),
 }
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from raystream.rendering.frames import render_frames
     from raystream.rendering.heatmap import heatmap
     from raystream.rendering.image import Image
-    from raystream.rendering.picture import MODES, render
+    from raystream.rendering.render import MODES, render
     from raystream.rendering.video import write_video
     from raystream.scene import textures
     from raystream.scene.animation import Animation
@@ -61,7 +61,7 @@ _MODULES = {
 # Names are imported when they are first used: `import raystream` costs neither numba nor
 # Pillow, and a command that only prints help stays quick.
 _HOMES = {
-    "MODES": "rendering.picture",
+    "MODES": "rendering.render",
     "Animation": "scene.animation",
     "Branching": "core.choices",
     "Brute": "structures.brute.options",
@@ -99,7 +99,7 @@ _HOMES = {
     "load": "scene.load",
     "query_zarr": "ray_files.query",
     "register_structure": "structures.registry",
-    "render": "rendering.picture",
+    "render": "rendering.render",
     "render_frames": "rendering.frames",
     "set_thread_count": "jit.threads",
     "thickness": "physics.segments",

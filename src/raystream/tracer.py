@@ -420,7 +420,7 @@ class Tracer(TracedScene):
             result[...] = records.reshape(result.shape)
         return result
 
-    def bands_on_device(self, setting: Any) -> Any:
+    def bands_on_device(self, context: Any) -> Any:
         """The renderer on the tracer's device; None if the host renders.
 
         The host renders if the backend does not shade, or if a subclass overrides queries, which
@@ -428,7 +428,7 @@ class Tracer(TracedScene):
 
         Parameters
         ----------
-        setting : rendering.integrator.RenderContext
+        context : rendering.integrator.RenderContext
 
         Returns
         -------
@@ -438,7 +438,7 @@ class Tracer(TracedScene):
         is_inherited = own.first_hit is Tracer.first_hit and own.any_hit is Tracer.any_hit
         if not (self._backend.capabilities.shading and is_inherited) or self._counts:
             return None
-        return self._backend.bands_on_device(setting)
+        return self._backend.bands_on_device(context)
 
     def _rays(self, origins: Any, directions: Any, t_min: Any, t_max: Any) -> RayBatch | RayArrays:
         """The rays as flat arrays on the host; or as they are, if the backend reads them."""

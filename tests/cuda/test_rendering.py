@@ -17,8 +17,8 @@ from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.cuda.staging import StagingStream
 from raystream.jit.cuda import CudaError, Gpu, is_simulated
 from raystream.lab.recording_tracer import RecordingTracer
-from raystream.rendering.integrator import make_setting
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.integrator import make_context
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.keep_alive import kept_arrays
 from raystream.rendering.shading.light_tables import LightTables, lights_of
@@ -173,8 +173,8 @@ def test_what_the_device_has_no_stages_for_is_the_host_s(gpu):
     def is_taken(scene, mode="path", layers=()):
         tracer, renderer = rs.Tracer(scene, "brute", "cuda"), RENDERERS[mode]
         options, usual = renderer.check(renderer.options), Sampler.of("sobol")
-        setting = make_setting(tracer, scene.camera, (2, 2), usual, options, layers)
-        return renderer.bands_of(setting) is not None
+        context = make_context(tracer, scene.camera, (2, 2), usual, options, layers)
+        return renderer.bands_of(context) is not None
 
     clear = rs.Material("clear", diffuse=(0.5, 0.5, 0.5), opacity=0.5)
     assert [mode for mode in RENDERERS if not is_taken(room(), mode)] == ["whitted", "xray"]
@@ -283,8 +283,8 @@ def test_other_machines_shade_on_the_host(gpu):
     usual = Sampler.of("sobol")
     for options in ({"device": "cpu"}, {"device": "cuda", "machine": "multipass"}):
         tracer = rs.Tracer(scene, "brute", **options)
-        assert make_setting(tracer, scene.camera, (2, 2), usual, {}).bands is None
+        assert make_context(tracer, scene.camera, (2, 2), usual, {}).bands is None
     counting = rs.Tracer(scene, "brute", "cuda", counters=True)
     noting = RecordingTracer(scene, "brute", device="cuda")
     for tracer in (counting, noting):
-        assert make_setting(tracer, scene.camera, (2, 2), usual, {}).bands is None
+        assert make_context(tracer, scene.camera, (2, 2), usual, {}).bands is None

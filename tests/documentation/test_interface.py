@@ -26,7 +26,7 @@ MODULES = (
     "physics.attenuation",
     "physics.lidar",
     "programs",
-    "rendering.picture",
+    "rendering.render",
     "rendering.compare",
     "rendering.frames",
     "rendering.heatmap",

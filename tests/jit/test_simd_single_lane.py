@@ -10,18 +10,18 @@ from raystream.jit.simd import f32x16, f64x16, lane_count, load, single_lane, st
 from raystream.jit.simd.types import VECTORS
 from raystream.rendering.sampling import warp
 from raystream.rendering.shading import discrete_distribution, rows
-from raystream.rendering.shading.discrete_distribution import chosen_lanes
+from raystream.rendering.shading.discrete_distribution import sample_discrete_lanes
 
 LANES = 16
 RANDOM = np.random.default_rng(3)
 
 f32x1, f64x1 = VECTORS["f32", 1], VECTORS["f64", 1]
-_one = single_lane(chosen_lanes)
+_one = single_lane(sample_discrete_lanes)
 
 
 @kernel
 def choose(ends, count, number, out):
-    index, share, within = chosen_lanes(ends, count, load(f64x16, number))
+    index, share, within = sample_discrete_lanes(ends, count, load(f64x16, number))
     store(out, index)
     store(out + np.uint64(64), share)
     store(out + np.uint64(192), within)
@@ -50,7 +50,9 @@ def test_each_lane_has_its_bits():
 
 def test_functions_of_whatever_comes_stay():
     assert single_lane(warp.disk) is warp.disk
-    assert single_lane(discrete_distribution.chosen) is discrete_distribution.chosen
+    assert (
+        single_lane(discrete_distribution.sample_discrete) is discrete_distribution.sample_discrete
+    )
 
 
 @device

@@ -13,7 +13,7 @@ from extras import need
 from meshes import icosphere
 from raystream.jit.cpu import kernel
 from raystream.rendering.environment import axes_of, mean_radiance, row_heights, texels_of
-from raystream.rendering.shading.punctual_lights import classic_lights_of
+from raystream.rendering.shading.punctual_lights import punctual_lights_of
 from raystream.rendering.shading.sky import map_sample, relative_pdf, sky_of, sky_toward
 from z_test import assert_equal_means, assert_mean, mean_of
 
@@ -192,7 +192,7 @@ def test_no_direction_has_light_and_no_density():
     directions = np.random.default_rng(2).normal(size=(1 << 14, 3))
     densities = np.empty(len(directions))
     weigh(sky, directions, densities)
-    lights, kept_lights = classic_lights_of(
+    lights, kept_lights = punctual_lights_of(
         rs.Scene([], lights=[light]), rs.Camera((0, 0, 3), (0, 0, 0))
     )
     seen = np.empty((len(directions), 3))

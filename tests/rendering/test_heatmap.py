@@ -15,7 +15,7 @@ from raystream.rendering import scale_bar
 from raystream.rendering.color import decode_srgb
 from raystream.rendering.false_colors import _ANCHORS, color_ramp, draw_counts
 from raystream.rendering.heatmap import RayCost
-from raystream.rendering.integrator import eye_paths
+from raystream.rendering.integrator import camera_paths
 from raystream.rendering.sampling.sampler import Sampler
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -322,7 +322,7 @@ def test_samples_count_as_their_rays_do(robots):
     heat = rs.heatmap(tracer, "steps", SIZE, 3, seed=5)
     counts = []
     for sample in range(3):
-        stream = eye_paths(
+        stream = camera_paths(
             camera, (width, height), Sampler.of("sobol", 5, 3), range(height), sample
         )
         np.testing.assert_array_equal(stream.pixels, np.arange(width * height))

@@ -10,10 +10,10 @@ import pytest
 import raystream as rs
 from meshes import icosphere
 from raystream.core.errors import FileFormatError
-from raystream.rendering.integrator import make_setting
+from raystream.rendering.integrator import make_context
 from raystream.rendering.lighting import ADDED, LEAST_LIGHT, LIGHTS, added_light, needs_light
-from raystream.rendering.picture import RENDERERS
 from raystream.rendering.progressive import trace_sample
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 
 BLACK = (0.0, 0.0, 0.0)
@@ -171,8 +171,8 @@ def test_another_camera_keeps_the_choice():
     tracer, renderer, one = rs.Tracer(scene), RENDERERS["raycast"], Sampler.of("sobol", 0, 1)
     far = rs.Camera((0, 30, 0), (20, 0, 20))
     for lights in LIGHTS:
-        setting = make_setting(tracer, scene.camera, (8, 6), one, {}, chosen_lights=lights)
-        light, _ = trace_sample(renderer, setting.seen_by(far, SIZE), 0)
+        context = make_context(tracer, scene.camera, (8, 6), one, {}, chosen_lights=lights)
+        light, _ = trace_sample(renderer, context.seen_by(far, SIZE), 0)
         expected = rs.render(tracer, "raycast", SIZE, camera=far, lights=lights).pixels
         np.testing.assert_array_equal(light.reshape(expected.shape), expected)
 

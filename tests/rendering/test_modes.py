@@ -327,9 +327,9 @@ def test_pictures_do_not_depend_on_bands(mode, monkeypatch):
     counted = []
     trace = Integrator.trace
 
-    def spy(renderer, setting, rows, *others):
+    def spy(renderer, context, rows, *others):
         counted.append(len(rows))
-        return trace(renderer, setting, rows, *others)
+        return trace(renderer, context, rows, *others)
 
     monkeypatch.setattr(Integrator, "trace", spy)
     monkeypatch.setattr(progressive, "MOST_RAYS", 64)

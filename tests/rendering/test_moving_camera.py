@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.integrator import make_setting
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.integrator import make_context
 from raystream.rendering.progressive import trace_sample
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 
 ONE = Sampler.of("sobol", 0, 1)
@@ -25,7 +25,7 @@ def test_setting_seen_by_another_camera_gives_its_picture(tracer, mode):
     options = renderer.check(renderer.options)
     near = tracer.scene.camera
     far = rs.Camera((100.0, 400.0, -900.0), near.look_at, near.up, 50.0)
-    moved = make_setting(tracer, near, (24, 16), ONE, options).seen_by(far, (32, 20))
+    moved = make_context(tracer, near, (24, 16), ONE, options).seen_by(far, (32, 20))
     light, _ = trace_sample(renderer, moved, 0)
     expected = rs.render(tracer, mode, (32, 20), camera=far).pixels
     assert np.array_equal(light.reshape(20, 32, 3), expected)
@@ -33,9 +33,9 @@ def test_setting_seen_by_another_camera_gives_its_picture(tracer, mode):
 
 def test_rows_of_a_sample_are_those_of_the_whole(tracer):
     renderer = RENDERERS["raycast"]
-    setting = make_setting(tracer, tracer.scene.camera, (20, 16), ONE, {}, ("depth",))
-    whole, seen = trace_sample(renderer, setting, 0)
-    part, seen_part = trace_sample(renderer, setting, 0, rows=range(5, 12))
+    context = make_context(tracer, tracer.scene.camera, (20, 16), ONE, {}, ("depth",))
+    whole, seen = trace_sample(renderer, context, 0)
+    part, seen_part = trace_sample(renderer, context, 0, rows=range(5, 12))
     assert np.array_equal(part, whole[5 * 20 : 12 * 20])
     assert seen is not None
     assert seen_part is not None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering import attributes
+from raystream.rendering import vertex_attributes
 from raystream.rendering.shading.light_tables import lights_of
 from raystream.rendering.shading.tables import tables_of
 
@@ -37,16 +37,16 @@ def texcoords():
 )
 def test_tables_that_int32_cannot_count_are_refused(make, scene, width, rows, monkeypatch):
     count = int(rows.split()[0])
-    monkeypatch.setattr(attributes, "MAX_NUMBERS", count * width)
+    monkeypatch.setattr(vertex_attributes, "MAX_NUMBERS", count * width)
     make(scene)
-    monkeypatch.setattr(attributes, "MAX_NUMBERS", count * width - 1)
+    monkeypatch.setattr(vertex_attributes, "MAX_NUMBERS", count * width - 1)
     with pytest.raises(ValueError, match=f"^scene: {rows}.* more than the {count - 1} that can"):
         make(scene)
 
 
 def test_positions_of_the_most_triangles_fit_in_int32():
-    most = attributes.MAX_NUMBERS // 9
-    attributes.check_rows(most, 9, "triangles")
+    most = vertex_attributes.MAX_NUMBERS // 9
+    vertex_attributes.check_rows(most, 9, "triangles")
     assert 9 * most - 1 <= np.iinfo(np.int32).max
     with pytest.raises(ValueError, match="238,609,295 triangles"):
-        attributes.check_rows(most + 1, 9, "triangles")
+        vertex_attributes.check_rows(most + 1, 9, "triangles")

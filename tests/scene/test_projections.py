@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import raystream as rs
-from raystream.rendering.integrator import eye_paths
+from raystream.rendering.integrator import camera_paths
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.lens import disk_points
 
@@ -208,7 +208,7 @@ def test_eye_rays_spread_over_pixels_and_lens():
     camera = replace(PINHOLE, aperture=0.5, focus=5.0)
     count = 256
     sampler = Sampler.of("sobol", 7, count)
-    streams = [eye_paths(camera, (3, 3), sampler, range(3), sample) for sample in range(count)]
+    streams = [camera_paths(camera, (3, 3), sampler, range(3), sample) for sample in range(count)]
     offsets = np.array([stream.origins for stream in streams]) - [1, 2, 3]
     directions = np.array([stream.directions for stream in streams], float)
     met = offsets + 5.0 * directions / (directions @ FORWARD)[..., None]
@@ -227,8 +227,8 @@ def test_eye_rays_spread_over_pixels_and_lens():
 
 
 def test_one_sample_goes_through_the_middle_of_the_lens():
-    sharp = eye_paths(PINHOLE, (4, 3), Sampler.of("sobol"), range(3), 0)
-    stream = eye_paths(replace(PINHOLE, aperture=1.0), (4, 3), Sampler.of("sobol"), range(3), 0)
+    sharp = camera_paths(PINHOLE, (4, 3), Sampler.of("sobol"), range(3), 0)
+    stream = camera_paths(replace(PINHOLE, aperture=1.0), (4, 3), Sampler.of("sobol"), range(3), 0)
     np.testing.assert_array_equal(stream.origins, sharp.origins)
     np.testing.assert_array_equal(stream.directions, sharp.directions)
 
@@ -253,7 +253,7 @@ def test_what_is_out_of_focus_is_blurred_as_wide_as_the_cone_of_rays_is_there():
         camera = rs.Camera((0, 0, 2), (0, 0, 0), fov=90, aperture=1.0, focus=focus)
         seen = np.zeros(32 * 32)
         for sample in range(32):  # a pixel is 1/8 wide at that distance
-            stream = eye_paths(camera, (32, 32), Sampler.of("sobol", 0, 32), range(32), sample)
+            stream = camera_paths(camera, (32, 32), Sampler.of("sobol", 0, 32), range(32), sample)
             seen += tracer.any_hit(stream.origins, stream.directions)
         covered = seen.reshape(32, 32).mean(axis=0) / 32
         assert not covered[: 16 - columns].any()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.integrator import make_setting
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.integrator import make_context
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.viewer.adaptive_resolution import Cost
 from raystream.viewer.heatmap_image import HeatmapImage, ramp
@@ -38,9 +38,9 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def setting(scene):
+def context(scene):
     tracer = rs.Tracer(scene)
-    return make_setting(tracer, scene.camera, SIZE, Sampler.of("sobol"), {})
+    return make_context(tracer, scene.camera, SIZE, Sampler.of("sobol"), {})
 
 
 def finish(picture, seconds=1.0):
@@ -52,11 +52,11 @@ def finish(picture, seconds=1.0):
 
 
 @pytest.mark.parametrize("mode", ["raycast", "path"])
-def test_the_last_picture_is_the_one_that_render_makes(scene, setting, mode):
+def test_the_last_picture_is_the_one_that_render_makes(scene, context, mode):
     renderer = RENDERERS[mode]
-    setting = replace(setting, options=renderer.check(renderer.options))
+    context = replace(context, options=renderer.check(renderer.options))
     for samples in (1, 3):
-        picture = SampledImage(renderer, with_samples(setting, samples), Cost())
+        picture = SampledImage(renderer, with_samples(context, samples), Cost())
         finish(picture)
         shown = picture.draw(LOOK)().pixels
         expected = rs.render(scene, mode, SIZE, samples).pixels
@@ -64,29 +64,29 @@ def test_the_last_picture_is_the_one_that_render_makes(scene, setting, mode):
     assert picture.noise() == pytest.approx(rs.render(scene, mode, SIZE, 3).figures["error"])
 
 
-def test_slices_of_a_row_give_the_same_bits(scene, setting):
+def test_slices_of_a_row_give_the_same_bits(scene, context):
     cost = Cost()
     cost.record(1, 1e9)  # as if each pixel took for ever
-    picture = SampledImage(RENDERERS["raycast"], with_samples(setting, 2), cost)
+    picture = SampledImage(RENDERERS["raycast"], with_samples(context, 2), cost)
     assert picture.advance(0.1, always) is False
     assert finish(picture, 1e-9) > 20
     expected = rs.render(scene, "raycast", SIZE, 2).pixels
     assert picture.draw(LOOK)().pixels.tobytes() == expected.tobytes()
 
 
-def test_one_sample_goes_through_the_centres(scene, setting):
-    picture = SampledImage(RENDERERS["raycast"], centered(with_samples(setting, 9)), Cost())
+def test_one_sample_goes_through_the_centres(scene, context):
+    picture = SampledImage(RENDERERS["raycast"], centered(with_samples(context, 9)), Cost())
     finish(picture)
     assert picture.draw(LOOK)().pixels.tobytes() == rs.render(scene, size=SIZE).pixels.tobytes()
     assert picture.noise() is None
 
 
 @pytest.mark.parametrize("what", ["steps", "tests", "cells"])
-def test_a_heat_map_is_the_one_that_heatmap_makes(scene, setting, what):
+def test_a_heat_map_is_the_one_that_heatmap_makes(scene, context, what):
     tracer = rs.Tracer(scene, "grid", counters=True)
     cost = Cost()
     cost.record(SIZE[0], 1.0)
-    picture = HeatmapImage(centered(replace(setting, tracer=tracer)), what, cost)
+    picture = HeatmapImage(centered(replace(context, tracer=tracer)), what, cost)
     assert finish(picture, 5.0) > 1
     expected = rs.heatmap(tracer, what, SIZE)
     whole = picture.draw_whole(LOOK)().pixels

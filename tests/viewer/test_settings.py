@@ -7,7 +7,7 @@ import pytest
 import raystream as rs
 from extras import need
 from raystream.machines.devices import device_of
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.render import RENDERERS
 from raystream.viewer.messages import MessageError
 from raystream.viewer.settings import MACHINES, Settings, traversals_of
 

@@ -105,7 +105,7 @@ class ImageRenderer:
     def __call__(self, tracer: Tracer, mode: str, **arguments: Any) -> Image:
         """Render with the arguments of `raystream.render`."""
         if self.client is None:
-            from raystream.rendering.picture import render
+            from raystream.rendering.render import render
 
             return render(tracer, mode, **arguments)
         import raystream.cluster as cluster_api

@@ -141,7 +141,7 @@ def mode_arguments(mode: str, sampling: SamplingOptions, chosen: dict[str, Any])
     BadInputError
         If the mode does not accept a given option, or a value is out of range.
     """
-    from raystream.rendering.picture import RENDERERS
+    from raystream.rendering.render import RENDERERS
 
     given = _own_options(mode, sampling, chosen, RENDERERS)
     _check_own(RENDERERS[mode], given, sampling)

@@ -28,7 +28,7 @@ from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_samples, check_size
 from raystream.rendering.frames import frame_seed, split_options, timeline_of
 from raystream.rendering.image import Image
-from raystream.rendering.picture import render
+from raystream.rendering.render import render
 from raystream.scene.animation import Timeline
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion

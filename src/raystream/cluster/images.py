@@ -16,11 +16,11 @@ from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import make_setting
+from raystream.rendering.integrator import make_context
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
-from raystream.rendering.picture import RENDERERS
 from raystream.rendering.progressive import Limits, render_samples
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
@@ -118,17 +118,17 @@ def render(
     # Nothing is traced in this process.
     here = scene if isinstance(scene, Tracer) else Tracer(scene, "brute")
     view = camera or here.scene.camera_for(width / height)
-    setting = make_setting(here, view, (width, height), numbers, chosen, wanted, lights)
+    context = make_context(here, view, (width, height), numbers, chosen, wanted, lights)
     drawn = sampler, seed, limits.samples
     spec = image_spec(mode, (width, height), view, drawn, own, wanted, lights)
     with open_client(client) as found:
         uploader = uploader_of(found)
         digest = uploader.send(bundle)
-        taken = Samples(found, digest, spec, setting, limits.samples)
+        taken = Samples(found, digest, spec, context, limits.samples)
         try:
             return render_samples(
                 renderer,
-                setting,
+                context,
                 limits,
                 checkpoint=checkpoint,
                 on_pass=on_pass,

@@ -19,11 +19,11 @@ from raystream.cluster.tasks import OrderedTasks
 from raystream.cluster.thread_budget import shared_threads
 from raystream.core.errors import RaystreamWarning
 from raystream.jit.threads import Progress
-from raystream.rendering.integrator import RenderContext, make_setting
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.integrator import RenderContext, make_context
 from raystream.rendering.progressive import Sampled, trace_sample
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.first_surfaces import SeenSurfaces
+from raystream.rendering.shading.aovs import AovBuffers
 from raystream.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ TASKS_PER_THREAD = 3
 #: Tasks per thread that an image with few samples is split into, for load balance.
 MIN_TASKS_PER_THREAD = 4
 
-#: Cached settings per process.
-_settings = OnceCache(2)
+#: Cached contexts per process.
+_contexts = OnceCache(2)
 
 RowSamples = tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]
 
@@ -97,22 +97,22 @@ def trace_rows(digest: str, image_spec: str, sample: int, first: int, end: int) 
     -------
     light : ndarray of shape (R * W, 3), float32
     seen : tuple of ndarray, or None
-        As `SeenSurfaces`.
+        As `AovBuffers`.
     """
     with shared_threads():
-        setting = _settings.get((digest, image_spec), lambda: _setting(digest, image_spec))
+        context = _contexts.get((digest, image_spec), lambda: _context(digest, image_spec))
         renderer = RENDERERS[json.loads(image_spec)["mode"]]
-        light, seen = trace_sample(renderer, setting, sample, rows=range(first, end))
+        light, seen = trace_sample(renderer, context, sample, rows=range(first, end))
     return light, None if seen is None else tuple(seen)
 
 
-def _setting(digest: str, image_spec: str) -> RenderContext:
+def _context(digest: str, image_spec: str) -> RenderContext:
     asked = json.loads(image_spec)
     renderer = RENDERERS[asked["mode"]]
     width, height = asked["size"]
     with warnings.catch_warnings():  # the client has already warned
         warnings.simplefilter("ignore", RaystreamWarning)
-        return make_setting(
+        return make_context(
             tracer_of(digest),
             Camera(**asked["camera"]),
             (width, height),
@@ -131,7 +131,7 @@ class Samples:
     client : distributed.Client
     digest, image_spec : str
         See `trace_rows`.
-    setting : RenderContext
+    context : RenderContext
         Determines the size and the layers.
     sample_count : int
         Maximum samples per pixel.
@@ -142,13 +142,13 @@ class Samples:
         client: Client,
         digest: str,
         image_spec: str,
-        setting: RenderContext,
+        context: RenderContext,
         sample_count: int,
     ) -> None:
         self._client = client
         self._of = digest, image_spec
-        self._width, self._height = setting.width, setting.height
-        self._has_layers = bool(setting.layers)
+        self._width, self._height = context.width, context.height
+        self._has_layers = bool(context.layers)
         self._sample_count = sample_count
         self._tasks: OrderedTasks | None = None
         self._bands: list[range] = []
@@ -163,7 +163,7 @@ class Samples:
         self._next += 1
         count = self._width * self._height
         light = np.empty((count, 3), np.float32)
-        seen = SeenSurfaces.empty(count) if self._has_layers else None
+        seen = AovBuffers.empty(count) if self._has_layers else None
         for band in self._bands:
             own, own_seen = next(self._tasks)
             first, end = band.start * self._width, band.stop * self._width

@@ -142,12 +142,12 @@ class Branching(Backend):
             self._in_order,
         )
 
-    def bands_on_device(self, setting: RenderContext) -> CudaBands | None:
+    def bands_on_device(self, context: RenderContext) -> CudaBands | None:
         """What takes samples of a picture on the device; see `Tracer.bands_on_device`."""
         from raystream.cuda.rendering import CudaBands
 
         own = self.gpu, self._kernels, self._resident, self.structure.frame, self._staging_streams
-        return CudaBands(setting, *own, self.rays_at_once, is_sorted=self._is_sorted)
+        return CudaBands(context, *own, self.rays_at_once, is_sorted=self._is_sorted)
 
     def _first_hit(self, job: HostQuery) -> None:
         out = job.sink.hits

@@ -26,7 +26,7 @@ from raystream.graphics.textures import FLOATS, WORDS, Texture, sampled
 from raystream.graphics.views import check_pinhole, packed_view
 from raystream.rendering.arguments import check_camera, check_size, make_tracer
 from raystream.rendering.image import Image
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.render import RENDERERS
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures import Structure

@@ -15,8 +15,14 @@ from raystream.core.hits import Hits
 from raystream.graphics.raster import Visibility, visibility
 from raystream.rendering.arguments import check_camera, check_size, make_tracer
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import Band, PathStream, RenderContext, eye_paths, make_setting
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.integrator import (
+    Band,
+    PathStream,
+    RenderContext,
+    camera_paths,
+    make_context,
+)
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
@@ -74,15 +80,15 @@ def hybrid(
     view = camera or tracer.scene.camera_for(width / height)
     shadow = RENDERERS["shadow"]
     chosen = shadow.check(shadow.options)
-    setting = make_setting(tracer, view, (width, height), Sampler.of("sobol", 0, 1), chosen)
-    if setting.opacity is not None:
+    context = make_context(tracer, view, (width, height), Sampler.of("sobol", 0, 1), chosen)
+    if context.opacity is not None:
         raise ValueError("scene: has surfaces that are not opaque, of which rasterising knows none")
     seen = visibility(tracer.scene, (width, height), camera=view, adapter=adapter)
     pixels = np.zeros((height, width, 3), np.float32)
-    rows = max(1, _MOST_RAYS // (width * max(shadow.rays_per_pixel(setting), 1)))
+    rows = max(1, _MOST_RAYS // (width * max(shadow.rays_per_pixel(context), 1)))
     for first in range(0, height, rows):
         band = range(first, min(first + rows, height))
-        pixels[band.start : band.stop] = _shade(setting, seen, band)
+        pixels[band.start : band.stop] = _shade(context, seen, band)
     return Image(pixels, {"prim_id": seen.prim_id, "depth": seen.t})
 
 
@@ -95,11 +101,11 @@ def _tracer_of(
     return make_tracer(scene, structure or "bvh", device or "graphics", options)
 
 
-def _shade(setting: RenderContext, seen: Visibility, rows: range) -> Any:
+def _shade(context: RenderContext, seen: Visibility, rows: range) -> Any:
     """Light what is seen in some rows: the shadow renderer's stages without its first."""
-    count = len(rows) * setting.width
-    size = setting.width, setting.height
-    band = Band(setting, 0, rows.start * setting.width, np.zeros((count, 3), np.float32))
+    count = len(rows) * context.width
+    size = context.width, context.height
+    band = Band(context, 0, rows.start * context.width, np.zeros((count, 3), np.float32))
     part = [array[rows.start : rows.stop].ravel() for array in (seen.t, seen.u, seen.v)]
     prim_id = seen.prim_id[rows.start : rows.stop].ravel()
     hits = Hits(
@@ -108,10 +114,10 @@ def _shade(setting: RenderContext, seen: Visibility, rows: range) -> Any:
         part[2],
         prim_id,
         np.zeros(count, np.uint8),
-        setting.tracer.scene.triangles,
+        context.tracer.scene.triangles,
     )
-    paths = eye_paths(setting.camera, size, setting.sampler, rows, 0)
+    paths = camera_paths(context.camera, size, context.sampler, rows, 0)
     stream = PathStream(paths, hits=hits)
     for stage in RENDERERS["shadow"].stages:
         stream = stage(stream, band)
-    return band.radiance.reshape(len(rows), setting.width, 3)
+    return band.radiance.reshape(len(rows), context.width, 3)

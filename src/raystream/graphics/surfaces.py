@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, upload
 from raystream.graphics.forms.base import numbers
-from raystream.rendering.attributes import VertexAttributes
 from raystream.rendering.environment import image_light
 from raystream.rendering.shading.punctual_lights import light_rows
 from raystream.rendering.shading.tables import material_rows
 from raystream.rendering.shading.textures import ROLES, texture_arrays
+from raystream.rendering.vertex_attributes import VertexAttributes
 from raystream.scene.camera import Camera
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene

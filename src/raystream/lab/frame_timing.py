@@ -8,9 +8,9 @@ from typing import Any
 
 from raystream.lab.results import Picture
 from raystream.lab.runner import Runner
-from raystream.rendering.integrator import RenderContext, make_setting
-from raystream.rendering.picture import RENDERERS, render
+from raystream.rendering.integrator import RenderContext, make_context
 from raystream.rendering.progressive import trace_sample
+from raystream.rendering.render import RENDERERS, render
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -27,17 +27,17 @@ def render_context(tracer: Tracer, size: Size) -> RenderContext:
     """
     width, height = size
     camera = tracer.scene.camera_for(width / height)
-    return make_setting(tracer, camera, size, Sampler.of("sobol", 0, 1), {})
+    return make_context(tracer, camera, size, Sampler.of("sobol", 0, 1), {})
 
 
 def frame_seconds(
-    setting: RenderContext, tracer: Tracer, mode: str, size: Size, **options: Any
+    context: RenderContext, tracer: Tracer, mode: str, size: Size, **options: Any
 ) -> float:
     """Time a frame: rays from the eye, traversal, shading; not display.
 
     Parameters
     ----------
-    setting : RenderContext
+    context : RenderContext
         See `render_context`; of the tracer's scene, with any size.
     tracer : Tracer
     mode : str
@@ -48,7 +48,7 @@ def frame_seconds(
     renderer = RENDERERS[mode]
     chosen = renderer.check({**renderer.options, **options})
     width, height = size
-    own = replace(setting, tracer=tracer, width=width, height=height, options=chosen)
+    own = replace(context, tracer=tracer, width=width, height=height, options=chosen)
     started = time.perf_counter()
     trace_sample(renderer, own, 0)
     return time.perf_counter() - started

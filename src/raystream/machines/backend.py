@@ -172,7 +172,7 @@ class Backend(ABC):
         """
         raise NotImplementedError
 
-    def bands_on_device(self, setting: Any) -> Any:
+    def bands_on_device(self, context: Any) -> Any:
         """The renderer on the device, or None; see `Tracer.bands_on_device`."""
         raise NotImplementedError
 

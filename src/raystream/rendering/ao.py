@@ -18,11 +18,12 @@ from raystream.rendering.integrator import (
     PathStream,
     RenderContext,
     find_surfaces,
+    shading_batch,
     trace_shadow_rays,
 )
-from raystream.rendering.sampling.sampler import Sampler
-from raystream.rendering.shading.ambient_rays import sample_ambient
-from raystream.rendering.shading.streams import ShadowRays
+from raystream.rendering.sampling.sampler import PixelSample, Sampler
+from raystream.rendering.shading.ambient_occlusion import OcclusionOptions, spawn_ao_rays
+from raystream.rendering.shading.shadow_rays import ShadowRays
 
 __all__ = ["AO", "REACH", "distance_of", "sampler_of", "spawn_ambient_rays"]
 
@@ -35,43 +36,36 @@ REACH = 0.1
 
 def spawn_ambient_rays(stream: PathStream, band: Band) -> PathStream:
     """Stage: send rays from the surfaces; the paths end."""
-    assert stream.hits is not None
-    setting, hits = band.setting, stream.hits
-    count = setting.options["rays"]
+    context = band.context
+    count = context.options["rays"]
     rays = ShadowRays.empty(len(stream) * count)
-    sampler = sampler_of(setting)
-    ray_count = sample_ambient(
-        stream.paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
-        setting.tables,
-        sampler,
-        band.sample,
-        count,
-        distance_of(setting),
-        band.first_pixel,
-        band.radiance,
+    ray_count = spawn_ao_rays(
+        shading_batch(stream, band),
+        context.tables,
+        PixelSample(sampler_of(context), band.sample),
+        OcclusionOptions(count, distance_of(context)),
         rays,
     )
     return PathStream(stream.paths.first(0), rays=rays.first(ray_count))
 
 
-def sampler_of(setting: RenderContext) -> Sampler:
-    """The setting's sampler, for all rays of a sample."""
-    count = setting.sampler.sample_count * setting.options["rays"]
-    return setting.sampler._replace(sample_count=count)
+def sampler_of(context: RenderContext) -> Sampler:
+    """The context's sampler, for all rays of a sample."""
+    count = context.sampler.sample_count * context.options["rays"]
+    return context.sampler._replace(sample_count=count)
 
 
-def distance_of(setting: RenderContext) -> float:
-    """Length of the setting's rays, world space."""
-    distance = setting.options["distance"]
+def distance_of(context: RenderContext) -> float:
+    """Length of the context's rays, world space."""
+    distance = context.options["distance"]
     if distance is not None:
         return float(distance)
-    low, high = setting.tracer.scene.bounds
+    low, high = context.tracer.scene.bounds
     return REACH * float(np.linalg.norm(high - low))
 
 
-def _rays_per_pixel(setting: RenderContext) -> int:
-    return int(setting.options["rays"])
+def _rays_per_pixel(context: RenderContext) -> int:
+    return int(context.options["rays"])
 
 
 def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -44,7 +44,7 @@ def encode_srgb(linear: NDArray[Any], exposure: float = 1.0) -> NDArray[np.uint8
     ----------
     IEC 61966-2-1:1999 (sRGB).
     """
-    from raystream.rendering.encoding import encode  # compiled: only what encodes needs Numba
+    from raystream.rendering.srgb_encoding import encode  # compiled: only what encodes needs Numba
 
     numbers = np.ascontiguousarray(linear, np.float32)
     encoded = encode(numbers.ravel(), np.float32(exposure * _STEPS), _ENCODED)

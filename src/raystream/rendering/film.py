@@ -15,10 +15,10 @@ from raystream.core.errors import FileFormatError
 from raystream.core.memory import check_memory
 from raystream.core.npz import read_npz, write_npz
 from raystream.rendering.arguments import check_size
-from raystream.rendering.checkpoints import Checkpoint, identity_bytes
+from raystream.rendering.checkpoint_arrays import CheckpointArrays, identity_bytes
+from raystream.rendering.film_sums import add_light
 from raystream.rendering.image import Image
 from raystream.rendering.layers import LAYERS, LayerKind
-from raystream.rendering.sums import add_light
 
 __all__ = ["Film"]
 
@@ -234,7 +234,7 @@ class Film:
         MemoryError
             If the sums do not fit into memory.
         """
-        file = Checkpoint(path, read_npz(path))
+        file = CheckpointArrays(path, read_npz(path))
         if file.take("version", (1,), np.int64).item() != _VERSION:
             raise FileFormatError(path, "is a checkpoint of another version of raystream")
         file.check_identity(identity)

@@ -12,7 +12,7 @@ from raystream.core.choices import DeviceOptions
 from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_samples, check_size
 from raystream.rendering.image import Image
-from raystream.rendering.picture import RENDERERS, render
+from raystream.rendering.render import RENDERERS, render
 from raystream.scene.animation import FPS, Timeline
 from raystream.scene.camera import Camera
 from raystream.scene.camera_track import CameraMotion

@@ -16,7 +16,7 @@ from raystream.jit.threads import Progress
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.rendering.false_colors import check_maximum, draw_counts
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import eye_paths
+from raystream.rendering.integrator import camera_paths
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
@@ -233,7 +233,7 @@ def _trace(
     for first in range(0, height, rows_per_band):
         rows = range(first, min(first + rows_per_band, height))
         for sample in range(samples):
-            paths = eye_paths(camera, size, sampler, rows, sample)
+            paths = camera_paths(camera, size, sampler, rows, sample)
             report = _part_of(progress, done, len(paths.pixels), ray_count)
             tracer.first_hit(paths.origins, paths.directions, progress=report)
             yield paths.pixels, tracer.counters

@@ -22,11 +22,12 @@ from raystream.programs.filters import Bound
 from raystream.rendering.device_bands import DeviceBands
 from raystream.rendering.opacity import Opacity, filter_of
 from raystream.rendering.sampling.sampler import Sampler
+from raystream.rendering.shading.aovs import AovBuffers, write_aovs
 from raystream.rendering.shading.camera_rays import generate_camera_rays, view_of
-from raystream.rendering.shading.first_surfaces import SeenSurfaces, see_surfaces
 from raystream.rendering.shading.light_tables import LightTables, lights_of
-from raystream.rendering.shading.punctual_lights import PunctualLights, classic_lights_of
-from raystream.rendering.shading.streams import Paths, ShadowRays, add_unblocked
+from raystream.rendering.shading.punctual_lights import PunctualLights, punctual_lights_of
+from raystream.rendering.shading.shadow_rays import ShadowRays, add_unblocked
+from raystream.rendering.shading.streams import Paths, ShadingBatch
 from raystream.rendering.shading.tables import SceneTables, tables_of
 from raystream.scene.camera import Camera
 from raystream.tracer import Tracer
@@ -38,9 +39,10 @@ __all__ = [
     "PathStage",
     "PathStream",
     "RenderContext",
-    "eye_paths",
+    "camera_paths",
     "find_surfaces",
-    "make_setting",
+    "make_context",
+    "shading_batch",
     "take_no_options",
     "trace_shadow_rays",
 ]
@@ -60,7 +62,7 @@ class RenderContext:
     width, height : int
     tables : SceneTables
     lights : LightTables
-    classic : PunctualLights
+    punctual : PunctualLights
         The same for modes that take each as one place.
     sampler : Sampler
     opacity : Opacity, optional
@@ -83,7 +85,7 @@ class RenderContext:
     height: int
     tables: SceneTables
     lights: LightTables
-    classic: PunctualLights
+    punctual: PunctualLights
     sampler: Sampler
     opacity: Opacity | None
     options: Mapping[str, Any]
@@ -100,23 +102,23 @@ class RenderContext:
         """The same scene from another camera, or in another size.
 
         What of it does not depend on them is shared, which makes this much quicker than
-        `make_setting`: for a picture that follows a camera.
+        `make_context`: for a picture that follows a camera.
         """
         scene, chosen = self.tracer.scene, self.chosen_lights
-        classic, kept_classic = classic_lights_of(scene, camera, chosen)
+        punctual, kept_punctual = punctual_lights_of(scene, camera, chosen)
         width, height = size or (self.width, self.height)
         made = replace(
             self,
             camera=camera,
             width=width,
             height=height,
-            classic=classic,
-            kept=(self.kept[0], self.kept[1], kept_classic),
+            punctual=punctual,
+            kept=(self.kept[0], self.kept[1], kept_punctual),
         )
         return replace(made, bands=self.tracer.bands_on_device(made))
 
 
-def make_setting(
+def make_context(
     tracer: Tracer,
     camera: Camera,
     size: tuple[int, int],
@@ -128,8 +130,8 @@ def make_setting(
     """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
     tables, kept_tables = tables_of(tracer.scene)
     lights, kept_lights = lights_of(tracer.scene, chosen_lights)
-    classic, kept_classic = classic_lights_of(tracer.scene, camera, chosen_lights)
-    kept = kept_tables, kept_lights, kept_classic
+    punctual, kept_punctual = punctual_lights_of(tracer.scene, camera, chosen_lights)
+    kept = kept_tables, kept_lights, kept_punctual
     opacity = Opacity.of(tracer.scene, sampler.seed)
     made = RenderContext(
         tracer,
@@ -137,7 +139,7 @@ def make_setting(
         *size,
         tables,
         lights,
-        classic,
+        punctual,
         sampler,
         opacity,
         options,
@@ -154,14 +156,14 @@ class Band:
 
     Attributes
     ----------
-    setting : RenderContext
+    context : RenderContext
     sample : int
     first_pixel : int
     radiance : ndarray of shape (P, 3), float32
         Linear RGB of its pixels; stages add to it.
     """
 
-    setting: RenderContext
+    context: RenderContext
     sample: int
     first_pixel: int
     radiance: NDArray[np.float32]
@@ -209,7 +211,7 @@ class Integrator:
     check : callable
         Returns the options as stages take them; raises ValueError for bad ones.
     rays_per_pixel : callable
-        Rays of a pixel, with a setting, that a stage makes at once: bands have fewer pixels for
+        Rays of a pixel, with a context, that a stage makes at once: bands have fewer pixels for
         more of them.
     """
 
@@ -220,22 +222,22 @@ class Integrator:
     check: Callable[[Mapping[str, Any]], Mapping[str, Any]]
     rays_per_pixel: Callable[[RenderContext], int] = lambda _: 1
 
-    def bands_of(self, setting: RenderContext) -> DeviceBands | None:
+    def bands_of(self, context: RenderContext) -> DeviceBands | None:
         """What takes its samples on a device; None if the host does, as for layers."""
-        bands = setting.bands
-        return bands if bands and not setting.layers and bands.takes(self.stages) else None
+        bands = context.bands
+        return bands if bands and not context.layers and bands.takes(self.stages) else None
 
     def trace(
-        self, setting: RenderContext, rows: range, sample: int, seen: SeenSurfaces | None = None
+        self, context: RenderContext, rows: range, sample: int, seen: AovBuffers | None = None
     ) -> NDArray[np.float32]:
         """Take one sample of each pixel of some rows.
 
         Parameters
         ----------
-        setting : RenderContext
+        context : RenderContext
         rows : range
         sample : int
-        seen : SeenSurfaces, optional
+        seen : AovBuffers, optional
             Gets what the sample sees first, if layers are wanted.
 
         Returns
@@ -243,14 +245,14 @@ class Integrator:
         ndarray of shape (rows * width, 3), float32
             Linear RGB.
         """
-        bands = self.bands_of(setting)
+        bands = self.bands_of(context)
         if bands is not None and seen is None:
             return bands.trace(self.stages, rows, sample)
-        count = len(rows) * setting.width
+        count = len(rows) * context.width
         radiance = np.zeros((count, 3), np.float32)
-        band = Band(setting, sample, rows.start * setting.width, radiance)
-        size = setting.width, setting.height
-        stream = PathStream(eye_paths(setting.camera, size, setting.sampler, rows, sample))
+        band = Band(context, sample, rows.start * context.width, radiance)
+        size = context.width, context.height
+        stream = PathStream(camera_paths(context.camera, size, context.sampler, rows, sample))
         if seen is not None:
             stream = find_surfaces(stream, band)
             note_surfaces(stream, band, seen)
@@ -268,7 +270,7 @@ def take_no_options(options: Mapping[str, Any]) -> Mapping[str, Any]:
     return options
 
 
-def eye_paths(
+def camera_paths(
     camera: Camera, size: tuple[int, int], sampler: Sampler, rows: range, sample: int
 ) -> Paths:
     """Begin a path at each pixel of some rows of a picture (Purcell 2002, 3.1.1).
@@ -307,21 +309,29 @@ def eye_paths(
     return paths
 
 
+def shading_batch(stream: PathStream, band: Band) -> ShadingBatch:
+    """The stream's paths at the surfaces that they hit, as shading kernels take them."""
+    hits = stream.hits
+    assert hits is not None
+    rows = hits.t, hits.u, hits.v, hits.prim_id
+    return ShadingBatch(len(stream), stream.paths, rows, band.first_pixel, band.radiance)
+
+
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: trace the paths' rays, unless what they meet is known."""
     if stream.hits is not None:
         return stream
-    setting, rays = band.setting, (stream.paths.origins, stream.paths.directions)
-    hits = setting.tracer.first_hit(*rays, on_hit=setting.filter(*rays))
+    context, rays = band.context, (stream.paths.origins, stream.paths.directions)
+    hits = context.tracer.first_hit(*rays, on_hit=context.filter(*rays))
     return replace(stream, hits=hits)
 
 
-def note_surfaces(stream: PathStream, band: Band, seen: SeenSurfaces) -> None:
+def note_surfaces(stream: PathStream, band: Band, seen: AovBuffers) -> None:
     """Write down what the paths meet, for layers."""
     assert stream.hits is not None
-    hits, tables = stream.hits, band.setting.tables
+    hits, tables = stream.hits, band.context.tables
     rows = hits.t, hits.u, hits.v, hits.prim_id
-    see_surfaces(stream.paths, rows, tables, band.first_pixel, seen)
+    write_aovs(stream.paths, rows, tables, band.first_pixel, seen)
 
 
 def trace_shadow_rays(stream: PathStream, band: Band) -> PathStream:
@@ -329,7 +339,7 @@ def trace_shadow_rays(stream: PathStream, band: Band) -> PathStream:
     rays = stream.rays
     assert rays is not None
     if len(rays.pixels):
-        setting, asked = band.setting, (rays.origins, rays.directions)
-        blocked = setting.tracer.any_hit(*asked, t_max=rays.t_max, on_hit=setting.filter(*asked))
+        context, asked = band.context, (rays.origins, rays.directions)
+        blocked = context.tracer.any_hit(*asked, t_max=rays.t_max, on_hit=context.filter(*asked))
         add_unblocked(rays, blocked, band.first_pixel, band.radiance)
     return replace(stream, rays=None)

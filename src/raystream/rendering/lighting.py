@@ -22,8 +22,8 @@ __all__ = [
     "added_light",
     "area_patches",
     "check_lights",
-    "classic_lights",
     "needs_light",
+    "punctual_lights",
 ]
 
 #: Choices of lights: the scene's own, with another one where those are too weak to see by; or
@@ -159,7 +159,7 @@ def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
     return ADDED[mode] if needs_light(scene, lights, background=seen) else ""
 
 
-def classic_lights(
+def punctual_lights(
     scene: Scene, camera: Camera, patches: Sequence[PatchLight], lights: str = "auto"
 ) -> tuple[Light, ...]:
     """The scene's lights, and those that a classic pipeline adds so that all can be seen.

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError, RaystreamWarning
 from raystream.programs.filters import Bound
-from raystream.rendering.attributes import VertexAttributes
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.shading.opacity import (
     MASKED,
     OPAQUE,
     PARTIAL,
+    FilteredRays,
     OpacityTables,
-    RaysThrough,
     is_there,
 )
-from raystream.rendering.shading.textures import MAX_TEXELS, TextureTables, place_of
+from raystream.rendering.shading.textures import MAX_TEXELS, TextureTables, address_of
+from raystream.rendering.vertex_attributes import VertexAttributes
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 from raystream.scene.texture import Texture
@@ -71,11 +71,11 @@ class Opacity:
         numbers = np.ascontiguousarray(numbers.T)
         vertices = VertexAttributes.of(scene)
         tables = OpacityTables(
-            place_of(material_ids),
-            place_of(vertices.faces),
-            place_of(vertices.texcoords),
-            place_of(kinds),
-            place_of(numbers),
+            address_of(material_ids),
+            address_of(vertices.faces),
+            address_of(vertices.texcoords),
+            address_of(kinds),
+            address_of(numbers),
             textures,
         )
         return cls(tables, seed, (material_ids, vertices, kinds, numbers, kept))
@@ -84,8 +84,8 @@ class Opacity:
         """What a tracer's queries take as ``on_hit`` for these rays, each of shape (N, 3)."""
         origins = np.ascontiguousarray(origins, np.float64)
         directions = np.ascontiguousarray(directions, np.float32)
-        places = place_of(origins), place_of(directions)
-        rays = RaysThrough(self._tables, self._seed, *places)
+        places = address_of(origins), address_of(directions)
+        rays = FilteredRays(self._tables, self._seed, *places)
         return Bound(is_there, rays, (self, origins, directions))
 
 
@@ -130,7 +130,7 @@ def _pack(
         of_material,
         np.arange(256, dtype=np.uint8) / np.float32(255.0),
     )
-    texels, rows, roles, plain = map(place_of, kept)
+    texels, rows, roles, plain = map(address_of, kept)
     none = np.uint64(0)
     return TextureTables(texels, rows, roles, none, none, plain, none), kinds, kept
 

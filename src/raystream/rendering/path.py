@@ -19,10 +19,12 @@ from raystream.rendering.integrator import (
     Integrator,
     PathStream,
     find_surfaces,
+    shading_batch,
     trace_shadow_rays,
 )
-from raystream.rendering.shading.paths import PathOptions, follow_paths
-from raystream.rendering.shading.streams import ShadowRays
+from raystream.rendering.sampling.sampler import PixelSample
+from raystream.rendering.shading.paths import PathOptions, shade_paths
+from raystream.rendering.shading.shadow_rays import ShadowRays
 
 __all__ = ["PATH", "PATH_STAGES", "check_path", "shade_surfaces"]
 
@@ -32,20 +34,15 @@ ROULETTE_BOUNCE = 3
 
 def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: add light that surfaces emit, ask for that of lights, and scatter the paths."""
-    assert stream.hits is not None
-    setting, paths, hits = band.setting, stream.paths, stream.hits
+    context, paths = band.context, stream.paths
     rays = ShadowRays.empty(len(stream))
-    path_count, ray_count = follow_paths(
-        paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
-        setting.tables,
-        setting.lights,
-        setting.sampler,
-        band.sample,
+    path_count, ray_count = shade_paths(
+        shading_batch(stream, band),
+        context.tables,
+        context.lights,
+        PixelSample(context.sampler, band.sample),
         stream.bounce,
-        setting.options["rules"],
-        band.first_pixel,
-        band.radiance,
+        context.options["rules"],
         paths,
         rays,
     )

@@ -19,7 +19,7 @@ from raystream.rendering.film import Film
 from raystream.rendering.image import Image
 from raystream.rendering.integrator import Integrator, RenderContext
 from raystream.rendering.sample_file import SampleFile
-from raystream.rendering.shading.first_surfaces import SeenSurfaces
+from raystream.rendering.shading.aovs import AovBuffers
 from raystream.structures.bvh.engine import SMALL_BATCH
 
 __all__ = [
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 #: A sample of every pixel: its light, and what it sees first; see `trace_sample`.
-Sampled = tuple[NDArray[np.float32], SeenSurfaces | None]
+Sampled = tuple[NDArray[np.float32], AovBuffers | None]
 
 #: Gives the sample of a number, of all rows: (number, progress).
 TakeSample = Callable[[int, Progress | None], Sampled]
@@ -79,7 +79,7 @@ _FIRST_SAMPLES = 8
 
 def render_samples(
     renderer: Integrator,
-    setting: RenderContext,
+    context: RenderContext,
     limits: Limits,
     *,
     checkpoint: str | PathLike[str] | None = None,
@@ -92,7 +92,7 @@ def render_samples(
     Parameters
     ----------
     renderer : Integrator
-    setting : RenderContext
+    context : RenderContext
     limits : Limits
     checkpoint : path, optional
         A file, ending in ``.npz``, to which all samples go every 10 seconds, at the end (see
@@ -112,7 +112,7 @@ def render_samples(
     Returns
     -------
     Image
-        With the setting's layers, ``variance`` and ``samples``.
+        With the context's layers, ``variance`` and ``samples``.
 
     Raises
     ------
@@ -124,16 +124,16 @@ def render_samples(
         If ``RAYSTREAM_CHECKPOINT_SECONDS`` is no number of seconds.
     """
     interval = checkpoint_seconds()
-    pixel_count = setting.width * setting.height
+    pixel_count = context.width * context.height
     file = None
     if checkpoint is not None:
         file = checkpoint if isinstance(checkpoint, SampleFile) else SampleFile(checkpoint)
-    kept = None if file is None else file.open(renderer, setting)
-    sums = Film(setting.width, setting.height) if kept is None else kept
+    kept = None if file is None else file.open(renderer, context)
+    sums = Film(context.width, context.height) if kept is None else kept
     first = sample = int(sums.counts.min())
     started = time.monotonic()
     if take is None and sample < limits.samples:
-        _compile(renderer, setting, sample)
+        _compile(renderer, context, sample)
     shown = time.monotonic()
     try:
         # Ctrl-C comes to this thread only. On another one, whose end the block waits for, sums
@@ -155,11 +155,11 @@ def render_samples(
                     shown = time.monotonic()
                 report = part_of(progress, sample * pixel_count, expected * pixel_count)
                 light, seen = (
-                    trace_sample(renderer, setting, sample, report)
+                    trace_sample(renderer, context, sample, report)
                     if take is None
                     else take(sample, report)
                 )
-                adder.submit(_add, sums, setting.layers, light, seen).result()
+                adder.submit(_add, sums, context.layers, light, seen).result()
                 sample += 1
     except (KeyboardInterrupt, RaystreamError):
         if file is not None and sums.counts.any():
@@ -170,7 +170,7 @@ def render_samples(
     return sums.image({"samples": sample, "error": sums.error()})
 
 
-def _compile(renderer: Integrator, setting: RenderContext, sample: int) -> None:
+def _compile(renderer: Integrator, context: RenderContext, sample: int) -> None:
     """Trace a few rows for nothing: what they call is compiled on this thread.
 
     See `parallel_for` for the reason. In all but small pictures they are enough rows for a
@@ -178,11 +178,11 @@ def _compile(renderer: Integrator, setting: RenderContext, sample: int) -> None:
     be compiled for this call alone.
     """
     count = 1
-    if setting.width * setting.height > SMALL_BATCH:
-        count = SMALL_BATCH // setting.width + 1
-    rows = range(min(count, _rows_per_band(renderer, setting, setting.height)))
-    seen = SeenSurfaces.empty(len(rows) * setting.width) if setting.layers else None
-    renderer.trace(setting, rows, sample, seen)
+    if context.width * context.height > SMALL_BATCH:
+        count = SMALL_BATCH // context.width + 1
+    rows = range(min(count, _rows_per_band(renderer, context, context.height)))
+    seen = AovBuffers.empty(len(rows) * context.width) if context.layers else None
+    renderer.trace(context, rows, sample, seen)
 
 
 def checkpoint_seconds() -> float:
@@ -240,7 +240,7 @@ def _expected_samples(sums: Film, first: int, sample: int, limits: Limits, secon
 
 def trace_sample(
     renderer: Integrator,
-    setting: RenderContext,
+    context: RenderContext,
     sample: int,
     progress: Progress | None = None,
     rows: range | None = None,
@@ -250,7 +250,7 @@ def trace_sample(
     Parameters
     ----------
     renderer : Integrator
-    setting : RenderContext
+    context : RenderContext
     sample : int
         Its number.
     progress : callable, optional
@@ -262,14 +262,14 @@ def trace_sample(
     -------
     light : ndarray of shape (R * W, 3), float32
         Linear RGB of the R rows.
-    seen : SeenSurfaces or None
+    seen : AovBuffers or None
         What it sees first, if layers are asked for.
     """
-    rows = range(setting.height) if rows is None else rows
-    width, height = setting.width, len(rows)
-    band_count = -(-height // _rows_per_band(renderer, setting, height))
+    rows = range(context.height) if rows is None else rows
+    width, height = context.width, len(rows)
+    band_count = -(-height // _rows_per_band(renderer, context, height))
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
-    seen = SeenSurfaces.empty(width * height) if setting.layers else None
+    seen = AovBuffers.empty(width * height) if context.layers else None
 
     def trace(begin: int, end: int) -> None:
         for band in range(begin, end):
@@ -277,7 +277,7 @@ def trace_sample(
             first = (here.start - rows.start) * width
             last = first + len(here) * width
             part = None if seen is None else seen.part(first, last)
-            light[first:last] = renderer.trace(setting, here, sample, part)
+            light[first:last] = renderer.trace(context, here, sample, part)
 
     report = None
     if progress is not None:
@@ -287,23 +287,23 @@ def trace_sample(
     return light, seen
 
 
-def _rows_per_band(renderer: Integrator, setting: RenderContext, rows: int) -> int:
+def _rows_per_band(renderer: Integrator, context: RenderContext, rows: int) -> int:
     """Most of so many rows that go through the stages together."""
-    bands = renderer.bands_of(setting)
-    per_pixel = max(renderer.rays_per_pixel(setting), 1)
+    bands = renderer.bands_of(context)
+    per_pixel = max(renderer.rays_per_pixel(context), 1)
     if bands is not None:
         pixels = bands.pixels_at_once // per_pixel
     else:
-        share = -(-setting.width * rows // (4 * thread_count()))
+        share = -(-context.width * rows // (4 * thread_count()))
         pixels = min(max(share, LEAST_BAND), MOST_BAND, MOST_RAYS // per_pixel)
-    return max(1, pixels // setting.width)
+    return max(1, pixels // context.width)
 
 
 def _add(
     sums: Film,
     layers: Sequence[str],
     light: NDArray[np.float32],
-    seen: SeenSurfaces | None,
+    seen: AovBuffers | None,
 ) -> None:
     """Add a sample of every pixel to the sums."""
     sums.add_samples(0, light)

@@ -11,25 +11,18 @@ from raystream.rendering.integrator import (
     Integrator,
     PathStream,
     find_surfaces,
+    shading_batch,
     take_no_options,
 )
-from raystream.rendering.shading.first import light_unblocked
+from raystream.rendering.shading.local_shading import shade_unshadowed
 
 __all__ = ["RAYCAST", "shade_by_lights"]
 
 
 def shade_by_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: light the surfaces by every light; the paths end."""
-    assert stream.hits is not None
-    setting, hits = band.setting, stream.hits
-    light_unblocked(
-        stream.paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
-        setting.tables,
-        setting.classic,
-        band.first_pixel,
-        band.radiance,
-    )
+    context = band.context
+    shade_unshadowed(shading_batch(stream, band), context.tables, context.punctual)
     return PathStream(stream.paths.first(0))
 
 

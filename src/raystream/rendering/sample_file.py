@@ -48,7 +48,7 @@ class SampleFile(PathLike[str]):
     def __fspath__(self) -> str:
         return self._path
 
-    def open(self, renderer: Integrator, setting: RenderContext) -> Film | None:
+    def open(self, renderer: Integrator, context: RenderContext) -> Film | None:
         """Begin a picture: with the samples that are there, or None.
 
         Raises
@@ -56,7 +56,7 @@ class SampleFile(PathLike[str]):
         FileFormatError
             If the file is damaged, or of another picture.
         """
-        self._identity = cache(lambda: identity(renderer, setting))
+        self._identity = cache(lambda: identity(renderer, context))
         if not Path(self._path).exists():
             return None
         return Film.load(self._path, self._identity())
@@ -86,9 +86,9 @@ class SampleFile(PathLike[str]):
             self.save(self._held)
 
 
-def identity(renderer: Integrator, setting: RenderContext) -> str:
+def identity(renderer: Integrator, context: RenderContext) -> str:
     """All on which samples depend, as JSON: pictures that agree in it can be continued."""
-    sampler = setting.sampler
+    sampler = context.sampler
     # One sample goes through the pixels' centres. Of samples that do not depend on how many
     # there will be, a picture may have more later.
     depends = sampler == Sampler.of("stratified", sampler.seed, sampler.sample_count)
@@ -97,13 +97,13 @@ def identity(renderer: Integrator, setting: RenderContext) -> str:
         {
             "raystream": __version__,
             "mode": renderer.name,
-            "options": {name: str(value) for name, value in setting.options.items()},
-            "size": [setting.width, setting.height],
+            "options": {name: str(value) for name, value in context.options.items()},
+            "size": [context.width, context.height],
             "sampler": [sampler.kind, sampler.seed, counts],
-            "camera": str(asdict(setting.camera)),
-            "layers": list(setting.layers),
-            "lights": setting.chosen_lights,
-            "scene": _digest(setting.tracer.scene),
+            "camera": str(asdict(context.camera)),
+            "layers": list(context.layers),
+            "lights": context.chosen_lights,
+            "scene": _digest(context.tracer.scene),
         },
         sort_keys=True,
     )

@@ -7,32 +7,25 @@ from raystream.rendering.integrator import (
     Integrator,
     PathStream,
     find_surfaces,
+    shading_batch,
     take_no_options,
 )
-from raystream.rendering.shading.first import shade_by_view
+from raystream.rendering.shading.local_shading import shade_facing_ratio
 
-__all__ = ["VIS", "show_facing"]
+__all__ = ["VIS", "shade_by_facing_ratio"]
 
 
-def show_facing(stream: PathStream, band: Band) -> PathStream:
+def shade_by_facing_ratio(stream: PathStream, band: Band) -> PathStream:
     """Stage: grey by the cosine between the normal and the direction to the viewer."""
-    assert stream.hits is not None
-    setting, hits = band.setting, stream.hits
-    shade_by_view(
-        stream.paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
-        setting.tables,
-        setting.classic,
-        band.first_pixel,
-        band.radiance,
-    )
+    context = band.context
+    shade_facing_ratio(shading_batch(stream, band), context.tables, context.punctual)
     return PathStream(stream.paths.first(0))
 
 
 VIS = Integrator(
     "vis",
     "visible surfaces in grey, N.V shading (Rayforce 2013)",
-    (find_surfaces, show_facing),
+    (find_surfaces, shade_by_facing_ratio),
     {},
     take_no_options,
 )

@@ -18,39 +18,37 @@ from raystream.rendering.integrator import (
     PathStream,
     RenderContext,
     find_surfaces,
+    shading_batch,
     trace_shadow_rays,
 )
-from raystream.rendering.shading.streams import Paths, ShadowRays
-from raystream.rendering.shading.whitted import light_surfaces
+from raystream.rendering.shading.shadow_rays import ShadowRays
+from raystream.rendering.shading.streams import Paths
+from raystream.rendering.shading.whitted import shade_whitted
 
 __all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sample_all_lights"]
 
 
 def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
     """Stage: light the surfaces, by rays that are to be tested, and reflect and refract."""
-    assert stream.hits is not None
-    setting, hits, count = band.setting, stream.hits, len(stream)
-    goes_on = stream.bounce < setting.options["max_bounces"]
-    rays = ShadowRays.empty(count * lights_per_pixel(setting))
-    onward = Paths.empty(2 * count if goes_on else 0)
-    path_count, ray_count = light_surfaces(
-        stream.paths,
-        (hits.t, hits.u, hits.v, hits.prim_id),
-        setting.tables,
-        setting.classic,
-        goes_on,
-        setting.options["min_weight"],
-        band.first_pixel,
-        band.radiance,
+    context, count = band.context, len(stream)
+    continues = stream.bounce < context.options["max_bounces"]
+    rays = ShadowRays.empty(count * lights_per_pixel(context))
+    onward = Paths.empty(2 * count if continues else 0)
+    path_count, ray_count = shade_whitted(
+        shading_batch(stream, band),
+        context.tables,
+        context.punctual,
+        continues,
+        context.options["min_weight"],
         onward,
         rays,
     )
     return PathStream(onward.first(path_count), stream.bounce + 1, rays=rays.first(ray_count))
 
 
-def lights_per_pixel(setting: RenderContext) -> int:
+def lights_per_pixel(context: RenderContext) -> int:
     """Rays that a pixel's first surface sends to lights."""
-    return int(setting.classic.light_count)
+    return int(context.punctual.light_count)
 
 
 def check_whitted(options: Mapping[str, Any]) -> Mapping[str, Any]:

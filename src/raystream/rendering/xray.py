@@ -17,33 +17,33 @@ from raystream.physics.attenuation import attenuation
 from raystream.physics.segments import thickness
 from raystream.rendering.arguments import check_number
 from raystream.rendering.integrator import Band, Integrator, PathStream
-from raystream.rendering.shading.transparency import look_through
+from raystream.rendering.shading.transparency import composite_hits
 
 __all__ = ["XRAY"]
 
 
-def look_along(stream: PathStream, band: Band) -> PathStream:
+def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
     """Stage: find all surfaces, and add what is seen through them; the rays end."""
-    setting, paths = band.setting, stream.paths
-    if setting.options["absorption"] is None:
+    context, paths = band.context, stream.paths
+    if context.options["absorption"] is None:
         # At an edge a surface is met once, not once for each of its triangles.
         rays = paths.origins, paths.directions
-        hits = setting.tracer.multi_hit(*rays, crossings="surfaces", on_hit=setting.filter(*rays))
-        look_through(
+        hits = context.tracer.multi_hit(*rays, crossings="surfaces", on_hit=context.filter(*rays))
+        composite_hits(
             paths,
             hits.ray_splits,
             (hits.u, hits.v, hits.prim_id),
-            setting.tables,
-            setting.options["opacity"],
-            setting.classic,
+            context.tables,
+            context.options["opacity"],
+            context.punctual,
             band.first_pixel,
             band.radiance,
         )
     else:
         directions = paths.directions.astype(np.float64)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        found = thickness(setting.tracer, paths.origins, directions)
-        passed = attenuation(found, setting.options["absorption"], incomplete="ignore")
+        found = thickness(context.tracer, paths.origins, directions)
+        passed = attenuation(found, context.options["absorption"], incomplete="ignore")
         band.radiance[paths.pixels - band.first_pixel] += passed[:, None].astype(np.float32)
     return PathStream(paths.first(0))
 
@@ -62,7 +62,7 @@ def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
 XRAY = Integrator(
     "xray",
     "all surfaces along each ray, front to back (Rayforce 2013)",
-    (look_along,),
+    (composite_surfaces,),
     {"opacity": 0.2, "absorption": None},
     _check,
 )

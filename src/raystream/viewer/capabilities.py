@@ -8,7 +8,7 @@ from raystream._version import __version__
 from raystream.core.errors import RaystreamError
 from raystream.machines.schedulers import SCHEDULERS
 from raystream.rendering.heatmap import HEATMAPS
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.tone import TONES
 from raystream.structures import STRUCTURES
 from raystream.viewer.client import MAX_PIXELS, MAX_SIDE

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.render import RENDERERS
 from raystream.scene.camera import Camera
 from raystream.viewer.adaptive_resolution import (
     AdaptiveResolution,
@@ -278,15 +278,15 @@ class FrameRenderer:
             request.settings,
             self._cost(request, is_small=purpose in (_MOVING, _PREVIEW)),
         )
-        setting = replace(request.prepared.setting, options=settings.mode_options)
-        setting = setting.seen_by(request.camera, size)
+        context = replace(request.prepared.context, options=settings.mode_options)
+        context = context.seen_by(request.camera, size)
         samples = settings.target_samples if purpose == _SAMPLES else 1
         self._purpose = purpose
         if settings.heatmap is not None:
-            self._image = HeatmapImage(centered(setting), settings.heatmap, cost)
+            self._image = HeatmapImage(centered(context), settings.heatmap, cost)
         else:
-            setting = with_samples(setting, samples)
-            self._image = SampledImage(RENDERERS[settings.mode], setting, cost)
+            context = with_samples(context, samples)
+            self._image = SampledImage(RENDERERS[settings.mode], context, cost)
 
     def _finish(self, image: ProgressiveImage, request: FrameRequest) -> None:
         """Show an image that has completed a sample."""

@@ -13,7 +13,7 @@ from raystream.kernels.tally import COLUMNS
 from raystream.rendering.color import encode_srgb
 from raystream.rendering.false_colors import color_ramp, draw_counts
 from raystream.rendering.heatmap import Heatmap, RayCost
-from raystream.rendering.integrator import RenderContext, eye_paths
+from raystream.rendering.integrator import RenderContext, camera_paths
 from raystream.viewer.adaptive_resolution import Cost
 from raystream.viewer.messages import Message
 from raystream.viewer.progressive_images import Drawing, ProgressiveImage
@@ -33,25 +33,25 @@ class HeatmapImage(ProgressiveImage):
 
     Parameters
     ----------
-    setting : RenderContext
+    context : RenderContext
         Of a tracer with counters, with one sample per pixel.
     what : str
         A name in `HEATMAPS`.
     cost : Cost
     """
 
-    def __init__(self, setting: RenderContext, what: str, cost: Cost) -> None:
-        size = setting.width, setting.height
-        super().__init__(size, 1, cost, max(1, _RAYS_AT_ONCE // setting.width))
-        self._setting, self._what = setting, what
+    def __init__(self, context: RenderContext, what: str, cost: Cost) -> None:
+        size = context.width, context.height
+        super().__init__(size, 1, cost, max(1, _RAYS_AT_ONCE // context.width))
+        self._context, self._what = context, what
         self._counts = np.zeros((self.height, self.width), np.float32)
         self._totals = dict.fromkeys(COLUMNS, 0)
         self._most = self._total = 0
 
     def _trace(self, rows: range, sample: int, progress: Progress) -> None:
-        setting, tracer = self._setting, self._setting.tracer
+        context, tracer = self._context, self._context.tracer
         size = self.width, self.height
-        paths = eye_paths(setting.camera, size, setting.sampler, rows, sample)
+        paths = camera_paths(context.camera, size, context.sampler, rows, sample)
         tracer.first_hit(paths.origins, paths.directions, progress=progress)
         counters = tracer.counters
         by_name = {"cells": counters.cells, "tests": counters.tests, "steps": counters.all_steps}
@@ -77,7 +77,7 @@ class HeatmapImage(ProgressiveImage):
             self._what,
             self._counts,
             {self._what: RayCost(self._total / self._counts.size, self._most, self._total)},
-            self._setting.tracer.structure.name,
+            self._context.tracer.structure.name,
             None,
             display.maximum,
         )

@@ -197,14 +197,14 @@ class SampledImage(ProgressiveImage):
     Parameters
     ----------
     renderer : Integrator
-    setting : RenderContext
+    context : RenderContext
         Its sampler determines the number of samples.
     cost : Cost
     """
 
-    def __init__(self, renderer: Integrator, setting: RenderContext, cost: Cost) -> None:
-        super().__init__((setting.width, setting.height), setting.sampler.sample_count, cost)
-        self._renderer, self._setting = renderer, setting
+    def __init__(self, renderer: Integrator, context: RenderContext, cost: Cost) -> None:
+        super().__init__((context.width, context.height), context.sampler.sample_count, cost)
+        self._renderer, self._context = renderer, context
         self._light: NDArray[np.float32] | None = None
         self._sums: Film | None = None
         if self.target == 1:
@@ -213,7 +213,7 @@ class SampledImage(ProgressiveImage):
             self._sums = Film(self.width, self.height)
 
     def _trace(self, rows: range, sample: int, progress: Progress) -> None:
-        light, _ = trace_sample(self._renderer, self._setting, sample, progress, rows)
+        light, _ = trace_sample(self._renderer, self._context, sample, progress, rows)
         first = rows.start * self.width
         if self._sums is not None:
             self._sums.add_samples(first, light)
@@ -237,17 +237,17 @@ class SampledImage(ProgressiveImage):
         return error if math.isfinite(error) else None
 
 
-def centered(setting: RenderContext) -> RenderContext:
+def centered(context: RenderContext) -> RenderContext:
     """Return the same view with one sample, through the pixel centres."""
-    return _with(setting, sampler=Sampler.of("sobol", setting.sampler.seed, 1))
+    return _with(context, sampler=Sampler.of("sobol", context.sampler.seed, 1))
 
 
-def with_samples(setting: RenderContext, samples: int) -> RenderContext:
+def with_samples(context: RenderContext, samples: int) -> RenderContext:
     """Return the same view with this many samples per pixel, as taken by `raystream.render`."""
-    return _with(setting, sampler=Sampler.of("sobol", setting.sampler.seed, samples))
+    return _with(context, sampler=Sampler.of("sobol", context.sampler.seed, samples))
 
 
-def _with(setting: RenderContext, **changes: Any) -> RenderContext:
-    """Return a changed setting, also on the device."""
-    made = replace(setting, **changes)
+def _with(context: RenderContext, **changes: Any) -> RenderContext:
+    """Return a changed context, also on the device."""
+    made = replace(context, **changes)
     return replace(made, bands=made.tracer.bands_on_device(made))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from raystream.machines.schedulers import SCHEDULERS
 from raystream.rendering.heatmap import HEATMAPS
 from raystream.rendering.integrator import MAX_BOUNCES
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.tone import TONES
 from raystream.structures import STRUCTURES
 from raystream.viewer.messages import (

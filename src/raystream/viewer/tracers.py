@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol
 
 from raystream.rendering.color import encode_srgb
 from raystream.rendering.film import Film
-from raystream.rendering.integrator import RenderContext, make_setting
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.integrator import RenderContext, make_context
+from raystream.rendering.render import RENDERERS
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -40,13 +40,13 @@ class PreparedTracer(NamedTuple):
     ----------
     key : TracerKey
     tracer : Tracer
-    setting : RenderContext
+    context : RenderContext
         Without a mode, and with some camera.
     """
 
     key: TracerKey
     tracer: Tracer
-    setting: RenderContext
+    context: RenderContext
 
     def message(self) -> Message:
         """Describe its structure."""
@@ -104,7 +104,7 @@ class TracerCache:
         self._scene, self._jobs = scene, jobs
         self._lock = threading.Lock()
         self._tables = threading.Lock()
-        self._setting: RenderContext | None = None
+        self._context: RenderContext | None = None
         self._tracers: OrderedDict[TracerKey, Tracer] = OrderedDict()
         self._ready: dict[tuple[TracerKey, str], PreparedTracer] = {}
         self._builds: dict[tuple[TracerKey, str], _Build] = {}
@@ -191,10 +191,10 @@ class TracerCache:
                 progress = job.begin(f"building {key.structure}")
                 tracer = Tracer(self._scene, progress=progress, **key.options)
             job.begin("preparing the scene")
-            setting = self._setting_for(tracer)
+            context = self._context_for(tracer)
             job.begin(f"preparing {warmup}")
-            _warm_up(settings, setting)
-        prepared = PreparedTracer(key, tracer, setting)
+            _warm_up(settings, context)
+        prepared = PreparedTracer(key, tracer, context)
         with self._lock:
             if not job.is_wanted:
                 return prepared
@@ -204,16 +204,16 @@ class TracerCache:
             self._drop_oldest()
         return prepared
 
-    def _setting_for(self, tracer: Tracer) -> RenderContext:
+    def _context_for(self, tracer: Tracer) -> RenderContext:
         """Return the scene's tables, shared by all tracers: making them can be expensive."""
         with self._tables:
-            if self._setting is None:
+            if self._context is None:
                 camera, size = self._scene.camera, (_WARMUP_SIZE, _WARMUP_SIZE)
-                self._setting = make_setting(tracer, camera, size, Sampler.of("sobol"), {})
-            elif self._setting.tracer is not tracer:
-                setting = replace(self._setting, tracer=tracer)
-                self._setting = setting.seen_by(setting.camera)
-            return self._setting
+                self._context = make_context(tracer, camera, size, Sampler.of("sobol"), {})
+            elif self._context.tracer is not tracer:
+                context = replace(self._context, tracer=tracer)
+                self._context = context.seen_by(context.camera)
+            return self._context
 
     def _drop_oldest(self) -> None:
         def is_too_much() -> bool:
@@ -232,17 +232,17 @@ def _cache_key(settings: Settings) -> tuple[TracerKey, str]:
     return settings.tracer_key, warmup
 
 
-def _warm_up(settings: Settings, setting: RenderContext) -> None:
+def _warm_up(settings: Settings, context: RenderContext) -> None:
     """Render a small image, so that kernels are compiled before the first frame."""
     if settings.heatmap is not None:
-        origins, directions = setting.camera.rays(_WARMUP_SIZE, _WARMUP_SIZE)
-        setting.tracer.first_hit(origins, directions)
+        origins, directions = context.camera.rays(_WARMUP_SIZE, _WARMUP_SIZE)
+        context.tracer.first_hit(origins, directions)
         return
-    chosen = replace(setting, options=settings.mode_options)
+    chosen = replace(context, options=settings.mode_options)
     size, rows = (_WARMUP_SIZE, _WARMUP_SIZE), range(_WARMUP_SIZE)
-    if setting.tracer.structure.name == "bvh":
+    if context.tracer.structure.name == "bvh":
         size, rows = _BVH_WARMUP_SIZE, _BVH_WARMUP_ROWS
-    chosen = chosen.seen_by(setting.camera, size)
+    chosen = chosen.seen_by(context.camera, size)
     light = RENDERERS[settings.mode].trace(chosen, rows, 0)
     Film(size[0], len(rows)).add_samples(0, light)
     encode_srgb(light)

@@ -18,7 +18,7 @@ from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.kernels.ray_source import ResultAddresses
-from raystream.rendering.integrator import RenderContext, eye_paths
+from raystream.rendering.integrator import RenderContext, camera_paths
 from raystream.rendering.shading.camera_rays import view_of
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class DeviceScene:
         self._lock = threading.Lock()
 
     def table(self, name: str) -> Any:
-        """The setting's ``tables``, ``lights`` or ``classic``, copied when first asked for.
+        """The setting's ``tables``, ``lights`` or ``punctual``, copied when first asked for.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class DeviceScene:
 
 @dataclass(frozen=True)
 class DeviceStream:
-    """Paths on their way; see `rendering.sampled.PathStream`.
+    """Paths on their way; see `rendering.integrator.PathStream`.
 
     Attributes
     ----------
@@ -195,12 +195,14 @@ class DeviceBand:
         """Wait until all that was begun is done."""
         self._staging.finish()
 
-    def eye_paths(self) -> DeviceStream:
-        """Begin a path at each pixel; see `rendering.sampled.eye_paths`."""
+    def camera_paths(self) -> DeviceStream:
+        """Begin a path at each pixel; see `rendering.integrator.camera_paths`."""
         scene, setting = self.scene, self.scene.setting
         if scene.view is None:
             size = setting.width, setting.height
-            paths = eye_paths(setting.camera, size, setting.sampler, self._rows, int(self.sample))
+            paths = camera_paths(
+                setting.camera, size, setting.sampler, self._rows, int(self.sample)
+            )
             return DeviceStream(StreamColumns.copied(self._staging.upload, paths), self.count)
         columns = StreamColumns(self.empty, self.count)
         first_row = np.int64(self._rows.start)

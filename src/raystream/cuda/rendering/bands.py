@@ -90,7 +90,7 @@ class CudaBands:
         with self._staging_streams.taken(1) as (staging,):
             staging.begin()
             band = DeviceBand(scene, staging, rows, sample)
-            stream = band.eye_paths()
+            stream = band.camera_paths()
             while stream.count:
                 for stage in stages:
                     stream = STAGES[stage](stream, band)

@@ -23,7 +23,7 @@ from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.camera_rays import view_of
 from raystream.rendering.shading.light_tables import lights_of
 from raystream.rendering.shading.paths import PathOptions
-from raystream.rendering.shading.punctual_lights import classic_lights_of
+from raystream.rendering.shading.punctual_lights import punctual_lights_of
 from raystream.rendering.shading.streams import StreamAddresses
 from raystream.rendering.shading.tables import tables_of
 from raystream.scene.scene import Scene
@@ -43,15 +43,15 @@ def rendering_catalogue(scene: Scene) -> dict[str, tuple[RangeKernel, tuple[Any,
     """
     stream, hits = StreamAddresses(*[_AT] * 5), HitAddresses(*[_AT] * 4)
     camera = scene.camera_for(1.0)
-    tables, lights, classic = (
+    tables, lights, punctual = (
         plain(made)
-        for made, _ in (tables_of(scene), lights_of(scene), classic_lights_of(scene, camera))
+        for made, _ in (tables_of(scene), lights_of(scene), punctual_lights_of(scene, camera))
     )
     sampler = Sampler.of("sobol")
     numbers = plain((sampler, _NUMBER))
     view = plain(view_of(camera, 1, 1))
     shading = tables, lights, *numbers, _NUMBER, plain(PathOptions(1, True, 1))
-    first = stream, hits, tables, classic, _NUMBER, _AT
+    first = stream, hits, tables, punctual, _NUMBER, _AT
     around = stream, hits, tables, *numbers, _NUMBER, 1.0, _NUMBER, _AT, stream, _AT
     return {
         "begin": (BEGIN, (view, _NUMBER, *numbers, stream)),

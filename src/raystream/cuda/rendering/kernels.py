@@ -11,13 +11,15 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, single_lane, store
-from raystream.rendering.shading.ambient_rays import look_from
+from raystream.rendering.sampling.sampler import PixelSample
+from raystream.rendering.shading.ambient_occlusion import OcclusionOptions, spawn_path_ao_rays
 from raystream.rendering.shading.camera_rays import begin_block
-from raystream.rendering.shading.first import light_block, view_block
-from raystream.rendering.shading.paths import follow_block
+from raystream.rendering.shading.local_shading import facing_ratio_block, unshadowed_block
+from raystream.rendering.shading.paths import shade_path_block
 from raystream.rendering.shading.rows import SINGLE_ROWS
-from raystream.rendering.shading.streams import add_if_unblocked
-from raystream.rendering.shading.whitted import light_surface
+from raystream.rendering.shading.shadow_rays import add_if_unblocked
+from raystream.rendering.shading.streams import ShadingBatch, StreamCursor
+from raystream.rendering.shading.whitted import shade_whitted_path
 
 __all__ = ["ADD", "ASK_LIGHTS", "BEGIN", "FOLLOW", "KEEP", "LIGHT", "LOOK_AROUND", "VIEW"]
 
@@ -28,10 +30,10 @@ _WHOLE, _INF = np.float32(1.0), np.float32(np.inf)
 _WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np.uint64(24)
 
 _begin_path = single_lane(begin_block)
-_look_from = single_lane(look_from, SINGLE_ROWS)
-_follow_path = single_lane(follow_block, SINGLE_ROWS)
-_light_path = single_lane(light_block)
-_view_path = single_lane(view_block)
+_look_from = single_lane(spawn_path_ao_rays, SINGLE_ROWS)
+_follow_path = single_lane(shade_path_block, SINGLE_ROWS)
+_light_path = single_lane(unshadowed_block)
+_view_path = single_lane(facing_ratio_block)
 
 
 @kernel
@@ -63,26 +65,19 @@ def _follow(
     rays,
     is_asked,
 ):
-    path_row, ray_row = _follow_path(
+    path_end, ray_end = _follow_path(
         i,
-        count,
-        paths,
-        hits,
+        ShadingBatch(count, paths, hits, first_pixel, radiance),
         tables,
         lights,
-        sampler,
-        sample,
+        PixelSample(sampler, sample),
         bounce,
         rules,
-        first_pixel,
-        radiance,
-        onward,
-        i,
-        rays,
-        i,
+        StreamCursor(onward, i),
+        StreamCursor(rays, i),
     )
-    store(goes_on + i * _WORD, np.uint32(path_row - i))
-    store(is_asked + i * _WORD, np.uint32(ray_row - i))
+    store(goes_on + i * _WORD, np.uint32(path_end.row - i))
+    store(is_asked + i * _WORD, np.uint32(ray_end.row - i))
 
 
 @device
@@ -94,33 +89,21 @@ def _copy_three(source, to):
 
 @kernel
 def _light(i, paths, hits, tables, lights, first_pixel, radiance):
-    _light_path(i, i + _ONE, paths, hits, tables, lights, first_pixel, radiance)
+    _light_path(i, ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance), tables, lights)
 
 
 @kernel
 def _view(i, paths, hits, tables, lights, first_pixel, radiance):
-    _view_path(i, i + _ONE, paths, hits, tables, lights, first_pixel, radiance)
+    _view_path(i, ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance), tables, lights)
 
 
 @kernel
 def _ask_lights(i, paths, hits, tables, lights, first_pixel, radiance, per_thread, rays, is_asked):
     first = i * per_thread
-    _, ray_row = light_surface(
-        i,
-        paths,
-        hits,
-        tables,
-        lights,
-        False,
-        0.0,
-        first_pixel,
-        radiance,
-        paths,
-        _NONE,
-        rays,
-        first,
-    )
-    store(is_asked + i * _WORD, np.uint32(ray_row - first))
+    batch = ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance)
+    none, ray_end = StreamCursor(paths, _NONE), StreamCursor(rays, first)
+    _, ray_end = shade_whitted_path(i, batch, tables, lights, False, 0.0, none, ray_end)
+    store(is_asked + i * _WORD, np.uint32(ray_end.row - first))
 
 
 @kernel
@@ -139,21 +122,15 @@ def _look_around(
     is_asked,
 ):
     first = i * np.uint64(count)
-    ray_row = _look_from(
+    ray_end = _look_from(
         i,
-        paths,
-        hits,
+        ShadingBatch(i + _ONE, paths, hits, first_pixel, radiance),
         tables,
-        sampler,
-        sample,
-        count,
-        distance,
-        first_pixel,
-        radiance,
-        rays,
-        first,
+        PixelSample(sampler, sample),
+        OcclusionOptions(count, distance),
+        StreamCursor(rays, first),
     )
-    store(is_asked + i * _WORD, np.uint32(ray_row - first))
+    store(is_asked + i * _WORD, np.uint32(ray_end.row - first))
 
 
 @device
@@ -186,7 +163,7 @@ def _add(i, rows, rays, blocked, first_pixel, radiance):
 #: Begins path i of a band: ``(view, first_row, sampler, sample, paths)``.
 BEGIN = RangeKernel(_begin)
 
-#: Lets path i meet a surface, see `follow_block`; and how many rows it wrote to `onward`, and to
+#: Shades path i, see `shade_path_block`, and counts the rows that it wrote to `onward` and to
 #: `rays`: two uint32.
 FOLLOW = RangeKernel(_follow)
 

@@ -1,4 +1,4 @@
-"""Stages of renderers on a device: as in `rendering.sampled`, over streams that stay there.
+"""Stages of renderers on a device: as in `rendering.integrator`, over streams that stay there.
 
 The host learns after each surface how many paths go on, and how many rays to lights there are, two
 numbers; and in the end the radiance.
@@ -21,7 +21,7 @@ from raystream.rendering.ao import distance_of, sampler_of, spawn_ambient_rays
 from raystream.rendering.integrator import PathStage, find_surfaces, trace_shadow_rays
 from raystream.rendering.path import shade_surfaces
 from raystream.rendering.raycast import shade_by_lights
-from raystream.rendering.vis import show_facing
+from raystream.rendering.vis import shade_by_facing_ratio
 from raystream.rendering.whitted import lights_per_pixel, sample_all_lights
 
 __all__ = ["STAGES"]
@@ -83,7 +83,7 @@ def _shading(kernel: RangeKernel) -> DeviceStage:
     """A stage that shades first surfaces, whose paths then end."""
 
     def shade(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
-        tables = band.scene.table("tables"), band.scene.table("classic")
+        tables = band.scene.table("tables"), band.scene.table("punctual")
         band.run(kernel, stream.count, *_met(stream), *tables, band.first_pixel, band.radiance)
         return DeviceStream(stream.paths, 0)
 
@@ -94,7 +94,7 @@ def _ask_every_light(stream: DeviceStream, band: DeviceBand) -> DeviceStream:
     """Light first surfaces, by rays that are to be tested; the paths end."""
     each = lights_per_pixel(band.scene.setting)
     asked, rays = band.room_for_rays(each)
-    tables = band.scene.table("tables"), band.scene.table("classic")
+    tables = band.scene.table("tables"), band.scene.table("punctual")
     shared = *_met(stream), *tables, band.first_pixel, band.radiance
     own = np.uint64(each), asked.addresses, asked.counts
     band.run(ASK_LIGHTS, stream.count, *shared, *own)
@@ -149,7 +149,7 @@ STAGES: MappingProxyType[PathStage, DeviceStage] = MappingProxyType(
         find_surfaces: _find_surfaces,
         shade_surfaces: _meet_surfaces,
         shade_by_lights: _shading(LIGHT),
-        show_facing: _shading(VIEW),
+        shade_by_facing_ratio: _shading(VIEW),
         sample_all_lights: _ask_every_light,
         spawn_ambient_rays: _ask_around,
         trace_shadow_rays: _reach_lights,

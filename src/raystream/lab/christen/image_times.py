@@ -81,13 +81,13 @@ def _branching(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
 
     def measure() -> _Times:
         tracer = Tracer(scene, "grid", resolution=grid)
-        setting = render_context(tracer, (size, size))
+        context = render_context(tracer, (size, size))
         least = max(size // 8, 1)
-        timed_iterations(setting, tracer, 8, ITERATIONS)  # compiles
-        small = timed_iterations(setting, tracer, least, ITERATIONS)[0][-1] / least**2
+        timed_iterations(context, tracer, 8, ITERATIONS)  # compiles
+        small = timed_iterations(context, tracer, least, ITERATIONS)[0][-1] / least**2
         chosen, _ = affordable_size(small, (size, size), _LIMIT, (least, least))
         rounds = 1 if runner.quick else ROUNDS
-        return _timed(setting, tracer, chosen, rounds)
+        return _timed(context, tracer, chosen, rounds)
 
     values: _Times = runner.measure(f"{letter}, {grid} cells, branching", measure)
     return values
@@ -104,17 +104,17 @@ def _multipass(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
         if most > _MOST_TESTS:
             return {"most_tests": most}
         tracer = Tracer(scene, "grid", resolution=grid, machine="multipass")
-        setting = render_context(tracer, (size, size))
-        timed_iterations(setting, tracer, 8, ITERATIONS)  # compiles
-        return _timed(setting, tracer, size, 1)
+        context = render_context(tracer, (size, size))
+        timed_iterations(context, tracer, 8, ITERATIONS)  # compiles
+        return _timed(context, tracer, size, 1)
 
     values: _Times = runner.measure(f"{letter}, {grid} cells, multipass", measure)
     return values
 
 
-def _timed(setting: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
+def _timed(context: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
     """Medians over rounds, after each iteration."""
-    runs = [timed_iterations(setting, tracer, size, ITERATIONS) for _ in range(rounds)]
+    runs = [timed_iterations(context, tracer, size, ITERATIONS) for _ in range(rounds)]
     seconds = [statistics.median(one) for one in zip(*(run[0] for run in runs), strict=True)]
     return {"size": size, "seconds": seconds, "light": runs[0][1]}
 

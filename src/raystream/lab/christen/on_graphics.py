@@ -12,7 +12,7 @@ from raystream.lab.purcell.on_graphics import adapter_note
 from raystream.lab.results import Cell, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
 from raystream.lab.timing import median_times
-from raystream.rendering.picture import render
+from raystream.rendering.render import render
 from raystream.tracer import Tracer
 
 __all__ = ["SIZE", "on_graphics"]

@@ -12,8 +12,8 @@ from raystream.lab.frame_timing import render_context
 from raystream.lab.published import published
 from raystream.lab.recording_tracer import RecordingTracer
 from raystream.lab.runner import Runner
-from raystream.rendering.integrator import Band, PathStream, RenderContext, eye_paths
-from raystream.rendering.picture import RENDERERS
+from raystream.rendering.integrator import Band, PathStream, RenderContext, camera_paths
+from raystream.rendering.render import RENDERERS
 from raystream.scene.load import load
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -104,13 +104,13 @@ def image_size(runner: Runner) -> int:
 
 
 def timed_iterations(
-    setting: RenderContext, tracer: Tracer, size: int, iterations: int
+    context: RenderContext, tracer: Tracer, size: int, iterations: int
 ) -> tuple[list[float], float]:
     """Draw a picture with ``whitted``, all pixels together, and read the clock at each bounce.
 
     Parameters
     ----------
-    setting : RenderContext
+    context : RenderContext
         Of the tracer's scene.
     tracer : Tracer
     size : int
@@ -127,12 +127,12 @@ def timed_iterations(
     """
     renderer = RENDERERS["whitted"]
     options = renderer.check({"max_bounces": iterations - 1, "min_weight": 0.0})
-    own = replace(setting, tracer=tracer, width=size, height=size, options=options)
+    own = replace(context, tracer=tracer, width=size, height=size, options=options)
     radiance = np.zeros((size * size, 3), np.float32)
     band = Band(own, 0, 0, radiance)
     seconds: list[float] = []
     started = time.perf_counter()
-    stream = PathStream(eye_paths(own.camera, (size, size), own.sampler, range(size), 0))
+    stream = PathStream(camera_paths(own.camera, (size, size), own.sampler, range(size), 0))
     while len(stream):
         for stage in renderer.stages:
             stream = stage(stream, band)

@@ -22,8 +22,8 @@ from raystream.lab.runner import Runner
 from raystream.lab.timing import median_times
 from raystream.lab.views import View
 from raystream.machines import RayCounters
-from raystream.rendering.integrator import Integrator, make_setting
-from raystream.rendering.picture import RENDERERS, render
+from raystream.rendering.integrator import Integrator, make_context
+from raystream.rendering.render import RENDERERS, render
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
@@ -228,11 +228,11 @@ def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
     renderer = RENDERERS[_ROWS[row].mode]
     assert isinstance(renderer, Integrator)
     options = renderer.check({**renderer.options, **_ROWS[row].options})
-    setting = make_setting(tracer, camera, (size, size), Sampler.of("sobol", 0, samples), options)
+    context = make_context(tracer, camera, (size, size), Sampler.of("sobol", 0, samples), options)
     step = max(_BAND // size, 1)
     for sample in range(samples):
         for first in range(0, size, step):
-            renderer.trace(setting, range(first, min(first + step, size)), sample)
+            renderer.trace(context, range(first, min(first + step, size)), sample)
     return tracer.sums
 
 

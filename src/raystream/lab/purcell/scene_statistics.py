@@ -20,7 +20,7 @@ from raystream.lab.results import Cell, Claim, Picture, Result, Table, compariso
 from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS, View
 from raystream.rendering.heatmap import heatmap
-from raystream.rendering.picture import render
+from raystream.rendering.render import render
 from raystream.scene.camera import Camera
 
 __all__ = ["STATISTICS", "camera_sweep", "image_statistics", "paper_view", "scene_statistics"]

@@ -53,7 +53,7 @@ class _Contenders:
 
     def seconds(self, structure: str, mode: str, size: Size) -> float:
         """Draw a frame."""
-        return frame_seconds(self.setting, self.tracers[structure], mode, size)
+        return frame_seconds(self.context, self.tracers[structure], mode, size)
 
     @cached_property
     def scene(self) -> Scene:
@@ -65,7 +65,7 @@ class _Contenders:
         return {name: RecordingTracer(scene, name, progress=progress) for name in STRUCTURES}
 
     @cached_property
-    def setting(self) -> RenderContext:
+    def context(self) -> RenderContext:
         return render_context(self.tracers[REFERENCE], frame_size(self._runner))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import address, as_uint32, gather
-from raystream.rendering.sampling.mixing import as_float, mix, stream_key
+from raystream.rendering.sampling.hashing import as_float, mix, stream_key
 from raystream.rendering.sampling.quad_matrix import byte_tables, quad_matrix
 
 __all__ = ["sample_number", "sample_pair"]

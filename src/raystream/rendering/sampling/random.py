@@ -6,7 +6,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import as_uint32
-from raystream.rendering.sampling.mixing import as_float, mix, stream_key
+from raystream.rendering.sampling.hashing import as_float, mix, stream_key
 
 __all__ = ["sample_number", "sample_pair"]
 

@@ -18,6 +18,7 @@ from raystream.rendering.sampling import owen, random, stratified
 __all__ = [
     "KINDS",
     "MAX_SAMPLES",
+    "PixelSample",
     "Sampler",
     "draw",
     "draw_lanes",
@@ -145,6 +146,20 @@ class Sampler(NamedTuple):
             _CHUNK,
         )
         return out
+
+
+class PixelSample(NamedTuple):
+    """One sample of every pixel, as kernels draw its numbers.
+
+    Attributes
+    ----------
+    sampler : Sampler
+    number : int
+        Of the sample, from 0.
+    """
+
+    sampler: Sampler
+    number: int
 
 
 def _integer(name: str, value: Any, least: int, most: int) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import floor, square_root
-from raystream.rendering.sampling.mixing import as_float, mix, stream_key
+from raystream.rendering.sampling.hashing import as_float, mix, stream_key
 
 __all__ = ["sample_number", "sample_pair"]
 

@@ -9,14 +9,14 @@ from raystream.jit.simd import exponential, select
 from raystream.rendering.shading.points import material_color
 from raystream.rendering.shading.tables import COLUMNS
 
-__all__ = ["left_of"]
+__all__ = ["transmittance"]
 
 _ABSORPTION = np.int32(COLUMNS.absorption)
 _NULL = np.float32(0.0)
 
 
 @device
-def left_of(tables, point, distance):
+def transmittance(tables, point, distance):
     """The share of light, by colour, that is left of a ray where it meets a surface.
 
     Parameters

@@ -18,7 +18,7 @@ from raystream.jit.simd import (
     select,
 )
 
-__all__ = ["chosen", "chosen_lanes", "double", "running_sums"]
+__all__ = ["double", "running_sums", "sample_discrete", "sample_discrete_lanes"]
 
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -43,7 +43,7 @@ def double(at, k):
 
 
 @device
-def chosen(ends, count, number):
+def sample_discrete(ends, count, number):
     """Which of the shares a number falls into, the share, and where it falls within.
 
     Parameters
@@ -74,8 +74,8 @@ def chosen(ends, count, number):
 
 
 @device
-def chosen_lanes(ends, count, number):
-    """`chosen` for 16 numbers.
+def sample_discrete_lanes(ends, count, number):
+    """`sample_discrete` for 16 numbers.
 
     Parameters
     ----------

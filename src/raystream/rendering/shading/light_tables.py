@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.rendering.attributes import check_rows
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import image_light
 from raystream.rendering.lighting import needs_light
 from raystream.rendering.shading.discrete_distribution import running_sums
 from raystream.rendering.shading.sky import Sky, sky_of
-from raystream.rendering.shading.textures import place_of
+from raystream.rendering.shading.textures import address_of
+from raystream.rendering.vertex_attributes import check_rows
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
 
@@ -119,7 +119,7 @@ def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
     rows = patches.astype(np.float32)
     kept = points, suns, rows, running_sums(powers), density, running_sums(shares)
     point_rows, sun_rows, patch_rows, prim_ends, densities, ends = (
-        place_of(array) for array in kept
+        address_of(array) for array in kept
     )
     tables = LightTables(
         np.uint64(len(points)),

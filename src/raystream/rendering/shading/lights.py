@@ -29,7 +29,7 @@ from raystream.jit.simd import (
     widen,
 )
 from raystream.rendering.sampling.warp import sphere, triangle
-from raystream.rendering.shading.discrete_distribution import chosen_lanes
+from raystream.rendering.shading.discrete_distribution import sample_discrete_lanes
 from raystream.rendering.shading.points import offset_at
 from raystream.rendering.shading.sky_lanes import map_sample_lanes, sky_toward_lanes
 from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
@@ -162,7 +162,7 @@ def _from_suns(lights, number, share, found):
 @device_call
 def _from_triangles(tables, lights, is_area, point, within, u, v, found):
     """Area lights' share of samples: points spread evenly over triangles."""
-    number, _, _ = chosen_lanes(lights.prim_ends, lights.prim_count, widen(within))
+    number, _, _ = sample_discrete_lanes(lights.prim_ends, lights.prim_count, widen(within))
     row = number * _PATCH
     corner, normal = _floats(lights.patches, row), _floats(lights.patches, row + _9)
     first, second = triangle(u, v)
@@ -215,7 +215,7 @@ def sample_light(tables, lights, point, choice, u, v):
         Of vectors.
     """
     count = lights.point_count + lights.sun_count + np.uint64(2)
-    number, share, within = chosen_lanes(lights.ends, count, widen(choice))
+    number, share, within = sample_discrete_lanes(lights.ends, count, widen(choice))
     is_sky = number == as_int32(lights.point_count + lights.sun_count)
     toward, pdf, color = _from_sky(lights, is_sky, share, u, v)
     nowhere = f64x16(0.0)

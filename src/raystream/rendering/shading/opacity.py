@@ -14,12 +14,12 @@ import numpy as np
 
 from raystream.jit.cpu import device_call
 from raystream.jit.simd import as_int32, as_uint32, float_as_bits, gather, load
-from raystream.rendering.sampling.mixing import as_float, mix
+from raystream.rendering.sampling.hashing import as_float, mix
 from raystream.rendering.shading.points import material_of
 from raystream.rendering.shading.textures import TextureTables, texture_color
 from raystream.rendering.shading.vertices import attribute_number, vertices_of
 
-__all__ = ["MASKED", "OPAQUE", "PARTIAL", "OpacityTables", "RaysThrough", "is_there"]
+__all__ = ["MASKED", "OPAQUE", "PARTIAL", "FilteredRays", "OpacityTables", "is_there"]
 
 #: Kinds of materials: always there, where the opacity reaches the cut-off, by chance.
 OPAQUE, MASKED, PARTIAL = np.int32(0), np.int32(1), np.int32(2)
@@ -57,7 +57,7 @@ class OpacityTables(NamedTuple):
     textures: TextureTables
 
 
-class RaysThrough(NamedTuple):
+class FilteredRays(NamedTuple):
     """Constants of the filter.
 
     Attributes

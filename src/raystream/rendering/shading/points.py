@@ -20,7 +20,7 @@ from raystream.jit.simd import (
     widen,
     widen_number,
 )
-from raystream.rendering.shading.relief import has_relief, relief_normal
+from raystream.rendering.shading.normal_maps import has_normal_map, mapped_normal
 from raystream.rendering.shading.tables import WIDTH
 from raystream.rendering.shading.vectors import largest
 from raystream.rendering.shading.vertices import (
@@ -39,7 +39,7 @@ __all__ = [
     "spawned",
     "surface_point",
     "surface_points",
-    "world_place",
+    "world_position",
 ]
 
 _NONE = np.uint64(0)
@@ -256,17 +256,17 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
     """
     prim = as_int32(prim_id)
     point, smooth = _seen_point(tables, prim, u, v, dx, dy, dz)
-    if tables.tangents == _NONE or not has_relief(tables, point.material):
+    if tables.tangents == _NONE or not has_normal_map(tables, point.material):
         return point
-    return _with_relief(tables, prim, (u, v), point, smooth, (dx, dy, dz))
+    return _with_normal_map(tables, prim, (u, v), point, smooth, (dx, dy, dz))
 
 
 @device
-def _with_relief(tables, prim, weights, point, smooth, direction):
+def _with_normal_map(tables, prim, weights, point, smooth, direction):
     """The same points as if all had relief."""
     dx, dy, dz = direction
     scale = -_WHOLE / square_root(dx * dx + dy * dy + dz * dz)
-    x, y, z = relief_normal(
+    x, y, z = mapped_normal(
         tables,
         prim,
         point.material,
@@ -302,10 +302,10 @@ def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
     point, smooth = _seen_point(tables, prim_ids, u, v, dx, dy, dz)
     if tables.tangents == _NONE:
         return point
-    is_bent = has_relief(tables, point.material) & is_hit
+    is_bent = has_normal_map(tables, point.material) & is_hit
     if not any_lane(is_bent):
         return point
-    bent = _with_relief(tables, prim_ids, (u, v), point, smooth, (dx, dy, dz))
+    bent = _with_normal_map(tables, prim_ids, (u, v), point, smooth, (dx, dy, dz))
     return _with_normal(
         point,
         select(is_bent, bent.nx, point.nx),
@@ -315,7 +315,7 @@ def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
 
 
 @device
-def world_place(tables, x, y, z):
+def world_position(tables, x, y, z):
     """A point of the local frame in world space."""
     scale, center = tables.inverse_scale, tables.center
     return x * scale + center[0], y * scale + center[1], z * scale + center[2]
@@ -326,7 +326,7 @@ def spawned(tables, point, toward):
     """The origin of a ray that leaves a point in a direction, world space; see `Hits.spawn`."""
     is_below = point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < _NULL
     away = select(is_below, -point.offset, point.offset)
-    return world_place(
+    return world_position(
         tables,
         point.x + away * widen(point.gx),
         point.y + away * widen(point.gy),

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from raystream.core.spawn import UNIT
 from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load, maximum, minimum, narrow_lanes, select, square_root
-from raystream.rendering.lighting import PatchLight, area_patches, classic_lights
+from raystream.rendering.lighting import PatchLight, area_patches, punctual_lights
 from raystream.rendering.shading.lights import LightSample
 from raystream.rendering.shading.points import offset_at
 from raystream.rendering.shading.sky import Sky, background_of
-from raystream.rendering.shading.textures import place_of
+from raystream.rendering.shading.textures import address_of
 from raystream.rendering.shading.vectors import added, dot, scaled
 from raystream.scene.camera import Camera
 from raystream.scene.lights import DirectionalLight, EnvironmentLight
 from raystream.scene.scene import Scene
 
-__all__ = ["PunctualLights", "arriving", "classic_lights_of", "light_rows"]
+__all__ = ["PunctualLights", "incident_light", "light_rows", "punctual_lights_of"]
 
 # Kinds of lights: a point whose light falls with the square of the distance, one whose light
 # does not, a sun, a flat patch, a bulb.
@@ -61,13 +61,13 @@ class PunctualLights(NamedTuple):
     sky: Sky
 
 
-def classic_lights_of(
+def punctual_lights_of(
     scene: Scene, camera: Camera, chosen: str = "auto"
 ) -> tuple[PunctualLights, object]:
-    """The lights of a scene, and what must be kept; see `lighting.classic_lights`."""
+    """The lights of a scene, and what must be kept; see `lighting.punctual_lights`."""
     table, ambient = light_rows(scene, camera, chosen)
     sky, kept_sky = background_of(scene)
-    lights = PunctualLights(place_of(table), np.uint64(len(table)), _vector(ambient), sky)
+    lights = PunctualLights(address_of(table), np.uint64(len(table)), _vector(ambient), sky)
     return lights, (table, kept_sky)
 
 
@@ -80,7 +80,7 @@ def light_rows(
     patches = area_patches(scene)
     ambient = np.zeros(3)
     rows: list[list[float]] = []
-    for light in classic_lights(scene, camera, patches, chosen):
+    for light in punctual_lights(scene, camera, patches, chosen):
         row = [0.0] * _COLUMNS
         if isinstance(light, EnvironmentLight):
             ambient += light.radiance
@@ -144,7 +144,7 @@ def _narrowed(a):
 
 
 @device_call
-def arriving(tables, lights, number, point):
+def incident_light(tables, lights, number, point):
     """What a light sends to a point, or to 16, if nothing is in its way.
 
     Parameters

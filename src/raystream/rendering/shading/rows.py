@@ -24,7 +24,7 @@ __all__ = [
     "SINGLE_ROWS",
     "append_numbers",
     "append_pixels",
-    "append_places",
+    "append_positions",
     "append_vectors",
     "put_vectors",
     "vector_at",
@@ -86,7 +86,7 @@ def append_vectors(base, first, vector, mask):
 
 
 @device
-def append_places(base, first, place, mask):
+def append_positions(base, first, place, mask):
     """Write three float64 of some rows from a row on."""
     x, y, z = place
     low, high = _halves(mask)
@@ -126,5 +126,5 @@ SINGLE_ROWS = {
     append_numbers: _put_number,
     append_pixels: _put_pixel,
     append_vectors: _put_vector,
-    append_places: _put_vector,
+    append_positions: _put_vector,
 }

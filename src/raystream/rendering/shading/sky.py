@@ -21,9 +21,9 @@ from raystream.jit.cpu import device, device_call
 from raystream.jit.simd import load
 from raystream.rendering.color import LUMINANCE
 from raystream.rendering.environment import axes_of, image_light, row_heights, texels_of
-from raystream.rendering.shading.discrete_distribution import chosen, double
+from raystream.rendering.shading.discrete_distribution import double, sample_discrete
 from raystream.rendering.shading.keep_alive import AddressRow
-from raystream.rendering.shading.textures import place_of
+from raystream.rendering.shading.textures import address_of
 from raystream.scene.lights import EnvironmentLight
 from raystream.scene.scene import Scene
 
@@ -120,12 +120,12 @@ def sky_of(
     numbers.view(np.uint64)[:5] = [
         width,
         height,
-        place_of(texels),
-        place_of(row_ends),
-        place_of(column_ends),
+        address_of(texels),
+        address_of(row_ends),
+        address_of(column_ends),
     ]
     kept = AddressRow(numbers, _ADDRESSES), texels, row_ends, column_ends
-    return Sky((red, green, blue), place_of(numbers)), mean, kept
+    return Sky((red, green, blue), address_of(numbers)), mean, kept
 
 
 def background_of(scene: Scene) -> tuple[Sky, object]:
@@ -277,9 +277,9 @@ def map_sample(sky, u, v):
     """
     image = sky.image
     width, height = _long(image, _NONE), _long(image, _HEIGHT)
-    row, row_share, down = chosen(_long(image, _ROW_ENDS), height, v)
+    row, row_share, down = sample_discrete(_long(image, _ROW_ENDS), height, v)
     ends = _long(image, _COLUMN_ENDS) + row * width * _LONG
-    column, share, across = chosen(ends, width, u)
+    column, share, across = sample_discrete(ends, width, u)
     thickness = _slice(row, height)
     # From the nearer pole: next to it, sines do not come from differences of large numbers.
     is_upper = row + row < height

@@ -1,4 +1,4 @@
-"""Streams that shading kernels read and write: paths, and rays to lights."""
+"""Streams of paths, batches of them at surfaces, and the light that they add to pixels."""
 
 from __future__ import annotations
 
@@ -8,23 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import (
-    address,
-    as_int32,
-    f32x16,
-    gather,
-    load,
-    narrow,
-    scatter,
-    select,
-)
+from raystream.jit.cpu import device
+from raystream.jit.simd import address, as_int32, mask_bits, popcount, scatter
 from raystream.kernels.collect import HitAddresses
-from raystream.rendering.shading.points import spawned, world_place
+from raystream.rendering.shading.points import spawned
 from raystream.rendering.shading.rows import (
     append_numbers,
     append_pixels,
-    append_places,
+    append_positions,
     append_vectors,
     put_vectors,
     vector_at,
@@ -33,28 +24,24 @@ from raystream.rendering.shading.rows import (
 __all__ = [
     "SLACK",
     "Paths",
-    "ShadowRays",
+    "ShadingBatch",
     "StreamAddresses",
-    "add_if_unblocked",
+    "StreamCursor",
     "add_light",
     "add_lights",
-    "add_unblocked",
     "addresses_of",
-    "aimed",
+    "batch_addresses",
     "direction_of",
-    "hits_at",
-    "put_light_rays",
+    "empty_columns",
+    "narrowed",
     "put_path",
     "put_paths",
-    "put_ray",
     "weights_of",
 ]
 
-_ONE, _INF = np.float32(1.0), np.float32(np.inf)
-_CLEAR, _WHITE = np.uint8(0), (1.0, 1.0, 1.0)
+_ONE = np.uint64(1)
 
-#: Rows behind the last one of arrays that kernels write to: vectors that are written whole may
-#: reach so far.
+#: Rows behind the last one of arrays that kernels write to, since they write whole vectors.
 SLACK = 16
 
 
@@ -68,10 +55,10 @@ class Paths(NamedTuple):
         World space.
     directions : ndarray of shape (N, 3), float32
     weights : ndarray of shape (N, 3), float32
-        What part of the light that a ray finds reaches its pixel.
+        Throughput: the share of the light that a ray finds which reaches its pixel.
     pdfs : ndarray of shape (N,), float32
-        Density over solid angle with which the direction was chosen; inf where no other way
-        finds its light: from the eye, from mirrors and through glass.
+        Density over solid angle with which the direction was chosen; inf for rays from the
+        camera, from mirrors and through glass, whose light is not sampled in any other way.
     """
 
     pixels: NDArray[np.int64]
@@ -82,51 +69,22 @@ class Paths(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> Paths:
-        """Room for so many, with slack."""
-        return cls._make(_room(count))
+        """Allocate `count` rows, with slack."""
+        return cls._make(empty_columns(count))
 
     def first(self, count: int) -> Paths:
-        """The first `count` of them."""
+        """The first `count` rows, shared."""
         return Paths._make(array[:count] for array in self)
 
 
-class ShadowRays(NamedTuple):
-    """Rays to lights, and what they bring if nothing is in their way.
-
-    Attributes
-    ----------
-    pixels : ndarray of shape (N,), int64
-    origins : ndarray of shape (N, 3), float64
-        World space.
-    directions : ndarray of shape (N, 3), float32
-    light : ndarray of shape (N, 3), float32
-    t_max : ndarray of shape (N,), float32
-    """
-
-    pixels: NDArray[np.int64]
-    origins: NDArray[np.float64]
-    directions: NDArray[np.float32]
-    light: NDArray[np.float32]
-    t_max: NDArray[np.float32]
-
-    @classmethod
-    def empty(cls, count: int) -> ShadowRays:
-        """Room for so many, with slack."""
-        return cls._make(_room(count))
-
-    def first(self, count: int) -> ShadowRays:
-        """The first `count` of them."""
-        return ShadowRays._make(array[:count] for array in self)
-
-
 class StreamAddresses(NamedTuple):
-    """Where the columns of a stream of either kind begin: of the first path or ray.
+    """Addresses of the columns of `Paths` or `ShadowRays`.
 
     Attributes
     ----------
     pixels, origins, directions, colors, numbers : uint64
-        In the order of `Paths` and `ShadowRays`; colours are weights or light, numbers densities
-        or ends.
+        In the order of `Paths` and `ShadowRays`; colors are weights or light, numbers are
+        densities or ``t_max``.
     """
 
     pixels: np.uint64
@@ -136,8 +94,46 @@ class StreamAddresses(NamedTuple):
     numbers: np.uint64
 
 
-def _room(count: int) -> list[NDArray[Any]]:
-    """Arrays of either kind of stream for so many rows, with slack behind them."""
+class StreamCursor(NamedTuple):
+    """A stream that is being written.
+
+    Attributes
+    ----------
+    columns : StreamAddresses
+    row : uint64
+        The next row to write.
+    """
+
+    columns: StreamAddresses
+    row: np.uint64
+
+
+class ShadingBatch(NamedTuple):
+    """Paths with the hits of their rays, and the pixels to which they add light.
+
+    Stages pass arrays to kernels; device functions take their addresses, see `batch_addresses`.
+
+    Attributes
+    ----------
+    path_count : int
+    paths : Paths or StreamAddresses
+    hits : tuple of t, u, v, prim_id, or HitAddresses
+        The nearest hit of each ray, as in `Hits`: contiguous arrays.
+    first_pixel : int
+        The pixel of row 0 of `radiance`.
+    radiance : ndarray of shape (P, 3), float32, or uint64
+        Linear RGB; light is added.
+    """
+
+    path_count: int
+    paths: Any
+    hits: Any
+    first_pixel: int
+    radiance: Any
+
+
+def empty_columns(count: int) -> list[NDArray[Any]]:
+    """Allocate the columns of `Paths` or `ShadowRays`, of `count` rows and slack behind them."""
     rows = count + SLACK
     pixels, origins = np.empty(rows, np.int64), np.empty((rows, 3))
     directions, colors = (np.empty((rows, 3), np.float32) for _ in range(2))
@@ -147,7 +143,7 @@ def _room(count: int) -> list[NDArray[Any]]:
 
 @device
 def addresses_of(stream):
-    """Where a stream's columns begin, `Paths` or `ShadowRays`."""
+    """The addresses of a stream's columns: `Paths` or `ShadowRays`."""
     pixels, origins, directions, colors, numbers = stream
     return StreamAddresses(
         address(pixels), address(origins), address(directions), address(colors), address(numbers)
@@ -155,94 +151,84 @@ def addresses_of(stream):
 
 
 @device
-def hits_at(hits):
-    """Where hits begin, of a tuple of contiguous arrays t, u, v and prim_id."""
-    ts, us, vs, prim_ids = hits
-    return HitAddresses(address(ts), address(us), address(vs), address(prim_ids))
+def batch_addresses(batch):
+    """A `ShadingBatch` of arrays with their addresses instead."""
+    ts, us, vs, prim_ids = batch.hits
+    return ShadingBatch(
+        batch.path_count,
+        addresses_of(batch.paths),
+        HitAddresses(address(ts), address(us), address(vs), address(prim_ids)),
+        batch.first_pixel,
+        address(batch.radiance),
+    )
 
 
 @device
 def weights_of(paths, i):
-    """Weights of path i of a stream, by its addresses, three float32."""
+    """Weights of path i of a stream, by its addresses: three float32."""
     return vector_at(paths.colors, as_int32(i))
 
 
 @device
 def direction_of(paths, i):
-    """Direction of path i of a stream, by its addresses, and its length, float64."""
+    """Direction of path i of a stream, by its addresses, and its length: float64."""
     x, y, z = vector_at(paths.directions, as_int32(i))
     x, y, z = np.float64(x), np.float64(y), np.float64(z)
     return x, y, z, math.sqrt(x * x + y * y + z * z)
 
 
 @device
-def put_path(onward, row, pixel, tables, point, toward, weight, pdf):
-    """Write a path that leaves a point.
+def narrowed(a):
+    """Three float64 as float32."""
+    return np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
+
+
+@device
+def put_path(onward, pixel, tables, point, toward, weight, pdf):
+    """Write a path that leaves a point; returns the cursor behind it.
 
     Parameters
     ----------
-    onward : StreamAddresses
+    onward : StreamCursor
         Of `Paths`.
-    row : uint64
     pixel : int64
     tables : SceneTables
     point : Point
     toward, weight : tuple of three float64
     pdf : float64
     """
-    scatter(onward.pixels, row, pixel, True)
-    scatter(onward.numbers, row, np.float32(pdf), True)
-    put_vectors(onward.origins, as_int32(row), spawned(tables, point, toward), True)
-    put_vectors(onward.directions, as_int32(row), _narrowed(toward), True)
-    put_vectors(onward.colors, as_int32(row), _narrowed(weight), True)
+    to, row = onward.columns, as_int32(onward.row)
+    scatter(to.pixels, onward.row, pixel, True)
+    scatter(to.numbers, onward.row, np.float32(pdf), True)
+    put_vectors(to.origins, row, spawned(tables, point, toward), True)
+    put_vectors(to.directions, row, narrowed(toward), True)
+    put_vectors(to.colors, row, narrowed(weight), True)
+    return StreamCursor(to, onward.row + _ONE)
 
 
 @device
-def aimed(tables, point, found):
-    """The ray from a point to a light: its origin, direction and end.
+def put_paths(onward, mask, pixels, tables, point, toward, weight, pdf):
+    """Write the paths of 16 that leave their points, without gaps; returns the cursor behind them.
 
     Parameters
     ----------
+    onward : StreamCursor
+        Of `Paths` with slack, see `SLACK`.
+    mask : mask16
+        Which of them continue.
+    pixels : i64x16
     tables : SceneTables
     point : Point
-    found : LightSample
-
-    Returns
-    -------
-    origin, toward : tuple of three float64
-        World space.
-    t_max : float32
+    toward, weight : tuple of three f32x16
+    pdf : f32x16
     """
-    x, y, z = spawned(tables, point, found.toward)
-    if found.is_far:
-        return (x, y, z), found.toward, _INF
-    px, py, pz = world_place(tables, found.target[0], found.target[1], found.target[2])
-    return (x, y, z), (px - x, py - y, pz - z), _ONE
-
-
-@device
-def put_ray(rays, row, pixel, origin, toward, t_max, light):
-    """Write a ray to a light, and what it brings.
-
-    Parameters
-    ----------
-    rays : StreamAddresses
-        Of `ShadowRays`.
-    row : uint64
-    pixel : int64
-    origin, toward, light : tuple of three float64 or float32
-    t_max : float32
-    """
-    scatter(rays.pixels, row, pixel, True)
-    scatter(rays.numbers, row, t_max, True)
-    put_vectors(rays.origins, as_int32(row), origin, True)
-    put_vectors(rays.directions, as_int32(row), _narrowed(toward), True)
-    put_vectors(rays.colors, as_int32(row), _narrowed(light), True)
-
-
-@device
-def _narrowed(a):
-    return np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
+    to, first = onward.columns, onward.row
+    append_pixels(to.pixels, first, pixels, mask)
+    append_numbers(to.numbers, first, pdf, mask)
+    append_positions(to.origins, first, spawned(tables, point, toward), mask)
+    append_vectors(to.directions, first, toward, mask)
+    append_vectors(to.colors, first, weight, mask)
+    return StreamCursor(to, first + popcount(mask_bits(mask)))
 
 
 @device
@@ -271,61 +257,8 @@ def add_light(radiance, pixel, weights, color, factor):
 
 
 @device
-def put_paths(onward, first, mask, pixels, tables, point, toward, weight, pdf):
-    """Write those of 16 paths that leave their points, one after the other.
-
-    Parameters
-    ----------
-    onward : StreamAddresses
-        Of `Paths` with slack, see `SLACK`.
-    first : uint64
-        The row of the first.
-    mask : mask16
-        Which of them go on.
-    pixels : i64x16
-    tables : SceneTables
-    point : Point
-    toward, weight : tuple of three f32x16
-    pdf : f32x16
-    """
-    append_pixels(onward.pixels, first, pixels, mask)
-    append_numbers(onward.numbers, first, pdf, mask)
-    append_places(onward.origins, first, spawned(tables, point, toward), mask)
-    append_vectors(onward.directions, first, toward, mask)
-    append_vectors(onward.colors, first, weight, mask)
-
-
-@device
-def put_light_rays(rays, first, mask, pixels, tables, point, found, light):
-    """Write rays from points to lights, as `put_paths` does.
-
-    Parameters
-    ----------
-    rays : StreamAddresses
-        Of `ShadowRays` with slack.
-    first, mask, pixels, tables, point
-        See `put_paths`.
-    found : LightSample
-    light : tuple of three f32x16
-        What they bring.
-    """
-    x, y, z = spawned(tables, point, found.toward)
-    px, py, pz = world_place(tables, found.target[0], found.target[1], found.target[2])
-    toward = (
-        select(found.is_far, found.toward[0], narrow(px - x)),
-        select(found.is_far, found.toward[1], narrow(py - y)),
-        select(found.is_far, found.toward[2], narrow(pz - z)),
-    )
-    append_pixels(rays.pixels, first, pixels, mask)
-    append_numbers(rays.numbers, first, select(found.is_far, _INF, f32x16(_ONE)), mask)
-    append_places(rays.origins, first, (x, y, z), mask)
-    append_vectors(rays.directions, first, toward, mask)
-    append_vectors(rays.colors, first, light, mask)
-
-
-@device
 def add_lights(radiance, pixel, light, mask):
-    """Add light to pixels of which no two are the same.
+    """Add light to 16 pixels, all different.
 
     Parameters
     ----------
@@ -339,42 +272,3 @@ def add_lights(radiance, pixel, light, mask):
     """
     old = vector_at(radiance, pixel)
     put_vectors(radiance, pixel, (old[0] + light[0], old[1] + light[1], old[2] + light[2]), mask)
-
-
-@device
-def add_if_unblocked(i, rays, blocked, first_pixel, radiance):
-    """Add what ray i to a light brings, unless something is in its way.
-
-    Parameters
-    ----------
-    i : uint64
-    rays : StreamAddresses
-        Of `ShadowRays`.
-    blocked : uint64
-        Address of a byte for each ray, 0 where nothing is in its way.
-    first_pixel : int
-        The pixel of row 0 of the light.
-    radiance : uint64
-        Address of shape (P, 3), float32.
-    """
-    if load(np.uint8, blocked + i) == _CLEAR:
-        pixel = gather(np.int64, rays.pixels, i) - first_pixel
-        add_light(radiance, pixel, vector_at(rays.colors, as_int32(i)), _WHITE, 1.0)
-
-
-@kernel
-def add_unblocked(rays, blocked, first_pixel, radiance):
-    """Add what rays to lights bring where nothing is in their way.
-
-    Parameters
-    ----------
-    rays : ShadowRays
-    blocked : ndarray of shape (N,), bool
-    first_pixel : int
-        The pixel of row 0 of `radiance`.
-    radiance : ndarray of shape (P, 3), float32
-        Changed.
-    """
-    places, answers, base = addresses_of(rays), address(blocked), address(radiance)
-    for i in range(np.uint64(len(rays.pixels))):
-        add_if_unblocked(i, places, answers, first_pixel, base)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.rendering.attributes import VertexAttributes, check_rows
 from raystream.rendering.shading.tangents import vertex_tangents
-from raystream.rendering.shading.textures import TextureTables, pack_textures, place_of
+from raystream.rendering.shading.textures import TextureTables, address_of, pack_textures
+from raystream.rendering.vertex_attributes import VertexAttributes, check_rows
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
 
@@ -133,19 +133,19 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     upright, mirrored = (None, None) if tangents is None else tangents
     x, y, z = (float(c) for c in triangles.center)
     tables = SceneTables(
-        place_of(corners),
+        address_of(corners),
         (x, y, z),
         1.0 / float(triangles.scale),
         float(triangles.max_coordinate),
         float(np.abs(triangles.center).max()) * float(triangles.scale),
-        place_of(vertices.faces),
-        place_of(vertices.normals),
-        place_of(vertices.texcoords),
-        place_of(upright),
-        place_of(mirrored),
-        place_of(vertices.colors),
-        place_of(material_ids),
-        place_of(materials),
+        address_of(vertices.faces),
+        address_of(vertices.normals),
+        address_of(vertices.texcoords),
+        address_of(upright),
+        address_of(mirrored),
+        address_of(vertices.colors),
+        address_of(material_ids),
+        address_of(materials),
         _kinds_of(scene.materials),
         textures,
     )
@@ -176,11 +176,13 @@ def _tangents(
     material_ids: NDArray[np.int32],
 ) -> NDArray[np.float32] | None:
     """Tangents where materials have relief; None if none has, or there is no texture."""
-    has_relief = np.array([not {"normal", "bump"}.isdisjoint(m.textures) for m in scene.materials])
-    if vertices.texcoords is None or not has_relief[material_ids].any():
+    has_normal_map = np.array(
+        [not {"normal", "bump"}.isdisjoint(m.textures) for m in scene.materials]
+    )
+    if vertices.texcoords is None or not has_normal_map[material_ids].any():
         return None
     check_rows(len(vertices.texcoords), 6, "vertices with relief")
-    return vertex_tangents(corners, vertices, has_relief[material_ids])
+    return vertex_tangents(corners, vertices, has_normal_map[material_ids])
 
 
 def material_rows(materials: Sequence[Material]) -> NDArray[np.float32]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.rendering.attributes import VertexAttributes
+from raystream.rendering.vertex_attributes import VertexAttributes
 
 __all__ = ["vertex_tangents"]
 

@@ -29,9 +29,9 @@ __all__ = [
     "MAX_TEXELS",
     "ROLES",
     "TextureTables",
+    "address_of",
     "nearest_texels",
     "pack_textures",
-    "place_of",
     "texture_arrays",
     "texture_color",
     "texture_of",
@@ -69,7 +69,7 @@ class TextureTables(NamedTuple):
         0 if it repeats.
     of_material : uint64
         Of shape (M, 6), int32: each material's texture by role; -1 for none.
-    reliefs : uint64
+    normal_scales : uint64
         Of shape (M, 3), float32: factors of normals' x and y and of heights, and 1 for
         materials that mirror or have a gloss, 0 for matte ones.
     linear, plain, signed : uint64
@@ -80,13 +80,13 @@ class TextureTables(NamedTuple):
     texels: np.uint64
     places: np.uint64
     of_material: np.uint64
-    reliefs: np.uint64
+    normal_scales: np.uint64
     linear: np.uint64
     plain: np.uint64
     signed: np.uint64
 
 
-def place_of(array: NDArray[Any] | None) -> np.uint64:
+def address_of(array: NDArray[Any] | None) -> np.uint64:
     """The address of a contiguous array's first number; 0 if it has none, or is none."""
     return np.uint64(0 if array is None or not array.size else array.ctypes.data)
 
@@ -94,7 +94,7 @@ def place_of(array: NDArray[Any] | None) -> np.uint64:
 def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]:
     """The textures of materials, and what must be kept; see `texture_arrays`."""
     kept = texture_arrays(materials)
-    return TextureTables(*map(place_of, kept)), kept
+    return TextureTables(*map(address_of, kept)), kept
 
 
 def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
@@ -106,9 +106,9 @@ def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
         For each texture that cannot be read; the plain colour is then used.
     """
     of_material = np.full((len(materials), len(ROLES)), -1, np.int32)
-    reliefs = np.array([_relief_of(material) for material in materials], np.float32)
+    normal_scales = np.array([_normal_scales_of(material) for material in materials], np.float32)
     atlas = _Atlas()
-    for row, material, relief in zip(of_material, materials, reliefs, strict=True):
+    for row, material, relief in zip(of_material, materials, normal_scales, strict=True):
         for column, role in enumerate(ROLES):
             texture = material.textures.get(role)
             if texture is None or not _is_seen(material, role):
@@ -123,7 +123,7 @@ def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
     return (
         *atlas.arrays(),
         of_material,
-        reliefs,
+        normal_scales,
         decode_srgb(bytes_),
         bytes_ / np.float32(255.0),
         np.maximum((bytes_ - np.float32(128.0)) / np.float32(127.0), np.float32(-1.0)),
@@ -139,7 +139,7 @@ def _is_seen(material: Material, role: str) -> bool:
     return any(getattr(material, role))
 
 
-def _relief_of(material: Material) -> tuple[float, float, float]:
+def _normal_scales_of(material: Material) -> tuple[float, float, float]:
     shines = material.roughness is not None or any(
         (*material.specular, *material.reflection, *material.transmission)
     )

@@ -11,19 +11,19 @@ from raystream.rendering.shading.points import surface_point
 from raystream.rendering.shading.sky import sky_toward
 from raystream.rendering.shading.streams import add_light, addresses_of, direction_of, weights_of
 
-__all__ = ["look_through"]
+__all__ = ["composite_hits"]
 
 _ONE = np.uint64(1)
 
 
 @kernel
-def look_through(paths, splits, rows, tables, opacity, lights, first_pixel, radiance):
+def composite_hits(paths, splits, rows, tables, opacity, lights, first_pixel, radiance):
     """Add what rays see through all surfaces on their way, front to back.
 
     Parameters
     ----------
     paths, tables, first_pixel, radiance
-        See `paths.follow_paths`.
+        See `ShadingBatch`.
     splits, rows : ndarray of shape (N + 1,), int64, and tuple of u, v, prim_id
         All hits of the rays, as in `MultiHits`.
     opacity : float

@@ -1,9 +1,9 @@
-"""Whitted's shading: light from each light, and rays on to mirrors and through glass.
+"""Whitted shading: shadow rays to every light, and rays continued by mirrors and glass.
 
 References
 ----------
-Whitted, "An Improved Illumination Model for Shaded Display", 1980. Without recursion: what a
-ray brings to its pixel is in its weight (Purcell 2002, section 3.2; Christen 2005, section
+Whitted, "An Improved Illumination Model for Shaded Display", 1980. Without recursion: a ray's
+weight holds its contribution to its pixel (Purcell 2002, section 3.2; Christen 2005, section
 5.2, whose equation 5.1 this is, with a material's colour times 1 - r as its diffuse share).
 """
 
@@ -12,45 +12,42 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import address, gather
-from raystream.rendering.shading.absorption import left_of
+from raystream.jit.simd import gather
+from raystream.rendering.shading.absorption import transmittance
 from raystream.rendering.shading.bsdf import emitted, fresnel, lobes_at, reflected, refracted
 from raystream.rendering.shading.points import surface_point
-from raystream.rendering.shading.punctual_lights import arriving
+from raystream.rendering.shading.punctual_lights import incident_light
+from raystream.rendering.shading.shadow_rays import put_shadow_ray
 from raystream.rendering.shading.sky import sky_toward
 from raystream.rendering.shading.streams import (
+    StreamCursor,
     add_light,
     addresses_of,
-    aimed,
+    batch_addresses,
     direction_of,
-    hits_at,
     put_path,
-    put_ray,
     weights_of,
 )
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import added, dot, mirrored, scaled, times
 
-__all__ = ["light_surface", "light_surfaces"]
-
-_ONE = np.uint64(1)
+__all__ = ["shade_whitted", "shade_whitted_path"]
 
 
 @device
-def _go_on(onward, row, pixel, tables, point, toward, weights, color, min_weight):
-    """Write a ray that goes on, unless it brings too little; returns the next free row."""
+def _continue(onward, pixel, tables, point, toward, weights, color, min_weight):
+    """Write the next ray of a path, unless it weighs too little; returns the cursor."""
     weight = weights[0] * color[0], weights[1] * color[1], weights[2] * color[2]
     if not max(weight[0], weight[1], weight[2]) > min_weight:
-        return row
-    put_path(onward, row, pixel, tables, point, toward, weight, np.inf)
-    return row + _ONE
+        return onward
+    return put_path(onward, pixel, tables, point, toward, weight, np.inf)
 
 
 @device
-def _ask_lights(rays, row, pixel, tables, lights, lobes, point, back, weights):
-    """Write a ray to each light that a surface faces; returns the next free row."""
+def _sample_all_lights(rays, pixel, tables, lights, lobes, point, back, weights):
+    """Write a shadow ray to each light that a surface faces; returns the cursor."""
     for number in range(lights.light_count):
-        found = arriving(tables, lights, number, point)
+        found = incident_light(tables, lights, number, point)
         if not found.is_valid:
             continue
         color, _, _ = reflected(lobes, point, back, found.toward)
@@ -61,61 +58,44 @@ def _ask_lights(rays, row, pixel, tables, lights, lobes, point, back, weights):
             weights[1] * color[1] * found.color[1],
             weights[2] * color[2] * found.color[2],
         )
-        origin, toward, t_max = aimed(tables, point, found)
-        put_ray(rays, row, pixel, origin, toward, t_max, light)
-        row += _ONE
-    return row
+        rays = put_shadow_ray(rays, pixel, tables, point, found, light)
+    return rays
 
 
 @device
-def light_surface(
-    i,
-    paths,
-    hits,
-    tables,
-    lights,
-    goes_on,
-    min_weight,
-    first_pixel,
-    radiance,
-    onward,
-    path_row,
-    rays,
-    ray_row,
-):
-    """Light the surface that ray i meets, and send rays on.
+def shade_whitted_path(i, batch, tables, lights, continues, min_weight, onward, rays):
+    """Shade path i at the surface that its ray hits.
 
     Parameters
     ----------
     i : uint64
-    paths, onward, rays : StreamAddresses
-    hits : HitAddresses
-    tables, lights, goes_on, min_weight, first_pixel
-        See `light_surfaces`.
-    radiance : uint64
-        Address of the pixels' light.
-    path_row, ray_row : uint64
-        Where those go that are written.
+    batch : ShadingBatch
+        Of addresses.
+    tables, lights, continues, min_weight
+        See `shade_whitted`.
+    onward, rays : StreamCursor
+        Of `Paths` and `ShadowRays`.
 
     Returns
     -------
-    path_row, ray_row : uint64
-        Behind those.
+    onward, rays : StreamCursor
+        Behind the rows written.
     """
+    paths, hits, radiance = batch.paths, batch.hits, batch.radiance
     pixel_id, weights = gather(np.int64, paths.pixels, i), weights_of(paths, i)
-    pixel = pixel_id - first_pixel
+    pixel = pixel_id - batch.first_pixel
     dx, dy, dz, length = direction_of(paths, i)
     prim_id = gather(np.int32, hits.prim_id, i)
     if prim_id < 0:
         add_light(radiance, pixel, weights, sky_toward(lights, dx, dy, dz), 1.0)
-        return path_row, ray_row
+        return onward, rays
     back = -dx / length, -dy / length, -dz / length
     u, v = gather(np.float32, hits.u, i), gather(np.float32, hits.v, i)
     point = surface_point(tables, prim_id, u, v, dx, dy, dz)
     if point.is_front:
         add_light(radiance, pixel, weights, emitted(tables, point), 1.0)
     elif tables.kinds & ABSORBS:
-        left = left_of(tables, point, gather(np.float32, hits.t, i) * length)
+        left = transmittance(tables, point, gather(np.float32, hits.t, i) * length)
         weights = (
             weights[0] * np.float32(left[0]),
             weights[1] * np.float32(left[1]),
@@ -123,9 +103,9 @@ def light_surface(
         )
     lobes = lobes_at(tables, point)
     add_light(radiance, pixel, weights, times(lobes.diffuse, lights.ambient), 1.0)
-    ray_row = _ask_lights(rays, ray_row, pixel_id, tables, lights, lobes, point, back, weights)
-    if not goes_on:
-        return path_row, ray_row
+    rays = _sample_all_lights(rays, pixel_id, tables, lights, lobes, point, back, weights)
+    if not continues:
+        return onward, rays
 
     normal, clear = (point.nx, point.ny, point.nz), 0.0
     through = lobes.transmission
@@ -135,58 +115,43 @@ def light_surface(
         toward = refracted(back, normal, lobes.ior)
         if clear < 1.0 and dot((point.gx, point.gy, point.gz), toward) < 0.0:
             color = scaled(through, 1.0 - clear)
-            path_row = _go_on(
-                onward, path_row, pixel_id, tables, point, toward, weights, color, min_weight
-            )
+            onward = _continue(onward, pixel_id, tables, point, toward, weights, color, min_weight)
     color = added(lobes.reflection, through, clear)
     toward = mirrored(back, normal)
     if dot((point.gx, point.gy, point.gz), toward) > 0.0:
-        path_row = _go_on(
-            onward, path_row, pixel_id, tables, point, toward, weights, color, min_weight
-        )
-    return path_row, ray_row
+        onward = _continue(onward, pixel_id, tables, point, toward, weights, color, min_weight)
+    return onward, rays
 
 
 @kernel
-def light_surfaces(
-    paths, hits, tables, lights, goes_on, min_weight, first_pixel, radiance, onward, rays
-):
-    """Light the surfaces that rays meet, by every light, and send rays on.
+def shade_whitted(batch, tables, lights, continues, min_weight, onward, rays):
+    """Shade paths at the surfaces that their rays hit, under every light.
 
     Parameters
     ----------
-    paths, hits, tables, first_pixel, radiance
-        See `paths.follow_paths`. What surfaces emit, and ambient light, is added at once.
+    batch : ShadingBatch
+        Emitted and ambient light are added at once.
+    tables : SceneTables
     lights : PunctualLights
-    goes_on : bool
-        Whether mirrors and glass send rays on.
+    continues : bool
+        Whether mirrors and glass continue paths.
     min_weight : float
-        Rays of which no colour weighs more end.
+        Paths end where no channel weighs more.
     onward : Paths
         Room for twice as many; reflected and refracted rays are written.
     rays : ShadowRays
-        Room for one to each light for each ray; written.
+        Room for one per light and path; written.
 
     Returns
     -------
     path_count, ray_count : int
         Rows written.
     """
-    path_count, ray_count = np.uint64(0), np.uint64(0)
-    for i in range(np.uint64(len(paths.pixels))):
-        path_count, ray_count = light_surface(
-            i,
-            addresses_of(paths),
-            hits_at(hits),
-            tables,
-            lights,
-            goes_on,
-            min_weight,
-            first_pixel,
-            address(radiance),
-            addresses_of(onward),
-            path_count,
-            addresses_of(rays),
-            ray_count,
+    places = batch_addresses(batch)
+    path_end = StreamCursor(addresses_of(onward), np.uint64(0))
+    ray_end = StreamCursor(addresses_of(rays), np.uint64(0))
+    for i in range(np.uint64(batch.path_count)):
+        path_end, ray_end = shade_whitted_path(
+            i, places, tables, lights, continues, min_weight, path_end, ray_end
         )
-    return np.int64(path_count), np.int64(ray_count)
+    return np.int64(path_end.row), np.int64(ray_end.row)

@@ -12,10 +12,10 @@ from raystream.rendering.shading.bsdf import lobes_at
 from raystream.rendering.shading.points import surface_point
 from raystream.rendering.shading.streams import addresses_of, direction_of
 
-__all__ = ["SeenSurfaces", "see_surfaces"]
+__all__ = ["AovBuffers", "write_aovs"]
 
 
-class SeenSurfaces(NamedTuple):
+class AovBuffers(NamedTuple):
     """The first surface of one sample of each of P pixels.
 
     Attributes
@@ -42,28 +42,28 @@ class SeenSurfaces(NamedTuple):
     emission: NDArray[np.float32]
 
     @classmethod
-    def empty(cls, count: int) -> SeenSurfaces:
+    def empty(cls, count: int) -> AovBuffers:
         """Room for so many pixels."""
         normal, albedo, emission = (np.empty((count, 3), np.float32) for _ in range(3))
         depth, prim_id = np.empty(count, np.float32), np.empty(count, np.int32)
         return cls(depth, normal, albedo, prim_id, emission)
 
-    def part(self, begin: int, end: int) -> SeenSurfaces:
+    def part(self, begin: int, end: int) -> AovBuffers:
         """Some of the pixels; they are shared."""
         depth, normal, albedo, prim_id, emission = self
         part = slice(begin, end)
-        return SeenSurfaces(depth[part], normal[part], albedo[part], prim_id[part], emission[part])
+        return AovBuffers(depth[part], normal[part], albedo[part], prim_id[part], emission[part])
 
 
 @kernel
-def see_surfaces(paths, hits, tables, first_pixel, seen):
+def write_aovs(paths, hits, tables, first_pixel, seen):
     """Say what rays from the eye meet.
 
     Parameters
     ----------
     paths, hits, tables, first_pixel
-        See `paths.follow_paths`.
-    seen : SeenSurfaces
+        See `ShadingBatch`.
+    seen : AovBuffers
         Written, for the pixels of all paths; all but `emission`.
     """
     ts, us, vs, prim_ids = hits

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from raystream.jit.cpu import kernel
-from raystream.rendering.shading.heights import texture_slopes
+from raystream.rendering.shading.bump_maps import bump_slopes
 from raystream.rendering.shading.textures import pack_textures, texture_color
 from raystream.scene.material import Material
 from raystream.scene.texture import Texture
@@ -14,7 +14,7 @@ from raystream.scene.texture import Texture
 
 @kernel
 def slopes(tables, texture, u, v):
-    return texture_slopes(tables, texture, u, v)
+    return bump_slopes(tables, texture, u, v)
 
 
 @kernel

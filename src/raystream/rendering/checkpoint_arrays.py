@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raystream.core.errors import FileFormatError
 
-__all__ = ["Checkpoint", "identity_bytes"]
+__all__ = ["CheckpointArrays", "identity_bytes"]
 
 #: Longer ones are refused: they are shown to people.
 _MAX_BYTES = 1 << 16
@@ -37,7 +37,7 @@ def identity_bytes(identity: str) -> NDArray[np.uint8]:
     return np.frombuffer(encoded, np.uint8)
 
 
-class Checkpoint:
+class CheckpointArrays:
     """The arrays of a file, each checked when it is taken.
 
     Parameters

@@ -11,7 +11,7 @@ from raystream.jit.threads import Progress
 from raystream.rendering.ao import AO
 from raystream.rendering.arguments import check_camera, check_samples, check_size, make_tracer
 from raystream.rendering.image import Image
-from raystream.rendering.integrator import Integrator, make_setting
+from raystream.rendering.integrator import Integrator, make_context
 from raystream.rendering.kajiya import KAJIYA
 from raystream.rendering.layers import choose_layers
 from raystream.rendering.lighting import check_lights
@@ -148,7 +148,7 @@ def render(
     numbers = Sampler.of(sampler, seed, samples)
     tracer = make_tracer(scene, structure, device, options)
     view = camera or tracer.scene.camera_for(width / height)
-    setting = make_setting(tracer, view, (width, height), numbers, chosen, wanted, lights)
+    context = make_context(tracer, view, (width, height), numbers, chosen, wanted, lights)
     return render_samples(
-        renderer, setting, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
+        renderer, context, limits, checkpoint=checkpoint, on_pass=on_pass, progress=progress
     )

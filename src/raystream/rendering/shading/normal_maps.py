@@ -25,12 +25,12 @@ from raystream.jit.simd import (
     square_root,
     widen_number,
 )
-from raystream.rendering.shading.heights import texture_slopes
+from raystream.rendering.shading.bump_maps import bump_slopes
 from raystream.rendering.shading.textures import ROLES, texture_color, texture_of
 from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
 from raystream.rendering.shading.vertices import attribute_pair, attribute_vector, vertices_of
 
-__all__ = ["LEAST_COSINE", "has_relief", "relief_normal"]
+__all__ = ["LEAST_COSINE", "has_normal_map", "mapped_normal"]
 
 #: Between a normal and the view, or the triangle's normal: less would put it on the other side
 #: within float32's rounding.
@@ -43,12 +43,12 @@ _NULL, _HALF, _WHOLE = map(np.float32, (0.0, 0.5, 1.0))
 _INF = np.float32(np.inf)
 _0, _1, _2 = np.int32(0), np.int32(1), np.int32(2)
 
-#: Numbers in a row of `TextureTables.reliefs`; bytes of a row of tangents.
+#: Numbers in a row of `TextureTables.normal_scales`; bytes of a row of tangents.
 _RELIEF, _TANGENT = np.int32(3), np.uint64(12)
 
 
 @device
-def has_relief(tables, material):
+def has_normal_map(tables, material):
     """Whether a material, or each of 16, has a normal map or a bump map."""
     textures = tables.textures
     normal, bump = texture_of(textures, material, _NORMAL), texture_of(textures, material, _BUMP)
@@ -69,7 +69,7 @@ def _is_unit(a):
 @device
 def _scale(textures, material, column):
     at = as_int32(material * _RELIEF + column)
-    return widen_number(gather(np.float32, textures.reliefs, at))
+    return widen_number(gather(np.float32, textures.normal_scales, at))
 
 
 @device_call
@@ -86,7 +86,7 @@ def _mapped(textures, material, s, t):
     is_bumpy = texture >= _0
     if any_lane(is_bumpy):
         scale = _HALF * _scale(textures, material, _1)
-        dx, dy = texture_slopes(textures, maximum(texture, _0), s, t)
+        dx, dy = bump_slopes(textures, maximum(texture, _0), s, t)
         x, y = select(is_bumpy, scale * dx, x), select(is_bumpy, scale * dy, y)
     return x, y, z
 
@@ -124,7 +124,7 @@ def _turned(normal, geometric, back, is_mirror):
 
 
 @device_call
-def relief_normal(tables, prim, material, weights, texcoord, geometric, normal, is_front, back):
+def mapped_normal(tables, prim, material, weights, texcoord, geometric, normal, is_front, back):
     """The shading normal of a surface with relief, or of 16.
 
     Parameters

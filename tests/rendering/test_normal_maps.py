@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import raystream as rs
-from raystream.rendering.attributes import VertexAttributes
 from raystream.rendering.shading.tangents import vertex_tangents
+from raystream.rendering.vertex_attributes import VertexAttributes
 
 FLOOR = np.array([[-9, 0, -9], [9, 0, -9], [9, 0, 9], [-9, 0, 9.0]])
 UPWARD = [[0, 2, 1], [0, 3, 2]]

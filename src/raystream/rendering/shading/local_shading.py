@@ -1,0 +1,149 @@
+"""Local shading of first hits, without secondary rays: by unshadowed lights, or facing ratio."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.jit.cpu import device, kernel
+from raystream.jit.simd import (
+    absolute,
+    any_lane,
+    as_int32,
+    gather,
+    i32x16,
+    lane_numbers,
+    maximum,
+    minimum,
+    square_root,
+)
+from raystream.rendering.shading.bsdf import emitted, lobes_at, reflected
+from raystream.rendering.shading.points import surface_points
+from raystream.rendering.shading.punctual_lights import incident_light
+from raystream.rendering.shading.rows import vector_at
+from raystream.rendering.shading.sky_lanes import sky_toward_lanes
+from raystream.rendering.shading.streams import add_lights, batch_addresses
+from raystream.rendering.shading.vectors import added, chosen, dot, scaled, times
+
+__all__ = ["facing_ratio_block", "shade_facing_ratio", "shade_unshadowed", "unshadowed_block"]
+
+#: Of vectors.
+_LANES = 16
+
+_0, _1 = np.int32(0), np.int32(1)
+_NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
+
+
+@device
+def _begin(first, batch, lights):
+    """Load 16 hits, and add the sky where rays miss.
+
+    Returns
+    -------
+    row, pixel, prim : i32x16
+        Rows of the streams and of the batch's light, and triangles.
+    toward : tuple of three f32x16
+        Unit directions.
+    is_hit : mask16
+        Not set beyond the last ray.
+    """
+    count = as_int32(batch.path_count)
+    row = lane_numbers(i32x16) + as_int32(first)
+    is_path = row < count
+    row = minimum(row, as_int32(count - _1))
+    pixel = as_int32(gather(np.int64, batch.paths.pixels, row) - batch.first_pixel)
+    toward = vector_at(batch.paths.directions, row)
+    toward = scaled(toward, _WHOLE / square_root(dot(toward, toward)))
+    prim = gather(np.int32, batch.hits.prim_id, row)
+    is_missed = is_path & (prim < _0)
+    if any_lane(is_missed):
+        color = sky_toward_lanes(lights, toward, is_missed)
+        _add(batch, row, pixel, color, is_missed)
+    return row, pixel, prim, toward, is_path & (prim >= _0)
+
+
+@device
+def _points(tables, hits, row, prim, toward, is_hit):
+    u, v = gather(np.float32, hits.u, row), gather(np.float32, hits.v, row)
+    x, y, z = toward
+    return surface_points(tables, maximum(prim, _0), u, v, x, y, z, is_hit)
+
+
+@device
+def _add(batch, row, pixel, color, mask):
+    """Add what paths see to their pixels, times their weights."""
+    add_lights(batch.radiance, pixel, times(vector_at(batch.paths.colors, row), color), mask)
+
+
+@device
+def unshadowed_block(first, batch, tables, lights):
+    """Shade 16 hits by every light; see `shade_unshadowed`.
+
+    Parameters
+    ----------
+    first : int
+        The first of them; lanes beyond the last path are inactive.
+    batch : ShadingBatch
+        Of addresses.
+    tables, lights
+        See `shade_unshadowed`.
+    """
+    row, pixel, prim, toward, is_hit = _begin(first, batch, lights)
+    if not any_lane(is_hit):
+        return
+    back = scaled(toward, -_WHOLE)
+    point = _points(tables, batch.hits, row, prim, toward, is_hit)
+    lobes = lobes_at(tables, point)
+    red, green, blue = lights.ambient
+    color = times(lobes.diffuse, (np.float32(red), np.float32(green), np.float32(blue)))
+    glow = added(color, emitted(tables, point), _WHOLE)
+    color = chosen(point.is_front, glow, color)
+    for number in range(lights.light_count):
+        found = incident_light(tables, lights, number, point)
+        share, _, _ = reflected(lobes, point, back, found.toward)
+        more = added(color, times(share, found.color), _WHOLE)
+        color = chosen(found.is_valid, more, color)
+    _add(batch, row, pixel, color, is_hit)
+
+
+@kernel
+def shade_unshadowed(batch, tables, lights):
+    """Shade hits by every light, without shadows.
+
+    Parameters
+    ----------
+    batch : ShadingBatch
+        No two paths of one pixel.
+    tables : SceneTables
+    lights : PunctualLights
+    """
+    places = batch_addresses(batch)
+    for first in range(0, batch.path_count, _LANES):
+        unshadowed_block(first, places, tables, lights)
+
+
+@device
+def facing_ratio_block(first, batch, tables, lights):
+    """Shade 16 hits in grey; see `unshadowed_block` and `shade_facing_ratio`."""
+    row, pixel, prim, toward, is_hit = _begin(first, batch, lights)
+    if not any_lane(is_hit):
+        return
+    point = _points(tables, batch.hits, row, prim, toward, is_hit)
+    cosine = absolute(dot((point.nx, point.ny, point.nz), toward))
+    _add(batch, row, pixel, (cosine, cosine, cosine), is_hit)
+
+
+@kernel
+def shade_facing_ratio(batch, tables, lights):
+    """Shade hits in grey, by the cosine between normal and view.
+
+    Parameters
+    ----------
+    batch : ShadingBatch
+        No two paths of one pixel.
+    tables : SceneTables
+    lights : PunctualLights
+        Rays that miss see their sky.
+    """
+    places = batch_addresses(batch)
+    for first in range(0, batch.path_count, _LANES):
+        facing_ratio_block(first, places, tables, lights)
