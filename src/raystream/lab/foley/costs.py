@@ -22,7 +22,7 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
-from raystream.machines import Branching, Multipass
+from raystream.machines import Branching, MultipassBackend
 from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["COSTS", "cost_sweep"]
@@ -80,7 +80,7 @@ def _counts(trees: Mapping[str, KdTreeStructure], rays: Any) -> dict[str, Any]:
     """What rays meet, how many passes that takes, and how the tree is."""
     sums = states(dict(trees), *rays)
     count = sums["stack"]["rays"]
-    passes = counted(Multipass(trees["backtrack"], scheduler="double"), *rays).passes
+    passes = counted(MultipassBackend(trees["backtrack"], scheduler="double"), *rays).passes
     assert passes is not None
     quality = trees["stack"].quality()
     return {

@@ -13,7 +13,7 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.views import View
-from raystream.machines import Multipass, Queues
+from raystream.machines import MultipassBackend, Queues
 from raystream.machines.schedulers import Scheduler, make_scheduler
 
 __all__ = ["RATIOS", "Ratio", "Watched", "schedules"]
@@ -113,7 +113,7 @@ class _Runs:
                 scene, progress = self.view.scene, self.lab.progress
                 self.tree = foley_tree(scene, progress, traversal=self.traversal)
             watched = Watched(scheduler)
-            machine = Multipass(self.tree, scheduler=watched)
+            machine = MultipassBackend(self.tree, scheduler=watched)
             rays = self.view.rays(self.size)
             passes = counted(machine, *rays, progress=self.lab.progress).passes
             assert passes is not None

@@ -23,7 +23,7 @@ from raystream.lab.laboratory import Laboratory
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
 from raystream.lab.views import View
-from raystream.machines import Branching, Multipass
+from raystream.machines import Branching, MultipassBackend
 from raystream.structures import Structure, build_structure
 
 __all__ = ["structure_times"]
@@ -125,7 +125,7 @@ class _Scene:
         few = RayBatch(*self.view.rays(8), 0.0, np.inf)
         calls = {}
         for name in _STEPWISE:
-            machine = Multipass(self.structures()[name], scheduler="double")
+            machine = MultipassBackend(self.structures()[name], scheduler="double")
             _tracing(machine, few)()
             calls[name] = _tracing(machine, self.batch(name))
         found = timed_in_turn(calls, 1 if self.lab.quick else 3)
@@ -148,7 +148,7 @@ class _Scene:
         return found
 
 
-def _tracing(machine: Structure | Multipass, batch: RayBatch) -> Callable[[], object]:
+def _tracing(machine: Structure | MultipassBackend, batch: RayBatch) -> Callable[[], object]:
     backend = Branching(machine) if isinstance(machine, Structure) else machine
     return lambda: backend.answer(Query(Kind.FIRST_HIT), batch)
 

@@ -36,7 +36,7 @@ class Visits(NamedTuple):
 _VISITS = {
     "grid": Visits(cell_of, frozenset({RayState.TRAVERSING})),
     "kdtree": Visits(
-        node_of, frozenset({RayState.TRAVERSING, RayState.AT_LEAF, RayState.CLIMBING})
+        node_of, frozenset({RayState.TRAVERSING, RayState.AT_LEAF, RayState.BACKTRACKING})
     ),
 }
 
