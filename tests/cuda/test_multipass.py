@@ -212,7 +212,7 @@ def test_the_device_chooses_as_schedulers_do(name, rng):
         assert (ran.kernel, ran.run_count) == (latest, waiting[latest])
         assert read_active(words) == waiting.sum()
     words[8:24] = 0
-    words[8 + int(RayState.OVERFLOWN)] = 5
+    words[8 + int(RayState.OVERFLOWED)] = 5
     decide(_AT, at, rules)
     assert not read_passes(words, known + 1)
 
@@ -236,8 +236,9 @@ _USUAL = [
 @pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")
 @pytest.mark.parametrize("name", _USUAL)
 def test_passes_compile_without_a_device(name):
-    compiled = check(*multipass_catalogue_of(name, rs.load("cornell"))["pass"])
-    assert "match.any.sync" in compiled.ptx
+    catalogue = multipass_catalogue_of(name, rs.load("cornell"))
+    for kernel in ("pass", "counting pass"):
+        assert "match.any.sync" in check(*catalogue[kernel]).ptx
 
 
 @pytest.mark.skipif(is_simulated(), reason="the simulator has no compiler")

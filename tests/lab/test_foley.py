@@ -29,7 +29,7 @@ from raystream.lab.results import Result
 from raystream.lab.runner import Runner
 from raystream.lab.store import Store
 from raystream.lab.views import View
-from raystream.machines import Multipass
+from raystream.machines import MultipassBackend
 from raystream.scene.camera import Camera
 
 pytestmark = pytest.mark.usefixtures("few_objects")
@@ -130,7 +130,7 @@ def test_the_reason_names_what_was_measured():
 
 
 def passes_of(tree, rays, scheduler):
-    counters = trace_counters(Multipass(tree, scheduler=scheduler), *rays)
+    counters = trace_counters(MultipassBackend(tree, scheduler=scheduler), *rays)
     return [(one.kernel, one.run_count) for one in counters.passes]
 
 

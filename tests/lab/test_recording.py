@@ -107,7 +107,7 @@ def test_neighbouring_cells_follow_each_other():
 def test_nodes_begin_at_the_root(name):
     walks = walks_of(name)
     tree = walks.structure.arrays
-    looks = (RayState.TRAVERSING, RayState.AT_LEAF, RayState.CLIMBING)
+    looks = (RayState.TRAVERSING, RayState.AT_LEAF, RayState.BACKTRACKING)
     columns = [k for k, one in enumerate(walks.kernels) if one.state in looks]
     counts = np.diff(walks.visit_splits)
     np.testing.assert_array_equal(counts, walks.runs[:, columns].sum(axis=1))

@@ -12,7 +12,7 @@ from cases import CASES
 from conftest import TRACERS, assert_same_bits
 from meshes import sticks
 from raystream.kernels.tally import COLUMNS
-from raystream.machines import Multipass, Queues, own_options
+from raystream.machines import MultipassBackend, Queues, own_options
 from raystream.machines.schedulers import SCHEDULERS
 from raystream.streams import Pass
 from raystream.structures import names_with
@@ -281,7 +281,7 @@ def test_options_are_checked(options, error, message):
 
 
 def test_each_option_of_the_machine_is_told_from_the_structures():
-    names = list(inspect.signature(Multipass).parameters)[1:]
+    names = list(inspect.signature(MultipassBackend).parameters)[1:]
     assert list(own_options("multipass", dict.fromkeys([*names, "resolution"]))) == names
 
 

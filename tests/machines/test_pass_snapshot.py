@@ -9,7 +9,7 @@ import raystream as rs
 from cases import CASES
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
-from raystream.machines import Multipass, Passes
+from raystream.machines import MultipassBackend, Passes
 from raystream.machines.records import RayState
 
 
@@ -28,7 +28,7 @@ def test_an_observer_sees_every_pass_and_changes_nothing(compaction):
         assert places["top"].max() <= now.stacks.shape[1]
         shown.append((now.kernel, len(states), int(now.tallies.sum())))
 
-    machine = Multipass(structure, scheduler="most-work", compaction=compaction)
+    machine = MultipassBackend(structure, scheduler="most-work", compaction=compaction)
     answers = []
     for one in (machine.recording(plain), machine.recording(watched).observed_by(observe)):
         sink = one.answer(Query(Kind.FIRST_HIT, counters=True), batch)
@@ -52,7 +52,7 @@ def test_an_observer_sees_every_pass_and_changes_nothing(compaction):
 
 def test_a_machine_that_nobody_watches_shows_nothing():
     case = CASES["random_soup"](np.random.default_rng(7))
-    machine = Multipass(rs.Tracer(case.scene, "grid").structure)
+    machine = MultipassBackend(rs.Tracer(case.scene, "grid").structure)
     seen = []
     watched = machine.observed_by(lambda now: seen.append(RayState(int(now.streams["state"][0]))))
     batch = RayBatch(case.origins[:1], case.directions[:1], 0.0, np.inf)

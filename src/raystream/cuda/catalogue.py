@@ -117,7 +117,7 @@ def whole_catalogue(scene: Scene) -> dict[tuple[str, str], Compiler]:
     }
     for name in names_with("multipass"):
         for kernel, one in multipass_catalogue_of(name, scene).items():
-            group = f"{name}, passes" if kernel == "pass" else "passes"
+            group = f"{name}, passes" if kernel.endswith("pass") else "passes"
             listed[group, kernel] = one
     del listed["passes", "decide in loop"]
     listed |= {("arrays", name): one for name, one in ARRAY_KERNELS.items()}

@@ -13,7 +13,7 @@ from raystream.structures import Structure
 if TYPE_CHECKING:
     from raystream.machines.backend import Backend
     from raystream.machines.counters import RayCounters
-    from raystream.machines.multipass import Multipass
+    from raystream.machines.multipass import MultipassBackend
     from raystream.machines.pass_snapshot import Observer, PassSnapshot
     from raystream.machines.passes import Passes
     from raystream.machines.schedulers import Queues, Scheduler
@@ -22,7 +22,7 @@ __all__ = [
     "MACHINES",
     "MULTIPASS_OPTIONS",
     "Branching",
-    "Multipass",
+    "MultipassBackend",
     "Observer",
     "PassSnapshot",
     "Passes",
@@ -41,7 +41,7 @@ MULTIPASS_OPTIONS = choices.Multipass.names()
 
 # Imported on first use: the branching machine needs neither streams nor their kernels.
 _HOMES = {
-    "Multipass": "multipass",
+    "MultipassBackend": "multipass",
     "Observer": "pass_snapshot",
     "Passes": "passes",
     "Queues": "schedulers",
@@ -90,7 +90,7 @@ def make_machine(machine: str, structure: Structure, options: Mapping[str, Any])
         Of the machine; see `own_options`.
     """
     if machine == "multipass":
-        from raystream.machines.multipass import Multipass
+        from raystream.machines.multipass import MultipassBackend
 
-        return Multipass(structure, **options)
+        return MultipassBackend(structure, **options)
     return Branching(structure)

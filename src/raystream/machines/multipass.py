@@ -1,4 +1,4 @@
-"""The multipass machine: in each pass one kernel, over all rays that wait for it."""
+"""The multipass machine: each pass runs one kernel over all rays that wait for it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
 from raystream.jit.threads import Progress, part_of
-from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.collect import HitAddresses
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.sink import Sink
 from raystream.kernels.tally import new_tallies
@@ -28,21 +28,21 @@ from raystream.machines.steps import Steps, steps_of
 from raystream.machines.steps.base import StepKernel
 from raystream.structures import Structure
 
-__all__ = ["Multipass"]
+__all__ = ["MultipassBackend"]
 
-#: Memory for the rays of a query; more rays are traced in parts.
+#: Memory for the rays of a query: more rays are traced in parts.
 MAX_BYTES = 1 << 29
 
-#: Bytes of a ray besides its place and its stack, with counters.
+#: Bytes per ray, with counters, besides its `place` and its stack.
 _RAY_BYTES = 160
 
 
-class Multipass(LocalBackend):
+class MultipassBackend(LocalBackend):
     """Runs each step of a traversal as a kernel over all rays that wait for it.
 
-    As on hardware without branching (Purcell 2002, section 2.2; Foley 2005, section 3.4): what
-    a ray needs is kept in streams between passes, a state says for which kernel it waits, and
-    a scheduler chooses the kernel of the next pass, until no ray is active.
+    As on hardware without branching (Purcell 2002, section 2.2; Foley 2005, section 3.4): streams
+    keep each ray's traversal between passes, its state names the kernel that it waits for, and a
+    scheduler chooses the kernel of the next pass, until no ray is active.
 
     Parameters
     ----------
@@ -50,19 +50,19 @@ class Multipass(LocalBackend):
     scheduler : {"threshold", "naive", "most-work", "double"} or Scheduler
         How the next kernel is chosen; see `schedulers`.
     threshold : float
-        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
+        For ``"threshold"``: the share of the active rays, 0 to 1, that must wait for an
         intersection.
     traversal_steps, intersections : int
-        Steps from cell to cell or node to node, and triangles tested (in trees: blocks of up
-        to four), that a ray does in one pass.
+        Steps from cell to cell or node to node, and triangle tests (in trees: of blocks of up
+        to four), per ray and pass.
     compaction : bool
-        Shade the rays whose search has ended, and drop them from the streams, whenever they are
-        half of them. Otherwise they stay, and every pass looks at their state.
+        Whenever half of the rays in the streams have ended their search, shade and remove them.
+        Otherwise they stay, and every pass tests their state.
 
     Raises
     ------
     ValueError, TypeError
-        If an option is out of range, or the structure has no kernels.
+        If an option is out of range, or the structure is not supported.
     """
 
     capabilities = Capabilities(passes=True)
@@ -84,22 +84,22 @@ class Multipass(LocalBackend):
         self.compaction = bool(compaction)
         self.passes: Passes | None = None
         self.observer: Observer | None = None
-        steps_of(structure)  # raises for a structure that has none
+        steps_of(structure)  # raises for an unsupported structure
 
-    def recording(self, passes: Passes) -> Multipass:
-        """The same machine, which adds its passes to a record."""
+    def recording(self, passes: Passes) -> MultipassBackend:
+        """A copy that records its passes."""
         machine = copy.copy(self)
         machine.passes = passes
         return machine
 
-    def observed_by(self, observer: Observer) -> Multipass:
-        """The same machine, which shows its rays before the first pass and after each one.
+    def observed_by(self, observer: Observer) -> MultipassBackend:
+        """A copy that shows its rays to an observer before the first pass and after each one.
 
         Parameters
         ----------
         observer : callable
-            Gets a `PassSnapshot`. Rays that are traced in parts, for want of memory or because they
-            need more of it, begin anew with each part.
+            Receives a `PassSnapshot`. Where rays are traced in parts, to bound memory or because
+            their stacks overflowed, each part has its own first pass.
         """
         machine = copy.copy(self)
         machine.observer = observer
@@ -116,31 +116,31 @@ class Multipass(LocalBackend):
                 column.fill(miss)
             rows = np.arange(count, dtype=np.uint64)
             job = RayJob(rays, rows, np.ones(count, np.uint64), tallies)
-            self._trace(steps, job, HitGoal(False, hits, hands_over=True), progress)
+            self._trace(steps, job, HitGoal(False, hits, shades=True), progress)
         elif query.kind is Kind.ANY_HIT:
             one = np.ones(count, np.uint64)
             job = RayJob(rays, one, one, tallies)
-            goal = HitGoal(surfaces=False, out=None, hands_over=True)
+            goal = HitGoal(surfaces=False, out=None, shades=True)
             sink.seen[:] = self._trace(steps, job, goal, progress) != 0
         elif query.kind is Kind.COUNT_HITS:
             limits = np.full(count, query.limit, np.uint64)
             job = RayJob(rays, limits, limits, tallies)
-            goal = HitGoal(query.surfaces, out=None, hands_over=False)
+            goal = HitGoal(query.surfaces, out=None, shades=False)
             sink.counts[:] = self._trace(steps, job, goal, progress)
         else:
             splits = sink.splits
             first, capacity = splits[:-1].astype(np.uint64), np.diff(splits).astype(np.uint64)
-            wants_some = np.flatnonzero(capacity)
-            job = RayJob(rays, first, capacity, tallies).part(wants_some)
-            goal = HitGoal(query.surfaces, sink.hits, hands_over=True)
+            has_rows = np.flatnonzero(capacity)
+            job = RayJob(rays, first, capacity, tallies).part(has_rows)
+            goal = HitGoal(query.surfaces, sink.hits, shades=True)
             self._trace(steps, job, goal, progress)
             if tallies is not None and job.tallies is not None:
-                tallies[wants_some] = job.tallies
+                tallies[has_rows] = job.tallies
 
     def _trace(
         self, steps: Steps, job: RayJob, goal: HitGoal, progress: Progress | None
     ) -> NDArray[np.uint32]:
-        """Trace rays, in parts if they are many; returns how many hits each has."""
+        """Trace rays, in parts that fit in memory; returns the number of hits of each."""
         counts = np.zeros(len(job), np.uint32)
         for rows in _parts(len(job), steps):
             report = part_of(progress, rows.start, len(job))
@@ -150,16 +150,15 @@ class Multipass(LocalBackend):
     def _trace_part(
         self, steps: Steps, job: RayJob, goal: HitGoal, progress: Progress | None
     ) -> NDArray[np.uint32]:
-        """Trace rays for which there is memory."""
+        """Trace rays that fit in memory."""
         before = job.tallies if steps.grow is None else copy.copy(job.tallies)
         runs = None if job.tallies is None else new_tallies(len(job))
         stacks = np.empty((len(job), steps.stack_bytes), np.uint8)
         arguments = StepArguments(
             np.float32(self.structure.triangles.max_coordinate),
             goal.surfaces,
-            goal.out is not None,
-            goal.hands_over,
-            _hit_addresses(goal.out),
+            goal.shades,
+            None if goal.out is None else HitAddresses.of(goal.out),
             _address(job.tallies),
             _address(runs),
             _address(stacks),
@@ -169,7 +168,7 @@ class Multipass(LocalBackend):
         )
         streams = RayStreams(steps, arguments, job)
         if self.observer is not None:
-            streams.on_run = self._shower(self.observer, streams, stacks, goal, job)
+            streams.on_run = self._snapshots(self.observer, streams, stacks, goal, job)
             streams.on_run(None)
         self._run(streams, progress)
         if self.passes is not None and runs is not None:
@@ -177,7 +176,7 @@ class Multipass(LocalBackend):
             self.passes.add_bound(steps.kernels, runs, at_once)
         overflown = streams.finish()
         if overflown.any() and steps.grow is not None:
-            # Their tallies are to be those of the search that succeeds.
+            # Only the search that succeeds is counted.
             if job.tallies is not None and before is not None:
                 job.tallies[overflown] = before[overflown]
             again = job.part(overflown)
@@ -187,14 +186,14 @@ class Multipass(LocalBackend):
         return streams.counts
 
     @staticmethod
-    def _shower(
+    def _snapshots(
         observer: Observer,
         streams: RayStreams,
         stacks: NDArray[np.uint8],
         goal: HitGoal,
         job: RayJob,
     ) -> Callable[[StepKernel | None], None]:
-        """Tells the observer which kernel ran, and shows what it left."""
+        """The callback that shows the rays to an observer after each kernel."""
 
         def show(kernel: StepKernel | None) -> None:
             arrays = {name: stream.array for name, stream in streams.streams.items()}
@@ -203,7 +202,7 @@ class Multipass(LocalBackend):
         return show
 
     def _run(self, streams: RayStreams, progress: Progress | None) -> None:
-        """Pass after pass, until no ray is active."""
+        """Run passes until no ray is active."""
         count = len(streams)
         counters = None if self.passes is None else self.passes.counters
         for kernel, waiting in streams.schedule(self.scheduler, self.compaction, counters):
@@ -215,17 +214,11 @@ class Multipass(LocalBackend):
 
 
 def _parts(count: int, steps: Steps) -> Iterator[slice]:
-    """So many rays at a time as there is memory for."""
+    """Ranges of rays that fit in memory."""
     each = _RAY_BYTES + steps.place.itemsize + steps.stack_bytes
     size = max(1, MAX_BYTES // each)
     for begin in range(0, count, size):
         yield slice(begin, min(begin + size, count))
-
-
-def _hit_addresses(out: HitArrays | None) -> HitAddresses:
-    if out is None:
-        return HitAddresses(*(np.uint64(0),) * 4)
-    return HitAddresses(*map(_address, out))
 
 
 def _address(array: NDArray[Any] | None) -> np.uint64:

@@ -1,4 +1,4 @@
-"""RayJob: rays for a machine to trace, and where what it finds goes."""
+"""RayJob: rays to trace, and where their hits go."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["HitGoal", "RayJob"]
 
 
 class HitGoal(NamedTuple):
-    """What is wanted of all rays of a job.
+    """The hits wanted of all rays of a job.
 
     Attributes
     ----------
@@ -23,24 +23,24 @@ class HitGoal(NamedTuple):
         See `kernels.triangle.intersect`.
     out : HitArrays or None
         Where hits are kept; None if they are only counted.
-    hands_over : bool
-        Whether hits are handed over, and shading counts as a pass; not if they are only counted.
+    shades : bool
+        Whether rays with hits are shaded, in a pass of its own: not if hits are only counted.
     """
 
     surfaces: bool
     out: HitArrays | None
-    hands_over: bool
+    shades: bool
 
 
 @dataclass(frozen=True)
 class RayJob:
-    """Rays, and the hits that each of them wants.
+    """Rays, and the number of hits that each of them wants.
 
     Attributes
     ----------
     rays : LocalRays
     first, capacity : ndarray of shape (N,), uint64
-        Row of the first hit, and how many are wanted.
+        Row of the first hit, and number of hits wanted.
     tallies : ndarray of shape (N, 8), uint32, or None
         See `kernels.tally`.
     """
@@ -54,7 +54,7 @@ class RayJob:
         return len(self.first)
 
     def part(self, rows: Any) -> RayJob:
-        """Some of the rays: a slice shares their tallies, an index does not."""
+        """Some of the rays; a slice shares their tallies, an index array copies them."""
         rays = LocalRays(*(array[rows] for array in self.rays))
         tallies = None if self.tallies is None else self.tallies[rows]
         return RayJob(rays, self.first[rows], self.capacity[rows], tallies)

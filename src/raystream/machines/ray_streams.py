@@ -184,7 +184,7 @@ class RayStreams:
         states = self._streams["state"].array
         self._note_counts(states == RayState.DONE)
         has_overflown = np.zeros(len(self.counts), np.bool_)
-        overflown = states == RayState.OVERFLOWN
+        overflown = states == RayState.OVERFLOWED
         has_overflown[self._streams["wanted"].array["number"][overflown]] = True
         return has_overflown
 

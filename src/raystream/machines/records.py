@@ -1,4 +1,4 @@
-"""What a multipass machine keeps of a ray between two passes, as records of streams."""
+"""The state of a ray between passes of the multipass machine, as records of streams."""
 
 from __future__ import annotations
 
@@ -14,38 +14,46 @@ from raystream.kernels.ray import prepare_ray
 from raystream.kernels.tally import ROW, add_to
 
 __all__ = [
+    "AT_LEAF",
+    "BACKTRACKING",
+    "CONTINUING",
+    "DONE",
     "FOUND",
+    "INTERSECTING",
+    "OVERFLOWED",
     "RAY",
+    "TRAVERSING",
     "WANTED",
     "RayState",
     "StepArguments",
-    "end_of",
-    "note",
-    "ray_of",
-    "tick",
-    "wants_any",
+    "add_count",
+    "count_step",
+    "end_state",
+    "found_by",
+    "prepared_ray",
+    "stack_of",
 ]
 
 
 class RayState(IntEnum):
-    """What a ray waits for: the kernel that runs on it next (Purcell 2002, section 3.2).
+    """The kernel that a ray waits for (Purcell 2002, section 3.2).
 
     Attributes
     ----------
     DONE
-        Nothing: its hits have been handed over, or it has none.
+        None: its hits have been shaded, or it has none.
     STARTING
-        To be set up.
+        Set-up.
     TRAVERSING
         A step from cell to cell, or from node to node; in a kd-tree, Foley's Down.
     INTERSECTING
-        A triangle, or a block of them.
+        A test of a triangle, or of a block of them.
     SHADING
-        To hand its hits over.
-    AT_LEAF, LEAVING, CLIMBING
+        Shading: its search is over, and it has hits.
+    AT_LEAF, CONTINUING, BACKTRACKING
         Foley's Leaf, Continue and Up.
-    OVERFLOWN
-        More room for the triangles that it has met: it is traced again.
+    OVERFLOWED
+        None: its set of seen triangles is full, and it is traced again with a larger one.
     """
 
     DONE = 0
@@ -54,9 +62,9 @@ class RayState(IntEnum):
     INTERSECTING = 3
     SHADING = 4
     AT_LEAF = 5
-    LEAVING = 6
-    CLIMBING = 7
-    OVERFLOWN = 8
+    CONTINUING = 6
+    BACKTRACKING = 7
+    OVERFLOWED = 8
 
 
 #: A ray, in the scene's local frame: 8 words.
@@ -64,46 +72,53 @@ RAY = np.dtype(
     [("origin", np.float32, 3), ("direction", np.float32, 3), ("t_min", "f4"), ("t_max", "f4")]
 )
 
-#: Where its hits go, and how many are wanted: rows from `first` on; `number` is the ray's own.
+#: Hits that a ray wants: up to `capacity`, in rows from `first` on. `number` is the ray's index.
 WANTED = np.dtype([("first", np.uint64), ("capacity", np.uint64), ("number", np.uint32)])
 
-#: How many hits it has, and the distance beyond which none is wanted any more.
+#: Hits found so far, and the distance beyond which none is wanted any more.
 FOUND = np.dtype([("count", np.uint32), ("t_far", np.float32)])
 
-_DONE = np.uint8(RayState.DONE)
-_SHADING = np.uint8(RayState.SHADING)
+#: States as kernels write them.
+DONE = np.uint8(RayState.DONE)
+TRAVERSING = np.uint8(RayState.TRAVERSING)
+INTERSECTING = np.uint8(RayState.INTERSECTING)
+SHADING = np.uint8(RayState.SHADING)
+AT_LEAF = np.uint8(RayState.AT_LEAF)
+CONTINUING = np.uint8(RayState.CONTINUING)
+BACKTRACKING = np.uint8(RayState.BACKTRACKING)
+OVERFLOWED = np.uint8(RayState.OVERFLOWED)
+
 _NOWHERE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_WORD = np.uint64(2)  # log2 of the bytes of a count
 
 
 class StepArguments(NamedTuple):
-    """What all rays of a query have in common.
+    """What all rays of a query share.
 
     Attributes
     ----------
     max_coordinate : float32
         See `kernels.ray.prepare_ray`.
-    surfaces, keep : bool
-        See `kernels.queries.ray_queries`.
-    hands_over : bool
-        Whether anyone wants to know of a ray's hits, and not only their number.
-    hits : HitAddresses
-        Where hits are kept.
+    surfaces : bool
+        See `kernels.triangle.intersect`.
+    shades : bool
+        Whether rays with hits are shaded: not if hits are only counted.
+    hits : HitAddresses or None
+        Where hits are kept; None for a query that only counts. These are two types: kernels are
+        compiled for each.
     tallies, runs : uint64
-        Addresses of the rays' tallies, and of how often each kernel ran on each ray, eight
-        words for each; 0 if nobody counts.
+        Addresses of the rays' tallies, and of the number of runs of each kernel on each ray,
+        eight words per ray; 0 without counters.
     stacks, stack_bytes : uint64
-        Address of the rays' own memory, and how much each has.
+        Address of the rays' stacks, and bytes of each.
     steps, tests : uint64
         Traversal steps and intersections in one pass.
     """
 
     max_coordinate: np.float32
     surfaces: bool
-    keep: bool
-    hands_over: bool
-    hits: HitAddresses
+    shades: bool
+    hits: HitAddresses | None
     tallies: np.uint64
     runs: np.uint64
     stacks: np.uint64
@@ -113,35 +128,41 @@ class StepArguments(NamedTuple):
 
 
 @device
-def ray_of(ray, query):
-    """A `RAY` as tests want it: set up anew in each pass."""
+def prepared_ray(ray, query):
+    """Set up a `RAY` for box and triangle tests: in each pass, since that is not kept."""
     o, d = ray.origin, ray.direction
     return prepare_ray(o[0], o[1], o[2], d[0], d[1], d[2], query.max_coordinate)
 
 
 @device
-def wants_any(wanted, query):
-    """Whether one hit is wanted, no matter which."""
-    return wanted.capacity == _ONE and not query.keep
+def stack_of(wanted, query):
+    """Address of a ray's stack."""
+    return query.stacks + np.uint64(wanted.number) * query.stack_bytes
 
 
 @device
-def end_of(count, query):
-    """The state of a ray whose search has ended."""
-    return _SHADING if query.hands_over and count != _NOWHERE else _DONE
+def found_by(search):
+    """The results of a search as a record of `FOUND`."""
+    return np.uint32(search.hit_count), search.t_far
 
 
 @device
-def tick(query, wanted, kernel, column, more):
-    """Count a step of a ray: a run of kernel number `kernel`, and `more` in its tally."""
+def end_state(count, query):
+    """The state of a ray whose search has ended with a number of hits."""
+    return SHADING if query.shades and count != _NOWHERE else DONE
+
+
+@device
+def count_step(query, wanted, kernel, column, more):
+    """Count a run of kernel number `kernel` on a ray, and add `more` to a column of its tally."""
     if query.runs != _NOWHERE:
         at = query.runs + np.uint64(wanted.number) * ROW + (np.uint64(kernel) << _WORD)
         store(at, np.uint32(load(np.uint32, at) + np.uint32(1)))
-        note(query, wanted, column, more)
+        add_count(query, wanted, column, more)
 
 
 @device
-def note(query, wanted, column, more):
-    """Count something else of a ray."""
+def add_count(query, wanted, column, more):
+    """Add to a column of a ray's tally."""
     if query.tallies != _NOWHERE:
         add_to(query.tallies + np.uint64(wanted.number) * ROW, column, more)

@@ -41,17 +41,18 @@ def multipass_catalogue_of(
     Returns
     -------
     dict
-        By name. All but ``"pass"`` are the same for every structure.
+        By name. All but the passes are the same for every structure.
     """
     structure = build_structure(name, scene.triangles, **options)
     steps = steps_of(structure)
     source = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
     hits = HitAddresses(_AT, _AT, _AT, _AT)
     wanted = rays.Wanted(_AT, _AT)
-    query = StepArguments(np.float32(1.0), True, True, True, hits, *(_AT,) * 6)
+    query = StepArguments(np.float32(1.0), True, True, hits, *(_AT,) * 6)
     rules = rules_of(steps.kernels, "threshold", USUAL_THRESHOLD, compacts=False)
     return {
         "pass": (pass_of(steps), (*(_AT,) * 8, steps.tree, query)),
+        "counting pass": (pass_of(steps), (*(_AT,) * 8, steps.tree, query._replace(hits=None))),
         "decide": (DECIDE, (_AT, rules)),
         "decide in loop": (DECIDE_IN_LOOP, (_AT, rules, _AT)),
         "begin": (rays.BEGIN, (source, structure.frame, *(_AT,) * 7, wanted, _AT)),

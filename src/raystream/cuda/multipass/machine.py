@@ -143,7 +143,7 @@ class Multipass(Branching):
         out = job.sink.hits
         for part in self._parts(job, self._steps.usual):
             memory, hits = _hits_of(self.gpu, part.count)
-            goal = HitGoal(False, True, True, _ONE_EACH, hits=hits)
+            goal = HitGoal(False, True, _ONE_EACH, hits=hits)
             streams = self._run_all(self._steps.usual, part, goal, job)
             FINISH.launch(
                 self.gpu,
@@ -156,14 +156,14 @@ class Multipass(Branching):
     def _any_hit(self, job: HostQuery) -> None:
         seen = job.sink.seen
         for part in self._parts(job, self._steps.usual):
-            goal = HitGoal(False, False, True, _ONE_EACH)
+            goal = HitGoal(False, True, _ONE_EACH)
             seen[part.rows] = self._run_all(self._steps.usual, part, goal, job).counts() != 0
             _finish(part, job)
 
     def _count_hits(self, job: HostQuery, steps: Steps | None = None) -> None:
         steps, counts, query = steps or self._steps.usual, job.sink.counts, job.query
         for part in self._parts(job, steps):
-            goal = HitGoal(query.surfaces, False, False, Wanted(_NOWHERE, np.uint64(query.limit)))
+            goal = HitGoal(query.surfaces, False, Wanted(_NOWHERE, np.uint64(query.limit)))
             streams = self._run_all(steps, part, goal, job)
             counts[part.rows] = streams.counts()
             overflown = streams.overflown()
@@ -186,7 +186,7 @@ class Multipass(Branching):
             memory, hits = _hits_of(self.gpu, rows.stop - rows.start)
             want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
             each = Wanted(own.address, _NOWHERE)
-            goal = HitGoal(job.query.surfaces, True, True, each, want_any, hits)
+            goal = HitGoal(job.query.surfaces, True, each, want_any, hits)
             streams = self._run_all(steps, part, goal, job)
             FINISH_MANY.launch(
                 self.gpu,
@@ -266,7 +266,7 @@ class Multipass(Branching):
                     f"device 'cuda', machine 'multipass': {active:,} rays are still active after "
                     f"{known:,} passes; max_passes is {self.max_passes:,}"
                 )
-            kept = active + read_ended(words, RayState.OVERFLOWN)
+            kept = active + read_ended(words, RayState.OVERFLOWED)
             if self.compaction and 2 * kept <= streams.length:
                 streams.drop_ended(kept)
                 loop.renew()

@@ -37,21 +37,20 @@ class HitGoal(NamedTuple):
 
     Attributes
     ----------
-    surfaces, keep, hands_over : bool
+    surfaces, shades : bool
         See `machines.records.StepArguments`.
     wanted : Wanted
     rows : ndarray of uint32, or None
         Numbers of the rays that want anything; None if all do.
-    hits : HitAddresses
-        Where hits are kept.
+    hits : HitAddresses or None
+        Where hits are kept; None if they are only counted.
     """
 
     surfaces: bool
-    keep: bool
-    hands_over: bool
+    shades: bool
     wanted: Wanted
     rows: NDArray[np.uint32] | None = None
-    hits: HitAddresses = HitAddresses(_NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
+    hits: HitAddresses | None = None
 
 
 def ray_bytes(steps: Steps) -> int:
@@ -116,8 +115,7 @@ class RayStreams:
         self._query = StepArguments(
             max_coordinate,
             bool(goal.surfaces),
-            goal.keep,
-            goal.hands_over,
+            goal.shades,
             goal.hits,
             _NOWHERE if part.tallies is None else part.tallies,
             _NOWHERE if self._runs is None else self._runs.address,
@@ -215,9 +213,9 @@ class RayStreams:
 
     def overflown(self) -> NDArray[Any]:
         """Numbers of the rays that need more memory."""
-        if not read_ended(self.look(), RayState.OVERFLOWN):
+        if not read_ended(self.look(), RayState.OVERFLOWED):
             return np.zeros(0, np.int64)
-        return np.flatnonzero(self._state.host() == RayState.OVERFLOWN)
+        return np.flatnonzero(self._state.host() == RayState.OVERFLOWED)
 
     def _begin(self, part: PassPart) -> None:
         streams = (self._streams[name].address for name in ("ray", "wanted", "found"))

@@ -15,7 +15,7 @@ from raystream.lab.foley.secondary_rays import RayKind, first_hits, ray_kinds
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
 from raystream.lab.views import View
-from raystream.machines import Multipass
+from raystream.machines import MultipassBackend
 from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["GROUPINGS", "coherence"]
@@ -74,7 +74,7 @@ def _scene(runner: Runner, name: str, view: View) -> dict[str, Found]:
 
 def _met(tree: KdTreeStructure, rays: RayKind) -> Found:
     """Counts of a ray, and passes of all."""
-    machine = Multipass(tree, scheduler="double")
+    machine = MultipassBackend(tree, scheduler="double")
     counters = trace_counters(
         machine, rays.origins, rays.directions, t_max=rays.t_max, any_hit=rays.any_hit
     )

@@ -13,7 +13,7 @@ from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
 from raystream.lab.views import View
-from raystream.machines import Multipass, Queues
+from raystream.machines import MultipassBackend, Queues
 from raystream.machines.schedulers import Scheduler, make_scheduler
 
 __all__ = ["RATIOS", "RecordingScheduler", "SwitchRatio", "schedulers"]
@@ -113,7 +113,7 @@ class _Runs:
                 scene, progress = self.view.scene, self.runner.progress
                 self.tree = foley_tree(scene, progress, traversal=self.traversal)
             watched = RecordingScheduler(scheduler)
-            machine = Multipass(self.tree, scheduler=watched)
+            machine = MultipassBackend(self.tree, scheduler=watched)
             rays = self.view.rays(self.size)
             passes = trace_counters(machine, *rays, progress=self.runner.progress).passes
             assert passes is not None

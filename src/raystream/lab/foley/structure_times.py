@@ -31,7 +31,7 @@ from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
 from raystream.lab.runner import Runner
 from raystream.lab.timing import time_in_turn
 from raystream.lab.views import View
-from raystream.machines import Branching, Multipass
+from raystream.machines import Branching, MultipassBackend
 from raystream.structures import Structure, build_structure
 
 __all__ = ["structure_times"]
@@ -130,7 +130,7 @@ class _Scene:
         few = RayBatch(*self.view.rays(8), 0.0, np.inf)
         calls = {}
         for name in _STEPWISE:
-            machine = Multipass(self.structures()[name], scheduler="double")
+            machine = MultipassBackend(self.structures()[name], scheduler="double")
             _tracing(machine, few)()
             calls[name] = _tracing(machine, self.batch(name))
         return self._timed(calls, 1 if self.runner.quick else 3)
@@ -162,7 +162,7 @@ class _Scene:
         return found
 
 
-def _tracing(machine: Structure | Multipass, batch: RayBatch) -> Callable[[], object]:
+def _tracing(machine: Structure | MultipassBackend, batch: RayBatch) -> Callable[[], object]:
     backend = Branching(machine) if isinstance(machine, Structure) else machine
     return lambda: backend.answer(Query(Kind.FIRST_HIT), batch)
 

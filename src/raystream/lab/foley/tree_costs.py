@@ -23,7 +23,7 @@ from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
 from raystream.lab.timing import time_in_turn
 from raystream.lab.views import View
-from raystream.machines import Branching, Multipass
+from raystream.machines import Branching, MultipassBackend
 from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["COSTS", "tree_costs"]
@@ -83,7 +83,7 @@ def _counts(trees: Mapping[str, KdTreeStructure], rays: Any) -> dict[str, Any]:
     """What rays meet, how many passes that takes, and how the tree is."""
     sums = count_states(dict(trees), *rays)
     count = sums["stack"]["rays"]
-    passes = trace_counters(Multipass(trees["backtrack"], scheduler="double"), *rays).passes
+    passes = trace_counters(MultipassBackend(trees["backtrack"], scheduler="double"), *rays).passes
     assert passes is not None
     quality = trees["stack"].quality()
     return {

@@ -24,7 +24,7 @@ __all__ = ["FETCH_ONLY", "fetch_only"]
 
 _TRAVERSING = np.uint8(RayState.TRAVERSING)
 _INTERSECTING = np.uint8(RayState.INTERSECTING)
-_CLIMBING = np.uint8(RayState.CLIMBING)
+_BACKTRACKING = np.uint8(RayState.BACKTRACKING)
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
@@ -163,7 +163,7 @@ def kdtree_up(ray, place, tree):
     y = load(np.float32, (high if d[1] > _ZERO else row) + _WORD)
     z = load(np.float32, (high if d[2] > _ZERO else row) + _NODE)
     t_out = ((o[0] + x) + (o[1] + y)) + ((o[2] + z) + (d[0] + (d[1] + d[2])))
-    return _same_search(place, node, place.t_in, t_out, 0), _CLIMBING
+    return _same_search(place, node, place.t_in, t_out, 0), _BACKTRACKING
 
 
 @device

@@ -23,7 +23,7 @@ __all__ = ["RecordCode", "compile_record", "compile_steps", "first_hit_query", "
 _CHOICES = ("traversal",)
 
 #: Those of a query that do.
-_QUERY_CHOICES = ("surfaces", "keep", "hands_over", "tallies", "runs", "steps", "tests")
+_QUERY_CHOICES = ("surfaces", "shades", "tallies", "runs", "steps", "tests")
 
 _NOWHERE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -65,7 +65,6 @@ def first_hit_query(
     return StepArguments(
         np.float32(max_coordinate),
         False,
-        True,
         True,
         HitAddresses(*(_NOWHERE,) * 4) if hits is None else hits,
         _NOWHERE,

@@ -149,7 +149,7 @@ def _in_tree(walked: Walk, step: Step, chart: KdMap) -> str:
     if step.kernel == "intersect":
         return f"{_test(step)} {'The list goes on.' if step.after is step.before else 'Done here.'}"
     if step.kernel == "up":
-        if step.after is RayState.CLIMBING:
+        if step.after is RayState.BACKTRACKING:
             return f"Climb to {target}: the ray has left its box by t = {_number(to.t_in)}; go on."
         return (
             f"Climb to {target}: its box still holds the ray at t = {_number(to.t_in)}. Down again."

@@ -14,7 +14,7 @@ from raystream.kernels.sink import Sink
 from raystream.kernels.tally import COLUMNS
 from raystream.lab.stepper.maps import map_of
 from raystream.lab.stepper.structure_map import LocalSpot, Records, StructureMap
-from raystream.machines import Multipass, PassSnapshot
+from raystream.machines import MultipassBackend, PassSnapshot
 from raystream.machines.ray_block import RayBlock, blocks
 from raystream.machines.records import RayState
 from raystream.tracer import Tracer
@@ -179,7 +179,7 @@ def walk(
     recorder = _Recorder(chart, block, math.inf if most_steps is None else most_steps)
     is_whole = True
     try:
-        Multipass(structure).observed_by(recorder.note).run_local(query, block.rays, sink)
+        MultipassBackend(structure).observed_by(recorder.note).run_local(query, block.rays, sink)
     except _EnoughError:
         is_whole = False
     hits, tallies = sink.hits, sink.tallies

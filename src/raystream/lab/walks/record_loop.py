@@ -36,7 +36,7 @@ class VisitedPlaces(NamedTuple):
 _VISITS = {
     "grid": VisitedPlaces(cell_of, frozenset({RayState.TRAVERSING})),
     "kdtree": VisitedPlaces(
-        node_of, frozenset({RayState.TRAVERSING, RayState.AT_LEAF, RayState.CLIMBING})
+        node_of, frozenset({RayState.TRAVERSING, RayState.AT_LEAF, RayState.BACKTRACKING})
     ),
 }
 

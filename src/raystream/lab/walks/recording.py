@@ -178,13 +178,11 @@ class _Recording:
     ) -> StepArguments:
         """What the kernels get: one stack, for one ray after another."""
         nowhere = np.uint64(0)
-        found = [nowhere] * 4 if hits is None else [_address(array) for array in hits]
         return StepArguments(
             max_coordinate=np.float32(self.structure.triangles.max_coordinate),
             surfaces=False,
-            keep=hits is not None,
-            hands_over=True,
-            hits=HitAddresses(*found),
+            shades=True,
+            hits=None if hits is None else HitAddresses.of(hits),
             tallies=nowhere if tallies is None else _address(tallies),
             runs=_address(runs),
             stacks=_address(stack),

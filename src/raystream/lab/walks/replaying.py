@@ -22,7 +22,7 @@ from raystream.lab.walks.kernels.replay_passes import (
     run_passes,
 )
 from raystream.lab.walks.walks import Walks
-from raystream.machines.multipass import Multipass
+from raystream.machines.multipass import MultipassBackend
 from raystream.machines.records import RayState
 from raystream.machines.schedulers import (
     USUAL_THRESHOLD,
@@ -130,7 +130,7 @@ def replay(
     ----------
     walks : Walks
     scheduler, threshold, traversal_steps, intersections
-        See `raystream.machines.Multipass`. The machine's `compaction` is not replayed.
+        See `raystream.machines.MultipassBackend`. The machine's `compaction` is not replayed.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def replay(
     a pass has k steps. So rays are kept in buckets by that pass, and those that walk alike are
     one: time is proportional to the runs of distinct walks, and to the passes.
     """
-    machine = Multipass(
+    machine = MultipassBackend(
         walks.structure,
         scheduler=scheduler,
         threshold=threshold,

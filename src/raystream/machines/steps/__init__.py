@@ -1,4 +1,4 @@
-"""Each structure's traversal as kernels over rays: one step of every ray that waits for it."""
+"""Each structure's traversal as kernels: one step of every ray that waits for it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def steps_of(structure: Structure) -> Steps:
     Raises
     ------
     ValueError
-        If it is not given as steps.
+        If the multipass machine does not support it.
     """
     make = form_of(structure.name, "multipass")
     if make is None:

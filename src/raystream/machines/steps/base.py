@@ -1,4 +1,4 @@
-"""Steps: a traversal cut into kernels, and the kernel that all of them end with."""
+"""A traversal as kernels, and the kernel that ends all of them: shading."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from raystream.jit.cpu import device
 from raystream.kernels.collect import sort_hits
 from raystream.kernels.search import Search
 from raystream.kernels.tally import SHADINGS
-from raystream.machines.records import RayState, tick
+from raystream.machines.records import DONE, RayState, count_step
 
-__all__ = ["SHADE", "StepKernel", "Steps", "resumed", "with_shade"]
+__all__ = ["StepKernel", "Steps", "resume_search", "traversal_kernels", "with_shade"]
 
-_DONE = np.uint8(RayState.DONE)
 _ONE = np.uint64(1)
 
 
@@ -26,15 +25,16 @@ class StepKernel(NamedTuple):
     ----------
     name : str
     state : RayState
-        It runs on the rays in this state, and puts them into the next.
+        It runs on the rays in this state, and sets their next one.
     function : callable
-        Takes some of the records ``ray``, ``wanted``, ``found`` and ``place``, and the
-        constants ``tree`` and ``query``. Returns the records named by `outputs`, then the state.
+        Takes any of the records ``ray``, ``wanted``, ``found`` and ``place``, and of the
+        constants ``tree``, ``query`` and ``kernel``. Returns the records named by `outputs`, then
+        the state.
     outputs : tuple of str
-        Of ``found`` and ``place``.
+        ``"found"``, ``"place"``, or both.
     limit : str
-        Which of `Query`'s numbers says how many steps it does in one run: ``"steps"``,
-        ``"tests"``, or ``""`` for one.
+        The field of `StepArguments` that holds the steps of a ray in one pass: ``"steps"`` or
+        ``"tests"``; ``""`` for one step.
     """
 
     name: str
@@ -50,16 +50,15 @@ class Steps(NamedTuple):
     Attributes
     ----------
     kernels : tuple of StepKernel
-        The one that begins comes first and the one that hands hits over last; each has its
-        own state.
+        Set-up first, shading last; each has its own state.
     place : dtype
-        What a ray keeps of where it is.
+        The traversal state of a ray.
     tree : NamedTuple
-        What the functions get of the structure: numbers.
+        The structure as the functions read it: numbers and addresses.
     stack_bytes : int
-        Memory that each ray needs for itself, besides.
+        Bytes of each ray's stack.
     grow : callable, optional
-        Gives the same steps with more such memory, for rays that have `OVERFLOWN`.
+        Gives the same steps with larger stacks, for rays that have `OVERFLOWED`.
     """
 
     kernels: tuple[StepKernel, ...]
@@ -70,14 +69,15 @@ class Steps(NamedTuple):
 
 
 @device
-def resumed(hits, ray, wanted, found, query, seen):
-    """The search of a ray as its records have it; what it meets is counted by `tick`.
+def resume_search(hits, ray, wanted, found, query, seen):
+    """The search of a ray as its records hold it.
+
+    Its own counters are None: steps are counted by `count_step`.
 
     Parameters
     ----------
     hits : HitAddresses or None
-        The query's, or None for one that only counts: two types, so that a kernel that tests
-        triangles has a branch for each.
+        The query's. An argument of its own, so that code for None is left out.
     ray, wanted, found, query
         See `StepKernel.function`.
     seen : SeenSet or None
@@ -100,18 +100,38 @@ def resumed(hits, ray, wanted, found, query, seen):
     )
 
 
+@device
+def _sort_kept(hits, wanted, count):
+    """Sort a ray's hits, where several may have been kept; returns the number of hits shaded."""
+    if hits is None:
+        return _ONE
+    if wanted.capacity != _ONE:
+        sort_hits(hits, wanted.first, count)
+    return count
+
+
 def shade(wanted, found, query, kernel):
-    """Hand a ray's hits over: sorted, where several may have been kept."""
-    count = np.uint64(found.count)
-    if query.keep and wanted.capacity != _ONE:
-        sort_hits(query.hits, wanted.first, count)
-    tick(query, wanted, kernel, SHADINGS, count if query.keep else _ONE)
-    return _DONE
+    """End a ray: its hits are sorted, and counted as shaded."""
+    count = _sort_kept(query.hits, wanted, np.uint64(found.count))
+    count_step(query, wanted, kernel, SHADINGS, count)
+    return DONE
 
 
-SHADE = StepKernel("shade", RayState.SHADING, device(shade), ())
+_SHADE = StepKernel("shade", RayState.SHADING, device(shade), ())
 
 
 def with_shade(*kernels: StepKernel) -> tuple[StepKernel, ...]:
-    """The kernels of a traversal, and the one that hands hits over."""
-    return (*kernels, SHADE)
+    """The kernels of a traversal, and shading."""
+    return (*kernels, _SHADE)
+
+
+def traversal_kernels(
+    set_up: Callable[..., Any], traverse: Callable[..., Any], intersect: Callable[..., Any]
+) -> tuple[StepKernel, ...]:
+    """The kernels of a traversal that has one step for nodes or cells, and one for triangles."""
+    found_and_place = ("found", "place")
+    return with_shade(
+        StepKernel("set up", RayState.STARTING, device(set_up), found_and_place),
+        StepKernel("traverse", RayState.TRAVERSING, device(traverse), ("place",), "steps"),
+        StepKernel("intersect", RayState.INTERSECTING, device(intersect), found_and_place, "tests"),
+    )

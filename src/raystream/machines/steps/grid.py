@@ -10,8 +10,17 @@ from raystream.jit.cpu import device
 from raystream.kernels.search import is_full, wants_any
 from raystream.kernels.tally import LEAVES, STEPS, TESTS
 from raystream.kernels.triangle_list import intersect_list
-from raystream.machines.records import RayState, end_of, note, ray_of, tick
-from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
+from raystream.machines.records import (
+    DONE,
+    INTERSECTING,
+    TRAVERSING,
+    add_count,
+    count_step,
+    end_state,
+    found_by,
+    prepared_ray,
+)
+from raystream.machines.steps.base import Steps, resume_search, traversal_kernels
 from raystream.structures.grid.cells import (
     NO_CHILD,
     cell_list,
@@ -33,9 +42,9 @@ from raystream.structures.grid.traversal import enter_grid
 
 __all__ = ["steps"]
 
-#: Where a ray is in a grid. `outer` is the coarse cell that it walks through the lattice of,
-#: which it leaves at `t_end`; -1 where it walks through coarse cells. `row` to `end` are the
-#: references of its cell that are still to be tested.
+#: The traversal state of a ray. `outer` is the coarse cell whose lattice the ray traverses, up to
+#: `t_end`; -1 in the coarse lattice. `row` to `end` are the references of its cell that are still
+#: to be tested.
 PLACE = np.dtype(
     [
         ("cell", np.int32),
@@ -50,9 +59,6 @@ PLACE = np.dtype(
     ]
 )
 
-_TRAVERSING = np.uint8(RayState.TRAVERSING)
-_INTERSECTING = np.uint8(RayState.INTERSECTING)
-_DONE = np.uint8(RayState.DONE)
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _INF = np.float32(np.inf)
@@ -60,7 +66,7 @@ _COARSE = np.int32(-1)
 
 
 class _Place(NamedTuple):
-    """A record of `PLACE` with the walk as its functions take it."""
+    """A record of `PLACE`, with a `WalkState`."""
 
     walk: object
     outer: object
@@ -72,15 +78,15 @@ class _Place(NamedTuple):
 
 @device
 def _lattice(tree, outer):
-    """The lattice that a ray walks through."""
+    """The lattice that a ray traverses."""
     if outer == _COARSE:
         return coarse_cells(tree)
     return fine_cells(tree, outer, child_of(tree, outer))
 
 
 @device
-def _given(place):
-    """A record of the stream of places as a `_Place`."""
+def _load(place):
+    """A record of `PLACE` as a `_Place`."""
     state = WalkState(np.int64(place.cell), place.t_next, place.plane, place.t_after)
     return _Place(
         state,
@@ -111,18 +117,18 @@ def _record(place):
 
 @device
 def _is_over(place, t_far):
-    """Whether no hit beyond a ray's cell can be wanted."""
+    """Whether no hit beyond a ray's cell can change the result."""
     return t_far < min(cell_end(place.walk), place.t_end)
 
 
 @device
 def _next_cell(tree, ray, place):
-    """Where a ray is after its cell."""
+    """The next cell along a ray."""
     t_out = min(cell_end(place.walk), place.t_end)
     if t_out < place.t_end or place.outer == _COARSE:
         walk = walk_through(_lattice(tree, place.outer), ray)
         return _Place(step_walk(walk, place.walk), place.outer, t_out, place.t_end, _NONE, _NONE)
-    # Out of the lattice within a coarse cell, into the coarse cell after it.
+    # Leave the lattice of a coarse cell for the next coarse cell.
     coarse = coarse_cells(tree)
     walk = walk_through(coarse, ray)
     i, j, k = cell_numbers(tree, place.outer)
@@ -131,9 +137,9 @@ def _next_cell(tree, ray, place):
 
 
 def set_up(ray, wanted, tree, query, kernel):
-    """Find the cell in which a ray begins."""
-    tick(query, wanted, kernel, STEPS, _NONE)
-    line = ray_of(ray, query)
+    """Find a ray's first cell."""
+    count_step(query, wanted, kernel, STEPS, _NONE)
+    line = prepared_ray(ray, query)
     t_in, t_far = enter_grid(tree, line, ray.t_min, ray.t_max)
     is_active = tree.splits != _NONE and t_in <= t_far
     if not is_active:
@@ -141,24 +147,24 @@ def set_up(ray, wanted, tree, query, kernel):
     coarse = coarse_cells(tree)
     _, state = set_up_walk(coarse, line, t_in)
     place = _Place(state, _COARSE, t_in, _INF, _NONE, _NONE)
-    return (np.uint32(0), t_far), _record(place), _TRAVERSING if is_active else _DONE
+    return (np.uint32(0), t_far), _record(place), TRAVERSING if is_active else DONE
 
 
 def traverse(ray, wanted, found, place, tree, query, kernel):
-    """Look at the cell that a ray is in; go on to the next one if it is empty."""
-    at = _given(place)
-    line = ray_of(ray, query)
-    state = _TRAVERSING
+    """Find the triangles of a ray's cell, or the next cell if it is empty."""
+    at = _load(place)
+    line = prepared_ray(ray, query)
+    state = TRAVERSING
     for _ in range(query.steps):
-        tick(query, wanted, kernel, STEPS, _ONE)
+        count_step(query, wanted, kernel, STEPS, _ONE)
         lattice = _lattice(tree, at.outer)
         row, end = cell_list(lattice.splits, at.walk.cell)
         if row != end:
             child = child_of(tree, at.walk.cell) if at.outer == _COARSE else NO_CHILD
             if child == NO_CHILD:
-                note(query, wanted, LEAVES, _ONE)
+                add_count(query, wanted, LEAVES, _ONE)
                 at = _Place(at.walk, at.outer, at.t_in, at.t_end, row, end)
-                state = _INTERSECTING
+                state = INTERSECTING
                 break
             fine = fine_cells(tree, at.walk.cell, child)
             _, walk = set_up_walk(fine, line, at.t_in)
@@ -166,50 +172,40 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
             at = _Place(walk, outer, at.t_in, cell_end(at.walk), _NONE, _NONE)
         else:
             if _is_over(at, found.t_far):
-                state = end_of(np.uint64(found.count), query)
+                state = end_state(np.uint64(found.count), query)
                 break
             at = _next_cell(tree, line, at)
     return _record(at), state
 
 
-@device
-def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
-    at = _given(place)
-    line, search = ray_of(ray, query), resumed(hits, ray, wanted, found, query, None)
+def intersect(ray, wanted, found, place, tree, query, kernel):
+    """Test a triangle of a ray's cell; after the last one, step to the next cell."""
+    at = _load(place)
+    line = prepared_ray(ray, query)
+    search = resume_search(query.hits, ray, wanted, found, query, None)
     references = _lattice(tree, at.outer).references
     t_out = _INF if wants_any(search) else min(cell_end(at.walk), at.t_end)
-    row, state = at.row, _INTERSECTING
+    row, state = at.row, INTERSECTING
     for _ in range(query.tests):
-        tick(query, wanted, kernel, TESTS, _ONE)
+        count_step(query, wanted, kernel, TESTS, _ONE)
         search = intersect_list(
             references, tree.corners, row, row + _ONE, line, search, at.t_in, t_out
         )
         row += _ONE
         if is_full(search) or (row == at.end and _is_over(at, search.t_far)):
-            state = end_of(search.hit_count, query)
+            state = end_state(search.hit_count, query)
             break
         if row == at.end:
             at = _next_cell(tree, line, at)
-            state = _TRAVERSING
+            state = TRAVERSING
             break
     place = _Place(at.walk, at.outer, at.t_in, at.t_end, row, at.end)
-    return (np.uint32(search.hit_count), search.t_far), _record(place), state
+    return found_by(search), _record(place), state
 
 
-def intersect(ray, wanted, found, place, tree, query, kernel):
-    """Test a triangle of the cell that a ray is in; go on to the next cell after the last."""
-    if query.keep:
-        return _intersect(query.hits, ray, wanted, found, place, tree, query, kernel)
-    return _intersect(None, ray, wanted, found, place, tree, query, kernel)
-
-
-_KERNELS = with_shade(
-    StepKernel("set up", RayState.STARTING, device(set_up), ("found", "place")),
-    StepKernel("traverse", RayState.TRAVERSING, device(traverse), ("place",), "steps"),
-    StepKernel("intersect", RayState.INTERSECTING, device(intersect), ("found", "place"), "tests"),
-)
+_KERNELS = traversal_kernels(set_up, traverse, intersect)
 
 
 def steps(grid: GridStructure) -> Steps:
-    """The steps of a grid's traversal, of one level or two."""
+    """The steps of a traversal of a grid, of one level or two."""
     return Steps(_KERNELS, PLACE, grid.arrays)

@@ -36,7 +36,7 @@ _SOMETHING = np.uint32(1)
 _ONE = np.uint64(1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 _DONE_COUNT = COUNTS + np.uint64(4 * RayState.DONE)
-_OVERFLOWN_COUNT = COUNTS + np.uint64(4 * RayState.OVERFLOWN)
+_OVERFLOWED_COUNT = COUNTS + np.uint64(4 * RayState.OVERFLOWED)
 
 _NAIVE, _THRESHOLD, _MOST_WORK = (
     np.uint64(SCHEDULERS.index(name)) for name in ("naive", "threshold", "most-work")
@@ -153,7 +153,7 @@ def _is_looked_for(control, rules):
     """Whether the host wants to look: at passes, or to drop half of the rays."""
     if load(np.uint32, control + PASS_COUNT) >= load(np.uint32, control + UNTIL):
         return True
-    kept = np.uint64(load(np.uint32, control + _OVERFLOWN_COUNT))
+    kept = np.uint64(load(np.uint32, control + _OVERFLOWED_COUNT))
     for k in range(rules.kernel_count):
         kept += _waiting(control, k)
     return rules.compacts and kept + kept <= np.uint64(load(np.uint32, control + LOOKED_AT))

@@ -26,7 +26,7 @@ _NOUGHT = np.float32(0.0)
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
 _STARTING = np.uint8(RayState.STARTING)
-_OVERFLOWN = np.uint8(RayState.OVERFLOWN)
+_OVERFLOWED = np.uint8(RayState.OVERFLOWED)
 _DONE = np.uint8(RayState.DONE)
 
 #: Records that a thread takes when rays are dropped.
@@ -113,7 +113,7 @@ def _finish(i, capacity, found, world, hits):
 def _finish_many(i, rows, capacity, found, state, world, wish, hits):
     """Turn a ray's distances into the caller's."""
     row = row_of(rows, i)
-    if load(np.uint8, state + row) == _OVERFLOWN:
+    if load(np.uint8, state + row) == _OVERFLOWED:
         return  # it is traced again
     first, most = _rows_of(wish, row)
     count = min(np.uint64(load(np.uint32, found + (row << _WORD))), most)
