@@ -17,7 +17,7 @@ from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.kernels.local_frame import LocalRays
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.graph.build import Method, build_graph, graph_box
+from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.graphlog import dump_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
@@ -28,7 +28,7 @@ from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
 from raystream.structures.kdtree.layout import usual_depth
 
-__all__ = ["GraphStructure", "addresses_of", "method_of"]
+__all__ = ["GraphStructure", "addresses_of", "settings_of"]
 
 
 class GraphStructure(Structure):
@@ -50,8 +50,8 @@ class GraphStructure(Structure):
         self, triangles: Triangles, options: Graph, *, progress: Progress | None = None
     ) -> None:
         started = time.perf_counter()
-        method = method_of(options, len(triangles.prim_ids))
-        self._set(triangles, build_graph(triangles, method, progress), options, started)
+        settings = settings_of(options, len(triangles.prim_ids))
+        self._set(triangles, build_graph(triangles, settings, progress), options, started)
 
     def _set(
         self, triangles: Triangles, graph: GraphArrays, options: Graph, started: float
@@ -111,7 +111,7 @@ class GraphStructure(Structure):
 
     def quality(self) -> dict[str, float]:
         """Counts, depth, bytes and cost; see `statistics`."""
-        return statistics(self.graph, method_of(self.options, len(self.triangles.prim_ids)))
+        return statistics(self.graph, settings_of(self.options, len(self.triangles.prim_ids)))
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The graph."""
@@ -159,12 +159,12 @@ def _triple(numbers: Any) -> tuple[np.float32, np.float32, np.float32]:
     return np.float32(x), np.float32(y), np.float32(z)
 
 
-def method_of(options: Graph, triangle_count: int) -> Method:
+def settings_of(options: Graph, triangle_count: int) -> GraphSettings:
     """How to build a graph with such options."""
     max_depth = options.max_depth
     if max_depth is None:
         max_depth = usual_depth(triangle_count)
-    return Method(
+    return GraphSettings(
         crossing_cost=options.crossing_cost,
         intersection_cost=options.intersection_cost,
         link_cost=options.link_cost,

@@ -14,15 +14,16 @@ from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.kdtree.build import Method, build_arrays
+from raystream.structures.kdtree.build import build_arrays
 from raystream.structures.kdtree.layout import KdArrays, check_arrays, usual_depth, walk
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
 from raystream.structures.kdtree.packed import LEAF_BIT, PackedArrays, extend, pack
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.state import STACK_BYTES, KdAddresses
+from raystream.structures.kdtree.subtree import BuildSettings
 from raystream.structures.kdtree.traversal import traverse
 
-__all__ = ["KdTreeStructure", "method_of"]
+__all__ = ["KdTreeStructure", "settings_of"]
 
 
 class KdTreeStructure(Structure):
@@ -59,7 +60,7 @@ class KdTreeStructure(Structure):
         self, triangles: Triangles, options: KdTree, *, progress: Progress | None = None
     ) -> None:
         started = time.perf_counter()
-        tree = build_arrays(triangles, method_of(options, len(triangles.prim_ids)), progress)
+        tree = build_arrays(triangles, settings_of(options, len(triangles.prim_ids)), progress)
         self._set(triangles, tree, options, started)
 
     def _set(self, triangles: Triangles, tree: KdArrays, options: KdTree, started: float) -> None:
@@ -176,10 +177,10 @@ class KdTreeStructure(Structure):
         return structure
 
 
-def method_of(options: KdTree, triangle_count: int) -> Method:
+def settings_of(options: KdTree, triangle_count: int) -> BuildSettings:
     """How to grow a tree with such options."""
     max_depth = options.max_depth
     if max_depth is None:
         max_depth = usual_depth(triangle_count)
     costs = Costs(options.traversal_cost, options.intersection_cost, options.empty_bonus)
-    return Method(costs, max_depth, options.max_leaf_size)
+    return BuildSettings(costs, max_depth, options.max_leaf_size)
