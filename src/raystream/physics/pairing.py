@@ -12,7 +12,7 @@ from raystream.jit.cpu import device, kernel
 from raystream.kernels.ray import PAD, set_up
 from raystream.kernels.ray_source import load_ray
 
-__all__ = ["NO_ROW", "Crossings", "Pairs", "find_sides", "pair_up"]
+__all__ = ["NO_ROW", "Crossings", "Limits", "MeshScratch", "Pairs", "find_sides", "pair_crossings"]
 
 #: In place of a row: the crossing was not seen.
 NO_ROW = -1
@@ -39,7 +39,7 @@ class Crossings(NamedTuple):
     kind : ndarray of shape (K,), uint8
         0 for an entry, 1 for an exit.
     order : ndarray of shape (K,), int64
-        Written by `pair_up`: the rows of each ray, at equal t entries first.
+        Written by `pair_crossings`: the rows of each ray, at equal t entries first.
     slack : ndarray of shape (K,), float64
         What rounding leaves in doubt of t: much, where a triangle is seen almost edge-on.
     """
@@ -63,8 +63,47 @@ class Crossings(NamedTuple):
         return cls(splits, t, prim_id, mesh_id, kind, order, slack)
 
 
+class Limits(NamedTuple):
+    """The rays' intervals, and whether segments are clipped to them.
+
+    Attributes
+    ----------
+    t_min, t_max : ndarray of shape (N,), float32
+    clips : bool
+        Whether an entry before t_min is assumed where a closed mesh must have one, and crossings
+        beyond t_max are dropped.
+    is_whole : ndarray of shape (N,), bool
+        Whether the ray was traced to its last crossing.
+    """
+
+    t_min: NDArray[np.float32]
+    t_max: NDArray[np.float32]
+    clips: bool
+    is_whole: NDArray[np.bool_]
+
+
+class MeshScratch(NamedTuple):
+    """Scratch memory of `pair_crossings`, a number for each of M meshes.
+
+    Attributes
+    ----------
+    depth : ndarray of shape (M,), int64
+        Open entries; zero before and after each ray.
+    slot : ndarray of shape (M,), int64
+        The mesh's open segment.
+    """
+
+    depth: NDArray[np.int64]
+    slot: NDArray[np.int64]
+
+    @classmethod
+    def zeros(cls, mesh_count: int) -> MeshScratch:
+        """Allocate it."""
+        return cls(np.zeros(mesh_count, np.int64), np.zeros(mesh_count, np.int64))
+
+
 class Pairs(NamedTuple):
-    """What `pair_up` finds; ray i has room from splits[i] on.
+    """The results of `pair_crossings`; those of ray i begin at splits[i].
 
     Attributes
     ----------
@@ -181,7 +220,7 @@ def _cosine(ray, corners, i):
 
 
 @kernel
-def pair_up(begin, end, crossings, t_min, t_max, is_whole, clips, is_closed, depth, slot, pairs):
+def pair_crossings(begin, end, crossings, limits, is_closed, scratch, pairs):
     """Match the entries and exits of each mesh like brackets, for rays begin to end.
 
     Parameters
@@ -189,32 +228,26 @@ def pair_up(begin, end, crossings, t_min, t_max, is_whole, clips, is_closed, dep
     begin, end : int
     crossings : Crossings
         `order` is written; `kind` is overwritten.
-    t_min, t_max : ndarray of shape (N,), float32
-        What is kept if `clips`.
-    is_whole : ndarray of shape (N,), bool
-        Whether the ray was traced to its last crossing.
-    clips : bool
-        Whether an entry before t_min is assumed where a closed mesh must have one, and
-        what lies beyond t_max is cut off.
+    limits : Limits
     is_closed : ndarray of shape (M,), bool
-    depth, slot : ndarray of shape (M,), int64
-        To work with; `depth` is zero before and after.
+    scratch : MeshScratch
     pairs : Pairs
         Written.
     """
+    depth, slot = scratch.depth, scratch.slot
     for i in range(np.uint64(begin), np.uint64(end)):
         first, last = crossings.splits[i], crossings.splits[i + np.uint64(1)]
         count = 0
         if last > first:
             _put_in_order(crossings, first, last)
-            if is_whole[i]:
+            if limits.is_whole[i]:
                 _swap_grazes(crossings, first, last, is_closed, depth, slot)
             _find_lone(crossings, first, last, depth)
-            if clips and t_min[i] > -math.inf:
+            if limits.clips and limits.t_min[i] > -math.inf:
                 count = _begin_inside(crossings, first, last, is_closed, depth, slot, pairs)
         _emit(i, crossings, first, last, count, depth, slot, pairs)
-        if clips:
-            _cut_off(i, crossings, first, t_max[i], pairs)
+        if limits.clips:
+            _cut_off(i, crossings, first, limits.t_max[i], pairs)
 
 
 @device

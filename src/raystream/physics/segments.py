@@ -13,7 +13,15 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.local_ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
-from raystream.physics.pairing import NO_ROW, Crossings, Pairs, find_sides, pair_up
+from raystream.physics.pairing import (
+    NO_ROW,
+    Crossings,
+    Limits,
+    MeshScratch,
+    Pairs,
+    find_sides,
+    pair_crossings,
+)
 from raystream.physics.solids import Solids, solids_of
 from raystream.physics.thickness import Segments, Thickness, Unpaired, direction_lengths
 from raystream.tracer import Tracer
@@ -156,12 +164,12 @@ class _Worker:
         crossings = Crossings.of(hits.ray_splits, hits.t, hits.prim_id)
         pairs = Pairs.empty(count, len(hits.t))
         t_min, t_max = self._batch.t_min[rows], self._batch.t_max[rows]
-        limits = t_min, np.broadcast_to(np.float32(np.inf), count) if self._clips else t_max
-        source, kept = RaySource.of(self._batch.origins[rows], self._batch.directions[rows], limits)
+        traced_to = np.broadcast_to(np.float32(np.inf), count) if self._clips else t_max
+        origins, directions = self._batch.origins[rows], self._batch.directions[rows]
+        source, kept = RaySource.of(origins, directions, (t_min, traced_to))
         triangles, solids = self._triangles, self.solids
         t_min, t_max = np.ascontiguousarray(t_min), np.ascontiguousarray(t_max)
-        is_whole = np.isinf(limits[1])
-        mesh_count = len(solids.is_closed)
+        limits = Limits(t_min, t_max, self._clips, np.isinf(traced_to))
 
         def body(begin: int, end: int) -> None:
             find_sides(
@@ -174,19 +182,8 @@ class _Worker:
                 solids.is_flipped,
                 crossings,
             )
-            pair_up(
-                begin,
-                end,
-                crossings,
-                t_min,
-                t_max,
-                is_whole,
-                self._clips,
-                solids.is_closed,
-                np.zeros(mesh_count, np.int64),
-                np.empty(mesh_count, np.int64),
-                pairs,
-            )
+            scratch = MeshScratch.zeros(len(solids.is_closed))
+            pair_crossings(begin, end, crossings, limits, solids.is_closed, scratch, pairs)
 
         parallel_for(body, count, _CHUNK)
         del kept

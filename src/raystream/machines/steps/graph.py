@@ -11,12 +11,12 @@ from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
 from raystream.structures.graph.steps import (
-    cross,
-    enter,
+    clip_to_scene,
+    exit_face,
+    follow_link,
     sector_blocks,
     sector_ray,
     start_sector,
-    way_out,
 )
 from raystream.structures.graph.structure import GraphStructure
 
@@ -45,11 +45,11 @@ _LANES = np.uint64(4)
 @device
 def _go_on(tree, line, sector, t_end, search, wanted, query):
     """Leave a sector, unless nothing more is wanted: next state, sector, and t there."""
-    way = way_out(line, sector)
-    t_out = min(way.t, t_end)
+    face = exit_face(line, sector)
+    t_out = min(face.t, t_end)
     if t_out >= t_end or is_over(search, t_out):
         return end_of(search.hit_count, query), sector, t_out
-    sector, node_count = cross(tree, line, way.link, t_out)
+    sector, node_count = follow_link(tree, line, face.link, t_out)
     note(query, wanted, LINK_NODES, node_count)
     return _TRAVERSING, sector, t_out
 
@@ -58,7 +58,7 @@ def set_up(ray, wanted, tree, query, kernel):
     """Find the sector in which a ray begins."""
     tick(query, wanted, kernel, STEPS, _NONE)
     line = ray_of(ray, query)
-    is_active, t_in, t_end = enter(tree, line, ray.t_min, ray.t_max)
+    is_active, t_in, t_end = clip_to_scene(tree, line, ray.t_min, ray.t_max)
     state, sector = _DONE, tree.rows
     if is_active:
         state = _TRAVERSING
@@ -91,7 +91,7 @@ def _intersect(hits, ray, wanted, found, place, tree, query, kernel):
     line, triangle_ray = sector_ray(prepared), block_ray(prepared)
     search = resumed(hits, ray, wanted, found, query, None)
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
-    t_out = min(way_out(line, sector).t, place.t_end)
+    t_out = min(exit_face(line, sector).t, place.t_end)
     state = _INTERSECTING
     for _ in range(query.tests):
         tick(query, wanted, kernel, TESTS, min(left, _LANES))

@@ -29,7 +29,7 @@ from raystream.structures.grid.dda import (
     walk_through,
 )
 from raystream.structures.grid.structure import GridStructure
-from raystream.structures.grid.traversal import enter_grid
+from raystream.structures.grid.traversal import clip_to_grid
 
 __all__ = ["steps"]
 
@@ -134,7 +134,7 @@ def set_up(ray, wanted, tree, query, kernel):
     """Find the cell in which a ray begins."""
     tick(query, wanted, kernel, STEPS, _NONE)
     line = ray_of(ray, query)
-    t_in, t_far = enter_grid(tree, line, ray.t_min, ray.t_max)
+    t_in, t_far = clip_to_grid(tree, line, ray.t_min, ray.t_max)
     is_active = tree.splits != _NONE and t_in <= t_far
     if not is_active:
         t_in = t_far = np.float32(0.0)

@@ -21,8 +21,8 @@ from raystream.structures.graph.build import GraphSettings, build_graph, graph_b
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.graphlog import dump_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
+from raystream.structures.graph.locate import StartSectors, find_sectors
 from raystream.structures.graph.options import Graph
-from raystream.structures.graph.start import StartSectors, find_sectors
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
@@ -95,7 +95,7 @@ class GraphStructure(Structure):
         t: NDArray[np.float32] | None = None,
         near: NDArray[np.int64] | None = None,
     ) -> StartSectors:
-        """Find the sectors in which local rays are; see `start.find_sectors`."""
+        """Find the sectors in which local rays are; see `locate.find_sectors`."""
         return find_sectors(self.arrays, np.float32(self.triangles.extreme), rays, t, near)
 
     def dump(self, path: str | PathLike[str]) -> None:
