@@ -9,9 +9,9 @@ from meshes import cube, dented_sphere, grid_floor, soup
 from raystream.core.triangles import Triangles
 from raystream.structures.clip import BOUND
 from raystream.structures.kdtree.build import MAX_REFERENCES, build_arrays
-from raystream.structures.kdtree.layout import check_arrays, walk
+from raystream.structures.kdtree.foley_layout import extend, pack
+from raystream.structures.kdtree.layout import check_arrays, measure
 from raystream.structures.kdtree.options import MAX_DEPTH
-from raystream.structures.kdtree.packed import extend, pack
 from raystream.structures.kdtree.split import Costs
 from raystream.structures.kdtree.subtree import BuildSettings
 
@@ -85,14 +85,14 @@ def test_a_leaf_lists_all_whose_hits_may_be_in_it(mesh, max_depth, costs, rng):
     held = {leaf: set(listed(tree, leaf).tolist()) for leaf in np.unique(leaves)}
     assert all(p in held[leaf] for p, leaf in zip(prim_id.tolist(), leaves, strict=True))
     assert in_box.sum() > 50
-    assert walk(tree.nodes, triangles.bounds).depth <= max_depth
+    assert measure(tree.nodes, triangles.bounds).depth <= max_depth
 
 
 def test_leaves_list_few_triangles():
     """Else listing all of them everywhere would pass."""
     triangles = triangles_of(*dented_sphere(4))
     tree = build_arrays(triangles, settings())
-    found = walk(tree.nodes, triangles.bounds)
+    found = measure(tree.nodes, triangles.bounds)
     assert found.tests_per_ray < 60
     assert found.reference_count < 11 * len(triangles)
     assert found.leaf_count == len(tree.nodes) // 2 + 1
@@ -125,7 +125,7 @@ def test_references_are_bounded():
     """Sticks across the scene would be listed thousands of times."""
     triangles = triangles_of(*sticks(6000))
     tree = build_arrays(triangles, settings(64, 1, Costs(1e-6, 1.0, 0.5)))
-    found = walk(tree.nodes, triangles.bounds)
+    found = measure(tree.nodes, triangles.bounds)
     assert 3 * len(triangles) < found.reference_count <= MAX_REFERENCES * len(triangles) + 1024
     assert len(tree.nodes) <= 4 * (MAX_REFERENCES * len(triangles) + 1024) + 1
 
@@ -135,7 +135,7 @@ def test_equal_triangles_share_a_leaf(copies):
     vertices, _ = cube()
     triangles = triangles_of(vertices, np.tile([[0, 1, 2], [5, 6, 7]], (copies, 1)))
     tree = build_arrays(triangles, settings())
-    found = walk(tree.nodes, triangles.bounds)
+    found = measure(tree.nodes, triangles.bounds)
     assert found.reference_count <= 6 * len(triangles)
     check_arrays(tree._asdict(), triangles.prim_ids, len(triangles))
 
@@ -152,7 +152,7 @@ def test_a_scene_that_grows_by_a_factor_from_triangle_to_triangle():
 def test_depth_is_limited(max_depth, most_leaves):
     triangles = triangles_of(*soup(9000, 3, 0.01))
     tree = build_arrays(triangles, settings(max_depth))
-    found = walk(tree.nodes, triangles.bounds)
+    found = measure(tree.nodes, triangles.bounds)
     assert found.depth == max_depth
     assert found.leaf_count <= most_leaves
 
@@ -160,7 +160,7 @@ def test_depth_is_limited(max_depth, most_leaves):
 def test_small_cells_are_not_split():
     triangles = triangles_of(*soup(5000, 3, 0.01))
     counts = [
-        walk(build_arrays(triangles, settings(40, size)).nodes, triangles.bounds).leaf_count
+        measure(build_arrays(triangles, settings(40, size)).nodes, triangles.bounds).leaf_count
         for size in (1, 16, 256)
     ]
     assert counts[0] > 4 * counts[1] > 16 * counts[2]
@@ -169,7 +169,7 @@ def test_small_cells_are_not_split():
 def test_figures_are_those_of_the_cells():
     triangles = triangles_of(*soup(100, 4))
     nodes = build_arrays(triangles, settings()).nodes
-    found = walk(nodes, triangles.bounds)
+    found = measure(nodes, triangles.bounds)
     positions = nodes.view(np.float32)[:, 0]
     boxes = [triangles.bounds.astype(float)] + [None] * (len(nodes) - 1)
     areas = np.zeros(len(nodes))
@@ -258,7 +258,7 @@ class TestCheckArrays:
             nodes.view(np.float32)[0, 0] = position
             return nodes
 
-        with pytest.raises(ValueError, match="plane of a split is nowhere"):
+        with pytest.raises(ValueError, match="plane of a split is not finite"):
             self.check(triangles, nodes=change)
 
     @pytest.mark.parametrize(

@@ -20,7 +20,8 @@ from raystream.kernels.tally import (
 )
 from raystream.machines.records import RayState, end_of, note, ray_of, tick
 from raystream.machines.steps.base import StepKernel, Steps, resumed, with_shade
-from raystream.structures.kdtree import steps as tree_steps
+from raystream.structures.kdtree import traversal, traversals
+from raystream.structures.kdtree.nodes import is_leaf, leaf_of
 from raystream.structures.kdtree.state import (
     SHORT_STACK,
     SHORT_STACK_BYTES,
@@ -83,13 +84,13 @@ def _stack_of(wanted, query):
 @device
 def _downward(tree, state):
     """What a ray does next at a node."""
-    return _AT_LEAF if tree_steps.is_at_leaf(tree, state) else _TRAVERSING
+    return _AT_LEAF if is_leaf(tree, state.node) else _TRAVERSING
 
 
 def initialize(ray, wanted, tree, query, kernel):
     """Begin at the root."""
     tick(query, wanted, kernel, STEPS, _NONE)
-    is_active, state = tree_steps.initialize(tree, ray_of(ray, query), ray.t_min, ray.t_max)
+    is_active, state = traversal.initialize(tree, ray_of(ray, query), ray.t_min, ray.t_max)
     status = _DONE
     if is_active:
         status = _downward(tree, state)
@@ -103,7 +104,7 @@ def descend(ray, wanted, place, tree, query, kernel):
     status = _TRAVERSING
     for _ in range(query.steps):
         tick(query, wanted, kernel, STEPS, _ONE)
-        state = tree_steps.descend(tree, line, state, stack)
+        state = traversal.descend(tree, line, state, stack)
         status = _downward(tree, state)
         if status != _TRAVERSING:
             break
@@ -114,7 +115,7 @@ def look_at_leaf(wanted, place, tree, query, kernel):
     """Find the triangles of a leaf."""
     tick(query, wanted, kernel, LEAVES, _ONE)
     state = _search(place)
-    triangles = tree_steps.leaf(tree, state)
+    triangles = leaf_of(tree, state.node)
     status = _LEAVING if triangles.triangle_count == _NONE else _INTERSECTING
     return _record(state, triangles.block, triangles.triangle_count), status
 
@@ -155,9 +156,9 @@ def continue_search(wanted, found, place, tree, query, kernel):
     status = end_of(count, query)
     is_over = count == wanted.capacity and found.t_far < state.t_out
     if not (is_over or state.t_out >= state.t_end):
-        if tree_steps.restarts(tree, state):
+        if traversals.restarts(tree, state):
             note(query, wanted, RESTARTS, _ONE)
-        state = tree_steps.continue_search(tree, state, _stack_of(wanted, query))
+        state = traversals.continue_search(tree, state, _stack_of(wanted, query))
         if state.is_backtracking:
             note(query, wanted, BACKTRACKS, _ONE)
             status = _CLIMBING
@@ -173,7 +174,7 @@ def backtrack(ray, wanted, place, tree, query, kernel):
     status = _CLIMBING
     for _ in range(query.steps):
         tick(query, wanted, kernel, BACKTRACK_STEPS, _ONE)
-        state = tree_steps.backtrack(tree, line, state)
+        state = traversals.backtrack.backtrack(tree, line, state)
         if not state.is_backtracking:
             status = _downward(tree, state)
             break

@@ -26,7 +26,7 @@ from raystream.structures.graph.options import Graph
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
-from raystream.structures.kdtree.layout import usual_depth
+from raystream.structures.kdtree.layout import default_depth
 
 __all__ = ["GraphStructure", "addresses_of", "settings_of"]
 
@@ -163,7 +163,7 @@ def settings_of(options: Graph, triangle_count: int) -> GraphSettings:
     """How to build a graph with such options."""
     max_depth = options.max_depth
     if max_depth is None:
-        max_depth = usual_depth(triangle_count)
+        max_depth = default_depth(triangle_count)
     return GraphSettings(
         crossing_cost=options.crossing_cost,
         intersection_cost=options.intersection_cost,

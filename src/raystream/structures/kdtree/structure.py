@@ -15,11 +15,12 @@ from raystream.jit.threads import Progress
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.structures.base import BuildReport, Structure
 from raystream.structures.kdtree.build import build_arrays
-from raystream.structures.kdtree.layout import KdArrays, check_arrays, usual_depth, walk
+from raystream.structures.kdtree.foley_layout import LEAF_BIT, FoleyArrays, extend, pack
+from raystream.structures.kdtree.layout import KdArrays, check_arrays, default_depth, measure
+from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
-from raystream.structures.kdtree.packed import LEAF_BIT, PackedArrays, extend, pack
 from raystream.structures.kdtree.split import Costs
-from raystream.structures.kdtree.state import STACK_BYTES, KdAddresses
+from raystream.structures.kdtree.state import STACK_BYTES
 from raystream.structures.kdtree.subtree import BuildSettings
 from raystream.structures.kdtree.traversal import traverse
 
@@ -41,10 +42,10 @@ class KdTreeStructure(Structure):
     tree : KdArrays
     blocks : ndarray of shape (B, 40), float32
         The leaves' triangles; see `kernels.leaf_block`.
-    packed : PackedArrays or None
+    packed : FoleyArrays or None
         The tree in Foley's layout; None for nodes of 8 bytes, or without nodes.
     extended : ndarray of shape (S, 8), float32, or None
-        What `packed.extend` gives; None unless it backtracks, or without nodes.
+        What `foley_layout.extend` gives; None unless it backtracks, or without nodes.
 
     Notes
     -----
@@ -68,7 +69,7 @@ class KdTreeStructure(Structure):
         self.tree = tree
         self.options = options
         self.blocks = filled_blocks(tree.prim_ids, triangles.corners)
-        self.packed: PackedArrays | None = None
+        self.packed: FoleyArrays | None = None
         self.extended: NDArray[np.float32] | None = None
         self._memory: dict[str, NDArray[Any]] = {"blocks": self.blocks}
         root = 0
@@ -144,7 +145,7 @@ class KdTreeStructure(Structure):
         node_count = len(self.tree.nodes)
         if node_count == 0:
             return dict.fromkeys(("nodes", "leaves", "empty leaves", "references", "depth"), 0.0)
-        found = walk(self.tree.nodes, self.triangles.bounds)
+        found = measure(self.tree.nodes, self.triangles.bounds)
         node_bytes = sum(array.nbytes for name, array in self._memory.items() if name != "blocks")
         cost = self.options.traversal_cost * found.splits_per_ray
         cost += self.options.intersection_cost * found.tests_per_ray
@@ -181,6 +182,6 @@ def settings_of(options: KdTree, triangle_count: int) -> BuildSettings:
     """How to grow a tree with such options."""
     max_depth = options.max_depth
     if max_depth is None:
-        max_depth = usual_depth(triangle_count)
+        max_depth = default_depth(triangle_count)
     costs = Costs(options.traversal_cost, options.intersection_cost, options.empty_bonus)
     return BuildSettings(costs, max_depth, options.max_leaf_size)

@@ -16,8 +16,8 @@ from raystream.cuda.structures import Resident
 from raystream.jit.cuda import Gpu
 from raystream.structures.base import Structure
 from raystream.structures.kdtree.layout import KdArrays
+from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
-from raystream.structures.kdtree.state import KdAddresses
 from raystream.structures.kdtree.structure import KdTreeStructure, settings_of
 
 __all__ = ["DeviceKdTree", "build_kdtree"]
