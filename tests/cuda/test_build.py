@@ -66,7 +66,7 @@ def test_grids_with_long_lists_get_coarser_as_on_the_cpu(device, monkeypatch):
     scene = case_of("random_soup").scene
     usual = rs.Tracer(scene, "grid").structure
     most = len(usual.lists.references) // 2
-    monkeypatch.setattr("raystream.structures.grid.build.most_references", lambda _: most)
+    monkeypatch.setattr("raystream.structures.grid.build.reference_limit", lambda _: most)
     coarser = rs.Tracer(scene, "grid").structure
     assert coarser.lattice.cell_count < usual.lattice.cell_count
     assert_same_lists(built(scene, "grid").structure, coarser)

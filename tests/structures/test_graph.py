@@ -16,14 +16,14 @@ from raystream.kernels.ray import prepare_ray
 from raystream.machines.ray_block import blocks
 from raystream.structures.graph.graphlog import load_graph
 from raystream.structures.graph.layout import SECTOR_ROWS
-from raystream.structures.graph.start import MAX_WALK
+from raystream.structures.graph.locate import MAX_WALK
 from raystream.structures.graph.steps import (
-    cross,
-    enter,
+    clip_to_scene,
+    exit_face,
+    follow_link,
     sector_ray,
     start_sector,
     walk_to,
-    way_out,
 )
 
 NOWHERE = np.int64(-1)
@@ -54,20 +54,20 @@ def follow(graph, max_coordinate, rays, i, most, rows, ends):
     """The sectors of ray i, and where it leaves them; returns how many."""
     o, d = rays.origins, rays.directions
     ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
-    is_active, t_in, t_end = enter(graph, ray, rays.t_min[i], rays.t_max[i])
+    is_active, t_in, t_end = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
     if not is_active:
         return 0
     line = sector_ray(ray)
     sector, _ = start_sector(graph, line, ray, t_in)
     count = 0
     while count < most:
-        way = way_out(line, sector)
+        face = exit_face(line, sector)
         rows[count] = np.int64((sector - graph.rows) // ROW_BYTES)
-        ends[count] = min(way.t, t_end)
+        ends[count] = min(face.t, t_end)
         count += 1
-        if way.t >= t_end:
+        if face.t >= t_end:
             break
-        sector, _ = cross(graph, line, way.link, way.t)
+        sector, _ = follow_link(graph, line, face.link, face.t)
     return count
 
 

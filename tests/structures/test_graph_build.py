@@ -13,7 +13,7 @@ from conftest import assert_same_bits
 from graphs import View, assert_links, assert_nodes, assert_sound
 from meshes import cube, dented_sphere, grid_floor, soup
 from raystream.core.triangles import Triangles
-from raystream.structures.graph.build import Method, build_graph, graph_box
+from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
 from raystream.structures.graph.cells import find_cells
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.graphlog import dump_graph, load_graph
@@ -28,7 +28,7 @@ from raystream.structures.kdtree.split import Costs
 from strategies import meshes
 
 
-def method_with(
+def settings_with(
     crossing_cost=8.0,
     intersection_cost=1.0,
     link_cost=2.4,
@@ -36,13 +36,13 @@ def method_with(
     max_depth=64,
     max_leaf_size=1,
 ):
-    """A method of few triangles in a sector, for what `Graph`'s defaults would hide."""
-    return Method(
+    """Settings with few triangles in a sector, for what `Graph`'s defaults would hide."""
+    return GraphSettings(
         crossing_cost, intersection_cost, link_cost, empty_bonus, max_depth, max_leaf_size
     )
 
 
-FINE = method_with(crossing_cost=1.0, link_cost=0.3)
+FINE = settings_with(crossing_cost=1.0, link_cost=0.3)
 
 
 def triangles_of(vertices, faces):
@@ -72,26 +72,26 @@ MESHES = {
 
 @pytest.mark.parametrize("mesh", MESHES)
 @pytest.mark.parametrize(
-    "method",
+    "settings",
     [
         FINE,
-        method_with(),
-        method_with(0.01, 1.0, 0.003, 0.5),
-        method_with(1.0, 1.0, 0.3, 0.2, 7, 3),
+        settings_with(),
+        settings_with(0.01, 1.0, 0.003, 0.5),
+        settings_with(1.0, 1.0, 0.3, 0.2, 7, 3),
     ],
 )
-def test_graphs_are_sound(mesh, method, rng):
+def test_graphs_are_sound(mesh, settings, rng):
     triangles = triangles_of(*MESHES[mesh])
-    arrays = build_graph(triangles, method)
+    arrays = build_graph(triangles, settings)
     depth = assert_sound(arrays, triangles, rng)
-    assert statistics(arrays, method)["link depth"] == depth
+    assert statistics(arrays, settings)["link depth"] == depth
     assert_same(check(arrays._asdict(), triangles), arrays)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_hard_scenes(case, rng):
     triangles = CASES[case](rng).scene.triangles
-    arrays = build_graph(triangles, method_with(4.0, 1.0, 1.0))
+    arrays = build_graph(triangles, settings_with(4.0, 1.0, 1.0))
     assert_sound(arrays, triangles, rng)
     assert_same(check(arrays._asdict(), triangles), arrays)
 
@@ -101,7 +101,7 @@ def test_hard_scenes(case, rng):
 def test_any_small_scene(mesh, crossing_cost):
     (vertices, faces), _, _ = mesh
     triangles = triangles_of(vertices, faces)
-    arrays = build_graph(triangles, method_with(crossing_cost, 1.0, 0.3 * crossing_cost))
+    arrays = build_graph(triangles, settings_with(crossing_cost, 1.0, 0.3 * crossing_cost))
     if len(triangles.prim_ids):
         assert_sound(arrays, triangles, np.random.default_rng(0))
     assert_same(check(arrays._asdict(), triangles), arrays)
@@ -114,23 +114,23 @@ def assert_same(one, other):
 
 def test_no_triangles():
     triangles = triangles_of(np.zeros((3, 3)), [[0, 1, 2]])
-    arrays = build_graph(triangles, method_with())
+    arrays = build_graph(triangles, settings_with())
     assert arrays.sector_count == 0
     assert arrays.rows.shape == arrays.prim_ids.shape == (0, 4)
     assert arrays.bins.size == 0
     check(arrays._asdict(), triangles)
-    assert statistics(arrays, method_with())["sectors"] == 0.0
+    assert statistics(arrays, settings_with())["sectors"] == 0.0
 
 
-@pytest.mark.parametrize("method", [method_with(), method_with(0.01, 1.0, 0.003, 0.5)])
-def test_a_graph_does_not_depend_on_the_number_of_threads(method):
+@pytest.mark.parametrize("settings", [settings_with(), settings_with(0.01, 1.0, 0.003, 0.5)])
+def test_a_graph_does_not_depend_on_the_number_of_threads(settings):
     triangles = triangles_of(*soup(20_000, 1, 0.02))
     graphs, figures = [], []
     for threads in (1, 2, 3):
         try:
             rs.set_thread_count(threads)
-            graphs.append(build_graph(triangles, method))
-            figures.append(statistics(graphs[-1], method))
+            graphs.append(build_graph(triangles, settings))
+            figures.append(statistics(graphs[-1], settings))
         finally:
             rs.set_thread_count(None)
     assert figures[0] == figures[1] == figures[2]
@@ -149,7 +149,7 @@ def test_batches_of_raw_nodes_make_no_difference(monkeypatch):
 
 
 def test_sectors_near_each_other_are_near_in_memory():
-    view = View(build_graph(triangles_of(*soup(5000, 2, 0.02)), method_with()))
+    view = View(build_graph(triangles_of(*soup(5000, 2, 0.02)), settings_with()))
     middles = (view.low.astype(float) + view.high) / 2
     steps = np.linalg.norm(np.diff(middles, axis=0), axis=1).mean()
     shuffled = np.random.default_rng(0).permutation(middles)
@@ -162,9 +162,9 @@ def test_references_are_bounded():
     third = ends[:, 1] + rng.normal(size=(6000, 3)) * 1e-3
     corners = np.concatenate([ends, third[:, None]], axis=1)
     triangles = triangles_of(corners.reshape(-1, 3), np.arange(18_000).reshape(-1, 3))
-    method = method_with(1e-6, 1.0, 1e-7)
-    arrays = build_graph(triangles, method)
-    found = statistics(arrays, method)
+    settings = settings_with(1e-6, 1.0, 1e-7)
+    arrays = build_graph(triangles, settings)
+    found = statistics(arrays, settings)
     assert found["references"] <= MAX_REFERENCES * len(triangles) + 1024
     check(arrays._asdict(), triangles)
 
@@ -196,7 +196,7 @@ def test_walls_of_strips_share_their_link_nodes():
     links = link_sectors(tree.nodes, cells, order, sectors)
     rows = np.concatenate([sectors, links])
     graph = GraphArrays(rows, 2 * count, prim_ids, np.zeros((1, 1, 1), np.uint32))
-    found = statistics(graph, method_with())
+    found = statistics(graph, settings_with())
     assert found["link nodes"] == 2 * (count - 1)
     assert found["link nodes unshared"] == 2 * count * (count - 1)
     assert found["link depth"] == assert_nodes(View(graph)) == np.log2(count)
@@ -208,8 +208,8 @@ def test_splits_pay_in_the_model():
     triangles = triangles_of(*dented_sphere(3))
     costs = []
     for depth in (0, 6, 64):
-        method = method_with(max_depth=depth)
-        costs.append(statistics(build_graph(triangles, method), method)["cost"])
+        settings = settings_with(max_depth=depth)
+        costs.append(statistics(build_graph(triangles, settings), settings)["cost"])
     assert costs[0] > costs[1] > costs[2]
 
 
@@ -237,10 +237,10 @@ def test_splits_that_did_not_pay_are_taken_back():
 @pytest.mark.parametrize("mesh", ["soup", "closed"])
 def test_taking_splits_back_costs_less(mesh, monkeypatch):
     triangles = triangles_of(*MESHES[mesh])
-    method = method_with(2.0, 1.0, 0.0)
-    pruned = statistics(build_graph(triangles, method), method)
+    settings = settings_with(2.0, 1.0, 0.0)
+    pruned = statistics(build_graph(triangles, settings), settings)
     monkeypatch.setattr("raystream.structures.graph.build.prune", lambda tree, *_: tree)
-    whole = statistics(build_graph(triangles, method), method)
+    whole = statistics(build_graph(triangles, settings), settings)
     assert pruned["sectors"] < whole["sectors"]
     assert pruned["references"] <= whole["references"]
     assert pruned["cost"] < whole["cost"]
@@ -248,9 +248,9 @@ def test_taking_splits_back_costs_less(mesh, monkeypatch):
 
 def test_figures_are_those_of_the_sectors():
     triangles = triangles_of(*soup(100, 4))
-    method = method_with(3.0, 1.0, 0.9)
-    arrays = build_graph(triangles, method)
-    view, found = View(arrays), statistics(arrays, method)
+    settings = settings_with(3.0, 1.0, 0.9)
+    arrays = build_graph(triangles, settings)
+    view, found = View(arrays), statistics(arrays, settings)
     x, y, z = (view.high.astype(float) - view.low).T
     half = x * y + y * z + z * x
     x, y, z = np.diff(graph_box(triangles).astype(float), axis=0)[0]
@@ -497,7 +497,7 @@ class TestCheckGraph:
 def test_progress_while_building():
     seen = []
     triangles = triangles_of(*soup(20_000, 9, 0.01))
-    build_graph(triangles, method_with(), lambda done, total: seen.append((done, total)))
+    build_graph(triangles, settings_with(), lambda done, total: seen.append((done, total)))
     assert seen[-1] == (20_000, 20_000)
     assert seen == sorted(seen)
 
@@ -507,4 +507,4 @@ def test_building_can_be_interrupted():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_graph(triangles_of(*soup(20_000, 9, 0.01)), method_with(), interrupt)
+        build_graph(triangles_of(*soup(20_000, 9, 0.01)), settings_with(), interrupt)

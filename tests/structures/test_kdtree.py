@@ -15,17 +15,13 @@ from raystream.jit.simd import scratch
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import prepare_ray
 from raystream.machines import Branching
+from raystream.structures.kdtree.nodes import is_leaf, leaf_of
 from raystream.structures.kdtree.options import LAYOUTS, TRAVERSALS
 from raystream.structures.kdtree.state import STACK_BYTES, split_ray
-from raystream.structures.kdtree.steps import (
-    backtrack,
-    continue_search,
-    descend,
-    initialize,
-    is_at_leaf,
-    leaf,
-)
 from raystream.structures.kdtree.structure import KdTreeStructure
+from raystream.structures.kdtree.traversal import descend, initialize
+from raystream.structures.kdtree.traversals import continue_search
+from raystream.structures.kdtree.traversals.backtrack import backtrack
 from test_agreement import assert_same_answers, rays_of
 
 FORMS = [(traversal, layout) for layout in LAYOUTS for traversal in TRAVERSALS]
@@ -95,12 +91,12 @@ def record_leaves(begin, end, tree, max_coordinate, rays, leaves, counts):
             continue
         line = split_ray(ray)
         while True:
-            while not is_at_leaf(tree, state):
+            while not is_leaf(tree, state.node):
                 state = descend(tree, line, state, stack)
                 counts[i, 0] += 1
             row = counts[i, 1]
             counts[i, 1] += 1
-            triangles = leaf(tree, state)
+            triangles = leaf_of(tree, state.node)
             if counts[i, 1] > leaves.shape[1]:
                 break
             leaves[i, row, 0], leaves[i, row, 1] = state.t_in, state.t_out

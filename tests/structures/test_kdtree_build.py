@@ -8,17 +8,18 @@ from conftest import assert_same_bits
 from meshes import cube, dented_sphere, grid_floor, soup
 from raystream.core.triangles import Triangles
 from raystream.structures.clip import BOUND
-from raystream.structures.kdtree.build import MAX_REFERENCES, Method, build_arrays
-from raystream.structures.kdtree.layout import check_arrays, walk
+from raystream.structures.kdtree.build import MAX_REFERENCES, build_arrays
+from raystream.structures.kdtree.foley_layout import extend, pack
+from raystream.structures.kdtree.layout import check_arrays, measure
 from raystream.structures.kdtree.options import MAX_DEPTH
-from raystream.structures.kdtree.packed import extend, pack
 from raystream.structures.kdtree.split import Costs
+from raystream.structures.kdtree.subtree import BuildSettings
 
 COSTS = Costs(1.0, 1.5, 0.5)
 
 
-def method(max_depth=40, max_leaf_size=1, costs=COSTS):
-    return Method(costs, max_depth, max_leaf_size)
+def settings(max_depth=40, max_leaf_size=1, costs=COSTS):
+    return BuildSettings(costs, max_depth, max_leaf_size)
 
 
 def triangles_of(vertices, faces):
@@ -68,7 +69,7 @@ def listed(tree, leaf):
 def test_a_leaf_lists_all_whose_hits_may_be_in_it(mesh, max_depth, costs, rng):
     """Points of each triangle, and of its plane inside its box; both moved by part of the bound."""
     triangles = triangles_of(*MESHES[mesh])
-    tree = build_arrays(triangles, method(max_depth, 1, costs))
+    tree = build_arrays(triangles, settings(max_depth, 1, costs))
     corners = triangles.corners.astype(float)
     low, high = corners.min(axis=1), corners.max(axis=1)
     inside = np.einsum("ftk,fkx->ftx", rng.dirichlet([0.5] * 3, (len(corners), 30)), corners)
@@ -84,14 +85,14 @@ def test_a_leaf_lists_all_whose_hits_may_be_in_it(mesh, max_depth, costs, rng):
     held = {leaf: set(listed(tree, leaf).tolist()) for leaf in np.unique(leaves)}
     assert all(p in held[leaf] for p, leaf in zip(prim_id.tolist(), leaves, strict=True))
     assert in_box.sum() > 50
-    assert walk(tree.nodes, triangles.bounds).depth <= max_depth
+    assert measure(tree.nodes, triangles.bounds).depth <= max_depth
 
 
 def test_leaves_list_few_triangles():
     """Else listing all of them everywhere would pass."""
     triangles = triangles_of(*dented_sphere(4))
-    tree = build_arrays(triangles, method())
-    found = walk(tree.nodes, triangles.bounds)
+    tree = build_arrays(triangles, settings())
+    found = measure(tree.nodes, triangles.bounds)
     assert found.tests_per_ray < 60
     assert found.reference_count < 11 * len(triangles)
     assert found.leaf_count == len(tree.nodes) // 2 + 1
@@ -99,7 +100,7 @@ def test_leaves_list_few_triangles():
 
 def test_a_leaf_lists_no_triangle_twice():
     triangles = triangles_of(*soup(300, 5))
-    tree = build_arrays(triangles, method())
+    tree = build_arrays(triangles, settings())
     for leaf in np.flatnonzero(tree.nodes[:, 1] & 3 == 3):
         prim_ids = listed(tree, leaf)
         assert len(np.unique(prim_ids)) == len(prim_ids)
@@ -112,7 +113,7 @@ def test_the_tree_does_not_depend_on_the_number_of_threads(mesh):
     for threads in (1, 2, 3):
         try:
             rs.set_thread_count(threads)
-            trees.append(build_arrays(triangles, method()))
+            trees.append(build_arrays(triangles, settings()))
         finally:
             rs.set_thread_count(None)
     for tree in trees[1:]:
@@ -123,8 +124,8 @@ def test_the_tree_does_not_depend_on_the_number_of_threads(mesh):
 def test_references_are_bounded():
     """Sticks across the scene would be listed thousands of times."""
     triangles = triangles_of(*sticks(6000))
-    tree = build_arrays(triangles, method(64, 1, Costs(1e-6, 1.0, 0.5)))
-    found = walk(tree.nodes, triangles.bounds)
+    tree = build_arrays(triangles, settings(64, 1, Costs(1e-6, 1.0, 0.5)))
+    found = measure(tree.nodes, triangles.bounds)
     assert 3 * len(triangles) < found.reference_count <= MAX_REFERENCES * len(triangles) + 1024
     assert len(tree.nodes) <= 4 * (MAX_REFERENCES * len(triangles) + 1024) + 1
 
@@ -133,8 +134,8 @@ def test_references_are_bounded():
 def test_equal_triangles_share_a_leaf(copies):
     vertices, _ = cube()
     triangles = triangles_of(vertices, np.tile([[0, 1, 2], [5, 6, 7]], (copies, 1)))
-    tree = build_arrays(triangles, method())
-    found = walk(tree.nodes, triangles.bounds)
+    tree = build_arrays(triangles, settings())
+    found = measure(tree.nodes, triangles.bounds)
     assert found.reference_count <= 6 * len(triangles)
     check_arrays(tree._asdict(), triangles.prim_ids, len(triangles))
 
@@ -143,15 +144,15 @@ def test_a_scene_that_grows_by_a_factor_from_triangle_to_triangle():
     sizes = 2.0 ** np.arange(-30.0, 30.0)
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]]) * sizes[:, None, None]
     triangles = triangles_of(vertices.reshape(-1, 3), np.arange(180).reshape(-1, 3))
-    tree = build_arrays(triangles, method(64))
+    tree = build_arrays(triangles, settings(64))
     check_arrays(tree._asdict(), triangles.prim_ids, len(triangles))
 
 
 @pytest.mark.parametrize(("max_depth", "most_leaves"), [(0, 1), (1, 2), (4, 16)])
 def test_depth_is_limited(max_depth, most_leaves):
     triangles = triangles_of(*soup(9000, 3, 0.01))
-    tree = build_arrays(triangles, method(max_depth))
-    found = walk(tree.nodes, triangles.bounds)
+    tree = build_arrays(triangles, settings(max_depth))
+    found = measure(tree.nodes, triangles.bounds)
     assert found.depth == max_depth
     assert found.leaf_count <= most_leaves
 
@@ -159,7 +160,7 @@ def test_depth_is_limited(max_depth, most_leaves):
 def test_small_cells_are_not_split():
     triangles = triangles_of(*soup(5000, 3, 0.01))
     counts = [
-        walk(build_arrays(triangles, method(40, size)).nodes, triangles.bounds).leaf_count
+        measure(build_arrays(triangles, settings(40, size)).nodes, triangles.bounds).leaf_count
         for size in (1, 16, 256)
     ]
     assert counts[0] > 4 * counts[1] > 16 * counts[2]
@@ -167,8 +168,8 @@ def test_small_cells_are_not_split():
 
 def test_figures_are_those_of_the_cells():
     triangles = triangles_of(*soup(100, 4))
-    nodes = build_arrays(triangles, method()).nodes
-    found = walk(nodes, triangles.bounds)
+    nodes = build_arrays(triangles, settings()).nodes
+    found = measure(nodes, triangles.bounds)
     positions = nodes.view(np.float32)[:, 0]
     boxes = [triangles.bounds.astype(float)] + [None] * (len(nodes) - 1)
     areas = np.zeros(len(nodes))
@@ -191,7 +192,7 @@ def test_figures_are_those_of_the_cells():
 
 
 def test_packed_forms_say_the_same():
-    nodes = build_arrays(triangles_of(*soup(300)), method()).nodes
+    nodes = build_arrays(triangles_of(*soup(300)), settings()).nodes
     packed = pack(nodes)
     assert len(packed.splits) + len(packed.leaves) == len(nodes)
     compact, other = extend(nodes, False), extend(nodes, True)
@@ -230,13 +231,13 @@ class TestCheckArrays:
         return triangles_of(*soup(300))
 
     def check(self, triangles, **changes):
-        arrays = build_arrays(triangles, method())._asdict()
+        arrays = build_arrays(triangles, settings())._asdict()
         for name, change in changes.items():
             arrays[name] = change(arrays[name])
         return check_arrays(arrays, triangles.prim_ids, len(triangles))
 
     def test_what_was_built_is_taken(self, triangles):
-        for a, b in zip(self.check(triangles), build_arrays(triangles, method()), strict=True):
+        for a, b in zip(self.check(triangles), build_arrays(triangles, settings()), strict=True):
             assert_same_bits(a, b)
         nothing = {"nodes": np.zeros((0, 2), np.int32), "prim_ids": np.zeros((0, 4), np.int32)}
         check_arrays(nothing, np.empty(0, np.int32), 0)
@@ -257,7 +258,7 @@ class TestCheckArrays:
             nodes.view(np.float32)[0, 0] = position
             return nodes
 
-        with pytest.raises(ValueError, match="plane of a split is nowhere"):
+        with pytest.raises(ValueError, match="plane of a split is not finite"):
             self.check(triangles, nodes=change)
 
     @pytest.mark.parametrize(
@@ -294,7 +295,7 @@ class TestCheckArrays:
             check_arrays(nothing, triangles.prim_ids, len(triangles))
 
     def test_a_degenerate_triangle(self, triangles):
-        arrays = build_arrays(triangles, method())._asdict()
+        arrays = build_arrays(triangles, settings())._asdict()
         with pytest.raises(ValueError, match="invalid triangle"):
             check_arrays(arrays, triangles.prim_ids[1:], len(triangles))
 
@@ -321,7 +322,7 @@ class TestCheckArrays:
 def test_progress_while_building():
     seen = []
     triangles = triangles_of(*soup(20_000, 9, 0.01))
-    build_arrays(triangles, method(), lambda done, total: seen.append((done, total)))
+    build_arrays(triangles, settings(), lambda done, total: seen.append((done, total)))
     assert seen[-1] == (20_000, 20_000)
     assert seen == sorted(seen)
 
@@ -331,4 +332,4 @@ def test_building_can_be_interrupted():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_arrays(triangles_of(*soup(20_000, 9, 0.01)), method(), interrupt)
+        build_arrays(triangles_of(*soup(20_000, 9, 0.01)), settings(), interrupt)

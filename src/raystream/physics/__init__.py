@@ -1,1 +1,1 @@
-"""Ordered hits put to use: thickness, attenuation, LiDAR returns."""
+"""Applications of ordered hits: thickness, attenuation, LiDAR returns."""

@@ -1,4 +1,4 @@
-"""Attenuation: what is left of rays behind solids, by the law of Beer and Lambert."""
+"""Attenuation of rays by solids: the Beer-Lambert law."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.physics.tables import number_table
+from raystream.physics.group_values import group_values
 from raystream.physics.thickness import Grouping, Thickness
 
 __all__ = ["attenuation"]
@@ -20,39 +20,39 @@ def attenuation(
     by: Grouping = "material",
     incomplete: Literal["nan", "ignore"] = "nan",
 ) -> NDArray[np.float64]:
-    """Find the fraction of each ray that passes the solids on its way.
+    """Compute the fraction of each ray that solids transmit.
 
     Parameters
     ----------
     thickness : Thickness
     coefficients : mapping, or array_like of shape () or (M,), real
         Linear attenuation coefficients, in reciprocal scene units; not negative. A mapping
-        goes from materials (or meshes), by name or by number, to coefficients, and may leave
-        out those that no ray crosses. One number serves all.
+        maps materials (or meshes), by name or number, to coefficients, and may omit those that
+        no ray crosses. One number applies to all.
     by : {"material", "mesh"}
         Whether there is a coefficient for each material of the scene, or for each mesh.
     incomplete : {"nan", "ignore"}
-        What becomes of rays whose `Thickness.is_complete` is False: NaN, or what the
-        segments that were found let through.
+        Result for rays whose `Thickness.is_complete` is False: NaN, or the transmittance of
+        the segments that were found.
 
     Returns
     -------
     ndarray of the rays' leading shape, float64
         exp(-sum of coefficient * path length over the ray's segments), 1 for a ray that
-        meets nothing.
+        misses everything.
 
     Raises
     ------
     ValueError
-        If a coefficient is negative or NaN; if one is missing for what a ray crosses; if a
-        name is unknown, or that of several; if an array's shape is wrong.
+        If a coefficient is negative or NaN, or missing for a material or mesh that a ray
+        crosses; if a name is unknown or ambiguous; if an array's shape is wrong.
     TypeError
-        If coefficients are no real numbers.
+        If coefficients are not real numbers.
 
     Notes
     -----
-    Where segments of different meshes overlap, both count. Scattering is left out: it is
-    the fraction of the primary beam.
+    Where segments of different meshes overlap, both count. Scattering is not modelled: the
+    result is the fraction of the primary beam.
 
     Examples
     --------
@@ -65,7 +65,7 @@ def attenuation(
     if incomplete not in ("nan", "ignore"):
         raise ValueError(f"incomplete: expected 'nan' or 'ignore', got {incomplete!r}")
     ids, names = thickness.group_ids(by), thickness.group_names(by)
-    table = number_table("coefficients", coefficients, names, by)
+    table = group_values("coefficients", coefficients, names, by)
     missing = np.unique(ids[np.isnan(table[ids])])
     if len(missing):
         known = ", ".join(f"{i} ({names[i]!r})" for i in missing[:5])

@@ -1,4 +1,4 @@
-"""LiDAR: pulses of light, and what comes back of them."""
+"""LiDAR: pulses of light and their returns."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress
+from raystream.physics.group_values import group_values
 from raystream.physics.pulses import Surfaces
 from raystream.physics.scan import Receiver, Returns, Scan
-from raystream.physics.tables import number_table
 from raystream.tracer import Tracer
 
 __all__ = ["LidarReturns", "lidar_returns"]
 
-#: Cones wider than so many degrees are no pulses.
+#: Widest cone of a pulse, degrees.
 MAX_DIVERGENCE = 90.0
 
-#: Sub-rays that are traced at a time: bounds the memory of all but the returns.
+#: Sub-rays per block: bounds the memory of all but the returns.
 _SUB_RAYS_PER_BLOCK = 1 << 18
 
 
 class LidarReturns:
-    """What comes back of pulses, as rows delimited by `ray_splits`: a cloud of points.
+    """Returns of pulses, as rows delimited by `ray_splits`: a point cloud.
 
     Attributes
     ----------
@@ -35,17 +35,17 @@ class LidarReturns:
         Pulse i owns the rows ray_splits[i] to ray_splits[i + 1]; pulses are numbered in the
         C order of their leading shape.
     ranges : ndarray of shape (K,), float64
-        Distances from the origins, scene units, increasing within a pulse.
+        Distances from the origins, in scene units, increasing within a pulse.
     positions : ndarray of shape (K, 3), float64
-        World space: points at these ranges on the pulses' axes.
+        World space: the points at these ranges on the axes of the pulses.
     intensity : ndarray of shape (K,), float64
-        Part of the pulse's energy; 1 for all of it from a white surface at a right angle.
+        Fraction of the pulse's energy; 1 for all of it from a white surface at a right angle.
     incidence_angle : ndarray of shape (K,), float64
         Degrees between the ray and the normal of the triangle, 0 to 90.
     return_number, return_count : ndarray of shape (K,), int32
-        Which of its pulse's returns a row is, from 1 on, and how many there are.
+        Number of the return within its pulse, from 1; and number of returns of that pulse.
     prim_id, mesh_id, material_id : ndarray of shape (K,), int32
-        The triangle, the one that sent back most energy, its mesh and its material.
+        The triangle that returned most energy, its mesh and its material.
     status : ndarray of the pulses' leading shape, uint8
         A `RayStatus` for each pulse.
     """
@@ -97,32 +97,31 @@ def lidar_returns(
     separation: float = 0.0,
     progress: Progress | None = None,
 ) -> LidarReturns:
-    """Send pulses out, and find what comes back.
+    """Emit pulses and compute their returns.
 
     Parameters
     ----------
     tracer : Tracer
     origins, directions, t_min, t_max
-        As in `Tracer.first_hit`: a ray for each pulse, its axis.
+        As in `Tracer.first_hit`: one ray per pulse, its axis.
     max_returns : int
-        Keep the nearest so many of each pulse.
+        Keep at most this many of each pulse, the nearest.
     reflectance : mapping, or array_like of shape () or (M,), real
-        Diffuse reflectance of the scene's materials, 0 to 1; one number serves all. A mapping
-        goes from materials, by name or number, and leaves the others at 1.
+        Diffuse reflectance of the scene's materials, 0 to 1; one number applies to all. A mapping
+        has materials, by name or number, as keys, and leaves the others at 1.
     transmission : mapping, or array_like of shape () or (M,), real
-        Part of a pulse that passes a surface, 0 to 1, given in the same ways: of foliage, the
-        share of gaps. A mapping leaves the others at 0.
+        Fraction of a pulse that passes a surface, 0 to 1, given likewise; for foliage, the
+        fraction of gaps. A mapping leaves the others at 0.
     threshold : float
-        What is noticed: returns of less intensity are left out, and a ray is followed while
-        so much of its energy is left.
+        Detection threshold: weaker returns are dropped, and a ray is traced on while it has at
+        least this much of its energy.
     divergence : float
-        Full angle of the pulse's cone, degrees, at most 90.
+        Full angle of the pulse's cone in degrees, at most 90.
     sub_rays : int
-        Rays to trace in each pulse, spread evenly over its cone, with equal energy. One is
-        the axis itself.
+        Rays per pulse, spread evenly over its cone, with equal energy. A single one is the axis.
     separation : float
         Echoes less than this beyond the first echo of a return belong to it: half the length
-        of a pulse, scene units.
+        of a pulse, in scene units.
     progress : callable, optional
         Called with (pulses done, pulses).
 
@@ -133,17 +132,17 @@ def lidar_returns(
     Raises
     ------
     ValueError, TypeError
-        As `Tracer.first_hit`, or if one of the other arguments is out of range.
+        As `Tracer.first_hit`, or if another argument is out of range.
 
     Notes
     -----
-    The model is simple. Each surface takes its share of what is left of the pulse, and sends
-    back reflectance * cosine of the angle of incidence of that (Lambert's law); the rest goes
-    straight on. Both sides of a triangle count, and each crossing of a surface. Intensities
-    are those of a receiver that corrects for the distance: divide by its square for the
-    power. There is no scattering from surface to surface, no noise and no atmosphere.
+    The model is simple. Each surface transmits its fraction of the remaining energy straight
+    ahead, and returns reflectance * cosine of the angle of incidence of the rest (Lambert's
+    law). Both sides of a triangle count, and each crossing of a surface. Intensities are those
+    of a receiver that corrects for the distance: divide by its square for the power. There is
+    no scattering between surfaces, no noise and no atmosphere.
 
-    A return's range is the mean of its echoes' ranges, weighted with their energy.
+    The range of a return is the mean range of its echoes, weighted by their energy.
 
     Examples
     --------
@@ -157,10 +156,10 @@ def lidar_returns(
     batch = RayBatch(origins, directions, t_min, t_max)
     scene = tracer.scene
     names = tuple(material.name for material in scene.materials)
-    reflectances = number_table(
+    reflectances = group_values(
         "reflectance", reflectance, names, "material", high=1.0, default=1.0
     )
-    transmissions = number_table(
+    transmissions = group_values(
         "transmission", transmission, names, "material", high=1.0, default=0.0
     )
     surfaces = Surfaces(
@@ -178,7 +177,7 @@ def lidar_returns(
     )
     scan = Scan(tracer, batch, surfaces, receiver)
     counts, status = np.zeros(len(batch), np.int64), np.zeros(len(batch), np.uint8)
-    parts = [scan.returns(slice(0, 0), counts, status)]  # of no pulses: the columns' dtypes
+    parts = [scan.returns(slice(0, 0), counts, status)]  # no pulses: the columns' dtypes
     size = max(1, _SUB_RAYS_PER_BLOCK // receiver.sub_rays)
     for first in range(0, len(batch), size):
         rows = slice(first, min(first + size, len(batch)))

@@ -1,4 +1,4 @@
-"""Crossings of closed meshes, matched like brackets."""
+"""Pairing entries and exits of closed meshes, like brackets."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from raystream.jit.cpu import device, kernel
 from raystream.kernels.ray import PAD, prepare_ray
 from raystream.kernels.ray_source import load_ray
 
-__all__ = ["NO_ROW", "Crossings", "Pairs", "find_sides", "pair_up"]
+__all__ = ["NO_ROW", "Crossings", "Limits", "MeshScratch", "Pairs", "find_sides", "pair_crossings"]
 
-#: In place of a row: the crossing was not seen.
+#: In place of a row: the crossing is outside the ray's interval.
 NO_ROW = -1
 
-#: What rounding to float32 leaves in doubt of t, as part of it; doubled.
+#: Uncertainty of t by rounding to float32, relative, doubled.
 _ROUNDING = 2.0**-23
 
-# What a crossing is.
+# Kinds of crossings.
 _ENTRY = np.uint8(0)
 _EXIT = np.uint8(1)
 _LONE_ENTRY = np.uint8(2)
@@ -28,7 +28,7 @@ _LONE_EXIT = np.uint8(3)
 
 
 class Crossings(NamedTuple):
-    """Crossings of surfaces by rays: rows of `MultiHits`, and what else is known of them.
+    """Crossings of surfaces by rays: rows of `MultiHits` and what is derived from them.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class Crossings(NamedTuple):
     kind : ndarray of shape (K,), uint8
         0 for an entry, 1 for an exit.
     order : ndarray of shape (K,), int64
-        Written by `pair_up`: the rows of each ray, at equal t entries first.
+        Written by `pair_crossings`: the rows of each ray, at equal t entries first.
     slack : ndarray of shape (K,), float64
-        What rounding leaves in doubt of t: much, where a triangle is seen almost edge-on.
+        Uncertainty of t by rounding: large where a triangle is seen almost edge-on.
     """
 
     splits: NDArray[np.int64]
@@ -56,20 +56,59 @@ class Crossings(NamedTuple):
     def of(
         cls, splits: NDArray[np.int64], t: NDArray[np.float32], prim_id: NDArray[np.int32]
     ) -> Crossings:
-        """Make room for what is to be found out about the rows."""
+        """Allocate the columns to be derived."""
         count = len(t)
         mesh_id, kind = np.empty(count, np.int32), np.empty(count, np.uint8)
         order, slack = np.empty(count, np.int64), np.empty(count)
         return cls(splits, t, prim_id, mesh_id, kind, order, slack)
 
 
+class Limits(NamedTuple):
+    """The rays' intervals, and whether segments are clipped to them.
+
+    Attributes
+    ----------
+    t_min, t_max : ndarray of shape (N,), float32
+    clips : bool
+        Whether an entry before t_min is assumed where a closed mesh must have one, and crossings
+        beyond t_max are dropped.
+    is_whole : ndarray of shape (N,), bool
+        Whether the ray was traced to its last crossing.
+    """
+
+    t_min: NDArray[np.float32]
+    t_max: NDArray[np.float32]
+    clips: bool
+    is_whole: NDArray[np.bool_]
+
+
+class MeshScratch(NamedTuple):
+    """Scratch memory of `pair_crossings`, a number for each of M meshes.
+
+    Attributes
+    ----------
+    depth : ndarray of shape (M,), int64
+        Open entries; zero before and after each ray.
+    slot : ndarray of shape (M,), int64
+        The mesh's open segment.
+    """
+
+    depth: NDArray[np.int64]
+    slot: NDArray[np.int64]
+
+    @classmethod
+    def zeros(cls, mesh_count: int) -> MeshScratch:
+        """Allocate it."""
+        return cls(np.zeros(mesh_count, np.int64), np.zeros(mesh_count, np.int64))
+
+
 class Pairs(NamedTuple):
-    """What `pair_up` finds; ray i has room from splits[i] on.
+    """The results of `pair_crossings`; those of ray i begin at splits[i].
 
     Attributes
     ----------
     counts, lone_counts : ndarray of shape (N,), int64
-        Segments and unpaired crossings of each ray.
+        Number of segments and of unpaired crossings of each ray.
     entries, exits : ndarray of shape (K,), int64
         Rows of the crossings at both ends of a segment, in order of entry; `NO_ROW` for an
         entry before the ray's interval.
@@ -85,7 +124,7 @@ class Pairs(NamedTuple):
 
     @classmethod
     def empty(cls, ray_count: int, row_count: int) -> Pairs:
-        """Make room, not initialised."""
+        """Allocate, not initialised."""
         rays, rows = (ray_count,), (row_count,)
         counts, lone_counts = np.empty(rays, np.int64), np.empty(rays, np.int64)
         entries, exits, lone = (np.empty(rows, np.int64) for _ in range(3))
@@ -94,7 +133,7 @@ class Pairs(NamedTuple):
 
 @kernel
 def find_sides(begin, end, source, frame, corners, mesh_splits, is_flipped, crossings):
-    """Tell entries from exits, and find the meshes.
+    """Classify crossings as entries or exits, and find their meshes.
 
     Parameters
     ----------
@@ -116,7 +155,7 @@ def find_sides(begin, end, source, frame, corners, mesh_splits, is_flipped, cros
         ray = prepare_ray(
             local.ox, local.oy, local.oz, local.dx, local.dy, local.dz, frame.max_coordinate
         )
-        # The triangle test may see a ray so far beside its place, see `PAD`.
+        # The triangle test may shift a ray sideways by this much, see `PAD`.
         reach = max(abs(local.ox), abs(local.oy), abs(local.oz))
         aside = np.float64(PAD) * np.float64(frame.max_coordinate + reach) * local.t_scale
         for row in range(first, last):
@@ -146,9 +185,9 @@ def _mesh_of(prim_id, mesh_splits):
 def _faces_ray(ray, corners, i):
     """Whether the ray meets the front of a triangle that it crosses.
 
-    The sign comes from the images of the corners, computed as `kernels.triangle` does, bit
-    for bit. So it agrees with the test that found the crossing also where rounding decides,
-    and a ray through a closed mesh leaves it as often as it enters it.
+    The sign comes from the sheared corners, computed bit for bit as in `kernels.triangle`. So
+    it agrees with the test that found the crossing even where rounding decides, and a ray
+    through a closed mesh leaves it as often as it enters it.
     """
     a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
     az = a[ray.kz] - ray.oz
@@ -160,14 +199,14 @@ def _faces_ray(ray, corners, i):
     by = np.float64((b[ray.ky] - ray.oy) - ray.sy * bz)
     cx = np.float64((c[ray.kx] - ray.ox) - ray.sx * cz)
     cy = np.float64((c[ray.ky] - ray.oy) - ray.sy * cz)
-    # Of a triangle that is hit, the three have one sign, or are zero.
+    # If the triangle is hit, the three have the same sign or are zero.
     clockwise = (cx * by - cy * bx) + (ax * cy - ay * cx) + (bx * ay - by * ax)
     return (clockwise > 0.0) == (ray.dz > np.float32(0.0))
 
 
 @device
 def _cosine(ray, corners, i):
-    """Of the angle between a ray and a triangle's normal, either side; 0 to 1."""
+    """Cosine of the angle between a ray and a triangle's normal, either side; 0 to 1."""
     a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
     ax, ay, az = np.float64(a[ray.kx]), np.float64(a[ray.ky]), np.float64(a[ray.kz])
     px, py, pz = b[ray.kx] - ax, b[ray.ky] - ay, b[ray.kz] - az
@@ -175,7 +214,7 @@ def _cosine(ray, corners, i):
     nx = py * qz - pz * qy
     ny = pz * qx - px * qz
     nz = px * qy - py * qx
-    largest = max(abs(nx), abs(ny), abs(nz))  # squares of small numbers would vanish
+    largest = max(abs(nx), abs(ny), abs(nz))  # squares of small numbers would underflow
     nx, ny, nz = nx / largest, ny / largest, nz / largest
     dx, dy, dz = np.float64(ray.dx), np.float64(ray.dy), np.float64(ray.dz)
     along = abs(nx * dx + ny * dy + nz * dz)
@@ -183,7 +222,7 @@ def _cosine(ray, corners, i):
 
 
 @kernel
-def pair_up(begin, end, crossings, t_min, t_max, is_whole, clips, is_closed, depth, slot, pairs):
+def pair_crossings(begin, end, crossings, limits, is_closed, scratch, pairs):
     """Match the entries and exits of each mesh like brackets, for rays begin to end.
 
     Parameters
@@ -191,37 +230,31 @@ def pair_up(begin, end, crossings, t_min, t_max, is_whole, clips, is_closed, dep
     begin, end : int
     crossings : Crossings
         `order` is written; `kind` is overwritten.
-    t_min, t_max : ndarray of shape (N,), float32
-        What is kept if `clips`.
-    is_whole : ndarray of shape (N,), bool
-        Whether the ray was traced to its last crossing.
-    clips : bool
-        Whether an entry before t_min is assumed where a closed mesh must have one, and
-        what lies beyond t_max is cut off.
+    limits : Limits
     is_closed : ndarray of shape (M,), bool
-    depth, slot : ndarray of shape (M,), int64
-        To work with; `depth` is zero before and after.
+    scratch : MeshScratch
     pairs : Pairs
         Written.
     """
+    depth, slot = scratch.depth, scratch.slot
     for i in range(np.uint64(begin), np.uint64(end)):
         first, last = crossings.splits[i], crossings.splits[i + np.uint64(1)]
         count = 0
         if last > first:
             _put_in_order(crossings, first, last)
-            if is_whole[i]:
+            if limits.is_whole[i]:
                 _swap_grazes(crossings, first, last, is_closed, depth, slot)
             _find_lone(crossings, first, last, depth)
-            if clips and t_min[i] > -math.inf:
+            if limits.clips and limits.t_min[i] > -math.inf:
                 count = _begin_inside(crossings, first, last, is_closed, depth, slot, pairs)
         _emit(i, crossings, first, last, count, depth, slot, pairs)
-        if clips:
-            _cut_off(i, crossings, first, t_max[i], pairs)
+        if limits.clips:
+            _cut_off(i, crossings, first, limits.t_max[i], pairs)
 
 
 @device
 def _put_in_order(crossings, first, last):
-    """Order the rows by t and, where it is equal, entries before exits."""
+    """Sort the rows by t; at equal t, entries before exits."""
     group = first
     while group < last:
         stop = group + 1
@@ -240,8 +273,8 @@ def _put_in_order(crossings, first, last):
 def _swap_grazes(crossings, first, last, is_closed, depth, balance):
     """Put entries first where a ray from outside would leave a closed mesh before it enters.
 
-    It is from outside if it leaves the mesh as often as it enters it. Further apart than
-    rounding explains, they are not swapped: parts of the mesh are turned inside out.
+    It is from outside if it leaves the mesh as often as it enters it. Crossings further apart
+    than rounding explains are not swapped: parts of the mesh are inside out.
     """
     t, kind, mesh_id, order = crossings.t, crossings.kind, crossings.mesh_id, crossings.order
     for row in range(first, last):
@@ -299,8 +332,8 @@ def _reset(crossings, first, last, depth):
 def _begin_inside(crossings, first, last, is_closed, depth, slot, pairs):
     """Begin a segment before the first crossing, in each mesh that the ray starts in.
 
-    Those are the closed ones with exits to spare and no entries: with both, parts of the
-    mesh disagree about its inside. The depth there is left in `depth`.
+    Those are the closed ones with unpaired exits and no unpaired entries: with both, parts of
+    the mesh disagree about its inside. The depth there is left in `depth`.
     """
     kind, mesh_id = crossings.kind, crossings.mesh_id
     count = 0
@@ -323,7 +356,7 @@ def _begin_inside(crossings, first, last, is_closed, depth, slot, pairs):
 
 @device
 def _emit(i, crossings, first, last, count, depth, slot, pairs):
-    """Write the outermost pairs, after `count` that have begun already, and what is left."""
+    """Write the outermost pairs, after `count` already begun, and unpaired crossings."""
     lone_count = 0
     for at in range(first, last):
         row = crossings.order[at]
@@ -347,7 +380,7 @@ def _emit(i, crossings, first, last, count, depth, slot, pairs):
 
 @device
 def _cut_off(i, crossings, first, t_max, pairs):
-    """Drop what begins beyond t_max."""
+    """Drop segments and unpaired crossings that begin beyond t_max."""
     kept = 0
     for k in range(first, first + pairs.counts[i]):
         entry = pairs.entries[k]

@@ -1,4 +1,4 @@
-"""What becomes of a pulse of light on its way, and how echoes merge into returns."""
+"""Kernels that trace the energy of light pulses and merge echoes into returns."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ __all__ = ["Echoes", "Surfaces", "follow_pulses", "merge_echoes"]
 
 
 class Surfaces(NamedTuple):
-    """What pulses meet, and what it does to them.
+    """The surfaces that pulses hit, and their optical properties.
 
     Attributes
     ----------
     corners : ndarray of shape (F, 3, 3), float32
     material_ids : ndarray of shape (F,), int32
     reflectance, transmission : ndarray of shape (M,), float64
-        Of each material.
+        Per material.
     threshold : float64
-        A pulse is followed while it has at least so much energy.
+        A pulse is followed while it has at least this much energy.
     """
 
     corners: NDArray[np.float32]
@@ -33,15 +33,15 @@ class Surfaces(NamedTuple):
 
 
 class Echoes(NamedTuple):
-    """Echoes of pulses: one for each row of `MultiHits`.
+    """Echoes of pulses, one per row of `MultiHits`.
 
     Attributes
     ----------
     energy : ndarray of shape (K,), float64
-        That comes back, as part of the pulse's; 0 where the pulse has ended before.
+        Energy returned, as a fraction of the pulse's; 0 after the end of the pulse.
     cosine : ndarray of shape (K,), float64
-        Of the angle of incidence.
-    noticed_count : ndarray of shape (N,), int64
+        Cosine of the angle of incidence.
+    detected_count : ndarray of shape (N,), int64
         Echoes of at least the threshold's energy.
     is_spent : ndarray of shape (N,), bool
         Whether the pulse has ended.
@@ -49,12 +49,12 @@ class Echoes(NamedTuple):
 
     energy: NDArray[np.float64]
     cosine: NDArray[np.float64]
-    noticed_count: NDArray[np.int64]
+    detected_count: NDArray[np.int64]
     is_spent: NDArray[np.bool_]
 
     @classmethod
     def empty(cls, ray_count: int, row_count: int) -> Echoes:
-        """Make room, not initialised."""
+        """Allocate, not initialised."""
         energy, cosine = np.empty(row_count), np.empty(row_count)
         count, is_spent = np.empty(ray_count, np.int64), np.empty(ray_count, np.bool_)
         return cls(energy, cosine, count, is_spent)
@@ -62,7 +62,7 @@ class Echoes(NamedTuple):
 
 @kernel
 def follow_pulses(begin, end, directions, splits, prim_id, surfaces, echoes):
-    """Find the echoes of rays begin to end.
+    """Compute the echoes of rays begin to end.
 
     Parameters
     ----------
@@ -89,13 +89,13 @@ def follow_pulses(begin, end, directions, splits, prim_id, surfaces, echoes):
             echoes.cosine[row] = cosine
             count += energy > 0.0 and energy >= surfaces.threshold
             left = passing if passing >= surfaces.threshold else 0.0
-        echoes.noticed_count[i] = count
+        echoes.detected_count[i] = count
         echoes.is_spent[i] = left == 0.0
 
 
 @device
 def _cosine(corners, i, dx, dy, dz):
-    """Of the angle between a direction and a triangle's normal, either side; 0 to 1."""
+    """Cosine of the angle between a direction and a triangle's normal, either side; 0 to 1."""
     a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
     ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
     px, py, pz = b[0] - ax, b[1] - ay, b[2] - az
@@ -103,7 +103,7 @@ def _cosine(corners, i, dx, dy, dz):
     nx = py * qz - pz * qy
     ny = pz * qx - px * qz
     nz = px * qy - py * qx
-    # Scaled before it is squared: small triangles' normals would vanish.
+    # Scaled before squaring: normals of small triangles would underflow.
     largest = max(abs(nx), abs(ny), abs(nz))
     nx, ny, nz = nx / largest, ny / largest, nz / largest
     along = abs(nx * dx + ny * dy + nz * dz)
@@ -112,7 +112,7 @@ def _cosine(corners, i, dx, dy, dz):
 
 @kernel
 def merge_echoes(begin, end, splits, ranges, separation, first):
-    """Put echoes of pulses begin to end together that a receiver would not tell apart.
+    """Merge echoes of pulses begin to end that a receiver cannot resolve.
 
     Parameters
     ----------
@@ -121,9 +121,9 @@ def merge_echoes(begin, end, splits, ranges, separation, first):
         Pulse i has rows splits[i] to splits[i + 1], by increasing range.
     ranges : ndarray of shape (K,), float64
     separation : float
-        An echo belongs to a return if it is less than this beyond its first echo.
+        An echo belongs to a return if it is less than this beyond the first echo.
     first : ndarray of shape (K,), bool
-        Written: whether a row is the first of a return.
+        Written: whether a row begins a return.
     """
     for i in range(np.uint64(begin), np.uint64(end)):
         start = -np.inf

@@ -1,4 +1,4 @@
-"""Blocks of pulses: their sub-rays, the echoes of those, and the returns that they make."""
+"""Tracing blocks of pulses: sub-rays, their echoes, and returns."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from raystream.tracer import Tracer
 
 __all__ = ["Receiver", "Returns", "Scan"]
 
-#: Surfaces that are asked for first where pulses pass some.
+#: Surfaces traced at first per ray, where some transmit.
 _FIRST_HITS = 8
 
-#: Rays that one call of a kernel gets: about a millisecond.
+#: Rays per call of a kernel: about a millisecond.
 _CHUNK = 1 << 13
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
 class Returns(NamedTuple):
-    """Columns of returns, see `LidarReturns`."""
+    """Columns of `LidarReturns`."""
 
     ranges: NDArray[np.float64]
     positions: NDArray[np.float64]
@@ -36,7 +36,7 @@ class Returns(NamedTuple):
 
 
 class Receiver(NamedTuple):
-    """How pulses are sent and received.
+    """Properties of the emitter and receiver.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Receiver(NamedTuple):
 
 
 class _Echoes(NamedTuple):
-    """Echoes with energy; a ray's are in order of distance."""
+    """Echoes with energy, by increasing distance within a ray."""
 
     ray: NDArray[np.int64]
     t: NDArray[np.float32]
@@ -64,7 +64,7 @@ class _Echoes(NamedTuple):
 
 
 class Scan:
-    """A tracer and pulses, and all that blocks of them share."""
+    """A tracer and pulses, to be traced in blocks."""
 
     def __init__(
         self, tracer: Tracer, batch: RayBatch, surfaces: Surfaces, receiver: Receiver
@@ -73,20 +73,20 @@ class Scan:
         self._receiver = receiver
 
     def returns(self, rows: slice, counts: NDArray[np.int64], status: NDArray[np.uint8]) -> Returns:
-        """Trace some pulses.
+        """Trace a block of pulses.
 
         Parameters
         ----------
         rows : slice
         counts, status : ndarray of shape (N,)
-            Of all pulses; these ones' returns and `RayStatus` are written.
+            Of all pulses; the block's numbers of returns and `RayStatus` are written.
         """
         lengths = direction_lengths(self._batch, rows)
         with np.errstate(invalid="ignore", divide="ignore"):
             axes = self._batch.directions[rows].astype(np.float64) / lengths[:, None]
         echoes = self._echoes(rows, axes, lengths, status)
 
-        # Step 1: echoes of a pulse by range, and which of them make one return.
+        # Step 1: sort the echoes of a pulse by range, and group them into returns.
         pulse = echoes.ray // self._receiver.sub_rays
         ranges = echoes.t * lengths[pulse]
         order = np.lexsort((ranges, pulse))
@@ -94,14 +94,14 @@ class Scan:
         first = self._first_echoes(pulse, ranges, len(axes))
         number = np.cumsum(first) - 1
 
-        # Step 2: what they add up to.
+        # Step 2: sum up each return.
         pulse = pulse[first]
         total = np.bincount(number, energy, len(pulse))
         mean = np.bincount(number, energy * ranges, len(pulse)) / total
         intensity = total / self._receiver.sub_rays
         strongest = order[np.lexsort((-energy, number))[first]]
 
-        # Step 3: what is noticed, and the nearest of that.
+        # Step 3: keep the nearest of those detected.
         kept = np.flatnonzero(intensity >= self._surfaces.threshold)
         kept = kept[_rank(pulse[kept]) < self._receiver.max_returns]
         pulse, mean, strongest = pulse[kept], mean[kept], strongest[kept]
@@ -117,7 +117,7 @@ class Scan:
     def _first_echoes(
         self, pulse: NDArray[np.int64], ranges: NDArray[np.float64], pulse_count: int
     ) -> NDArray[np.bool_]:
-        """Whether each echo, by pulse and range, is the first of a return."""
+        """Whether each echo, sorted by pulse and range, begins a return."""
         first = np.empty(len(ranges), np.bool_)
         splits = np.searchsorted(pulse, np.arange(pulse_count + 1))
 
@@ -134,9 +134,9 @@ class Scan:
         lengths: NDArray[np.float64],
         status: NDArray[np.uint8],
     ) -> _Echoes:
-        """Echoes of all sub-rays of some pulses.
+        """Echoes of all sub-rays of a block of pulses.
 
-        Few surfaces are asked for at first, and more for those rays that pass them all.
+        Few surfaces are traced at first, and more for rays that pass through all of them.
         """
         batch, sub_rays = self._batch, self._receiver.sub_rays
         directions: NDArray[Any] = batch.directions[rows]
@@ -161,7 +161,7 @@ class Scan:
             echoes = self._follow(axes[rays], hits.ray_splits, hits.prim_id)
             is_done = echoes.is_spent | (hits.counts < limit)
             if sub_rays == 1 and self._receiver.separation == 0.0:
-                is_done |= echoes.noticed_count >= self._receiver.max_returns
+                is_done |= echoes.detected_count >= self._receiver.max_returns
             kept = np.flatnonzero(is_done[hits.ray_id] & (echoes.energy > 0.0))
             parts.append(
                 _Echoes(
@@ -189,7 +189,7 @@ class Scan:
 
 
 def _rank(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many of the same value come before, in an array that does not decrease."""
+    """Position within each run of equal values, in a sorted array."""
     begins = np.searchsorted(values, values)
     return np.arange(len(values)) - begins
 
@@ -197,10 +197,10 @@ def _rank(values: NDArray[np.int64]) -> NDArray[np.int64]:
 def _cones(axes: NDArray[np.float64], count: int, spread: float) -> NDArray[np.float64]:
     """Unit directions around each axis, evenly over a disk: (N, 3) gives (N * count, 3).
 
-    They lie on a spiral whose turns are golden angles (Vogel, "A Better Way to Construct the
+    They lie on a spiral of golden angles (Vogel, "A Better Way to Construct the
     Sunflower Head", Mathematical Biosciences 44, 1979).
     """
-    # Step 1: two directions at right angles to each axis.
+    # Step 1: two directions perpendicular to each axis.
     other = np.eye(3)[np.abs(axes).argmin(axis=1)]
     with np.errstate(invalid="ignore"):
         across = np.cross(axes, other)

@@ -1,4 +1,4 @@
-"""The query for thickness: blocks of rays, their crossings, and what becomes of them."""
+"""The thickness query: traces blocks of rays and pairs their crossings."""
 
 from __future__ import annotations
 
@@ -13,20 +13,28 @@ from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
-from raystream.physics.pairing import NO_ROW, Crossings, Pairs, find_sides, pair_up
+from raystream.physics.pairing import (
+    NO_ROW,
+    Crossings,
+    Limits,
+    MeshScratch,
+    Pairs,
+    find_sides,
+    pair_crossings,
+)
 from raystream.physics.solids import Solids, solids_of
 from raystream.physics.thickness import Segments, Thickness, Unpaired, direction_lengths
 from raystream.tracer import Tracer
 
 __all__ = ["thickness"]
 
-#: Rays of the first block, and most rays of any.
+#: Rays of the first block, and at most of any.
 _RAYS_PER_BLOCK = 1 << 18
 
-#: Crossings that a block is to have: about 60 bytes each while it is worked on.
+#: Target number of crossings of a block: about 60 bytes each while it is processed.
 _CROSSINGS_PER_BLOCK = 1 << 22
 
-#: Rays that one call of a kernel gets: about a millisecond.
+#: Rays per call of a kernel: about a millisecond.
 _CHUNK = 1 << 13
 
 
@@ -48,10 +56,10 @@ def thickness(
     origins, directions, t_min, t_max
         As in `Tracer.first_hit`.
     ends : {"report", "clip"}
-        What becomes of a segment that t_min or t_max cuts in two: its other end is unpaired;
-        or the segment is clipped to the interval, if the mesh is closed. To clip, rays are
-        traced to their last crossing, so that a ray from inside is known to be one even if
-        its interval ends before any surface.
+        How to treat a segment that contains t_min or t_max: report its other end as unpaired, or
+        clip it to the interval, if the mesh is closed. To clip, rays are traced to their last
+        crossing, so that a ray that starts inside is recognised even if its interval ends before
+        any surface.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -64,24 +72,24 @@ def thickness(
     ValueError, TypeError
         As `Tracer.first_hit`, or if `ends` is unknown.
     MemoryError
-        If the crossings of some rays need more memory than there is.
+        If there is not enough memory for the crossings of a block.
 
     Notes
     -----
     Crossings are those of ``multi_hit(crossings="surfaces")``. A ray *enters* where it meets
     the front of a triangle (its vertices counter-clockwise) and *exits* at a back. Each
     mesh's crossings are matched like brackets: an exit closes the latest entry that is still
-    open. A segment is an outermost pair, so of parts of one mesh that are nested or overlap
-    it is the union, and a part that faces inward is a cavity. What has no partner is
+    open. A segment is an outermost pair, so nested or overlapping parts of one mesh count as
+    their union, and a part that faces inward is a cavity. Unpaired crossings are
     reported. At equal t entries come first: parts that touch make one segment.
 
     A mesh that is closed and has a negative volume faces inward: its sides are swapped, and
     `Thickness.mesh_is_flipped` says so.
 
     A ray from outside leaves a closed mesh as often as it enters it, through edges and
-    vertices too. Where it passes a silhouette within rounding errors, the exit may come
-    before the entry. Without a t_max that is known to be such a case, and makes a segment
-    without length; else both are reported.
+    vertices too. Where it grazes a silhouette within rounding errors, the exit may come
+    before the entry. Without a t_max this case is recognised and gives a segment of length 0;
+    with one, both crossings are reported as unpaired.
 
     Examples
     --------
@@ -119,7 +127,7 @@ def thickness(
 
 
 class _Worker:
-    """A tracer and a batch, and all that blocks of its rays share."""
+    """A tracer and a batch, processed in blocks of rays."""
 
     def __init__(self, tracer: Tracer, batch: RayBatch, clips: bool) -> None:
         self._tracer, self._batch, self._clips = tracer, batch, clips
@@ -129,7 +137,7 @@ class _Worker:
         self._material_ids = tracer.scene.attributes.material_ids
 
     def blocks(self, progress: Progress | None) -> Iterator[tuple[slice, MultiHits]]:
-        """The crossings of some rays at a time; at least one block, if without rays."""
+        """Crossings block by block; at least one block, even if without rays."""
         total = len(self._batch)
         first, size = 0, _RAYS_PER_BLOCK
         while first < total or first == 0:
@@ -151,17 +159,17 @@ class _Worker:
             progress(total, total)
 
     def pair(self, rows: slice, hits: MultiHits) -> tuple[NDArray[np.int64], Segments, Unpaired]:
-        """Segments and unpaired crossings of a block of rays, and the segments of each ray."""
+        """Number of segments per ray, segments and unpaired crossings of a block."""
         count = rows.stop - rows.start
         crossings = Crossings.of(hits.ray_splits, hits.t, hits.prim_id)
         pairs = Pairs.empty(count, len(hits.t))
         t_min, t_max = self._batch.t_min[rows], self._batch.t_max[rows]
-        limits = t_min, np.broadcast_to(np.float32(np.inf), count) if self._clips else t_max
-        source, kept = RaySource.of(self._batch.origins[rows], self._batch.directions[rows], limits)
+        traced_to = np.broadcast_to(np.float32(np.inf), count) if self._clips else t_max
+        origins, directions = self._batch.origins[rows], self._batch.directions[rows]
+        source, kept = RaySource.of(origins, directions, (t_min, traced_to))
         triangles, solids = self._triangles, self.solids
         t_min, t_max = np.ascontiguousarray(t_min), np.ascontiguousarray(t_max)
-        is_whole = np.isinf(limits[1])
-        mesh_count = len(solids.is_closed)
+        limits = Limits(t_min, t_max, self._clips, np.isinf(traced_to))
 
         def body(begin: int, end: int) -> None:
             find_sides(
@@ -174,19 +182,8 @@ class _Worker:
                 solids.is_flipped,
                 crossings,
             )
-            pair_up(
-                begin,
-                end,
-                crossings,
-                t_min,
-                t_max,
-                is_whole,
-                self._clips,
-                solids.is_closed,
-                np.zeros(mesh_count, np.int64),
-                np.empty(mesh_count, np.int64),
-                pairs,
-            )
+            scratch = MeshScratch.zeros(len(solids.is_closed))
+            pair_crossings(begin, end, crossings, limits, solids.is_closed, scratch, pairs)
 
         parallel_for(body, count, _CHUNK)
         del kept
@@ -204,7 +201,7 @@ class _Worker:
         used, ray = _used(crossings.splits, pairs.counts)
         entry, exit_ = pairs.entries[used], pairs.exits[used]
         t_exit = crossings.t[exit_]
-        t_entry = np.minimum(crossings.t[entry], t_exit)  # where a graze was put in order
+        t_entry = np.minimum(crossings.t[entry], t_exit)  # swapped grazes
         entry_prim_id, exit_prim_id = crossings.prim_id[entry], crossings.prim_id[exit_]
         is_inside = entry == NO_ROW
         known = np.where(is_inside, exit_prim_id, entry_prim_id)
@@ -240,14 +237,14 @@ def _unpaired(rows: slice, crossings: Crossings, pairs: Pairs) -> Unpaired:
 def _used(
     splits: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Places of which each ray i uses the first counts[i] of its own, and their rays."""
+    """Indices of the first counts[i] rows of each ray i, and their rays."""
     ray = np.repeat(np.arange(len(counts)), counts)
     begin = np.cumsum(counts) - counts
     return splits[ray] + np.arange(len(ray)) - begin[ray], ray
 
 
 def _within(progress: Progress | None, rows: slice, total: int) -> Progress | None:
-    """The callback for a block, whose query counts its own steps."""
+    """The callback for the query of a block."""
     if progress is None:
         return None
     whole, count = progress, rows.stop - rows.start

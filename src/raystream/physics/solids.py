@@ -1,4 +1,4 @@
-"""Which meshes are solids: closed, and which side of their triangles is the inside."""
+"""Whether meshes are closed, and which side of their triangles is the inside."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from raystream.jit.threads import parallel_for
 
 __all__ = ["Solids", "solids_of"]
 
-#: Triangles that one call of the kernel looks at: some milliseconds.
+#: Triangles per call of the kernel: some milliseconds.
 _CHUNK = 1 << 16
 
 # Constants of the mixing steps of splitmix64 (Steele, Lea and Flood, "Fast Splittable
@@ -26,15 +26,15 @@ _STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
 class Solids(NamedTuple):
-    """What is known of each of M meshes before any ray is traced.
+    """Properties of M meshes as solids.
 
     Attributes
     ----------
     is_closed : ndarray of shape (M,), bool
-        Whether every edge is passed as often in one direction as in the other, by the
-        triangles that can be hit. Vertices count as one where their positions are equal.
+        Whether the triangles that can be hit traverse every edge as often in one direction as in
+        the other. Vertices with equal positions count as one.
     is_flipped : ndarray of shape (M,), bool
-        Whether it is closed, and its normals point inward: its signed volume is negative.
+        Whether it is closed and its normals point inward: its signed volume is negative.
     """
 
     is_closed: NDArray[np.bool_]
@@ -45,27 +45,26 @@ _known: WeakKeyDictionary[Triangles, Solids] = WeakKeyDictionary()
 
 
 def solids_of(triangles: Triangles) -> Solids:
-    """Look at each mesh of a triangle store, once.
+    """Analyse each mesh of a triangle store, once.
 
     Notes
     -----
-    Edges are not matched one by one: each adds a number to a sum, which its reverse takes
-    away again. The numbers are 64-bit hashes of the two positions, so a sum that is zero
-    by chance is as likely as a collision of such hashes.
+    Edges are not matched one by one: each adds a hash to a sum, and its reverse subtracts it.
+    Hashes have 64 bits, so a sum that is zero by chance is as unlikely as a collision.
     """
     found = _known.get(triangles)
     if found is None:
-        found = _known[triangles] = _look_at(triangles)
+        found = _known[triangles] = _analyse(triangles)
     return found
 
 
-def _look_at(triangles: Triangles) -> Solids:
+def _analyse(triangles: Triangles) -> Solids:
     prim_ids = triangles.prim_ids
     edges = np.empty(len(prim_ids), np.uint64)
     volumes = np.empty(len(prim_ids))
 
     def body(begin: int, end: int) -> None:
-        _sum_up(begin, end, triangles.corners, prim_ids, edges, volumes)
+        _hash_and_measure(begin, end, triangles.corners, prim_ids, edges, volumes)
 
     parallel_for(body, len(prim_ids), _CHUNK)
     splits = np.searchsorted(prim_ids, triangles.mesh_splits)
@@ -79,8 +78,8 @@ def _look_at(triangles: Triangles) -> Solids:
 
 
 @kernel
-def _sum_up(begin, end, corners, prim_ids, edges, volumes):
-    """What triangles begin to end add to the sums of their mesh.
+def _hash_and_measure(begin, end, corners, prim_ids, edges, volumes):
+    """Write what triangles begin to end contribute to the sums of their mesh.
 
     Parameters
     ----------
@@ -88,9 +87,9 @@ def _sum_up(begin, end, corners, prim_ids, edges, volumes):
     corners : ndarray of shape (F, 3, 3), float32
     prim_ids : ndarray of shape (A,), int32
     edges : ndarray of shape (A,), uint64
-        Written: the three edges' hashes.
+        Written: sums of the hashes of their three edges.
     volumes : ndarray of shape (A,), float64
-        Written: six times the signed volume between triangle and local origin.
+        Written: six times the signed volume between the triangle and the local origin.
     """
     for i in range(np.uint64(begin), np.uint64(end)):
         a, b, c = corners[prim_ids[i], 0], corners[prim_ids[i], 1], corners[prim_ids[i], 2]
@@ -115,7 +114,7 @@ def _mix(bits):
 def _hash_point(point):
     bits = _STEP
     for axis in range(3):
-        # Adding zero turns -0 into 0, which is the same place.
+        # Adding zero turns -0 into 0, the same position.
         number = np.float64(point[axis]) + 0.0
         bits = _mix(bits + _STEP + np.uint64(float_as_bits(number)))
     return bits
@@ -123,5 +122,5 @@ def _hash_point(point):
 
 @device
 def _hash_edge(hash_a, hash_b):
-    """A number for an edge; that of the reverse edge is its negative, modulo 2**64."""
+    """The hash of an edge; the reverse edge has its negative, modulo 2**64."""
     return _mix(hash_a + _mix(hash_b)) - _mix(hash_b + _mix(hash_a))

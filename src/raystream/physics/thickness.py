@@ -1,4 +1,4 @@
-"""Thickness: what rays cross of closed meshes, from entry to exit."""
+"""Thickness: the segments of rays inside closed meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SPLIT_BY = ("mesh", "material")
 
 
 class UnpairedKind(enum.IntEnum):
-    """What is missing of a pair.
+    """The kind of an unpaired crossing.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class UnpairedKind(enum.IntEnum):
 
 
 class Segments(NamedTuple):
-    """Columns of segments, see `Thickness`."""
+    """Columns of segments of `Thickness`."""
 
     t_entry: NDArray[np.float32]
     t_exit: NDArray[np.float32]
@@ -49,7 +49,7 @@ class Segments(NamedTuple):
 
 
 class Unpaired(NamedTuple):
-    """Columns of unpaired crossings, see `Thickness`."""
+    """Columns of unpaired crossings of `Thickness`."""
 
     ray: NDArray[np.int64]
     t: NDArray[np.float32]
@@ -61,7 +61,7 @@ class Unpaired(NamedTuple):
 class Thickness:
     """Segments of rays inside closed meshes, as rows delimited by `ray_splits`.
 
-    A segment reaches from where a ray enters a mesh to where it has left all of it. Segments
+    A segment extends from where a ray enters a mesh to where it has left all of it. Segments
     of different meshes may overlap.
 
     Attributes
@@ -70,29 +70,29 @@ class Thickness:
         Ray i owns the segments ray_splits[i] to ray_splits[i + 1]; rays are numbered in the
         C order of their leading shape S.
     t_entry, t_exit : ndarray of shape (K,), float32
-        Distances in direction lengths; in order of entry.
+        Distances in direction lengths, in order of entry.
     path_length : ndarray of shape (K,), float64
         Scene units: (t_exit - t_entry) * length of the direction.
     mesh_id : ndarray of shape (K,), int32
     material_id : ndarray of shape (K,), int32
-        Index in ``scene.materials``: the material of the triangle where the ray entered, or
-        where it left if it began inside.
+        Index in ``scene.materials``: the material of the entry triangle, or of the exit
+        triangle if the ray began inside.
     entry_prim_id, exit_prim_id : ndarray of shape (K,), int32
-        The triangles; -1 where the interval's end is the segment's, with ``ends="clip"``.
+        The triangles; -1 where ``ends="clip"`` clipped the segment.
     unpaired_ray : ndarray of shape (U,), int64
-        The ray of each crossing that is no segment's end, in increasing order. Within a ray
-        they are in order of distance.
+        The ray of each crossing that is not the end of a segment, in increasing order; within a
+        ray by distance.
     unpaired_t, unpaired_prim_id, unpaired_mesh_id : ndarray of shape (U,)
-        Where and what it crosses: float32, int32, int32.
+        Distance, triangle and mesh of the crossing: float32, int32, int32.
     unpaired_kind : ndarray of shape (U,), uint8
         An `UnpairedKind`.
     status : ndarray of shape S, uint8
         A `RayStatus` for each ray.
     mesh_is_closed, mesh_is_flipped : ndarray of shape (M,), bool
-        Of each mesh of the scene: whether its triangles close it; and whether they face
-        inward and were taken the other way round.
+        Whether each mesh of the scene is closed, and whether its triangles face inward and
+        were flipped.
     mesh_names, material_names : tuple of str
-        Of the scene's meshes and materials.
+        Names of the scene's meshes and materials.
     """
 
     def __init__(
@@ -133,25 +133,25 @@ class Thickness:
         return complete.reshape(self.status.shape)
 
     def total_length(self, by: Grouping | None = None) -> NDArray[np.float64]:
-        """Add up the segments of each ray.
+        """Sum up the lengths of each ray's segments.
 
         Parameters
         ----------
         by : {"mesh", "material"}, optional
-            What to add up one by one.
+            Give one sum per mesh or per material.
 
         Returns
         -------
         ndarray of shape S, S + (mesh count,) or S + (material count,), float64
-            Scene units. Segments of different meshes that overlap both count. Where
-            `is_complete` is False it may lack something.
+            Scene units. Overlapping segments of different meshes both count. Where
+            `is_complete` is False, lengths may be missing.
 
         Raises
         ------
         ValueError
             If `by` is unknown.
         MemoryError
-            If the array needs more memory than there is.
+            If there is not enough memory for the array.
         """
         ray_count, shape = len(self.ray_splits) - 1, self.status.shape
         if by is None:
@@ -185,7 +185,7 @@ def _sums(cells: NDArray[np.int64], values: NDArray[np.float64], count: int) -> 
 
 
 def direction_lengths(batch: RayBatch, rows: slice) -> NDArray[np.float64]:
-    """Lengths of some rays' directions, however short or long they are."""
+    """Lengths of rays' directions, without overflow or underflow."""
     directions = batch.directions[rows].astype(np.float64)
     largest = np.abs(directions).max(axis=1, initial=0.0)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from raystream.graphics.forms.base import Form, budget_for, numbers
 from raystream.graphics.records import FAR
+from raystream.structures.kdtree.foley_layout import LEAF_BIT
 from raystream.structures.kdtree.layout import LEAF_AXIS
-from raystream.structures.kdtree.packed import LEAF_BIT
 from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["form"]

@@ -1,5 +1,5 @@
 // Distances to planes that part space. Each plane has one, which depends on its position alone:
-// a distance t is either before it or not, whoever asks. As raystream/structures/kdtree/steps.py.
+// a distance t is either before it or not, always. As raystream/structures/kdtree/traversal.py.
 
 // What a ray's distances to planes are made of.
 struct PlaneRay {

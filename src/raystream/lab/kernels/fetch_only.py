@@ -34,7 +34,7 @@ _NODE = np.uint64(8)
 _CORNERS = np.uint64(36)
 _AXIS = np.uint64(16)
 
-# Foley's layout of a kd-tree; see `structures.kdtree.packed`.
+# Foley's layout of a kd-tree; see `structures.kdtree.foley_layout`.
 _LEAF = np.uint64(1 << 31)
 _ROW = np.uint64((1 << 30) - 1)
 _RECORD = np.uint64(12)

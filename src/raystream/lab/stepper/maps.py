@@ -15,8 +15,8 @@ from raystream.structures.bvh.structure import BvhStructure
 from raystream.structures.graph.layout import FACES, NODE_BIT, SECTOR_ROWS, VOID
 from raystream.structures.graph.structure import GraphStructure
 from raystream.structures.grid.structure import GridStructure
+from raystream.structures.kdtree.foley_layout import LEAF_BIT
 from raystream.structures.kdtree.layout import LEAF_AXIS
-from raystream.structures.kdtree.packed import LEAF_BIT
 from raystream.structures.kdtree.structure import KdTreeStructure
 from raystream.structures.kdtree.traversals.short_stack import kept_entries
 

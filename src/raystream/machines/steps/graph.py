@@ -20,12 +20,12 @@ from raystream.machines.records import (
 )
 from raystream.machines.steps.base import Steps, resume_search, traversal_kernels
 from raystream.structures.graph.steps import (
-    cross,
-    enter,
+    clip_to_scene,
+    exit_face,
+    follow_link,
     sector_blocks,
     sector_ray,
     start_sector,
-    way_out,
 )
 from raystream.structures.graph.structure import GraphStructure
 
@@ -50,21 +50,21 @@ _LANES = np.uint64(4)
 
 @device
 def _leave_sector(tree, line, sector, t_end, search, wanted, query):
-    """Leave a sector, unless the search is over: the next state and sector, and t there."""
-    way = way_out(line, sector)
-    t_out = min(way.t, t_end)
+    """Leave a sector, unless the search is over: the next state, sector, and t there."""
+    face = exit_face(line, sector)
+    t_out = min(face.t, t_end)
     if t_out >= t_end or is_over(search, t_out):
         return end_state(search.hit_count, query), sector, t_out
-    sector, node_count = cross(tree, line, way.link, t_out)
+    sector, node_count = follow_link(tree, line, face.link, t_out)
     add_count(query, wanted, LINK_NODES, node_count)
     return TRAVERSING, sector, t_out
 
 
 def set_up(ray, wanted, tree, query, kernel):
-    """Find a ray's first sector."""
+    """Find the sector in which a ray begins."""
     count_step(query, wanted, kernel, STEPS, _NONE)
     line = prepared_ray(ray, query)
-    is_active, t_in, t_end = enter(tree, line, ray.t_min, ray.t_max)
+    is_active, t_in, t_end = clip_to_scene(tree, line, ray.t_min, ray.t_max)
     state, sector = DONE, tree.rows
     if is_active:
         state = TRAVERSING
@@ -97,7 +97,7 @@ def intersect(ray, wanted, found, place, tree, query, kernel):
     line, triangle_ray = sector_ray(prepared), block_ray(prepared)
     search = resume_search(query.hits, ray, wanted, found, query, None)
     sector, t_in, block, left = place.sector, place.t_in, place.block, np.uint64(place.left)
-    t_out = min(way_out(line, sector).t, place.t_end)
+    t_out = min(exit_face(line, sector).t, place.t_end)
     state = INTERSECTING
     for _ in range(query.tests):
         count_step(query, wanted, kernel, TESTS, min(left, _LANES))

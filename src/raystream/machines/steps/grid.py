@@ -38,7 +38,7 @@ from raystream.structures.grid.dda import (
     walk_through,
 )
 from raystream.structures.grid.structure import GridStructure
-from raystream.structures.grid.traversal import enter_grid
+from raystream.structures.grid.traversal import clip_to_grid
 
 __all__ = ["steps"]
 
@@ -137,10 +137,10 @@ def _next_cell(tree, ray, place):
 
 
 def set_up(ray, wanted, tree, query, kernel):
-    """Find a ray's first cell."""
+    """Find the cell in which a ray begins."""
     count_step(query, wanted, kernel, STEPS, _NONE)
     line = prepared_ray(ray, query)
-    t_in, t_far = enter_grid(tree, line, ray.t_min, ray.t_max)
+    t_in, t_far = clip_to_grid(tree, line, ray.t_min, ray.t_max)
     is_active = tree.splits != _NONE and t_in <= t_far
     if not is_active:
         t_in = t_far = np.float32(0.0)

@@ -34,7 +34,8 @@ from raystream.machines.records import (
     stack_of,
 )
 from raystream.machines.steps.base import StepKernel, Steps, resume_search, with_shade
-from raystream.structures.kdtree import steps as tree_steps
+from raystream.structures.kdtree import traversal, traversals
+from raystream.structures.kdtree.nodes import is_leaf, leaf_of
 from raystream.structures.kdtree.state import (
     SHORT_STACK,
     SHORT_STACK_BYTES,
@@ -85,14 +86,14 @@ def _record(state, block, left):
 
 @device
 def _downward(tree, state):
-    """The next state at a node."""
-    return AT_LEAF if tree_steps.is_at_leaf(tree, state) else TRAVERSING
+    """What a ray does next at a node."""
+    return AT_LEAF if is_leaf(tree, state.node) else TRAVERSING
 
 
 def initialize(ray, wanted, tree, query, kernel):
-    """Start at the root."""
+    """Begin at the root."""
     count_step(query, wanted, kernel, STEPS, _NONE)
-    is_active, state = tree_steps.initialize(tree, prepared_ray(ray, query), ray.t_min, ray.t_max)
+    is_active, state = traversal.initialize(tree, prepared_ray(ray, query), ray.t_min, ray.t_max)
     status = DONE
     if is_active:
         status = _downward(tree, state)
@@ -106,7 +107,7 @@ def descend(ray, wanted, place, tree, query, kernel):
     status = TRAVERSING
     for _ in range(query.steps):
         count_step(query, wanted, kernel, STEPS, _ONE)
-        state = tree_steps.descend(tree, line, state, stack)
+        state = traversal.descend(tree, line, state, stack)
         status = _downward(tree, state)
         if status != TRAVERSING:
             break
@@ -117,7 +118,7 @@ def look_at_leaf(wanted, place, tree, query, kernel):
     """Find the triangles of a leaf."""
     count_step(query, wanted, kernel, LEAVES, _ONE)
     state = _load(place)
-    triangles = tree_steps.leaf(tree, state)
+    triangles = leaf_of(tree, state.node)
     status = CONTINUING if triangles.triangle_count == _NONE else INTERSECTING
     return _record(state, triangles.block, triangles.triangle_count), status
 
@@ -151,9 +152,9 @@ def continue_search(wanted, found, place, tree, query, kernel):
     status = end_state(count, query)
     is_over = count == wanted.capacity and found.t_far < state.t_out
     if not (is_over or state.t_out >= state.t_end):
-        if tree_steps.restarts(tree, state):
+        if traversals.restarts(tree, state):
             add_count(query, wanted, RESTARTS, _ONE)
-        state = tree_steps.continue_search(tree, state, stack_of(wanted, query))
+        state = traversals.continue_search(tree, state, stack_of(wanted, query))
         if state.is_backtracking:
             add_count(query, wanted, BACKTRACKS, _ONE)
             status = BACKTRACKING
@@ -169,7 +170,7 @@ def backtrack(ray, wanted, place, tree, query, kernel):
     status = BACKTRACKING
     for _ in range(query.steps):
         count_step(query, wanted, kernel, BACKTRACK_STEPS, _ONE)
-        state = tree_steps.backtrack(tree, line, state)
+        state = traversals.backtrack.backtrack(tree, line, state)
         if not state.is_backtracking:
             status = _downward(tree, state)
             break

@@ -35,12 +35,12 @@ from raystream.structures.graph.layout import SECTOR_ROWS, GraphArrays
 from raystream.structures.graph.links import link_sectors
 from raystream.structures.graph.order import fill_sectors, order_sectors
 from raystream.structures.graph.prune import prune
-from raystream.structures.kdtree.build import Method as TreeMethod
 from raystream.structures.kdtree.build import build_arrays, root_box
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.split import Costs
+from raystream.structures.kdtree.subtree import BuildSettings
 
-__all__ = ["Method", "build_graph", "graph_box", "tree_method_of"]
+__all__ = ["GraphSettings", "build_graph", "graph_box", "tree_settings_of"]
 
 #: Share of the bound on new link nodes that a split is charged: that with which J is least
 #: (bunny 167 with this, 168 with all, 170 without; conference 107, 108, 108).
@@ -50,7 +50,7 @@ _LINK_SHARE = 0.5
 _TREE_SHARE = 0.75
 
 
-class Method(NamedTuple):
+class GraphSettings(NamedTuple):
     """How to choose sectors.
 
     Attributes
@@ -80,14 +80,14 @@ def graph_box(triangles: Triangles) -> NDArray[np.float32]:
 
 
 def build_graph(
-    triangles: Triangles, method: Method, progress: Progress | None = None
+    triangles: Triangles, settings: GraphSettings, progress: Progress | None = None
 ) -> GraphArrays:
     """Build a graph of sectors.
 
     Parameters
     ----------
     triangles : Triangles
-    method : Method
+    settings : GraphSettings
     progress : callable, optional
         Called with (triangles placed, triangles); the last ones are placed when all is linked.
 
@@ -117,10 +117,10 @@ def build_graph(
         )
     count = len(triangles.prim_ids)
     on_tree = _part(progress, count, 0.0, _TREE_SHARE)
-    tree_method = tree_method_of(method)
-    tree = build_arrays(triangles, tree_method, on_tree)
+    tree_settings = tree_settings_of(settings)
+    tree = build_arrays(triangles, tree_settings, on_tree)
     box = graph_box(triangles)
-    tree = prune(tree, find_cells(tree.nodes, box).boxes, tree_method.costs)
+    tree = prune(tree, find_cells(tree.nodes, box).boxes, tree_settings.costs)
     sector_count = int(np.count_nonzero(tree.nodes[:, 1] & 3 == LEAF_AXIS))
     # Boxes, ropes and links of all nodes of the tree, and the sectors themselves.
     check_memory(78 * len(tree.nodes) + 128 * sector_count, f"{sector_count:,} sectors would")
@@ -134,12 +134,12 @@ def build_graph(
     return GraphArrays(np.concatenate([sectors, links]), sector_count, prim_ids, bins)
 
 
-def tree_method_of(method: Method) -> TreeMethod:
+def tree_settings_of(settings: GraphSettings) -> BuildSettings:
     """How to grow the kd-tree of a graph."""
-    link = _LINK_SHARE * float(method.link_cost)
-    crossing = float(method.crossing_cost) - link
-    costs = Costs(link, float(method.intersection_cost), float(method.empty_bonus), crossing)
-    return TreeMethod(costs, method.max_depth, method.max_leaf_size)
+    link = _LINK_SHARE * float(settings.link_cost)
+    crossing = float(settings.crossing_cost) - link
+    costs = Costs(link, float(settings.intersection_cost), float(settings.empty_bonus), crossing)
+    return BuildSettings(costs, settings.max_depth, settings.max_leaf_size)
 
 
 def _part(progress: Progress | None, count: int, begin: float, end: float) -> Progress | None:

@@ -23,18 +23,18 @@ from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for
 from raystream.structures.clip import WORD
-from raystream.structures.graph.behind import (
+from raystream.structures.graph.cells import ROPE_BYTES, Cells, split_of
+from raystream.structures.graph.face_subtrees import (
     PENDING_BYTES,
-    Tree,
+    RopeTree,
     count_behind,
     fill_behind,
     find_axes,
     spread_marks,
 )
-from raystream.structures.graph.cells import ROPE_BYTES, Cells, split_of
+from raystream.structures.graph.hash_consing import RAW, NodeStore, put_node
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.order import SECTOR_BYTES, Order
-from raystream.structures.graph.share import RAW, NodeStore, put_node
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["LINKS_AT", "RAW_LINKS", "batches", "link_sectors"]
@@ -69,9 +69,8 @@ def _find_all_axes(nodes, axes):
 
 
 @kernel
-def _count_nodes(begin, end, leaves, nodes, axes, boxes, ropes, counts, is_covered):
+def _count_nodes(begin, end, leaves, tree, counts, is_covered):
     """Count the raw nodes of sectors begin to end, and mark subtrees that a face covers."""
-    tree = Tree(address(nodes), address(axes), address(boxes), address(ropes))
     pending = scratch(PENDING_BYTES)
     for sector in range(np.uint64(begin), np.uint64(end)):
         counts[sector] = count_behind(np.uint64(leaves[sector]), tree, address(is_covered), pending)
@@ -116,12 +115,9 @@ def _link_covered(nodes, sectors, is_covered, covered, rows, table, count, first
 
 
 @kernel
-def _fill_nodes(
-    begin, end, base, leaves, nodes, axes, boxes, ropes, sectors, covered, firsts, raw, links
-):
+def _fill_nodes(begin, end, base, order, tree, covered, firsts, raw, links):
     """Write the raw nodes and raw links of sectors base + begin to base + end."""
-    tree = Tree(address(nodes), address(axes), address(boxes), address(ropes))
-    sector_at, covered_at = address(sectors), address(covered)
+    leaves, sector_at, covered_at = order.leaves, address(order.sectors), address(covered)
     raw_at, link_at = address(raw), address(links)
     pending = scratch(PENDING_BYTES)
     for i in range(np.uint64(begin), np.uint64(end)):
@@ -160,6 +156,8 @@ class _Linker:
         self.nodes, self.cells, self.order, self.rows = nodes, cells, order, rows
         self.store = NodeStore(SECTOR_ROWS * len(order.leaves))
         self.axes = np.empty(len(nodes), np.uint8)
+        arrays = nodes, self.axes, cells.boxes, cells.ropes
+        self.tree = RopeTree(*(np.uint64(array.ctypes.data) for array in arrays))
 
     def link(self, progress: Progress | None) -> None:
         sector_count = len(self.order.leaves)
@@ -171,14 +169,13 @@ class _Linker:
 
     def _count(self) -> NDArray[np.int64]:
         """Count raw nodes, and make the link nodes of covered subtrees."""
-        leaves, (boxes, ropes), nodes = self.order.leaves, self.cells, self.nodes
-        axes = self.axes
-        _find_all_axes(nodes, axes)
+        leaves, nodes = self.order.leaves, self.nodes
+        _find_all_axes(nodes, self.axes)
         counts = np.empty(len(leaves), np.int64)
         is_covered = np.zeros((len(nodes), 6), np.uint8)
 
         def body(begin: int, end: int) -> None:
-            _count_nodes(begin, end, leaves, nodes, axes, boxes, ropes, counts, is_covered)
+            _count_nodes(begin, end, leaves, self.tree, counts, is_covered)
 
         parallel_for(body, len(leaves), _CHUNK)
         self.covered = np.empty((len(nodes), 6), np.uint32)
@@ -199,33 +196,18 @@ class _Linker:
         return np.concatenate([[0], np.cumsum(counts)])
 
     def _link_batch(self, first: int, last: int, firsts: NDArray[np.int64]) -> None:
-        (leaves, sectors), (boxes, ropes), nodes = self.order, self.cells, self.nodes
         raw = np.empty((int(firsts[last] - firsts[first]), 3), np.uint64)
         links = np.empty((last - first, 6), np.uint64)
-        axes, covered = self.axes, self.covered
 
         def fill(begin: int, end: int) -> None:
-            _fill_nodes(
-                begin,
-                end,
-                first,
-                leaves,
-                nodes,
-                axes,
-                boxes,
-                ropes,
-                sectors,
-                covered,
-                firsts,
-                raw,
-                links,
-            )
+            given = first, self.order, self.tree, self.covered, firsts, raw, links
+            _fill_nodes(begin, end, *given)
 
         def place(begin: int, end: int) -> None:
             _place_links(begin, end, first, raw, links, self.rows)
 
         parallel_for(fill, last - first, _CHUNK)
-        self.store.share(raw, nodes)
+        self.store.share(raw, self.nodes)
         parallel_for(place, last - first, _CHUNK)
 
 

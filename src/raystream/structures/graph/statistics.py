@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, store
 from raystream.jit.threads import parallel_for
-from raystream.structures.graph.build import Method
+from raystream.structures.graph.build import GraphSettings
 from raystream.structures.graph.layout import NODE_BIT, SECTOR_ROWS, VOID, GraphArrays
 
 __all__ = ["statistics"]
@@ -137,13 +137,13 @@ def _sum_areas(graph: GraphArrays, depth: int) -> NDArray[np.float64]:
     return total
 
 
-def statistics(graph: GraphArrays, method: Method) -> dict[str, float]:
+def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
     """Measure a graph.
 
     Parameters
     ----------
     graph : GraphArrays
-    method : Method
+    settings : GraphSettings
         Prices of steps.
 
     Returns
@@ -176,7 +176,7 @@ def statistics(graph: GraphArrays, method: Method) -> dict[str, float]:
         "link nodes per ray": passed / (2.0 * whole),
         "tests per ray": tests / whole,
     }
-    prices = method.crossing_cost, method.link_cost, method.intersection_cost
+    prices = settings.crossing_cost, settings.link_cost, settings.intersection_cost
     return {
         "sectors": float(count),
         "empty sectors": float(np.count_nonzero(sizes == 0)),

@@ -30,17 +30,17 @@ from raystream.kernels.ray import component
 from raystream.kernels.slab import box_interval
 
 __all__ = [
+    "Face",
     "GraphAddresses",
     "SectorRay",
-    "Way",
-    "cross",
-    "enter",
+    "clip_to_scene",
+    "exit_face",
+    "follow_link",
     "sector_blocks",
     "sector_ray",
     "start_sector",
-    "start_sector_after",
+    "start_sector_cached",
     "walk_to",
-    "way_out",
 ]
 
 _NONE = np.uint64(0)
@@ -125,7 +125,7 @@ class SectorRay(NamedTuple):
     link_z: np.uint64
 
 
-class Way(NamedTuple):
+class Face(NamedTuple):
     """A face of a sector: the distance at which a ray meets its plane, and its link."""
 
     t: np.float32
@@ -165,7 +165,7 @@ def _link(sector, at):
 
 
 @device
-def way_out(line, sector):
+def exit_face(line, sector):
     """The face by which a ray leaves a sector: inf at the last one.
 
     Parameters
@@ -176,7 +176,7 @@ def way_out(line, sector):
 
     Returns
     -------
-    Way
+    Face
     """
     t, link = _plane(sector, line.out_x, line.inv_x, line.middle_x), line.link_x
     t_y = _plane(sector, line.out_y, line.inv_y, line.middle_y)
@@ -185,11 +185,11 @@ def way_out(line, sector):
     t_z = _plane(sector, line.out_z, line.inv_z, line.middle_z)
     if t_z < t:
         t, link = t_z, line.link_z
-    return Way(t, _link(sector, link))
+    return Face(t, _link(sector, link))
 
 
 @device
-def _way_back(line, sector):
+def _entry_face(line, sector):
     """The face by which a ray comes into a sector: -inf at the first one."""
     t, link = _plane(sector, line.out_x ^ _HIGH, line.inv_x, line.middle_x), line.link_x
     t_y = _plane(sector, line.out_y ^ _HIGH, line.inv_y, line.middle_y)
@@ -198,7 +198,7 @@ def _way_back(line, sector):
     t_z = _plane(sector, line.out_z ^ _HIGH, line.inv_z, line.middle_z)
     if t_z > t:
         t, link = t_z, line.link_z
-    return Way(t, _link(sector, link ^ _WORD))
+    return Face(t, _link(sector, link ^ _WORD))
 
 
 @device
@@ -208,7 +208,7 @@ def _plane(sector, at, inv, middle):
 
 
 @device
-def cross(graph, line, link, t):
+def follow_link(graph, line, link, t):
     """Follow a link, through the nodes that tell sectors apart, to where a ray is at t.
 
     Parameters
@@ -239,7 +239,7 @@ def cross(graph, line, link, t):
 
 
 @device
-def enter(graph, ray, t_min, t_max):
+def clip_to_scene(graph, ray, t_min, t_max):
     """The part of a ray's interval in which it can hit anything.
 
     Returns
@@ -300,7 +300,7 @@ def walk_to(graph, line, sector, t, limit):
         Address.
     t : float32
     limit : uint64
-        Most sectors that are left: the walk then ends on its way.
+        Most sectors that are left: the walk then ends on its face.
 
     Returns
     -------
@@ -310,16 +310,16 @@ def walk_to(graph, line, sector, t, limit):
         Sectors that were left.
     """
     step_count = _NONE
-    way = _way_back(line, sector)
-    while way.t > t and step_count != limit:
-        sector, _ = cross(graph, line, way.link, t)
+    face = _entry_face(line, sector)
+    while face.t > t and step_count != limit:
+        sector, _ = follow_link(graph, line, face.link, t)
         step_count += _ONE
-        way = _way_back(line, sector)
-    way = way_out(line, sector)
-    while way.t <= t and step_count != limit:
-        sector, _ = cross(graph, line, way.link, t)
+        face = _entry_face(line, sector)
+    face = exit_face(line, sector)
+    while face.t <= t and step_count != limit:
+        sector, _ = follow_link(graph, line, face.link, t)
         step_count += _ONE
-        way = way_out(line, sector)
+        face = exit_face(line, sector)
     return sector, step_count
 
 
@@ -331,7 +331,7 @@ def start_sector(graph, line, ray, t):
 
 
 @device
-def start_sector_after(graph, line, ray, t, last):
+def start_sector_cached(graph, line, ray, t, last):
     """The sector in which a ray is at t: from the ray before, if that began in the same bin.
 
     The rays of a camera share a sector, and those that leave a surface one after the other

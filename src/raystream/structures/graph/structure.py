@@ -17,18 +17,18 @@ from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.kernels.local_frame import LocalRays
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.graph.build import Method, build_graph, graph_box
+from raystream.structures.graph.build import GraphSettings, build_graph, graph_box
 from raystream.structures.graph.check import check_graph
 from raystream.structures.graph.graphlog import dump_graph
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID, GraphArrays
+from raystream.structures.graph.locate import StartSectors, find_sectors
 from raystream.structures.graph.options import Graph
-from raystream.structures.graph.start import StartSectors, find_sectors
 from raystream.structures.graph.statistics import statistics
 from raystream.structures.graph.steps import GraphAddresses
 from raystream.structures.graph.traversal import STACK_BYTES, traverse
-from raystream.structures.kdtree.layout import usual_depth
+from raystream.structures.kdtree.layout import default_depth
 
-__all__ = ["GraphStructure", "addresses_of", "method_of"]
+__all__ = ["GraphStructure", "addresses_of", "settings_of"]
 
 
 class GraphStructure(Structure):
@@ -50,8 +50,8 @@ class GraphStructure(Structure):
         self, triangles: Triangles, options: Graph, *, progress: Progress | None = None
     ) -> None:
         started = time.perf_counter()
-        method = method_of(options, len(triangles.prim_ids))
-        self._set(triangles, build_graph(triangles, method, progress), options, started)
+        settings = settings_of(options, len(triangles.prim_ids))
+        self._set(triangles, build_graph(triangles, settings, progress), options, started)
 
     def _set(
         self, triangles: Triangles, graph: GraphArrays, options: Graph, started: float
@@ -95,7 +95,7 @@ class GraphStructure(Structure):
         t: NDArray[np.float32] | None = None,
         near: NDArray[np.int64] | None = None,
     ) -> StartSectors:
-        """Find the sectors in which local rays are; see `start.find_sectors`."""
+        """Find the sectors in which local rays are; see `locate.find_sectors`."""
         return find_sectors(self.arrays, np.float32(self.triangles.max_coordinate), rays, t, near)
 
     def dump(self, path: str | PathLike[str]) -> None:
@@ -111,7 +111,7 @@ class GraphStructure(Structure):
 
     def quality(self) -> dict[str, float]:
         """Counts, depth, bytes and cost; see `statistics`."""
-        return statistics(self.graph, method_of(self.options, len(self.triangles.prim_ids)))
+        return statistics(self.graph, settings_of(self.options, len(self.triangles.prim_ids)))
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
         """The graph."""
@@ -159,12 +159,12 @@ def _triple(numbers: Any) -> tuple[np.float32, np.float32, np.float32]:
     return np.float32(x), np.float32(y), np.float32(z)
 
 
-def method_of(options: Graph, triangle_count: int) -> Method:
+def settings_of(options: Graph, triangle_count: int) -> GraphSettings:
     """How to build a graph with such options."""
     max_depth = options.max_depth
     if max_depth is None:
-        max_depth = usual_depth(triangle_count)
-    return Method(
+        max_depth = default_depth(triangle_count)
+    return GraphSettings(
         crossing_cost=options.crossing_cost,
         intersection_cost=options.intersection_cost,
         link_cost=options.link_cost,

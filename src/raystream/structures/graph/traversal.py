@@ -10,12 +10,12 @@ from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
 from raystream.kernels.search import is_full, is_over
 from raystream.kernels.tally import LEAVES, LINK_NODES, STEPS, TESTS, add_to
 from raystream.structures.graph.steps import (
-    cross,
-    enter,
+    clip_to_scene,
+    exit_face,
+    follow_link,
     sector_blocks,
     sector_ray,
-    start_sector_after,
-    way_out,
+    start_sector_cached,
 )
 
 __all__ = ["STACK_BYTES", "traverse"]
@@ -32,15 +32,15 @@ _LINE = np.uint64(64)
 @device
 def traverse(graph, ray, search, stack):
     """Visit the sectors along a ray; see `kernels.queries.ray_queries` for the arguments."""
-    is_active, t_in, t_end = enter(graph, ray, search.t_min, search.t_far)
+    is_active, t_in, t_end = clip_to_scene(graph, ray, search.t_min, search.t_far)
     if not is_active:
         return search
     line, triangle_ray = sector_ray(ray), block_ray(ray)
-    sector = start_sector_after(graph, line, ray, t_in, stack)
+    sector = start_sector_cached(graph, line, ray, t_in, stack)
     while True:
         add_to(search.counters, STEPS, _ONE)
-        way = way_out(line, sector)
-        t_out = min(way.t, t_end)
+        face = exit_face(line, sector)
+        t_out = min(face.t, t_end)
         is_last = t_out >= t_end
         block, end, left = sector_blocks(graph, sector)
         # What comes next is asked for before the triangles are tested: memory is far.
@@ -50,7 +50,7 @@ def traverse(graph, ray, search, stack):
             prefetch(block + _LINE)
             prefetch(block + _LINE + _LINE)
         if not is_last:
-            next_sector, node_count = cross(graph, line, way.link, t_out)
+            next_sector, node_count = follow_link(graph, line, face.link, t_out)
             prefetch(next_sector)
         if block != end:
             add_to(search.counters, LEAVES, _ONE)

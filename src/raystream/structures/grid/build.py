@@ -1,4 +1,4 @@
-"""Building the lists of a grid: count, then fill; on all threads."""
+"""Building the lists of a grid on all threads: count, then fill."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ from raystream.jit.simd import address
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.structures.grid.lattice import Lattice, choose_lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
-from raystream.structures.grid.overlap import range_along, spread_within
+from raystream.structures.grid.overlap import ListWriter, list_in_layers, range_along
 
 __all__ = [
     "Layers",
+    "ListOutput",
     "TooManyError",
-    "add_up",
     "build_grid",
     "build_lists",
     "choose_and_build",
     "find_layers",
-    "most_references",
-    "spread_layers",
+    "list_triangles",
+    "parallel_count",
+    "reference_limit",
 ]
 
-#: Triangles that one call of the first kernel gets.
+#: Triangles per call of the first kernel.
 _CHUNK = 1 << 13
 
-#: References for each triangle beyond which the automatic resolution is made coarser, and how
-#: many there may be in any case.
-_MOST_REFERENCES, _FEW_REFERENCES = 24, 1 << 20
+#: References per triangle beyond which the automatic resolution is made coarser; and references
+#: that are always allowed.
+_REFERENCES_PER_TRIANGLE, _FEW_REFERENCES = 24, 1 << 20
 
 
 Lists = TypeVar("Lists")
 
 
 class TooManyError(Exception):
-    """Ends a count as soon as there are more references than allowed."""
+    """Stops a count as soon as there are more references than allowed."""
 
 
 def build_grid(
@@ -69,7 +70,7 @@ def build_grid(
     -------
     Lattice
     GridArrays
-        The same ones for any number of threads.
+        The same for any number of threads.
 
     Raises
     ------
@@ -81,8 +82,8 @@ def build_grid(
     if len(triangles.prim_ids) == 0:
         return Lattice.of(triangles.bounds, (1, 1, 1)), GridArrays.empty(1)
 
-    def make(lattice: Lattice, most: int, option: str) -> GridArrays:
-        return build_lists(triangles, lattice, most, option, progress)
+    def make(lattice: Lattice, limit: int, option: str) -> GridArrays:
+        return build_lists(triangles, lattice, limit, option, progress)
 
     return choose_and_build(triangles, resolution, min_resolution, levels, make)
 
@@ -94,7 +95,7 @@ def choose_and_build(
     levels: int,
     make: Callable[[Lattice, int, str], Lists],
 ) -> tuple[Lattice, Lists]:
-    """Choose a lattice, a coarser one if there are too many references, and make its lists.
+    """Choose a lattice, coarser if there are too many references, and make its lists.
 
     Parameters
     ----------
@@ -103,8 +104,8 @@ def choose_and_build(
     resolution, min_resolution, levels
         See `build_grid`.
     make : callable
-        ``make(lattice, most, option)`` makes lists; `TooManyError` if there would be more than
-        `most` references.
+        ``make(lattice, limit, option)`` makes lists; it raises `TooManyError` if there are more
+        than `limit` references.
 
     Raises
     ------
@@ -117,42 +118,60 @@ def choose_and_build(
     coarser = 0
     while True:
         lattice = choose_lattice(triangles, resolution, min_resolution, levels, coarser)
-        # One cell needs one reference for each triangle, so coarsening comes to an end.
-        most = most_references(count) if is_free else MAX_REFERENCES
+        # One cell needs one reference per triangle, so coarsening ends.
+        limit = reference_limit(count) if is_free else MAX_REFERENCES
         try:
-            return lattice, make(lattice, most, option)
+            return lattice, make(lattice, limit, option)
         except TooManyError:
             if not is_free:
                 raise ValueError(
-                    f"{option}: more than {most:,} references of cells to triangles are too many"
+                    f"{option}: more than {limit:,} references of cells to triangles are too many"
                 ) from None
         coarser += 2
 
 
-def most_references(triangle_count: int) -> int:
-    """How many references there may be where the grid itself says how many cells."""
-    return min(MAX_REFERENCES, max(_FEW_REFERENCES, _MOST_REFERENCES * triangle_count))
+def reference_limit(triangle_count: int) -> int:
+    """Most references of a grid that chooses its resolution itself."""
+    return min(MAX_REFERENCES, max(_FEW_REFERENCES, _REFERENCES_PER_TRIANGLE * triangle_count))
 
 
 class Layers(NamedTuple):
-    """The axis along which threads share the cells, and where triangles are along it.
+    """The axis along which threads share the cells, and the extent of triangles along it.
 
     Attributes
     ----------
     axis : int
         The one with the most cells.
     ranges : ndarray of shape (A, 2), int32
-        First and last layer of cells that each triangle that can be hit is in, at most.
+        First and last layer of cells that each triangle can be in.
     """
 
     axis: int
     ranges: NDArray[np.int32]
 
 
+class ListOutput(NamedTuple):
+    """Where the triangles of cells are counted, or written.
+
+    Attributes
+    ----------
+    positions : ndarray of shape (C,), uint32
+        For each cell, the row of its next reference. Grows by one for each triangle in it.
+    references : ndarray of shape (R,), int32
+        Written; if it is empty, triangles are only counted.
+    limit : int
+        `TooManyError` is raised if there are more references.
+    """
+
+    positions: NDArray[np.uint32]
+    references: NDArray[np.int32]
+    limit: int = MAX_REFERENCES
+
+
 def build_lists(
     triangles: Triangles,
     lattice: Lattice,
-    most: int,
+    limit: int,
     option: str,
     progress: Progress | None = None,
 ) -> GridArrays:
@@ -162,10 +181,10 @@ def build_lists(
     ----------
     triangles : Triangles
     lattice : Lattice
-    most : int
-        How many references there may be.
+    limit : int
+        `TooManyError` is raised if there are more references.
     option : str
-        What to blame if memory is short.
+        The option to blame if memory is short.
     progress : callable, optional
         Called with (triangles placed, triangles).
 
@@ -179,15 +198,14 @@ def build_lists(
     corners, prim_ids = triangles.corners, triangles.prim_ids
     layers = find_layers(corners, prim_ids, lattice)
     splits = np.zeros(cell_count + 1, np.uint32)
-    nothing = np.empty(0, np.int32)
     first_half, second_half = _halves(progress, lattice.counts[layers.axis], len(prim_ids))
-    total = spread_layers(corners, prim_ids, lattice, layers, splits[1:], nothing, most, first_half)
+    counts = ListOutput(splits[1:], np.empty(0, np.int32), limit)
+    total = list_triangles(corners, prim_ids, lattice, layers, counts, first_half)
     check_memory(total * 4, f"{option}: {total:,} references would", remedy)
     np.cumsum(splits, out=splits)
-    references = np.empty(total, np.int32)
-    cursors = splits[:-1].copy()
-    spread_layers(corners, prim_ids, lattice, layers, cursors, references, most, second_half)
-    return GridArrays(splits, references)
+    lists = ListOutput(splits[:-1].copy(), np.empty(total, np.int32), limit)
+    list_triangles(corners, prim_ids, lattice, layers, lists, second_half)
+    return GridArrays(splits, lists.references)
 
 
 def _halves(
@@ -218,20 +236,18 @@ def find_layers(
     return Layers(axis, ranges)
 
 
-def spread_layers(
+def list_triangles(
     corners: NDArray[np.float32],
     prim_ids: NDArray[np.int32],
     lattice: Lattice,
     layers: Layers,
-    cursors: NDArray[np.uint32],
-    references: NDArray[np.int32],
-    most: int = MAX_REFERENCES,
+    output: ListOutput,
     progress: Progress | None = None,
 ) -> int:
     """Count the triangles of each cell, or write them.
 
-    Each thread takes some layers and looks for the triangles there, in order: so lists
-    come out the same whoever makes them, and no two threads write to one cell.
+    Each thread takes some layers and lists the triangles there, in order. So lists do not
+    depend on the number of threads, and no two threads write to one cell.
 
     Parameters
     ----------
@@ -241,59 +257,38 @@ def spread_layers(
     lattice : Lattice
     layers : Layers
         From `find_layers` for the same triangles.
-    cursors : ndarray of shape (C,), uint32
-        Grows by one for each triangle in the cell.
-    references : ndarray of shape (R,), int32
-        If it is not empty, each triangle is written to the row that the cursor says.
-    most : int
-        `TooManyError` is raised if there are more references.
+    output : ListOutput
     progress : callable, optional
         Called with (layers done, layers).
 
     Returns
     -------
     int
-        How many references there are.
+        The number of references.
     """
-    is_fill = len(references) > 0
-    ranges, axis = layers.ranges, layers.axis
 
-    def spread_some(begin: int, end: int) -> int:
-        return int(
-            _spread_layers(
-                begin,
-                end,
-                lattice,
-                axis,
-                ranges,
-                corners,
-                prim_ids,
-                cursors,
-                references,
-                is_fill,
-                most,
-            )
-        )
+    def list_some(begin: int, end: int) -> int:
+        return int(_list_layers(begin, end, lattice, layers, corners, prim_ids, output))
 
-    layer_count = lattice.counts[axis]
+    layer_count = lattice.counts[layers.axis]
     # Each call reads all ranges: few calls, but enough to share the work evenly.
     chunk = max(1, -(-layer_count // (8 * thread_count())))
-    return add_up(spread_some, layer_count, chunk, most, progress)
+    return parallel_count(list_some, layer_count, chunk, output.limit, progress)
 
 
-def add_up(
+def parallel_count(
     count_some: Callable[[int, int], int],
     count: int,
     chunk: int,
-    most: int,
+    limit: int,
     progress: Progress | None = None,
 ) -> int:
-    """Run a loop over [0, count) whose calls count references; returns how many there are.
+    """Run a loop over [0, count) whose calls count references; returns their number.
 
     Raises
     ------
     TooManyError
-        As soon as there are more than `most`.
+        As soon as there are more than `limit`.
     """
     found = 0
     lock = threading.Lock()
@@ -303,7 +298,7 @@ def add_up(
         here = count_some(begin, end)
         with lock:
             found += here
-        if found > most:
+        if found > limit:
             raise TooManyError
 
     parallel_for(body, count, chunk, progress)
@@ -320,29 +315,17 @@ def _find_ranges(begin, end, lattice, axis, corners, prim_ids, ranges):
 
 
 @kernel
-def _spread_layers(
-    begin,
-    end,
-    lattice,
-    axis,
-    ranges,
-    corners,
-    prim_ids,
-    cursors,
-    references,
-    is_fill,
-    most,
-):
-    """Count or write the triangles of the layers begin to end; ends beyond `most`."""
+def _list_layers(begin, end, lattice, layers, corners, prim_ids, output):
+    """Count or write the triangles of layers begin to end; stops beyond the limit."""
     total = np.int64(0)
-    cursor_at, reference_at = address(cursors), address(references)
+    axis, ranges, limit = layers.axis, layers.ranges, output.limit
+    is_fill = len(output.references) > 0
+    writer = ListWriter(address(output.positions), address(output.references), is_fill)
     for row in range(np.uint64(len(ranges))):
         if ranges[row, 0] >= end or ranges[row, 1] < begin:
             continue
         i = np.uint64(prim_ids[row])
-        total += spread_within(
-            lattice, corners, i, axis, begin, end, cursor_at, reference_at, is_fill
-        )
-        if total > most:
+        total += list_in_layers(lattice, corners, i, axis, begin, end, writer)
+        if total > limit:
             break
     return total

@@ -1,27 +1,27 @@
-"""Which cells of a lattice a triangle is listed in.
+"""The cells of a lattice that list a triangle.
 
-A hit lies near its triangle's plane and near its triangle's box (docs/decisions/0010-grid);
-the cells are those that meet the plane and the box, both grown. A triangle's edges cannot be
-used to leave out more: a ray in a triangle's plane, but for rounding, may cross that plane
-beyond an edge, and is hit there.
+A hit lies near its triangle's plane and near its triangle's box (docs/decisions/0010-grid), so
+these are the cells that overlap both, grown. A triangle's edges cannot be used to cull more: a
+ray that lies in a triangle's plane, within rounding, may cross it beyond an edge and hit there.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 
-__all__ = ["each_cell", "range_along", "spread", "spread_within"]
+__all__ = ["ListWriter", "each_cell", "list_in_layers", "list_triangle", "range_along"]
 
 #: Rounding of the normal's product with an edge, as a share of the product of three edges:
 #: 18 products and sums of 2**-53 each, rounded up.
 _NORMAL_ERROR = 2.0**-48
 
-#: Rows of more cells than this are cut to where the plane is before cells are looked at.
+#: Longer rows of cells are first clipped to the plane.
 _LONG_ROW = np.int64(8)
 
 _ZERO = np.int64(0)
@@ -30,7 +30,7 @@ _ONE = np.int64(1)
 
 @device
 def _cell_at(x, low, inverse_size, count):
-    """Number of the cell of an axis in which x is; the first or last one for outside."""
+    """The cell along an axis that contains x, clamped to the lattice."""
     number = math.floor((x - low) * inverse_size)
     return np.int64(min(max(number, 0.0), np.float64(count - _ONE)))
 
@@ -45,7 +45,7 @@ def _range(a, b, c, origin, size, count, growth):
 
 @device
 def range_along(lattice, corners, i, axis):
-    """First and last cell along an axis that the grown box of a triangle meets.
+    """First and last cell along an axis that the grown box of a triangle overlaps.
 
     Parameters
     ----------
@@ -65,9 +65,50 @@ def range_along(lattice, corners, i, axis):
     )
 
 
+class ListWriter(NamedTuple):
+    """Where the triangles of cells are counted, or written.
+
+    Attributes
+    ----------
+    positions : uint64
+        Address of a uint32 for each cell, which grows by one for each triangle in it.
+    references : uint64
+        Address of the rows, given by the positions, that triangles are written to.
+    is_fill : bool
+        Whether to write them.
+    """
+
+    positions: np.uint64
+    references: np.uint64
+    is_fill: bool
+
+
 @device
-def spread_within(lattice, corners, i, axis, begin, end, cursors, references, is_fill):
-    """Do `spread` for the cells whose layers along an axis are begin to end."""
+def list_triangle(cell, i, _rank, writer):
+    """Count or write a triangle; for `each_cell`."""
+    at = writer.positions + np.uint64(4) * cell
+    position = load(np.uint32, at)
+    store(at, np.uint32(position + np.uint32(1)))
+    if writer.is_fill:
+        store(writer.references + np.uint64(4) * np.uint64(position), np.int32(i))
+
+
+@device
+def list_in_layers(lattice, corners, i, axis, begin, end, writer):
+    """Count or write a triangle in the cells whose layers along an axis are begin to end.
+
+    Parameters
+    ----------
+    lattice, corners, i, axis
+        See `range_along`.
+    begin, end : int64
+    writer : ListWriter
+
+    Returns
+    -------
+    int64
+        How many cells it is in.
+    """
     begin_x, end_x = (begin, end) if axis == 0 else (_ZERO, lattice.counts[0])
     begin_y, end_y = (begin, end) if axis == 1 else (_ZERO, lattice.counts[1])
     begin_z, end_z = (begin, end) if axis == 2 else (_ZERO, lattice.counts[2])
@@ -76,44 +117,7 @@ def spread_within(lattice, corners, i, axis, begin, end, cursors, references, is
     first_z, last_z = range_along(lattice, corners, i, 2)
     first = (max(first_x, begin_x), max(first_y, begin_y), max(first_z, begin_z))
     last = (min(last_x, end_x - _ONE), min(last_y, end_y - _ONE), min(last_z, end_z - _ONE))
-    return spread(lattice, corners, i, first, last, cursors, references, is_fill)
-
-
-@device
-def spread(lattice, corners, i, first, last, cursors, references, is_fill):
-    """Count a triangle in the cells that it is listed in, or write it to their lists.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    corners : array of shape (F, 3, 3), float32
-    i : uint64
-        Row of `corners`: the prim_id.
-    first, last : triple of int64
-        Cells along each axis to look at, both included.
-    cursors : uint64
-        Address of a uint32 for each cell: grows by one for each that the triangle is in.
-    references : uint64
-        Address to whose row, given by the cursor, the prim_id goes.
-    is_fill : bool
-        Whether to write it.
-
-    Returns
-    -------
-    int64
-        In how many cells it is.
-    """
-    return each_cell(lattice, corners, i, first, last, _list_in, (cursors, references, is_fill))
-
-
-@device
-def _list_in(cell, i, _rank, to):
-    cursors, references, is_fill = to
-    at = cursors + np.uint64(4) * cell
-    cursor = load(np.uint32, at)
-    store(at, np.uint32(cursor + np.uint32(1)))
-    if is_fill:
-        store(references + np.uint64(4) * np.uint64(cursor), np.int32(i))
+    return each_cell(lattice, corners, i, first, last, list_triangle, writer)
 
 
 @device
@@ -122,19 +126,21 @@ def each_cell(lattice, corners, i, first, last, mark, to):
 
     Parameters
     ----------
-    lattice, corners, i, first, last
-        See `spread`.
+    lattice, corners, i
+        See `range_along`.
+    first, last : triple of int64
+        Range of cells along each axis, both ends included.
     mark : device function
-        ``mark(cell, i, rank, to)``: the cell's number and how many came before, uint64.
+        ``mark(cell, i, rank, to)``: the cell's number, and the number of cells before it, uint64.
     to
-        What it is given.
+        Passed to it.
 
     Returns
     -------
     int64
-        In how many cells it is.
+        How many cells it is in.
     """
-    # Step 1: the plane, in float64 as `kernels.triangle` has it.
+    # Step 1: the plane, in float64 as in `kernels.triangle`.
     ax, ay = np.float64(corners[i, 0, 0]), np.float64(corners[i, 0, 1])
     az = np.float64(corners[i, 0, 2])
     px, py, pz = corners[i, 1, 0] - ax, corners[i, 1, 1] - ay, corners[i, 1, 2] - az
@@ -143,7 +149,7 @@ def each_cell(lattice, corners, i, first, last, mark, to):
     ny = pz * qx - px * qz
     nz = px * qy - py * qx
 
-    # Step 2: a cell of half size h meets it if |n . (middle - a)| <= |n| . (h + growth).
+    # Step 2: a cell of half size h overlaps it if |n . (middle - a)| <= |n| . (h + growth).
     size, growth = lattice.size, lattice.growth
     reach = (
         abs(nx) * (0.5 * size[0] + growth)
@@ -154,8 +160,8 @@ def each_cell(lattice, corners, i, first, last, mark, to):
     p = max(abs(px), abs(py), abs(pz))
     q = max(abs(qx), abs(qy), abs(qz))
     reach += _NORMAL_ERROR * p * q * (p + q)
-    # Step 3: row by row along the axis with the most cells; in a long row, only where the
-    # plane can be, and a cell more on either side, since the quotients are rounded.
+    # Step 3: row by row along the axis with the most cells; in a long row only where the plane
+    # can be, plus a cell on either side, since the quotients are rounded.
     counts = lattice.counts
     u = 0
     if counts[1] > counts[u]:

@@ -1,4 +1,4 @@
-"""The second level of a grid: finer lattices inside the cells with many triangles.
+"""The second level of a grid: finer lattices within the cells that have many triangles.
 
 Purcell 2002, section 5.1, names hierarchical grids as the answer to scenes whose detail is of
 several sizes.
@@ -14,23 +14,28 @@ from raystream.core.triangles import Triangles
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
 from raystream.jit.threads import thread_count
-from raystream.structures.grid.build import TooManyError, add_up, most_references
+from raystream.structures.grid.build import (
+    ListOutput,
+    TooManyError,
+    parallel_count,
+    reference_limit,
+)
 from raystream.structures.grid.lattice import LEAST_SIDE, Lattice, cube_side
 from raystream.structures.grid.layout import MAX_FINE_AXIS, FineArrays, GridArrays
 from raystream.structures.grid.options import MAX_CELLS
-from raystream.structures.grid.overlap import range_along, spread
+from raystream.structures.grid.overlap import ListWriter, each_cell, list_triangle, range_along
 
 __all__ = ["refine"]
 
-#: A cell with more triangles than this is divided.
+#: Cells with more triangles than this are subdivided.
 _LONG_LIST = 6
 
-#: Cells for each triangle of a cell that is divided.
+#: Fine cells per triangle of a subdivided cell.
 _DENSITY = 2.5
 
 
 def refine(triangles: Triangles, lattice: Lattice, lists: GridArrays) -> FineArrays:
-    """Divide the cells of a grid that have many triangles.
+    """Subdivide the cells of a grid that have many triangles.
 
     Parameters
     ----------
@@ -50,7 +55,7 @@ def refine(triangles: Triangles, lattice: Lattice, lists: GridArrays) -> FineArr
     """
     density = _DENSITY
     while True:
-        cells, counts = _divided(lattice, np.diff(lists.splits), density)
+        cells, counts = _subdivided(lattice, np.diff(lists.splits), density)
         if len(cells) == 0:
             return FineArrays.none()
         try:
@@ -59,10 +64,10 @@ def refine(triangles: Triangles, lattice: Lattice, lists: GridArrays) -> FineArr
             density /= 4.0
 
 
-def _divided(
+def _subdivided(
     lattice: Lattice, list_sizes: NDArray[np.uint32], density: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Which cells are divided, and into how many along each axis."""
+    """The cells to subdivide, and their resolutions."""
     cells = np.flatnonzero(list_sizes > _LONG_LIST)
     if len(cells) == 0:
         return cells, np.zeros((0, 3), np.int32)
@@ -73,7 +78,7 @@ def _divided(
     several = counts.max(axis=1) > 1
     cells, counts = cells[several], counts[several]
     if counts.astype(np.float64).prod(axis=1).sum() > MAX_CELLS:
-        return _divided(lattice, list_sizes, density / 4.0)
+        return _subdivided(lattice, list_sizes, density / 4.0)
     return cells.astype(np.int64), counts
 
 
@@ -88,73 +93,34 @@ def _build(
     firsts = fine.first_cells
     cell_count = int(firsts[-1])
     check_memory(cell_count * 8, f"levels: {cell_count:,} cells would", "choose 1")
-    most = most_references(len(triangles.prim_ids))
+    limit = reference_limit(len(triangles.prim_ids))
     splits = np.zeros(cell_count + 1, np.uint32)
-    nothing = np.empty(0, np.int32)
-    whole = lattice, lists, cells, counts, firsts, triangles.corners
-    total = _spread_all(*whole, splits[1:], nothing, most)
+    chunk = min(256, max(1, -(-len(cells) // (8 * thread_count()))))
+
+    def list_all(output: ListOutput) -> int:
+        """Count the triangles of the finer cells, or write them; returns their number."""
+
+        def list_some(begin: int, end: int) -> int:
+            given = lattice, lists, cells, counts, firsts, triangles.corners, output
+            return int(_list_cells(begin, end, *given))
+
+        return parallel_count(list_some, len(cells), chunk, limit)
+
+    total = list_all(ListOutput(splits[1:], np.empty(0, np.int32), limit))
     check_memory(total * 4, f"levels: {total:,} references would", "choose 1")
     np.cumsum(splits, out=splits)
     references = np.empty(total, np.int32)
-    _spread_all(*whole, splits[:-1].copy(), references, most)
+    list_all(ListOutput(splits[:-1].copy(), references, limit))
     return FineArrays(cells, counts, GridArrays(splits, references))
 
 
-def _spread_all(
-    lattice: Lattice,
-    lists: GridArrays,
-    cells: NDArray[np.int64],
-    counts: NDArray[np.int32],
-    firsts: NDArray[np.int64],
-    corners: NDArray[np.float32],
-    cursors: NDArray[np.uint32],
-    references: NDArray[np.int32],
-    most: int,
-) -> int:
-    """Count the triangles of the finer cells, or write them; returns how many there are."""
-    splits, prim_ids = lists
-
-    def spread_some(begin: int, end: int) -> int:
-        return int(
-            _spread_cells(
-                begin,
-                end,
-                lattice,
-                splits,
-                prim_ids,
-                cells,
-                counts,
-                firsts,
-                corners,
-                cursors,
-                references,
-                most,
-            )
-        )
-
-    chunk = min(256, max(1, -(-len(cells) // (8 * thread_count()))))
-    return add_up(spread_some, len(cells), chunk, most)
-
-
 @kernel
-def _spread_cells(
-    begin,
-    end,
-    lattice,
-    splits,
-    prim_ids,
-    cells,
-    counts,
-    firsts,
-    corners,
-    cursors,
-    references,
-    most,
-):
-    """Count or write the triangles of the lattices begin to end; ends beyond `most`."""
-    total = np.int64(0)
-    is_fill = len(references) > 0
-    cursor_at, reference_at = address(cursors), address(references)
+def _list_cells(begin, end, lattice, lists, cells, counts, firsts, corners, output):
+    """Count or write the triangles of the lattices begin to end; stops beyond the limit."""
+    total, limit = np.int64(0), output.limit
+    is_fill = len(output.references) > 0
+    position_at, reference_at = address(output.positions), address(output.references)
+    splits, prim_ids = lists.splits, lists.references
     for row in range(np.uint64(begin), np.uint64(end)):
         cell = cells[row]
         nx, ny = lattice.counts[0], lattice.counts[1]
@@ -171,15 +137,16 @@ def _spread_cells(
             lattice.size[2] / count[2],
         )
         fine = Lattice(low, low, size, count, lattice.growth)
-        at = cursor_at + np.uint64(4) * np.uint64(firsts[row])
+        at = position_at + np.uint64(4) * np.uint64(firsts[row])
+        writer = ListWriter(at, reference_at, is_fill)
         for place in range(np.uint64(splits[cell]), np.uint64(splits[cell + 1])):
             prim_id = np.uint64(prim_ids[place])
             first_x, last_x = range_along(fine, corners, prim_id, 0)
             first_y, last_y = range_along(fine, corners, prim_id, 1)
             first_z, last_z = range_along(fine, corners, prim_id, 2)
             first, last = (first_x, first_y, first_z), (last_x, last_y, last_z)
-            total += spread(fine, corners, prim_id, first, last, at, reference_at, is_fill)
-            # Asked here, since a list of equal triangles grows with the square of its length.
-            if total > most:
+            total += each_cell(fine, corners, prim_id, first, last, list_triangle, writer)
+            # Checked here, since a list of equal triangles grows with the square of its length.
+            if total > limit:
                 return total
     return total

@@ -13,7 +13,7 @@ from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
 from raystream.structures.grid.dda import cell_end, set_up_walk, step_walk
 
-__all__ = ["STACK_BYTES", "enter_grid", "traverse"]
+__all__ = ["STACK_BYTES", "clip_to_grid", "traverse"]
 
 #: A grid needs no stack.
 STACK_BYTES = 8
@@ -24,7 +24,7 @@ _INF = np.float32(np.inf)
 
 
 @device
-def enter_grid(grid, ray, t_min, t_max):
+def clip_to_grid(grid, ray, t_min, t_max):
     """The part of a ray's interval in which it can hit anything; empty if t_in > t_out.
 
     Every triangle's box is inside the grid's, so every hit is in the interval of that one.
@@ -68,7 +68,7 @@ def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
 @device
 def traverse(grid, ray, search, stack):
     """Visit the cells along a ray; see `kernels.queries.ray_queries` for the arguments."""
-    t_in, t_last = enter_grid(grid, ray, search.t_min, search.t_far)
+    t_in, t_last = clip_to_grid(grid, ray, search.t_min, search.t_far)
     if grid.splits == _NONE or not (t_in <= t_last):
         return search
     cells = coarse_cells(grid)

@@ -1,6 +1,6 @@
-"""Moving triangles from cell to cell: only lists that something leaves or enters change.
+"""Updating a grid for moved triangles: only the lists that a triangle leaves or enters change.
 
-Purcell 2002, section 5.1, names grids as the structure that takes to moving triangles.
+Purcell 2002, section 5.1, names grids as the structure that suits moving triangles.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from raystream.core.memory import check_memory
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import kernel
 from raystream.jit.threads import parallel_for
-from raystream.structures.grid.build import find_layers, spread_layers
+from raystream.structures.grid.build import ListOutput, find_layers, list_triangles
 from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.layout import MAX_REFERENCES, GridArrays
 
 __all__ = ["move_lists"]
 
-#: Triangles, and cells, that one call of a kernel gets.
+#: Triangles, and cells, per call of a kernel.
 _TRIANGLE_CHUNK = 1 << 14
 _CELL_CHUNK = 1 << 14
 
@@ -39,7 +39,7 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
     Returns
     -------
     GridArrays
-        Those that `build.build_lists` would make of the new ones.
+        Equal to those that `build.build_lists` makes of the new ones.
 
     Raises
     ------
@@ -55,18 +55,19 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
 
     parallel_for(compare, len(now), _TRIANGLE_CHUNK)
 
-    # Step 1: in how many cells something left, and how many triangles each gets.
+    # Step 1: the number of triangles that leave, and that enter, each cell.
     cell_count = lattice.cell_count
     check_memory(cell_count * 16, f"update: {cell_count:,} cells would")
     left, kept, entered = (np.zeros(cell_count, np.uint32) for _ in range(3))
     nothing = np.empty(0, np.int32)
     ids = np.flatnonzero(moved & was).astype(np.int32)
-    spread_layers(old.corners, ids, lattice, find_layers(old.corners, ids, lattice), left, nothing)
+    layers = find_layers(old.corners, ids, lattice)
+    list_triangles(old.corners, ids, lattice, layers, ListOutput(left, nothing))
     ids = np.flatnonzero(moved & now).astype(np.int32)
     layers = find_layers(new.corners, ids, lattice)
-    spread_layers(new.corners, ids, lattice, layers, entered, nothing)
+    list_triangles(new.corners, ids, lattice, layers, ListOutput(entered, nothing))
 
-    # Step 2: room for what stays and what comes.
+    # Step 2: allocate the new lists.
     def count(begin: int, end: int) -> None:
         _count_kept(begin, end, *lists, left, moved, kept)
 
@@ -80,14 +81,15 @@ def move_lists(old: Triangles, new: Triangles, lattice: Lattice, lists: GridArra
     np.cumsum(splits, out=splits)
     result = GridArrays(splits, np.empty(total, np.int32))
 
-    # Step 3: what stays, then what comes, then the order.
-    cursors = kept  # from here on: where what comes goes to
+    # Step 3: copy the triangles that stay, append those that enter, sort.
+    positions = kept  # from here on: the row of the next triangle that enters
 
     def keep(begin: int, end: int) -> None:
-        _copy_kept(begin, end, *lists, left, moved, *result, cursors)
+        _copy_kept(begin, end, *lists, left, moved, *result, positions)
 
     parallel_for(keep, cell_count, _CELL_CHUNK)
-    spread_layers(new.corners, ids, lattice, layers, cursors, result.references)
+    output = ListOutput(positions, result.references)
+    list_triangles(new.corners, ids, lattice, layers, output)
 
     def sort(begin: int, end: int) -> None:
         _sort_lists(begin, end, *result, entered)
@@ -108,7 +110,7 @@ def _flat(corners: NDArray[np.float32]) -> NDArray[Any]:
 
 @kernel
 def _compare(begin, end, old, new, was, now, moved):
-    """Find the triangles that are elsewhere, or can be hit only before or after."""
+    """Find the triangles that moved, or that can be hit only before or only after."""
     for i in range(np.uint64(begin), np.uint64(end)):
         differs = was[i] != now[i]
         for k in range(np.uint64(9)):
@@ -130,8 +132,8 @@ def _count_kept(begin, end, splits, references, left, moved, kept):
 
 
 @kernel
-def _copy_kept(begin, end, splits, references, left, moved, new_splits, new_references, cursors):
-    """Copy the triangles of each cell that did not move; cursors become where they end."""
+def _copy_kept(begin, end, splits, references, left, moved, new_splits, new_references, positions):
+    """Copy the triangles of each cell that did not move, and write where they end."""
     for cell in range(np.uint64(begin), np.uint64(end)):
         to = np.uint64(new_splits[cell])
         leaves = left[cell] != 0
@@ -140,12 +142,12 @@ def _copy_kept(begin, end, splits, references, left, moved, new_splits, new_refe
             if not (leaves and moved[np.uint64(prim_id)]):
                 new_references[to] = prim_id
                 to += np.uint64(1)
-        cursors[cell] = to
+        positions[cell] = to
 
 
 @kernel
 def _sort_lists(begin, end, splits, references, entered):
-    """Sort the lists that something entered: two runs in order each."""
+    """Sort the lists that a triangle entered; each is two sorted runs."""
     for cell in range(np.uint64(begin), np.uint64(end)):
         if entered[cell] == 0:
             continue

@@ -1,4 +1,4 @@
-"""The arrays of a kd-tree, and the check that they are safe to traverse."""
+"""The arrays of a kd-tree, its figures, and the check that it is safe to traverse."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = [
     "MAX_NODES",
     "KdArrays",
     "check_arrays",
-    "usual_depth",
-    "walk",
+    "default_depth",
+    "measure",
 ]
 
-#: Nodes of a tree: a child's number takes 29 bits.
+#: Most nodes of a tree: the number of a child has 29 bits.
 MAX_NODES = 1 << 29
 
-#: What a leaf has for an axis.
+#: The axis of a leaf.
 LEAF_AXIS = 3
 
 
@@ -41,20 +41,20 @@ class KdArrays(NamedTuple):
         the plane; the one above it has the next row. `left` is odd and greater than the
         split's own row. A leaf: its first block; ``triangle_count << 2 | 3``.
     prim_ids : ndarray of shape (B, 4), int32
-        The triangles of the blocks; -1 where there is none.
+        The triangles of the blocks; -1 in unused places.
     """
 
     nodes: NDArray[np.int32]
     prim_ids: NDArray[np.int32]
 
 
-def usual_depth(triangle_count: int) -> int:
-    """Most splits on a path if nobody says how many (Pharr and Humphreys 2004)."""
+def default_depth(triangle_count: int) -> int:
+    """Default maximum depth (Pharr and Humphreys 2004)."""
     return min(MAX_DEPTH, round(8 + 1.3 * math.log2(max(triangle_count, 1))))
 
 
-class Walk(NamedTuple):
-    """What `walk` finds in a tree.
+class TreeFigures(NamedTuple):
+    """The figures of a tree.
 
     Attributes
     ----------
@@ -63,9 +63,9 @@ class Walk(NamedTuple):
     leaf_count, empty_count : int
         Leaves, and those without triangles.
     reference_count : int
-        Triangles of all leaves, those in several counted as often.
+        Triangles of all leaves; one in several leaves counts several times.
     splits_per_ray, leaves_per_ray, tests_per_ray : float
-        What a random line through the bounds meets, hits or no hits.
+        Expected for a random line through the bounds, whether or not it hits anything.
     """
 
     depth: int
@@ -86,8 +86,8 @@ def _half_area(cells, node):
 
 
 @kernel
-def _walk(nodes, positions, cells, depths):
-    """Walk a tree that was checked; row 0 of `cells` is the scene's box."""
+def _measure(nodes, positions, cells, depths):
+    """Visit the nodes of a valid tree; row 0 of `cells` is the scene's box."""
     deepest, leaf_count, empty_count, reference_count = 0, 0, 0, 0
     splits, leaves, tests = 0.0, 0.0, 0.0
     whole = _half_area(cells, 0)
@@ -116,21 +116,21 @@ def _walk(nodes, positions, cells, depths):
     )
 
 
-def walk(nodes: NDArray[np.int32], bounds: NDArray[np.float32]) -> Walk:
-    """Look at each node of a tree, at least one; `bounds` of shape (2, 3) is the scene's box."""
+def measure(nodes: NDArray[np.int32], bounds: NDArray[np.float32]) -> TreeFigures:
+    """Measure a tree of at least one node; `bounds` of shape (2, 3) is the scene's box."""
     cells = np.empty((len(nodes), 6), np.float32)
     cells[0] = bounds.ravel()
     depths = np.zeros(len(nodes), np.int32)
-    counts, sums = _walk(nodes, nodes.view(np.float32), cells, depths)
-    return Walk(*counts, *sums)
+    counts, sums = _measure(nodes, nodes.view(np.float32), cells, depths)
+    return TreeFigures(*counts, *sums)
 
 
-# Codes that `_check_tree` returns.
+# Error codes of `_check_tree`.
 _BAD_CHILD, _BAD_PLANE, _BAD_LEAF, _BAD_ID, _MISSING = -1, -2, -3, -4, -5
 
 _FAULTS = {
     _BAD_CHILD: "a node's child is out of range or has two parents",
-    _BAD_PLANE: "the plane of a split is nowhere",
+    _BAD_PLANE: "the plane of a split is not finite",
     _BAD_LEAF: "a leaf is out of range",
     _BAD_ID: "a leaf lists an invalid triangle, or too few",
     _MISSING: "a triangle of the scene is in no leaf",
@@ -139,11 +139,11 @@ _FAULTS = {
 
 @kernel
 def _check_tree(nodes, positions, prim_ids, depths, solid, wanted):
-    """Depth of the tree, or a negative code for what is wrong with it."""
+    """Depth of the tree, or a negative error code."""
     node_count, block_count = len(nodes), len(prim_ids)
     deepest = 0
     for node in range(node_count):
-        # Parents come before their children, so a node not reached by now never is.
+        # Parents come before their children, so a node not reached by now has none.
         if node > 0 and depths[node] == 0:
             return _BAD_CHILD
         axis, number = nodes[node, 1] & 3, np.int64(nodes[node, 1]) >> 2
@@ -165,7 +165,7 @@ def _check_tree(nodes, positions, prim_ids, depths, solid, wanted):
             continue
         if not np.isfinite(positions[node, 0]):
             return _BAD_PLANE
-        # A greater row than the parent's: no cycle. Not seen yet: one parent.
+        # A greater row than the parent's: no cycle. Not reached before: one parent.
         if number <= node or number + 1 >= node_count or number % 2 == 0 or depths[number] != 0:
             return _BAD_CHILD
         depths[number] = depths[number + 1] = depths[node] + 1
@@ -179,7 +179,7 @@ def _check_tree(nodes, positions, prim_ids, depths, solid, wanted):
 def check_arrays(
     arrays: Mapping[str, NDArray[Any]], solid_ids: NDArray[np.int32], triangle_count: int
 ) -> KdArrays:
-    """Check a tree from a file: no traversal of it may read out of bounds or not end.
+    """Check a tree from a file: that no traversal reads out of bounds or never ends.
 
     Parameters
     ----------
@@ -197,16 +197,16 @@ def check_arrays(
     Raises
     ------
     ValueError
-        What is wrong.
+        If it is invalid.
 
     Notes
     -----
-    The tree may still be a wrong one, whose cells lack triangles. Every ray ends in any tree
-    that passes: see `steps`.
+    The tree may still be wrong: cells may lack triangles. Every search in a tree that passes
+    ends: see `traversal`.
     """
     nodes = take(arrays, "nodes", np.int32, (None, 2))
     prim_ids = take(arrays, "prim_ids", np.int32, (None, BLOCK_SIZE))
-    # Of all blocks, also those that no leaf lists: corners are looked up for each.
+    # In all blocks, also those of no leaf: corners are looked up for each.
     if len(prim_ids) and (prim_ids.min() < -1 or prim_ids.max() >= triangle_count):
         raise ValueError(_FAULTS[_BAD_ID])
     if len(nodes) == 0:

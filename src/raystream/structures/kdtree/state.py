@@ -1,4 +1,4 @@
-"""What a search in a kd-tree works on: the tree by address, the ray, and where the search is."""
+"""The state of a search in a kd-tree, and the ray as it sees it."""
 
 from __future__ import annotations
 
@@ -11,69 +11,30 @@ from raystream.structures.kdtree.options import MAX_DEPTH
 
 __all__ = [
     "BACKTRACK",
-    "EXTENDED",
-    "EXTENDED_LINK",
     "RESTART",
     "SHORT_STACK",
     "SHORT_STACK_BYTES",
     "STACK",
     "STACK_BYTES",
-    "KdAddresses",
-    "KdLeaf",
-    "KdSplit",
     "KdState",
     "SplitRay",
     "split_ray",
 ]
 
-#: How a search goes on after a leaf.
+#: How a search continues after a leaf.
 STACK, RESTART, BACKTRACK, SHORT_STACK = np.arange(4, dtype=np.uint64)
 
-#: Bytes of the stack: a node and the end of its interval for each split on a path.
+#: Bytes of a stack: a node and the end of its interval for each split on a path.
 STACK_BYTES = 8 * (MAX_DEPTH + 1)
 
-#: Bytes of a short one: a node to begin again at, and a ring of `traversals.short_stack.PLACES`.
+#: Bytes of a short stack: the restart node, and a ring of `traversals.short_stack.PLACES`.
 SHORT_STACK_BYTES = 40
-
-#: Bytes of an extended record of `packed.extend`, and where its link is.
-EXTENDED, EXTENDED_LINK = np.uint64(32), np.uint64(24)
 
 _HALF = np.float32(0.5)
 
 
-class KdAddresses(NamedTuple):
-    """A tree as kernels take it; whoever calls one keeps the arrays alive.
-
-    Attributes
-    ----------
-    nodes : uint64
-        Address of `layout.KdArrays.nodes`, or of `packed.PackedArrays.splits`; 0 for an empty
-        tree.
-    leaves : uint64 or None
-        Address of `packed.PackedArrays.leaves`; None for nodes of 8 bytes.
-    extended : uint64
-        Address of what `packed.extend` gives; only for `BACKTRACK`.
-    blocks : uint64
-        Address of the leaf blocks.
-    root : uint64
-    traversal : uint64
-        `STACK`, `RESTART`, `BACKTRACK` or `SHORT_STACK`.
-    low, high : tuple of three float32
-        The scene's box.
-    """
-
-    nodes: np.uint64
-    leaves: np.uint64 | None
-    extended: np.uint64
-    blocks: np.uint64
-    root: np.uint64
-    traversal: np.uint64
-    low: tuple[np.float32, np.float32, np.float32]
-    high: tuple[np.float32, np.float32, np.float32]
-
-
 class SplitRay(NamedTuple):
-    """What steps need of a ray: the constants of its distances to split planes.
+    """A ray as the steps use it: the constants of its distances to split planes.
 
     Attributes
     ----------
@@ -89,20 +50,20 @@ class SplitRay(NamedTuple):
 
 
 class KdState(NamedTuple):
-    """Where a ray's search is.
+    """The state of a ray's search.
 
     Attributes
     ----------
     node : uint64
-        A node. In Foley's layout bit 31 says that it is a leaf, and the rest is its row.
+        See `nodes`.
     t_in, t_out : float32
         The part of the ray in the node: t_in <= t < t_out.
     t_end : float32
-        Where the search ends: just after the last t that is wanted.
+        End of the search: the next float32 after the last t wanted.
     top : uint64
-        Bytes on the stack; of a short one see `traversals.short_stack`.
+        Bytes on the stack; for a short one see `traversals.short_stack`.
     is_backtracking : bool
-        The search goes on above the node: `backtrack` is next.
+        The search continues above the node: `backtrack` is next.
     """
 
     node: np.uint64
@@ -113,44 +74,12 @@ class KdState(NamedTuple):
     is_backtracking: bool
 
 
-class KdSplit(NamedTuple):
-    """A node with a plane.
-
-    Attributes
-    ----------
-    position : float32
-    axis : uint64
-    below, above : uint64
-        Its children.
-    """
-
-    position: np.float32
-    axis: np.uint64
-    below: np.uint64
-    above: np.uint64
-
-
-class KdLeaf(NamedTuple):
-    """The triangles of a leaf.
-
-    Attributes
-    ----------
-    block, end : uint64
-        Addresses of its first block, and after its last one.
-    triangle_count : uint64
-    """
-
-    block: np.uint64
-    end: np.uint64
-    triangle_count: np.uint64
-
-
 @device
 def split_ray(ray):
-    """What steps need of a `kernels.ray.Ray`.
+    """A `kernels.ray.Ray` as a `SplitRay`.
 
-    ``middle`` is the mean of the slab constants of both paddings: that of a plane without any,
-    to two roundings.
+    ``middle`` is the mean of the slab constants of both paddings: that of an unpadded plane, to
+    within two roundings.
     """
     return SplitRay(
         ray.inv_x,

@@ -14,15 +14,17 @@ from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress
 from raystream.kernels.leaf_block import filled_blocks
 from raystream.structures.base import BuildReport, Structure
-from raystream.structures.kdtree.build import Method, build_arrays
-from raystream.structures.kdtree.layout import KdArrays, check_arrays, usual_depth, walk
+from raystream.structures.kdtree.build import build_arrays
+from raystream.structures.kdtree.foley_layout import LEAF_BIT, FoleyArrays, extend, pack
+from raystream.structures.kdtree.layout import KdArrays, check_arrays, default_depth, measure
+from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
-from raystream.structures.kdtree.packed import LEAF_BIT, PackedArrays, extend, pack
 from raystream.structures.kdtree.split import Costs
-from raystream.structures.kdtree.state import STACK_BYTES, KdAddresses
+from raystream.structures.kdtree.state import STACK_BYTES
+from raystream.structures.kdtree.subtree import BuildSettings
 from raystream.structures.kdtree.traversal import traverse
 
-__all__ = ["KdTreeStructure", "method_of"]
+__all__ = ["KdTreeStructure", "settings_of"]
 
 
 class KdTreeStructure(Structure):
@@ -40,10 +42,10 @@ class KdTreeStructure(Structure):
     tree : KdArrays
     blocks : ndarray of shape (B, 40), float32
         The leaves' triangles; see `kernels.leaf_block`.
-    packed : PackedArrays or None
+    packed : FoleyArrays or None
         The tree in Foley's layout; None for nodes of 8 bytes, or without nodes.
     extended : ndarray of shape (S, 8), float32, or None
-        What `packed.extend` gives; None unless it backtracks, or without nodes.
+        What `foley_layout.extend` gives; None unless it backtracks, or without nodes.
 
     Notes
     -----
@@ -59,7 +61,7 @@ class KdTreeStructure(Structure):
         self, triangles: Triangles, options: KdTree, *, progress: Progress | None = None
     ) -> None:
         started = time.perf_counter()
-        tree = build_arrays(triangles, method_of(options, len(triangles.prim_ids)), progress)
+        tree = build_arrays(triangles, settings_of(options, len(triangles.prim_ids)), progress)
         self._set(triangles, tree, options, started)
 
     def _set(self, triangles: Triangles, tree: KdArrays, options: KdTree, started: float) -> None:
@@ -67,7 +69,7 @@ class KdTreeStructure(Structure):
         self.tree = tree
         self.options = options
         self.blocks = filled_blocks(tree.prim_ids, triangles.corners)
-        self.packed: PackedArrays | None = None
+        self.packed: FoleyArrays | None = None
         self.extended: NDArray[np.float32] | None = None
         self._memory: dict[str, NDArray[Any]] = {"blocks": self.blocks}
         root = 0
@@ -143,7 +145,7 @@ class KdTreeStructure(Structure):
         node_count = len(self.tree.nodes)
         if node_count == 0:
             return dict.fromkeys(("nodes", "leaves", "empty leaves", "references", "depth"), 0.0)
-        found = walk(self.tree.nodes, self.triangles.bounds)
+        found = measure(self.tree.nodes, self.triangles.bounds)
         node_bytes = sum(array.nbytes for name, array in self._memory.items() if name != "blocks")
         cost = self.options.traversal_cost * found.splits_per_ray
         cost += self.options.intersection_cost * found.tests_per_ray
@@ -176,10 +178,10 @@ class KdTreeStructure(Structure):
         return structure
 
 
-def method_of(options: KdTree, triangle_count: int) -> Method:
+def settings_of(options: KdTree, triangle_count: int) -> BuildSettings:
     """How to grow a tree with such options."""
     max_depth = options.max_depth
     if max_depth is None:
-        max_depth = usual_depth(triangle_count)
+        max_depth = default_depth(triangle_count)
     costs = Costs(options.traversal_cost, options.intersection_cost, options.empty_bonus)
-    return Method(costs, max_depth, options.max_leaf_size)
+    return BuildSettings(costs, max_depth, options.max_leaf_size)

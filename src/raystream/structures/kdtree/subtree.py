@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, load, scratch, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD, tighten
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.options import MAX_DEPTH
-from raystream.structures.kdtree.split import LEAF, WORK_BYTES, choose_split
+from raystream.structures.kdtree.split import LEAF, WORK_BYTES, Costs, choose_split
 
 __all__ = [
+    "BuildSettings",
+    "Cell",
+    "GrownTriangles",
+    "References",
     "copy_box",
     "grow_subtree",
     "make_references",
@@ -35,6 +42,73 @@ _PENDING = np.uint64(72)
 _PENDING_BYTES = 72 * (MAX_DEPTH + 2)
 _END_AT, _NODE_AT, _DEPTH_AT = np.uint64(8), np.uint64(16), np.uint64(24)
 _BAD_AT, _ROOM_AT, _CELL_AT = np.uint64(32), np.uint64(40), np.uint64(48)
+
+
+class BuildSettings(NamedTuple):
+    """How to grow a tree.
+
+    Attributes
+    ----------
+    costs : Costs
+    max_depth : int
+        Splits on a path.
+    max_leaf_size : int
+        Cells of at most this many references are not split.
+    """
+
+    costs: Costs
+    max_depth: int
+    max_leaf_size: int
+
+
+class GrownTriangles(NamedTuple):
+    """The triangles that references are clipped to.
+
+    Attributes
+    ----------
+    corners : ndarray of shape (F, 3, 3), float32
+    bound : float
+        How far boxes and planes are grown, see `clip.BOUND`.
+    """
+
+    corners: NDArray[np.float32]
+    bound: float
+
+
+class References(NamedTuple):
+    """The references of a cell, in the first `count` of R rows; the others are free.
+
+    Attributes
+    ----------
+    boxes : ndarray of shape (R, 6), float32
+        Low x, y, z, high x, y, z.
+    ids : ndarray of shape (R,), int32
+        Their triangles.
+    count : int
+        N; kernels do nothing if it is 0.
+    """
+
+    boxes: NDArray[np.float32]
+    ids: NDArray[np.int32]
+    count: int
+
+
+class Cell(NamedTuple):
+    """A cell that may be split.
+
+    Attributes
+    ----------
+    box : ndarray of shape (6,), float32
+    depth : int
+        Splits above it.
+    bad_splits, room : int
+        See `split.choose_split`.
+    """
+
+    box: NDArray[np.float32]
+    depth: int
+    bad_splits: int
+    room: int
 
 
 @kernel
@@ -149,21 +223,15 @@ def _partition(boxes, ids, begin, end, axis, position, corners, bound):
 
 
 @kernel
-def split_range(boxes, ids, count, cell, bad_splits, room, corners, bound, costs, result):
+def split_range(references, cell, triangles, costs, result):
     """Split a cell in two, if that pays.
 
     Parameters
     ----------
-    boxes, ids : ndarray of shape (3 N, 6), float32, and (3 N,), int32
-        References; the rows from `count` on are free. Written: those above the plane from
-        row 0 on, those below it from row `count` on.
-    count : int
-        N; 0 does nothing.
-    cell : ndarray of shape (6,), float32
-    bad_splits, room : int
-        See `choose_split`.
-    corners : ndarray of shape (F, 3, 3), float32
-    bound : float
+    references : References
+        Of 3 N rows. Written: those above the plane from row 0 on, those below it from row N on.
+    cell : Cell
+    triangles : GrownTriangles
     costs : Costs
     result : ndarray of shape (4,), int64
         Written: axis, or 3; bad splits; end of the rows above, and of those below.
@@ -174,24 +242,23 @@ def split_range(boxes, ids, count, cell, bad_splits, room, corners, bound, costs
         The position of the plane.
     """
     position = np.float32(0.0)
-    if count == 0:
+    if references.count == 0:
         return position
-    end = np.uint64(count)
+    boxes, end = address(references.boxes), np.uint64(references.count)
     axis, position, bad = choose_split(
-        address(boxes),
+        boxes,
         _NONE,
         end,
-        address(cell),
-        np.uint64(bad_splits),
-        np.uint64(room),
+        address(cell.box),
+        np.uint64(cell.bad_splits),
+        np.uint64(cell.room),
         costs,
         scratch(WORK_BYTES),
     )
     result[0], result[1] = axis, bad
     if axis != LEAF:
-        above, below = _partition(
-            address(boxes), address(ids), _NONE, end, axis, position, address(corners), bound
-        )
+        ids, corners = address(references.ids), address(triangles.corners)
+        above, below = _partition(boxes, ids, _NONE, end, axis, position, corners, triangles.bound)
         result[2], result[3] = above, below
     return position
 
@@ -224,62 +291,33 @@ def _put_leaf(node, ids, begin, end, leaf_ids, block):
 
 
 @kernel
-def grow_subtree(
-    boxes,
-    ids,
-    count,
-    cell,
-    depth,
-    max_depth,
-    bad_splits,
-    room,
-    max_leaf_size,
-    corners,
-    bound,
-    costs,
-    nodes,
-    leaf_ids,
-    result,
-):
-    """Build all of the tree over a cell.
+def grow_subtree(references, cell, triangles, settings, tree, result):
+    """Build the whole tree over a cell.
 
     Parameters
     ----------
-    boxes, ids : ndarray of shape (A, 6), float32, and (A,), int32
-        The cell's references, then free rows: A is 2 room + count or more.
-    count : int
-        0 does nothing.
-    cell : ndarray of shape (6,), float32
-    depth, max_depth : int
-        Splits above the cell, and on a path at most.
-    bad_splits, room : int
-        See `choose_split`.
-    max_leaf_size : int
-        Cells of so many references are not split.
-    corners : ndarray of shape (F, 3, 3), float32
-    bound : float
-    costs : Costs
-    nodes : ndarray of shape (M, 2), int32
-        Written: the tree, as `layout.KdArrays.nodes`. Cells are not split once it is full.
-    leaf_ids : ndarray of shape (room / 4 + M / 2 + 2, 4), int32
-        Written: the triangles of the leaves.
+    references : References
+        Of at least 2 room + N rows.
+    cell : Cell
+    triangles : GrownTriangles
+    settings : BuildSettings
+        With a depth of at most `MAX_DEPTH`.
+    tree : KdArrays
+        Written: up to M nodes, after which cells are not split; and, of shape
+        (room / 4 + M / 2 + 2, 4), the triangles of the leaves.
     result : ndarray of shape (2,), int64
         Written: numbers of nodes and of blocks.
     """
-    if count == 0:
+    if references.count == 0:
         return
-    box_at, id_at, node_at, leaf_at = (
-        address(boxes),
-        address(ids),
-        address(nodes),
-        address(leaf_ids),
-    )
+    box_at, id_at = address(references.boxes), address(references.ids)
+    node_at, leaf_at = address(tree.nodes), address(tree.prim_ids)
+    corners, bound, node_limit = address(triangles.corners), triangles.bound, len(tree.nodes)
     pending, work = scratch(_PENDING_BYTES), scratch(WORK_BYTES)
-    first_room = np.uint64(room)
-    _put_pending(
-        pending, _NONE, np.uint64(count), _NONE, np.uint64(depth), np.uint64(bad_splits), first_room
-    )
-    copy_box(pending + _CELL_AT, address(cell))
+    count, room = np.uint64(references.count), np.uint64(cell.room)
+    depth, bad_splits = np.uint64(cell.depth), np.uint64(cell.bad_splits)
+    _put_pending(pending, _NONE, count, _NONE, depth, bad_splits, room)
+    copy_box(pending + _CELL_AT, address(cell.box))
     node_end, block = _ONE, _NONE
     top = pending + _PENDING
     while top != pending:
@@ -288,8 +326,9 @@ def grow_subtree(
         node = node_at + load(np.uint64, top + _NODE_AT) * _NODE
         level, left_room = load(np.uint64, top + _DEPTH_AT), load(np.uint64, top + _ROOM_AT)
         axis, position, bad = LEAF, np.float32(0.0), _NONE
-        is_large = end - begin > np.uint64(max_leaf_size)
-        if is_large and level < np.uint64(max_depth) and node_end + _TWO <= np.uint64(len(nodes)):
+        is_large = end - begin > np.uint64(settings.max_leaf_size)
+        has_room = node_end + _TWO <= np.uint64(node_limit)
+        if is_large and level < np.uint64(settings.max_depth) and has_room:
             axis, position, bad = choose_split(
                 box_at,
                 begin,
@@ -297,7 +336,7 @@ def grow_subtree(
                 top + _CELL_AT,
                 load(np.uint64, top + _BAD_AT),
                 left_room,
-                costs,
+                settings.costs,
                 work,
             )
         if axis == LEAF:
@@ -305,9 +344,7 @@ def grow_subtree(
             continue
         store(node, position)
         store(node + WORD, np.int32(node_end << _TWO | axis))
-        above_end, below_end = _partition(
-            box_at, id_at, begin, end, axis, position, address(corners), bound
-        )
+        above_end, below_end = _partition(box_at, id_at, begin, end, axis, position, corners, bound)
         # Those below move down, so that all free rows are behind them.
         below_count = below_end - end
         for i in range(below_count):

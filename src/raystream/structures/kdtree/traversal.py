@@ -1,12 +1,40 @@
-"""One ray through a kd-tree from start to end: the steps of `steps`, fused."""
+"""Traversing the kd-tree: the steps of Foley's traversals and Horn's, and the loop that joins them.
+
+The traversals differ in how they continue after a leaf only: one file each in `traversals`. The
+multipass machine runs the steps as kernels of their own; `traverse` runs them fused.
+
+A split plane has one distance along a ray, ``fma(plane, inv, middle)``: the slab distance
+without padding, which depends on the plane's position alone and is monotone in it. It
+divides the ray's interval into half-open parts: a distance t lies on the near side of the plane
+if it is less than the plane's, else on the far side. So each t belongs to exactly one leaf, the
+same in every traversal, and a hit counts in the leaf that its t belongs to and nowhere
+else: no triangle is hit twice, and none needs to be remembered.
+
+Every search ends. The interval [t_in, t_out) of a state is never empty: `descend` gives a child its
+part only if that is not empty, and the last part ends just after the ray's closed end. Leaving a
+leaf moves t_in to its t_out, which is greater; between two leaves `descend` goes to a
+child and `backtrack` to a parent, each at most as often as the tree is deep. All t_in but the
+first are distances of split planes, so a ray visits at most one leaf more than there are splits.
+None of this requires planes to be in order, or a ray to be off them: the t of a ray in a split
+plane, or a t_in on one (Foley 2005, section 4.2, needed "an extra conditional"), is compared like
+any other.
+
+References
+----------
+Foley and Sugerman, "KD-Tree Acceleration Structures for a GPU Raytracer", Graphics Hardware
+2005, Figures 2 to 4, and the kernels of section 3.3.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from raystream.jit.cpu import device
+from raystream.jit.simd import fma, next_float_up
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block
+from raystream.kernels.ray import component
 from raystream.kernels.search import is_full, is_over
+from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import (
     BACKTRACK_STEPS,
     BACKTRACKS,
@@ -16,21 +44,81 @@ from raystream.kernels.tally import (
     TESTS,
     add_to,
 )
-from raystream.structures.kdtree.state import split_ray
-from raystream.structures.kdtree.steps import (
-    backtrack,
-    continue_search,
-    descend,
-    initialize,
-    is_at_leaf,
-    leaf,
-    restarts,
-)
+from raystream.structures.kdtree.nodes import is_leaf, leaf_of, split_of
+from raystream.structures.kdtree.state import KdState, split_ray
+from raystream.structures.kdtree.traversals import continue_search, push, restarts
+from raystream.structures.kdtree.traversals.backtrack import backtrack
 
-__all__ = ["traverse"]
+__all__ = ["descend", "initialize", "traverse"]
 
+_NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _LANES = np.uint64(4)
+_ZERO = np.float32(0.0)
+
+
+@device
+def _distance(line, axis, position):
+    """Where a ray meets a plane, and whether it crosses it upward."""
+    inv = component(axis, line.inv_x, line.inv_y, line.inv_z)
+    middle = component(axis, line.middle_x, line.middle_y, line.middle_z)
+    return fma(position, inv, middle), inv > _ZERO
+
+
+@device
+def initialize(tree, ray, t_min, t_max):
+    """Begin a search at the root (Foley's Initialize).
+
+    Parameters
+    ----------
+    tree : KdAddresses
+    ray : Ray
+    t_min, t_max : float32
+        Closed interval of the search.
+
+    Returns
+    -------
+    is_active : bool
+        Whether the ray can hit anything.
+    state : KdState
+    """
+    low, high = tree.low, tree.high
+    t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
+    # A hit lies in its triangle's slab interval, so in that of the scene's box.
+    t_in, t_out = max(t_in, t_min), min(t_out, t_max)
+    t_end = next_float_up(t_out)
+    is_active = tree.nodes != _NONE and t_in <= t_out
+    return is_active, KdState(tree.root, t_in, t_end, t_end, _NONE, False)
+
+
+@device
+def descend(tree, line, state, stack):
+    """Go from a split to the child that holds t_in (Foley's Down).
+
+    Parameters
+    ----------
+    tree : KdAddresses
+    line : SplitRay
+    state : KdState
+        At a split.
+    stack : uint64
+        See `traversals.push`.
+
+    Returns
+    -------
+    KdState
+    """
+    split = split_of(tree, state.node)
+    t, is_upward = _distance(line, split.axis, split.position)
+    first = split.below if is_upward else split.above
+    second = split.above if is_upward else split.below
+    node, t_out, top = first, state.t_out, state.top
+    if t <= state.t_in:
+        node = second
+    elif t < state.t_out:
+        top = push(tree, stack, state, second)
+        t_out = t
+    return KdState(node, state.t_in, t_out, state.t_end, top, False)
 
 
 @device
@@ -41,10 +129,10 @@ def traverse(tree, ray, search, stack):
         return search
     line, triangle_ray = split_ray(ray), block_ray(ray)
     while True:
-        while not is_at_leaf(tree, state):
+        while not is_leaf(tree, state.node):
             state = descend(tree, line, state, stack)
             add_to(search.counters, STEPS, _ONE)
-        triangles = leaf(tree, state)
+        triangles = leaf_of(tree, state.node)
         add_to(search.counters, LEAVES, _ONE)
         block, left = triangles.block, triangles.triangle_count
         while block != triangles.end:

@@ -10,7 +10,7 @@ from raystream.cuda.builders.graph import linking, pruning, sectors, sharing
 from raystream.cuda.builders.kdtree import partition, planes, rows, trees
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.jit.cuda import RangeKernel
-from raystream.structures.graph.behind import Tree
+from raystream.structures.graph.face_subtrees import RopeTree
 from raystream.structures.graph.prune import Chosen
 from raystream.structures.kdtree.split import Costs
 
@@ -77,7 +77,7 @@ def _of_sectors() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
 
 
 def _of_links() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
-    tree, raw, table = Tree(*_at(4)), linking.Raw(*_at(5)), sharing.Table(*_at(6))
+    tree, raw, table = RopeTree(*_at(4)), linking.Raw(*_at(5)), sharing.Table(*_at(6))
     return [
         (linking.KERNELS.find_node_axes, _at(3)),
         (linking.KERNELS.count_raw, (_AT, tree, *_at(2))),

@@ -17,7 +17,7 @@ from raystream.cuda.builders.graph.sharing import LinkTable
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.cuda.scan import Scan
-from raystream.structures.graph.behind import Tree
+from raystream.structures.graph.face_subtrees import RopeTree
 from raystream.structures.graph.layout import SECTOR_ROWS
 from raystream.structures.graph.links import batches
 
@@ -89,7 +89,7 @@ class _Linker:
         self.covered = gpu.empty("links to covered", (self.node_count, 6), np.uint32)
         gpu.clear(self.is_covered, self.is_covered.stream)
         at = grown.nodes, self.axes, grown.boxes, ordered.ropes
-        self.tree = Tree(*(one.address for one in at))
+        self.tree = RopeTree(*(one.address for one in at))
 
     def link(self) -> Linked:
         firsts = self._count()

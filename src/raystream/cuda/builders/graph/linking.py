@@ -17,18 +17,18 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
 from raystream.structures.clip import WORD
-from raystream.structures.graph.behind import (
+from raystream.structures.graph.cells import NODE_BYTES, ROPE_BYTES, split_of
+from raystream.structures.graph.face_subtrees import (
     PENDING_BYTES,
     count_behind,
     fill_behind,
     find_axes,
     spread_marks,
 )
-from raystream.structures.graph.cells import NODE_BYTES, ROPE_BYTES, split_of
+from raystream.structures.graph.hash_consing import RAW
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID
 from raystream.structures.graph.links import LINKS_AT, RAW_LINKS
 from raystream.structures.graph.order import SECTOR_BYTES
-from raystream.structures.graph.share import RAW
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["KERNELS", "Raw"]

@@ -18,8 +18,8 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, store
 from raystream.structures.clip import WORD
+from raystream.structures.graph.hash_consing import first_slot
 from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT
-from raystream.structures.graph.share import first_slot
 
 __all__ = ["KERNELS", "LINK", "LinkTable", "Table", "final_link", "put_candidate", "share_slot"]
 

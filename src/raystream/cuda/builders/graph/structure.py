@@ -23,10 +23,10 @@ from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.kernels.leaf_block import BLOCK_FLOATS
 from raystream.structures.base import Structure
 from raystream.structures.graph.bins import bin_corners, choose_bin_counts
-from raystream.structures.graph.build import graph_box, tree_method_of
+from raystream.structures.graph.build import graph_box, tree_settings_of
 from raystream.structures.graph.layout import NODE_WORDS, SECTOR_ROWS, VOID, GraphArrays
 from raystream.structures.graph.options import Graph
-from raystream.structures.graph.structure import GraphStructure, addresses_of, method_of
+from raystream.structures.graph.structure import GraphStructure, addresses_of, settings_of
 
 __all__ = ["DeviceGraph", "build_graph"]
 
@@ -123,10 +123,10 @@ def build_graph(gpu: Gpu, triangles: Triangles, options: Graph) -> GraphStructur
         return GraphStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
-    method = tree_method_of(method_of(options, len(triangles.prim_ids)))
-    tree = grow_tree(gpu, triangles, corners, method)
+    settings = tree_settings_of(settings_of(options, len(triangles.prim_ids)))
+    tree = grow_tree(gpu, triangles, corners, settings)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
-    lists = prune(gpu, tree, numbers, method.costs)
+    lists = prune(gpu, tree, numbers, settings.costs)
     ordered = order_sectors(gpu, tree, numbers)
     firsts, block_count = number_sectors(gpu, ordered, lists)
     linked = link_sectors(gpu, tree, ordered)

@@ -13,10 +13,11 @@ from raystream.cuda.builders.kdtree.planes import BIN_BYTES, Choices, Level, Ref
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.cuda.scan import Scan
 from raystream.structures.clip import BOUND
-from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, Method, root_box
+from raystream.structures.kdtree.build import LEAST_ROOM, MAX_REFERENCES, root_box
 from raystream.structures.kdtree.layout import MAX_NODES
 from raystream.structures.kdtree.options import MAX_DEPTH
 from raystream.structures.kdtree.split import MOST_EXACT, Costs
+from raystream.structures.kdtree.subtree import BuildSettings
 
 __all__ = ["GrownTree", "as_numbers", "grow_tree"]
 
@@ -53,7 +54,9 @@ def as_numbers(costs: Costs) -> Costs:
     return Costs(*map(np.float64, costs))
 
 
-def grow_tree(gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: Method) -> GrownTree:
+def grow_tree(
+    gpu: Gpu, triangles: Triangles, corners: DeviceArray, settings: BuildSettings
+) -> GrownTree:
     """Grow a kd-tree on a device.
 
     Parameters
@@ -63,7 +66,7 @@ def grow_tree(gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: Meth
         At least one that can be hit.
     corners : DeviceArray of shape (F, 3, 3), float32
         Those of the triangles.
-    method : Method
+    settings : BuildSettings
 
     Returns
     -------
@@ -82,7 +85,7 @@ def grow_tree(gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: Meth
     The host waits for the device once a level, to know how many cells and references the next one
     has.
     """
-    return _Grower(gpu, triangles, corners, method).grow()
+    return _Grower(gpu, triangles, corners, settings).grow()
 
 
 class _Cells(NamedTuple):
@@ -131,12 +134,12 @@ class _Grower:
     # What a level needs is from the driver's pool, lest each array waits for the device.
 
     def __init__(
-        self, gpu: Gpu, triangles: Triangles, corners: DeviceArray, method: Method
+        self, gpu: Gpu, triangles: Triangles, corners: DeviceArray, settings: BuildSettings
     ) -> None:
         self.gpu, self.triangles, self.corners = gpu, triangles, corners
-        self.costs = as_numbers(method.costs)
-        self.max_depth = min(method.max_depth, MAX_DEPTH)
-        self.max_leaf_size = method.max_leaf_size
+        self.costs = as_numbers(settings.costs)
+        self.max_depth = min(settings.max_depth, MAX_DEPTH)
+        self.max_leaf_size = settings.max_leaf_size
         self.bound = float(triangles.max_coordinate) * BOUND
         self.room = MAX_REFERENCES * len(triangles.prim_ids) + LEAST_ROOM
         self.ids = gpu.empty("references of leaves", self.room, np.int32)

@@ -16,9 +16,9 @@ from raystream.cuda.structures import Resident
 from raystream.jit.cuda import Gpu
 from raystream.structures.base import Structure
 from raystream.structures.kdtree.layout import KdArrays
+from raystream.structures.kdtree.nodes import KdAddresses
 from raystream.structures.kdtree.options import TRAVERSALS, KdTree
-from raystream.structures.kdtree.state import KdAddresses
-from raystream.structures.kdtree.structure import KdTreeStructure, method_of
+from raystream.structures.kdtree.structure import KdTreeStructure, settings_of
 
 __all__ = ["DeviceKdTree", "build_kdtree"]
 
@@ -111,8 +111,8 @@ def build_kdtree(gpu: Gpu, triangles: Triangles, options: KdTree) -> KdTreeStruc
         return KdTreeStructure(triangles, options)
     started = time.perf_counter()
     corners = gpu.upload("corners", np.ascontiguousarray(triangles.corners))
-    method = method_of(options, len(triangles.prim_ids))
-    tree = grow_tree(gpu, triangles, corners, method)
+    settings = settings_of(options, len(triangles.prim_ids))
+    tree = grow_tree(gpu, triangles, corners, settings)
     numbers = number_nodes(gpu, tree, len(triangles.prim_ids))
     written = write_tree(gpu, tree, numbers, corners, options.traversal == "backtrack")
     return DeviceKdTree(triangles, gpu, written, options, started)

@@ -38,7 +38,7 @@ class WrittenTree(NamedTuple):
     blocks : DeviceArray of shape (B, 40), float32
         The leaves' triangles; see `kernels.leaf_block`.
     extended : DeviceArray of shape (S, 8), float32, or None
-        See `kdtree.packed.extend`.
+        See `kdtree.foley_layout.extend`.
     """
 
     nodes: DeviceArray

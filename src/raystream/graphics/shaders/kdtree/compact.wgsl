@@ -1,4 +1,4 @@
-// Nodes of 8 bytes; children lie side by side. As raystream/structures/kdtree/layout.py.
+// Nodes of 8 bytes; children lie side by side. As raystream/structures/kdtree/layout.py and nodes.py.
 
 // A split: position of its plane; number of the child below, and axis. A leaf: its first block;
 // number of its triangles, and LEAF_AXIS.

@@ -1,4 +1,4 @@
-// Foley's layout (Foley 2005, Figure 5). As raystream/structures/kdtree/packed.py.
+// Foley's layout (Foley 2005, Figure 5). As raystream/structures/kdtree/foley_layout.py.
 
 // Three words each: position of the plane; the children below and above it, where bit 30 of the
 // first is the low bit of the axis, and of the second the high one.

@@ -1,5 +1,5 @@
-// The steps that Foley's traversals share. As raystream/structures/kdtree/steps.py, where it is
-// said why no ray loops. A traversal has push(), leave() and go_on().
+// The steps that Foley's traversals share. As raystream/structures/kdtree/traversal.py, which
+// says why every search ends. A traversal has push(), leave() and go_on().
 //
 // Foley and Sugerman, "KD-Tree Acceleration Structures for a GPU Raytracer", Graphics Hardware
 // 2005, Figures 2 to 4, and section 3.3.

@@ -6,7 +6,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import fma, load
-from raystream.structures.kdtree.layouts import parent_of
+from raystream.structures.kdtree.nodes import parent_of
 from raystream.structures.kdtree.state import KdState
 
 __all__ = ["backtrack", "continue_search"]

@@ -13,12 +13,12 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.clip import BOX_BYTES, HIGH, WORD
 from raystream.structures.graph.cells import ROPE_BYTES, is_leaf, settle, split_of
+from raystream.structures.graph.hash_consing import RAW
 from raystream.structures.graph.layout import SECTOR_ROWS, VOID
-from raystream.structures.graph.share import RAW
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.options import MAX_DEPTH
 
-__all__ = ["PENDING_BYTES", "Tree", "count_behind", "fill_behind", "find_axes", "spread_marks"]
+__all__ = ["PENDING_BYTES", "RopeTree", "count_behind", "fill_behind", "find_axes", "spread_marks"]
 
 #: Subtrees that wait: a node, and the address of the raw link to it.
 _PENDING = np.uint64(16)
@@ -38,7 +38,7 @@ _NOWHERE = np.int32(-1)
 _YES = np.uint8(1)
 
 
-class Tree(NamedTuple):
+class RopeTree(NamedTuple):
     """A kd-tree and its cells, by address.
 
     Attributes
@@ -88,7 +88,7 @@ def count_behind(leaf, tree, is_covered, pending):
     Parameters
     ----------
     leaf : uint64
-    tree : Tree
+    tree : RopeTree
     is_covered : uint64
         Address of a byte for each face of each node: that of subtrees becomes 1.
     pending : uint64
@@ -153,7 +153,7 @@ def fill_behind(leaf, tree, sectors, covered, number, raw, links, pending):
     Parameters
     ----------
     leaf : uint64
-    tree : Tree
+    tree : RopeTree
     sectors, covered : uint64
         Addresses of the sector of each leaf, and of the links to covered subtrees, uint32.
     number : uint64

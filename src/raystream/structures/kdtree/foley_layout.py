@@ -1,4 +1,4 @@
-"""Other forms of the tree: Foley's packed one, and what backtracking needs besides.
+"""Foley's layout of a kd-tree, and the extended splits that backtracking needs in either layout.
 
 References
 ----------
@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from raystream.jit.cpu import kernel
 from raystream.structures.kdtree.layout import LEAF_AXIS
 
-__all__ = ["LEAF_BIT", "PackedArrays", "extend", "pack"]
+__all__ = ["AXIS_BIT", "LEAF_BIT", "FoleyArrays", "extend", "pack"]
 
-#: In Foley's layout: a pointer to a leaf; and where a Split keeps a bit of its axis.
+#: Bits of a pointer: that it leads to a leaf; a bit of the split's axis.
 LEAF_BIT = 31
-_AXIS_BIT = 30
+AXIS_BIT = 30
 
 #: The parent of the root.
 _NO_PARENT = 2**30 - 1
 
 
-class PackedArrays(NamedTuple):
+class FoleyArrays(NamedTuple):
     """Foley's layout.
 
     Attributes
@@ -42,7 +42,7 @@ class PackedArrays(NamedTuple):
 
     Notes
     -----
-    12 bytes a node, as in the paper, whose pointers are pairs of int16.
+    12 bytes per node, as in the paper, whose pointers are pairs of int16.
     """
 
     splits: NDArray[np.uint32]
@@ -68,17 +68,17 @@ def _pack(nodes, bits, rows, splits, leaves):
         splits[row, 0] = bits[node, 0]
         for side in range(2):
             child = number + side
-            word = np.int64(rows[child]) | np.int64((axis >> side) & 1) << _AXIS_BIT
+            word = np.int64(rows[child]) | np.int64((axis >> side) & 1) << AXIS_BIT
             if nodes[child, 1] & 3 == LEAF_AXIS:
                 word |= np.int64(1) << LEAF_BIT
                 leaves[rows[child], 2] = row
             splits[row, 1 + side] = np.uint32(word)
 
 
-def pack(nodes: NDArray[np.int32]) -> PackedArrays:
-    """Turn a tree of at least one node into Foley's layout."""
+def pack(nodes: NDArray[np.int32]) -> FoleyArrays:
+    """Convert a tree of at least one node to Foley's layout."""
     split_count = len(nodes) // 2
-    packed = PackedArrays(
+    packed = FoleyArrays(
         np.empty((split_count, 3), np.uint32), np.empty((split_count + 1, 3), np.uint32)
     )
     _pack(nodes, nodes.view(np.uint32), np.empty(len(nodes), np.int32), *packed)
@@ -117,23 +117,23 @@ def _extend(nodes, positions, is_packed, rows, parents, bounds, links):
 
 
 def extend(nodes: NDArray[np.int32], is_packed: bool) -> NDArray[np.float32]:
-    """Find what backtracking needs of splits: Foley's ExtendedSplit.
+    """Make the extended splits of a tree: Foley's ExtendedSplit.
 
     Parameters
     ----------
     nodes : ndarray of shape (M, 2), int32
         A tree of at least one node.
     is_packed : bool
-        Rows in the order of `PackedArrays.splits`. Else the row of a split is half that of its
-        left child, so that a node in row n finds its parent's in (n - 1) / 2 and leaves need no
+        Whether rows are in the order of `FoleyArrays.splits`. Else the row of a split is half that
+        of its left child, so that the parent of node n is in row (n - 1) / 2 and leaves need no
         pointer.
 
     Returns
     -------
     ndarray of shape (S, 8), float32
         Low x, y, z, high x, y, z; infinite at the border of the scene, where no plane ends the
-        search. Then, as the bits of an int32, the parent's row; or without `is_packed` the
-        split's own row in `nodes`. The last number is 0: 32 bytes a split, as in the paper.
+        search. Then, as the bits of an int32, the parent's row; without `is_packed` the split's
+        own row in `nodes`. The last number is 0: 32 bytes per split, as in the paper.
     """
     extended = np.empty((len(nodes) // 2, 8), np.float32)
     rows, parents = (np.zeros(len(nodes), np.int32) for _ in range(2))

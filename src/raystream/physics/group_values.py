@@ -1,4 +1,4 @@
-"""Numbers for materials or meshes, as callers give them: by name, by number, as an array."""
+"""Values for materials or meshes, given by name, by number or as an array."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from raystream.core.arrays import as_real_array
 
-__all__ = ["number_table"]
+__all__ = ["group_values"]
 
 
-def number_table(
+def group_values(
     argument: str,
     values: Any,
     names: tuple[str, ...],
@@ -23,21 +23,21 @@ def number_table(
     high: float = np.inf,
     default: float = np.nan,
 ) -> NDArray[np.float64]:
-    """Make an array with a number for each name.
+    """Make an array with a value for each name.
 
     Parameters
     ----------
     argument : str
-        What the values are called, for errors.
+        Name of the argument, for errors.
     values : mapping, or array_like of shape () or (M,), real
-        A mapping goes from names or numbers to values; one value serves all.
+        A mapping has names or numbers as keys; one value applies to all.
     names : tuple of str
     kind : str
-        What the names are of, for errors: "material" or "mesh".
+        What is named, for errors: "material" or "mesh".
     high : float
         Values must be in [0, high].
     default : float
-        For names that a mapping leaves out.
+        For names that a mapping omits.
 
     Returns
     -------
@@ -46,8 +46,8 @@ def number_table(
     Raises
     ------
     ValueError, TypeError
-        If a value is out of range or no real number, a name is unknown, belongs to several
-        or is given twice, or an array's shape is wrong.
+        If a value is out of range or not a real number, a name is unknown, ambiguous or given
+        twice, or an array's shape is wrong.
     """
     if isinstance(values, Mapping):
         table = np.full(len(names), default)

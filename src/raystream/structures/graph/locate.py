@@ -19,7 +19,7 @@ from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import prepare_ray
 from raystream.structures.graph.steps import (
     GraphAddresses,
-    enter,
+    clip_to_scene,
     sector_ray,
     start_sector,
     walk_to,
@@ -98,7 +98,7 @@ def _find(begin, end, graph, max_coordinate, rays, t, near, found):
         found.rows[i] = _NOWHERE
         found.step_counts[i] = 0
         ray = prepare_ray(o[i, 0], o[i, 1], o[i, 2], d[i, 0], d[i, 1], d[i, 2], max_coordinate)
-        is_active, t_in, _ = enter(graph, ray, rays.t_min[i], rays.t_max[i])
+        is_active, t_in, _ = clip_to_scene(graph, ray, rays.t_min[i], rays.t_max[i])
         if not is_active:
             continue
         at = t[i] if t[i] == t[i] else t_in
