@@ -163,7 +163,9 @@ def test_a_search_that_does_not_end_is_an_error_and_no_hang(monkeypatch):
     from raystream.graphics import bounces, render_bounces
     from raystream.graphics.errors import GraphicsError
 
-    form_of = bounces.form_of
-    monkeypatch.setattr(bounces, "form_of", lambda one: replace(form_of(one), budget=3))
+    shader_structure_of = bounces.shader_structure_of
+    monkeypatch.setattr(
+        bounces, "shader_structure_of", lambda one: replace(shader_structure_of(one), budget=3)
+    )
     with pytest.raises(GraphicsError, match="took more than 3 steps and tests"):
         render_bounces(rs.load("cornell"), (16, 16), "brute")

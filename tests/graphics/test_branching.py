@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from conftest import assert_same_bits
 from meshes import soup
-from raystream.graphics import queries
+from raystream.graphics import backend
 from raystream.kernels.tally import COLUMNS
 from test_agreement import answers_of, assert_expected
 
@@ -40,7 +40,7 @@ def test_fragments_answer_as_compute_shaders_do(opened, scene, rays, monkeypatch
     tracer = rs.Tracer(scene, device="graphics", machine="branching", **options)
     assert_expected(answers_of(tracer, rays, is_brief=True), expected)
     # In parts, whose textures have other sizes; and rows of hits, too.
-    monkeypatch.setattr(queries, "_ROWS_AT_ONCE", 20)
+    monkeypatch.setattr(backend, "_ROWS_AT_ONCE", 20)
     tracer = rs.Tracer(scene, device="graphics", machine="branching", rays_at_once=77, **options)
     assert_expected(answers_of(tracer, rays, is_brief=True), expected)
 

@@ -8,8 +8,8 @@ import pytest
 import raystream as rs
 from exact_scene import exact_rays
 from meshes import soup
-from raystream.graphics.multipass import machine
-from raystream.graphics.multipass.kernels.constants import TriangleConstants
+from raystream.graphics.multipass import backend
+from raystream.graphics.multipass.kernels.brute_constants import TriangleConstants
 
 pytestmark = pytest.mark.usefixtures("opened")
 
@@ -26,7 +26,7 @@ def loads(monkeypatch):
             super().load(rays, kernel)
             rows.append(self._row)
 
-    monkeypatch.setattr(machine, "TriangleConstants", Counted)
+    monkeypatch.setattr(backend, "TriangleConstants", Counted)
     return rows
 
 

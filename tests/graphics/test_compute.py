@@ -11,9 +11,9 @@ import pytest
 import raystream as rs
 from meshes import dented_sphere, sticks
 from raystream.graphics import dispatches
-from raystream.graphics.dispatch_size import Pace
+from raystream.graphics.dispatch_size import DispatchSize
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import form_of
+from raystream.graphics.structures import shader_structure_of
 
 pytestmark = pytest.mark.usefixtures("opened")
 
@@ -200,7 +200,7 @@ def test_batches_of_any_size_are_the_same_in_parts(dent):
 
 
 def test_dispatches_keep_their_pace():
-    pace = Pace(100_000)
+    pace = DispatchSize(100_000)
     assert pace.size == 1024
     pace.took(1024, 0.001)
     assert pace.size == 8192  # never by more than 8 times
@@ -226,12 +226,12 @@ def test_rays_that_were_not_traced_are_an_error(layers, monkeypatch):
 
 
 def test_searches_without_end_are_an_error(dent, monkeypatch):
-    made = dispatches.Dispatches.__init__
+    made = dispatches.Dispatcher.__init__
 
-    def with_small_budget(self, form, *rest):
-        made(self, dataclasses.replace(form, budget=9), *rest)
+    def with_small_budget(self, shaders, *rest):
+        made(self, dataclasses.replace(shaders, budget=9), *rest)
 
-    monkeypatch.setattr(dispatches.Dispatches, "__init__", with_small_budget)
+    monkeypatch.setattr(dispatches.Dispatcher, "__init__", with_small_budget)
     tracer = rs.Tracer(dent, "bvh", "graphics")
     with pytest.raises(GraphicsError, match="more than 9 steps and tests"):
         tracer.count_hits(*rays_at(dent))
@@ -257,4 +257,4 @@ def test_bad_options(layers):
     with pytest.raises(ValueError, match="rays_at_once: expected at least 1, got 0"):
         rs.Tracer(layers, "bvh", "graphics", rays_at_once=0)
     with pytest.raises(GraphicsError, match="has the structures"):
-        form_of(SimpleNamespace(name="lattice"))
+        shader_structure_of(SimpleNamespace(name="lattice"))

@@ -12,7 +12,7 @@ from conftest import assert_same_bits
 from meshes import soup
 from raystream.graphics import machines
 from raystream.graphics.adapters import OpenDevice, open_device
-from raystream.graphics.compute import Compute
+from raystream.graphics.compute import ComputeBackend
 from raystream.graphics.error_scope import guarded
 from raystream.graphics.errors import GraphicsError
 from raystream.structures import STRUCTURES, form_of, names_with
@@ -90,7 +90,7 @@ def test_what_wgpu_would_print_is_an_error(opened, caplog):
 
 def test_what_wgpu_raises_is_an_error_of_the_query(fresh, scene, rays):
     tracer = rs.Tracer(scene, "brute", "graphics")
-    tracer._backend._dispatches._arrays[0].handle.destroy()
+    tracer._backend._dispatcher._arrays[0].handle.destroy()
     with pytest.raises(GraphicsError, match=r"(?s)device 'graphics': .*destroyed"):
         tracer.any_hit(**rays)
     assert not fresh.is_lost
@@ -136,7 +136,7 @@ def test_too_large_a_scene_is_refused(opened, scene, rays, monkeypatch, limit):
 
 def test_more_rays_than_a_buffer_holds_are_refused(opened, scene, rays):
     structure = rs.Tracer(scene, "brute").structure
-    machine = Compute(structure, smaller(opened, max_buffer_size=4000))
+    machine = ComputeBackend(structure, smaller(opened, max_buffer_size=4000))
     tracer = rs.Tracer(scene, "brute", "graphics")
     tracer._backend = machine
     with pytest.raises(GraphicsError, match=r"rays would take 6,400 bytes"):

@@ -9,7 +9,7 @@ import pytest
 
 from raystream.graphics.buffers import Buffer
 from raystream.graphics.pipelines import Program, bind, compute_pipeline
-from raystream.graphics.source import shader_source
+from raystream.graphics.shader_source import shader_source
 
 _FRAME = """
 struct Params { zero: u32 }
@@ -96,7 +96,7 @@ def test_determinants_are_right_where_they_cancel(evaluate, rows):
 
 
 @pytest.mark.parametrize(
-    ("expression", "oracle"),
+    ("expression", "device_scheduler"),
     [
         ("wide_sum(exact_product(x.x, x.y), Wide(x.z, 0.0))", lambda x, y, z, _: x * y + z),
         (
@@ -105,11 +105,11 @@ def test_determinants_are_right_where_they_cancel(evaluate, rows):
         ),
     ],
 )
-def test_wide_numbers_have_more_than_40_bits(evaluate, rows, expression, oracle):
+def test_wide_numbers_have_more_than_40_bits(evaluate, rows, expression, device_scheduler):
     high, low = evaluate(f"as_pair({expression})", rows).T
     for row, one, other in zip(rows[:2000], high[:2000], low[:2000], strict=True):
         numbers = [Fraction(float(number)) for number in row]
-        exact = oracle(*numbers)
+        exact = device_scheduler(*numbers)
         size = abs(numbers[0] * numbers[1]) + abs(numbers[2])
         if "sum(exact_product" in expression:
             allowed = size * Fraction(2) ** -44

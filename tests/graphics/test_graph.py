@@ -7,7 +7,7 @@ import pytest
 
 import raystream as rs
 from exact_scene import exact_rays, lattice_scene
-from raystream.graphics.forms import form_of
+from raystream.graphics.structures import shader_structure_of
 
 pytestmark = pytest.mark.usefixtures("opened")
 
@@ -61,4 +61,4 @@ def test_budgets_know_how_deep_links_are():
     quality = graph.quality()
     most = 3 * int(quality["sectors"]) * (1 + int(quality["link depth"])) + len(graph.blocks)
     assert quality["link depth"] > 2
-    assert form_of(graph).budget == 1024 + most
+    assert shader_structure_of(graph).budget == 1024 + most

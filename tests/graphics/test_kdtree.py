@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from exact_scene import exact_rays, lattice_scene
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import form_of
+from raystream.graphics.structures import shader_structure_of
 
 pytestmark = pytest.mark.usefixtures("opened")
 
@@ -92,7 +92,7 @@ def test_stacks_are_as_deep_as_trees():
     for options in ({}, DEEP, {"max_depth": 0}, {"max_depth": 3}):
         tree = rs.Tracer(scene, "kdtree", **options).structure
         depth = tree.quality()["depth"]
-        size = form_of(tree).sizes["STACK_SIZE"]
+        size = shader_structure_of(tree).sizes["STACK_SIZE"]
         assert max(depth, 1) <= size < depth + 9
 
 

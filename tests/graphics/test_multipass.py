@@ -12,7 +12,7 @@ import raystream as rs
 from conftest import assert_same_bits
 from exact_scene import exact_rays, lattice_scene
 from meshes import soup
-from raystream.graphics import source
+from raystream.graphics import shader_source as sources
 from raystream.graphics.errors import GraphicsError
 from raystream.graphics.multipass import loops, plan
 from raystream.graphics.multipass.kernels import STREAMS, kernels_of
@@ -23,7 +23,7 @@ from raystream.machines.schedulers import Threshold
 from raystream.machines.steps import steps_of
 from raystream.structures import build_structure, names_with
 
-SHADERS = Path(source.__file__).parent / "shaders"
+SHADERS = Path(sources.__file__).parent / "shaders"
 
 #: Of structure and machine: every scheduler, and more than one step in a pass.
 WAYS = {
@@ -99,7 +99,7 @@ def test_kernels_are_those_of_the_cpu(scene, name):
 def test_kernels_discard_nothing(scene, name):
     """Else the stencil test would come after them."""
     traversal = kernels_of(build_structure(name, scene.triangles, **OPTIONS.get(name, {})))
-    text = source.shader_source(traversal.shader)
+    text = sources.shader_source(traversal.shader)
     assert not re.search(r"^\s*discard", text, re.MULTILINE)
     for one in traversal.kernels:
         assert f"fn {one.entry}(" in text
@@ -203,7 +203,7 @@ def test_passes_are_capped(opened, scene, rays, loop):
 
 
 def test_an_endless_search_ends(opened, scene, rays, monkeypatch):
-    monkeypatch.setattr("raystream.graphics.forms.grid.budget_for", lambda most: 3)
+    monkeypatch.setattr("raystream.graphics.structures.grid.budget_for", lambda most: 3)
     tracer = multipass(scene)
     with pytest.raises(GraphicsError, match="took more than 3 steps and tests"):
         tracer.first_hit(**rays)

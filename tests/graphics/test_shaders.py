@@ -11,11 +11,11 @@ import pytest
 import raystream as rs
 from conftest import GRAPHICS_TRACERS
 from meshes import soup
-from raystream.graphics import source
+from raystream.graphics import shader_source as sources
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.source import shader_source
+from raystream.graphics.shader_source import shader_source
 
-ROOM = Path(source.__file__).parent
+ROOM = Path(sources.__file__).parent
 SHADERS = ROOM / "shaders"
 FILES = {path.relative_to(SHADERS).as_posix(): path for path in SHADERS.rglob("*.wgsl")}
 
@@ -26,10 +26,10 @@ BEGINNING = re.compile(r"^// ([a-z0-9_/]+\.wgsl)$", re.MULTILINE)
 
 
 #: Halves of a kernel's outputs, for adapters that allow few.
-SOMETIMES = {"fragment/texels_found.wgsl", "fragment/texels_place.wgsl"}
+SOMETIMES = {"fragment/targets_found.wgsl", "fragment/targets_place.wgsl"}
 
 #: Those of pictures, which `test_raster` and `test_bounces` compile.
-OF_PICTURES = ("bounces/", "raster/", "view.wgsl", "no_rows.wgsl")
+OF_PICTURES = ("bounces/", "raster/", "camera.wgsl", "no_hit_rows.wgsl")
 
 #: Tracers that have other files than those of the agreement.
 MORE_TRACERS = (
@@ -54,22 +54,30 @@ def test_every_file_says_what_it_holds():
 
 
 def test_every_include_is_there():
-    included = {one for name in FILES for one in source._INCLUDE.findall(text_of(name))}
+    included = {one for name in FILES for one in sources._INCLUDE.findall(text_of(name))}
     assert included <= set(FILES)
     # What looks like an include is one: a slip would be a comment.
     for name in FILES:
-        assert text_of(name).count("include ") == len(source._INCLUDE.findall(text_of(name)))
+        assert text_of(name).count("include ") == len(sources._INCLUDE.findall(text_of(name)))
 
 
 def test_a_file_is_included_once_and_can_be_replaced():
     whole = shader_source("compute.wgsl", "brute.wgsl", "exact.wgsl")
     names = BEGINNING.findall(whole)
     assert len(names) == len(set(names))
-    assert {"compute.wgsl", "brute.wgsl", "exact.wgsl", "corners.wgsl", "heap.wgsl"} <= set(names)
+    assert {
+        "compute.wgsl",
+        "brute.wgsl",
+        "exact.wgsl",
+        "vertices.wgsl",
+        "nearest_hits.wgsl",
+    } <= set(names)
     assert "//! include" not in whole
-    other = shader_source("compute.wgsl", "brute.wgsl", instead={"heap.wgsl": "no_rows.wgsl"})
-    assert "heap.wgsl" not in BEGINNING.findall(other)
-    assert "no_rows.wgsl" in BEGINNING.findall(other)
+    other = shader_source(
+        "compute.wgsl", "brute.wgsl", instead={"nearest_hits.wgsl": "no_hit_rows.wgsl"}
+    )
+    assert "nearest_hits.wgsl" not in BEGINNING.findall(other)
+    assert "no_hit_rows.wgsl" in BEGINNING.findall(other)
 
 
 @pytest.mark.exhaustive
@@ -102,16 +110,16 @@ def test_every_file_is_compiled_for_some_tracer(fresh, monkeypatch):
     ],
 )
 def test_a_shader_that_does_not_compile_is_one_error(fresh, monkeypatch, name, broken):
-    text = source._text_of
+    text = sources._text_of
     monkeypatch.setattr(
-        source, "_text_of", lambda one: text(one) + broken if one == name else text(one)
+        sources, "_text_of", lambda one: text(one) + broken if one == name else text(one)
     )
     if name == "compute.wgsl":
-        monkeypatch.setattr(source, "_text_of", lambda one: broken if one == name else text(one))
+        monkeypatch.setattr(sources, "_text_of", lambda one: broken if one == name else text(one))
     scene = rs.Scene.from_arrays(*soup(20, 1))
     with pytest.raises(GraphicsError, match=r"shader brute, FIRST_HIT: (does not|gives no)"):
         rs.Tracer(scene, "brute", "graphics")
     # The device is none the worse for it, nor is the CPU.
-    monkeypatch.setattr(source, "_text_of", text)
+    monkeypatch.setattr(sources, "_text_of", text)
     for device in ("graphics", "cpu"):
         assert not rs.Tracer(scene, "brute", device).any_hit([9, 9, 9], [1, 0, 0])

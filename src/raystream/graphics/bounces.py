@@ -15,15 +15,15 @@ import numpy as np
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.buffers import Buffer, uniform, upload, whole
+from raystream.graphics.camera import check_pinhole, packed_view
 from raystream.graphics.error_scope import guarded
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms import form_of
-from raystream.graphics.fragments import FragmentProgram
+from raystream.graphics.fragment_program import FragmentProgram
 from raystream.graphics.pipelines import Program
-from raystream.graphics.source import shader_source
+from raystream.graphics.shader_source import shader_source
+from raystream.graphics.structures import shader_structure_of
 from raystream.graphics.surfaces import SurfaceArrays, check_surfaces
 from raystream.graphics.textures import FLOATS, WORDS, Texture, sampled
-from raystream.graphics.views import check_pinhole, packed_view
 from raystream.rendering.arguments import check_camera, check_size, make_tracer
 from raystream.rendering.image import Image
 from raystream.rendering.render import RENDERERS
@@ -118,11 +118,15 @@ class _Pipeline:
         opened: OpenDevice,
         min_weight: float,
     ) -> None:
-        self._opened, self._size, self._form = opened, size, form_of(structure)
-        form = self._form
-        names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
-        self._tree = upload(opened, zip(names, form.arrays, strict=True))
-        self._search = uniform(opened, form.params(structure.triangles.max_coordinate))
+        self._opened, self._size, self._shaders = (
+            opened,
+            size,
+            shader_structure_of(structure),
+        )
+        shaders = self._shaders
+        names = (f"{shaders.name}, array {k}" for k in range(len(shaders.arrays)))
+        self._tree = upload(opened, zip(names, shaders.arrays, strict=True))
+        self._search = uniform(opened, shaders.params(structure.triangles.max_coordinate))
         self._arrays = SurfaceArrays(scene, view, opened)
         packed = packed_view(view, size, scene.triangles)
         self._params = [
@@ -134,30 +138,30 @@ class _Pipeline:
         self._pass_count = 0
 
     def _make_programs(self) -> None:
-        opened, form = self._opened, self._form
+        opened, shaders = self._opened, self._shaders
         seen, lit = len(self._arrays.surfaces), len(self._arrays.lit_surfaces)
 
         def program(name: str, reads: Sequence[str], writes: Sequence[str], count: int) -> Any:
-            source = shader_source("screen.wgsl", f"bounces/{name}.wgsl")
+            source = shader_source("fullscreen.wgsl", f"bounces/{name}.wgsl")
             layouts = [("uniform", *map(sampled, reads)), ("gather",) * count]
             return FragmentProgram(opened, name, Program(source, name, layouts), writes)
 
         def search(kind: Kind) -> Any:
-            source = form.source("screen.wgsl", "bounces/trace.wgsl")
+            source = shaders.source("fullscreen.wgsl", "bounces/trace.wgsl")
             rays = sampled(FLOATS), sampled(FLOATS)
-            layouts = [("uniform", *rays, "scatter"), ("gather",) * len(form.arrays)]
-            constants = {"QUERY": float(kind), **form.constants}
+            layouts = [("uniform", *rays, "scatter"), ("gather",) * len(shaders.arrays)]
+            constants = {"QUERY": float(kind), **shaders.constants}
             program = Program(source, "trace", layouts, constants)
             return FragmentProgram(opened, "trace", program, [WORDS])
 
         hit = [FLOATS, WORDS]
-        self._eye = program("eye", [], [FLOATS, FLOATS], 0)
+        self._camera_rays = program("camera_rays", [], [FLOATS, FLOATS], 0)
         self._first_hit, self._any_hit = search(Kind.FIRST_HIT), search(Kind.ANY_HIT)
-        self._glow = program("glow", hit, [FLOATS], seen)
-        self._aim = program("aim", hit, [FLOATS, FLOATS], lit)
-        self._add = program("add", [*hit, WORDS, FLOATS], [FLOATS], lit)
-        self._iterate = program("iterate", [*hit, *[FLOATS] * 3], [FLOATS, FLOATS], seen)
-        self._mirror = program("mirror", [*hit, FLOATS], [FLOATS, FLOATS], seen)
+        self._emission = program("emission", hit, [FLOATS], seen)
+        self._shadow_rays = program("shadow_rays", hit, [FLOATS, FLOATS], lit)
+        self._add_light = program("add_light", [*hit, WORDS, FLOATS], [FLOATS], lit)
+        self._accumulate = program("accumulate", [*hit, *[FLOATS] * 3], [FLOATS, FLOATS], seen)
+        self._reflect = program("reflect", [*hit, FLOATS], [FLOATS, FLOATS], seen)
 
     def _make_screens(self) -> None:
         def screens(name: str, count: int, kind: str = FLOATS) -> list[Texture]:
@@ -167,12 +171,12 @@ class _Pipeline:
         self._rays, self._next_rays = screens("rays", 2), screens("next rays", 2)
         self._light, self._next_light = screens("light", 2)
         self._buffer, self._next_buffer = screens("colours", 2), screens("weights", 2)
-        self._light_rays = screens("rays to lights", 2)
+        self._to_light = screens("rays to lights", 2)
         self._hits, self._blocked = screens("hits", 2, WORDS)
         self._failures = Buffer(self._opened, "counts of failures")
         self._failures.reserve(8)
         self._failed = (
-            f"took more than {self._form.budget:,} steps and tests",
+            f"took more than {self._shaders.budget:,} steps and tests",
             "were cut short by a driver that ends long loops; take another structure",
         )
 
@@ -182,7 +186,7 @@ class _Pipeline:
         encoder = self._opened.device.create_command_encoder()
         self._buffer[0].clear(encoder, 0.0)
         self._buffer[1].clear(encoder, 1.0)
-        self._draw(encoder, self._eye, [], self._rays)
+        self._draw(encoder, self._camera_rays, [], self._rays)
         for _ in range(iterations):
             self._iterate_once(encoder)
             # Each iteration is given to the device by itself: drivers take long ones for hung.
@@ -193,7 +197,7 @@ class _Pipeline:
         for count, what in zip(failures.tolist(), self._failed, strict=True):
             if count:
                 raise GraphicsError(
-                    f"device 'graphics': {count:,} rays in {self._form.name!r} {what} "
+                    f"device 'graphics': {count:,} rays in {self._shaders.name!r} {what} "
                     f"({self._opened.adapter})"
                 )
         return Image(pixels, figures={"iterations": iterations, "passes": self._pass_count})
@@ -202,18 +206,18 @@ class _Pipeline:
         surfaces, lights = self._arrays.surfaces, self._arrays.lit_surfaces
         hit = [self._rays[1], self._hits]
         self._trace(encoder, self._first_hit, self._rays, self._hits)
-        self._draw(encoder, self._glow, hit, [self._light], surfaces)
+        self._draw(encoder, self._emission, hit, [self._light], surfaces)
         for number in range(self._arrays.light_count):
-            self._draw(encoder, self._aim, hit, self._light_rays, lights, number)
-            self._trace(encoder, self._any_hit, self._light_rays, self._blocked)
+            self._draw(encoder, self._shadow_rays, hit, self._to_light, lights, number)
+            self._trace(encoder, self._any_hit, self._to_light, self._blocked)
             reads = [*hit, self._blocked, self._light]
-            self._draw(encoder, self._add, reads, [self._next_light], lights, number)
+            self._draw(encoder, self._add_light, reads, [self._next_light], lights, number)
             self._light, self._next_light = self._next_light, self._light
         color, weight = self._buffer
         reads = [*hit, self._light, weight, color]
-        self._draw(encoder, self._iterate, reads, self._next_buffer, surfaces)
+        self._draw(encoder, self._accumulate, reads, self._next_buffer, surfaces)
         self._buffer, self._next_buffer = self._next_buffer, self._buffer
-        self._draw(encoder, self._mirror, [*hit, self._buffer[1]], self._next_rays, surfaces)
+        self._draw(encoder, self._reflect, [*hit, self._buffer[1]], self._next_rays, surfaces)
         self._rays, self._next_rays = self._next_rays, self._rays
 
     def _trace(

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.fragments import FragmentProgram
+from raystream.graphics.backend import RAYS_AT_ONCE, Chunk, GraphicsBackend
+from raystream.graphics.fragment_program import FragmentProgram
 from raystream.graphics.pipelines import Program
-from raystream.graphics.queries import RAYS_AT_ONCE, Chunk, GraphicsQueries
 from raystream.graphics.ray_textures import FRAME, RayTextures
 from raystream.graphics.termination import hit_counts
 from raystream.structures import Structure
 
-__all__ = ["Branching"]
+__all__ = ["BranchingBackend"]
 
 
-class Branching(GraphicsQueries):
+class BranchingBackend(GraphicsBackend):
     """Traces rays with one fragment program.
 
     Parameters
@@ -41,13 +41,13 @@ class Branching(GraphicsQueries):
         the device.
     """
 
-    is_paced = True
+    adapts_size = True
 
     def __init__(
         self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
     ) -> None:
         super().__init__(structure, opened, rays_at_once)
-        self._textures = RayTextures(opened, self._form)
+        self._textures = RayTextures(opened, self._shaders)
         self._latest = Kind.FIRST_HIT
         self._program(Kind.FIRST_HIT, False, False)  # whatever is wrong is said now
 
@@ -65,7 +65,7 @@ class Branching(GraphicsQueries):
         program.draw(encoder, groups, [textures.state, textures.found])
         device.queue.submit([encoder.finish()])
         endings = textures.state.read_records(len(chunk.wanted))[:, 1]
-        counts = hit_counts(endings, self._form, self.opened)
+        counts = hit_counts(endings, self._shaders, self.opened)
         if tallies is not None:
             tallies[chunk.rows] += textures.read_tallies()
         return counts
@@ -75,15 +75,15 @@ class Branching(GraphicsQueries):
 
     def _program(self, kind: Kind, surfaces: bool, counts: bool) -> FragmentProgram:
         instead = self._textures.instead(kind, counts)
-        instead["fragment/texels.wgsl"] = "fragment/texels_found.wgsl"
-        source = self._form.source("fragment/branching.wgsl", instead=instead)
+        instead["fragment/targets.wgsl"] = "fragment/targets_found.wgsl"
+        source = self._shaders.source("fragment/branching.wgsl", instead=instead)
         constants = {
             "QUERY": float(kind),
             "SURFACES": float(surfaces),
-            **self._form.constants,
+            **self._shaders.constants,
         }
         layouts = [FRAME, *self._textures.layouts(kind, counts)]
         program = Program(source, "trace", layouts, constants)
         formats = [one.format for one in (self._textures.state, self._textures.found)]
-        name = f"{self._form.name}, {kind.name}"
+        name = f"{self._shaders.name}, {kind.name}"
         return FragmentProgram(self.opened, name, program, formats)

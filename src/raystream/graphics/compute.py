@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.dispatches import Dispatches, Task
-from raystream.graphics.queries import RAYS_AT_ONCE, Chunk, GraphicsQueries
-from raystream.graphics.records import ROW, packed_rays
+from raystream.graphics.backend import RAYS_AT_ONCE, Chunk, GraphicsBackend
+from raystream.graphics.dispatches import Dispatcher, ShaderQuery
+from raystream.graphics.packing import ROW, packed_rays
 from raystream.structures import Structure
 
-__all__ = ["Compute"]
+__all__ = ["ComputeBackend"]
 
 
-class Compute(GraphicsQueries):
+class ComputeBackend(GraphicsBackend):
     """Traces rays with compute shaders.
 
     Parameters
@@ -35,23 +35,23 @@ class Compute(GraphicsQueries):
         the device.
     """
 
-    is_paced = True
+    adapts_size = True
 
     def __init__(
         self, structure: Structure, opened: OpenDevice, *, rays_at_once: int = RAYS_AT_ONCE
     ) -> None:
         super().__init__(structure, opened, rays_at_once)
-        self._dispatches = Dispatches(self._form, opened, structure.triangles.max_coordinate)
+        self._dispatcher = Dispatcher(self._shaders, opened, structure.triangles.max_coordinate)
         self._found: NDArray[Any] = np.empty(0, ROW)
-        self._dispatches.pipeline(Task(Kind.FIRST_HIT))  # whatever is wrong is said now
+        self._dispatcher.pipeline(ShaderQuery(Kind.FIRST_HIT))  # whatever is wrong is said now
 
     def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
         wanted, tallies = chunk.wanted, chunk.tallies
-        task = Task(chunk.kind, chunk.surfaces, tallies is not None)
+        task = ShaderQuery(chunk.kind, chunk.surfaces, tallies is not None)
         is_multi = chunk.kind == Kind.MULTI_HIT
         capacity = 0 if is_multi else int(wanted[0, 1])
         rays = packed_rays(chunk.rays, chunk.rows)
-        found = self._dispatches.run(task, rays, capacity, wanted if is_multi else None)
+        found = self._dispatcher.run(task, rays, capacity, wanted if is_multi else None)
         self._found = found.rows
         if tallies is not None:
             tallies[chunk.rows] += found.tallies

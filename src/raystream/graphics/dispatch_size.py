@@ -1,8 +1,8 @@
-"""Pace: how many rays a dispatch gets, so that none takes long."""
+"""DispatchSize: how many rays a dispatch gets, so that none takes long."""
 
 from __future__ import annotations
 
-__all__ = ["Pace"]
+__all__ = ["DispatchSize"]
 
 #: Rays of the first dispatch. One of a hopeless search must not take minutes.
 _FIRST = 1 << 10
@@ -15,7 +15,7 @@ _SECONDS = 0.2
 _GROWTH = 8
 
 
-class Pace:
+class DispatchSize:
     """How many rays the next dispatch gets, by how long those before took.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Dispatches: some rays at a time, traced by a compute shader."""
+"""Dispatcher: some rays at a time, traced by a compute shader."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, ReadBack, uniform, upload, whole
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.forms.base import Form
+from raystream.graphics.packing import RAY_BYTES, ROW
 from raystream.graphics.pipelines import Program, bind, compute_pipeline
-from raystream.graphics.records import RAY_BYTES, ROW
+from raystream.graphics.structures.base import ShaderStructure
 from raystream.graphics.termination import hit_counts
 
-__all__ = ["Dispatches", "Found", "Task"]
+__all__ = ["DispatchResults", "Dispatcher", "ShaderQuery"]
 
 #: Invocations of a workgroup; see compute.wgsl.
 _GROUP_SIZE = 64
@@ -31,7 +31,7 @@ _NAMES = ("rays", "wanted", "rows", "endings", "tallies")
 _LAYOUT = ("uniform", "gather", "gather", "scatter", "scatter", "scatter")
 
 
-class Task(NamedTuple):
+class ShaderQuery(NamedTuple):
     """What a shader is to do.
 
     Attributes
@@ -48,7 +48,7 @@ class Task(NamedTuple):
     tallies: bool = False
 
 
-class Found(NamedTuple):
+class DispatchResults(NamedTuple):
     """What came back from a dispatch of N rays.
 
     Attributes
@@ -65,12 +65,12 @@ class Found(NamedTuple):
     tallies: NDArray[np.uint32]
 
 
-class Dispatches:
+class Dispatcher:
     """Runs a structure's compute shaders.
 
     Parameters
     ----------
-    form : Form
+    shaders : ShaderStructure
     opened : OpenDevice
     max_coordinate : float32
         Largest absolute coordinate of the scene.
@@ -81,20 +81,22 @@ class Dispatches:
         If the structure is too large for the device.
     """
 
-    def __init__(self, form: Form, opened: OpenDevice, max_coordinate: np.float32) -> None:
-        self._form = form
+    def __init__(
+        self, shaders: ShaderStructure, opened: OpenDevice, max_coordinate: np.float32
+    ) -> None:
+        self._shaders = shaders
         self._opened = opened
         self._max_coordinate = max_coordinate
-        self._source = form.source("compute.wgsl")
-        names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
-        self._arrays = upload(opened, zip(names, form.arrays, strict=True))
+        self._source = shaders.source("compute.wgsl")
+        names = (f"{shaders.name}, array {k}" for k in range(len(shaders.arrays)))
+        self._arrays = upload(opened, zip(names, shaders.arrays, strict=True))
         self._buffers = {name: Buffer(opened, name) for name in _NAMES}
         self._layouts = _LAYOUT, ("gather",) * len(self._arrays)
-        self._params = uniform(opened, form.params(max_coordinate))
+        self._params = uniform(opened, shaders.params(max_coordinate))
         self._read_back = ReadBack(opened)
         self._groups: list[Any] = []
 
-    def pipeline(self, task: Task) -> Any:
+    def pipeline(self, task: ShaderQuery) -> Any:
         """Compile what a task needs, once.
 
         Raises
@@ -106,24 +108,24 @@ class Dispatches:
             "QUERY": float(task.kind),
             "SURFACES": float(task.surfaces),
             "COUNTS": float(task.tallies),
-            **self._form.constants,
+            **self._shaders.constants,
         }
-        name = f"{self._form.name}, {task.kind.name}"
+        name = f"{self._shaders.name}, {task.kind.name}"
         program = Program(self._source, "trace", self._layouts, constants)
         return compute_pipeline(self._opened, name, program)
 
     def run(
         self,
-        task: Task,
+        task: ShaderQuery,
         rays: NDArray[np.float32],
         capacity: int,
         wanted: NDArray[np.uint32] | None = None,
-    ) -> Found:
+    ) -> DispatchResults:
         """Trace some rays.
 
         Parameters
         ----------
-        task : Task
+        task : ShaderQuery
         rays : ndarray of shape (N, 2, 4), float32
             See `records.packed_rays`.
         capacity : int
@@ -158,8 +160,8 @@ class Dispatches:
                 f"device 'graphics': {self._opened.adapter} failed to trace {count:,} rays: {error}"
             ) from error
         rows, endings, tallies = memory
-        found = Found(
-            hit_counts(endings.view(np.uint32), self._form, self._opened),
+        found = DispatchResults(
+            hit_counts(endings.view(np.uint32), self._shaders, self._opened),
             rows.view(ROW),
             tallies.view(np.uint32).reshape(-1, _TALLY_BYTES // 4),
         )
@@ -191,7 +193,7 @@ class Dispatches:
         most = self._opened.limits["max-compute-workgroups-per-dimension"]
         columns = min(groups, most)
         row_size = columns * _GROUP_SIZE
-        params = self._form.params(
+        params = self._shaders.params(
             self._max_coordinate, ray_count=count, row_size=row_size, capacity=capacity
         )
         device = self._opened.device

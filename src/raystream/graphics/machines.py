@@ -31,21 +31,21 @@ OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 def _compute(structure: Structure, adapter: str | None, **options: Any) -> Backend:
-    from raystream.graphics.compute import Compute
+    from raystream.graphics.compute import ComputeBackend
 
-    return Compute(structure, open_device(adapter), **options)
+    return ComputeBackend(structure, open_device(adapter), **options)
 
 
 def _branching(structure: Structure, adapter: str | None, **options: Any) -> Backend:
-    from raystream.graphics.branching import Branching
+    from raystream.graphics.branching import BranchingBackend
 
-    return Branching(structure, open_device(adapter), **options)
+    return BranchingBackend(structure, open_device(adapter), **options)
 
 
 def _multipass(structure: Structure, adapter: str | None, **options: Any) -> Backend:
-    from raystream.graphics.multipass import Multipass
+    from raystream.graphics.multipass import MultipassBackend
 
-    return Multipass(structure, open_device(adapter), **options)
+    return MultipassBackend(structure, open_device(adapter), **options)
 
 
 _MAKERS: Mapping[str, Callable[..., Backend]] = MappingProxyType(

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.graphics.adapters import OpenDevice, open_device
 from raystream.graphics.buffers import Buffer, uniform, upload, whole
+from raystream.graphics.camera import check_pinhole, packed_view
 from raystream.graphics.error_scope import guarded
-from raystream.graphics.forms.base import numbers
-from raystream.graphics.fragments import FragmentProgram
+from raystream.graphics.fragment_program import FragmentProgram
 from raystream.graphics.pipelines import Program, bind, fragment_pipeline
-from raystream.graphics.source import shader_source
+from raystream.graphics.shader_source import shader_source
+from raystream.graphics.structures.base import numbers
 from raystream.graphics.textures import IDS, WORDS, Texture, new_texture, sampled
-from raystream.graphics.views import check_pinhole, packed_view
 from raystream.rendering.arguments import check_camera, check_size
 from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
@@ -119,7 +119,9 @@ class _Raster:
             ("the corners of triangles", triangles.corners),
         ]
         self._buffers: list[Buffer] = upload(opened, arrays)
-        resolve = Program(shader_source("screen.wgsl", "raster/resolve.wgsl"), "resolve", _RESOLVED)
+        resolve = Program(
+            shader_source("fullscreen.wgsl", "raster/resolve.wgsl"), "resolve", _RESOLVED
+        )
         self._resolve = FragmentProgram(opened, "resolve", resolve, [WORDS])
         project = Program(shader_source("raster/raster.wgsl"), "note", _PROJECTED, vertex="project")
         self._pipeline = fragment_pipeline(opened, "raster", project, [(IDS, True)], _Nearest())

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, uniform, upload, whole
-from raystream.graphics.forms import Form
-from raystream.graphics.forms.base import TREE_AT
+from raystream.graphics.packing import ROW, packed_rays
 from raystream.graphics.pipelines import Layout, bind
-from raystream.graphics.records import ROW, packed_rays
 from raystream.graphics.streams.textures import StreamShape, StreamTexture
+from raystream.graphics.structures import ShaderStructure
+from raystream.graphics.structures.base import TREE_AT
 from raystream.kernels.local_frame import LocalRays
 
 __all__ = ["FRAME", "RayTextures"]
@@ -32,7 +32,7 @@ class RayTextures:
     Parameters
     ----------
     opened : OpenDevice
-    form : Form
+    shaders : ShaderStructure
 
     Attributes
     ----------
@@ -40,20 +40,20 @@ class RayTextures:
     count : int
         Rays that are loaded.
     state, found : StreamTexture
-        What programs write: see fragment/texels.wgsl.
+        What programs write: see fragment/targets.wgsl.
     inputs : list of StreamTexture
         Origins, directions, and what is wanted.
     params : dict
         The uniform buffer, as a resource.
     """
 
-    def __init__(self, opened: OpenDevice, form: Form) -> None:
+    def __init__(self, opened: OpenDevice, shaders: ShaderStructure) -> None:
         self._opened = opened
-        self._form = form
-        names = (f"{form.name}, array {k}" for k in range(len(form.arrays)))
-        self._arrays = upload(opened, zip(names, form.arrays, strict=True))
+        self._shaders = shaders
+        names = (f"{shaders.name}, array {k}" for k in range(len(shaders.arrays)))
+        self._arrays = upload(opened, zip(names, shaders.arrays, strict=True))
         self._buffers = {name: Buffer(opened, name) for name in ("rows", "tallies", "runs")}
-        self._uniform = uniform(opened, form.params(np.float32(0.0)))
+        self._uniform = uniform(opened, shaders.params(np.float32(0.0)))
         self.params = whole(self._uniform)
         self.count = 0
         self._resize(StreamShape.for_count(1, opened))
@@ -95,7 +95,7 @@ class RayTextures:
     def write_params(self, max_coordinate: np.float32) -> None:
         """Say how many rays there are, and what all of them share."""
         width = self.shape.width
-        params = self._form.params(max_coordinate, ray_count=self.count, row_size=width)
+        params = self._shaders.params(max_coordinate, ray_count=self.count, row_size=width)
         self._opened.device.queue.write_buffer(self._uniform, 0, params)
 
     def write_tree(self, tree: bytes) -> None:
@@ -107,9 +107,9 @@ class RayTextures:
         """Files that take the place of others: programs write no buffer that nobody wants."""
         files = {}
         if kind != Kind.MULTI_HIT:
-            files["fragment/rows.wgsl"] = "no_rows.wgsl"
+            files["fragment/hit_rows.wgsl"] = "no_hit_rows.wgsl"
         if not counts:
-            files["fragment/counting.wgsl"] = "fragment/not_counting.wgsl"
+            files["fragment/counters.wgsl"] = "fragment/no_counters.wgsl"
         return files
 
     def layouts(self, kind: Kind, counts: bool) -> list[Layout]:

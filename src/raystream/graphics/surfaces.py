@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.buffers import Buffer, upload
-from raystream.graphics.forms.base import numbers
+from raystream.graphics.structures.base import numbers
 from raystream.rendering.environment import image_light
 from raystream.rendering.shading.punctual_lights import light_rows
 from raystream.rendering.shading.tables import material_rows

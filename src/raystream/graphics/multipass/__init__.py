@@ -1,5 +1,5 @@
 """The multipass machine of the graphics device: Purcell's ray tracer on the graphics pipeline."""
 
-from raystream.graphics.multipass.machine import LOOPS, Multipass
+from raystream.graphics.multipass.backend import LOOPS, MultipassBackend
 
-__all__ = ["LOOPS", "Multipass"]
+__all__ = ["LOOPS", "MultipassBackend"]

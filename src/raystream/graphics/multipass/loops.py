@@ -10,7 +10,7 @@ import numpy as np
 
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.errors import GraphicsError
-from raystream.graphics.multipass.oracle import Oracle
+from raystream.graphics.multipass.device_scheduler import DeviceScheduler
 from raystream.graphics.multipass.plan import Plan
 from raystream.graphics.streams.passes import Bindings, StreamPasses
 from raystream.machines.schedulers import Queues, Scheduler
@@ -67,13 +67,15 @@ class Batch:
     draw_count: int
 
 
-def run_on_device(work: Work, oracle: Oracle, inner: Sequence[int]) -> Iterator[Batch]:
+def run_on_device(
+    work: Work, device_scheduler: DeviceScheduler, inner: Sequence[int]
+) -> Iterator[Batch]:
     """Let the device choose; the host looks at times whether any ray is left.
 
     Parameters
     ----------
     work : Work
-    oracle : Oracle
+    device_scheduler : DeviceScheduler
     inner : sequence of int
         Kernels that run many times. The others, which run once, are encoded in the first and
         the last pass of each batch.
@@ -85,22 +87,22 @@ def run_on_device(work: Work, oracle: Oracle, inner: Sequence[int]) -> Iterator[
     work.streams.begin(encoder, plan.begin, work.bind, None)
     draw_count = len(plan.begin)
     while True:
-        oracle.forget(encoder)
+        device_scheduler.forget(encoder)
         for number in range(length):
             is_edge = number in (0, length - 1)
             chosen = plan if is_edge else inner_plan
             draw_count += chosen.draw_count
-            oracle.encode(encoder, kernels if is_edge else inner)
+            device_scheduler.encode(encoder, kernels if is_edge else inner)
             work.streams.run(
                 encoder,
                 chosen.kernels,
                 chosen.commits,
                 chosen.classifies,
                 work.bind,
-                oracle.arguments,
+                device_scheduler.arguments,
             )
         device.queue.submit([encoder.finish()])
-        decided = oracle.read(length)
+        decided = device_scheduler.read(length)
         yield Batch(decided.passes, decided.active_count, draw_count)
         if decided.active_count == 0:
             return

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.forms import Form
 from raystream.graphics.multipass.kernels import STREAMS, TraversalKernels
 from raystream.graphics.pipelines import Layout, Program, fragment_pipeline
 from raystream.graphics.ray_textures import FRAME
-from raystream.graphics.source import shader_source
+from raystream.graphics.shader_source import shader_source
 from raystream.graphics.streams.kernel import FragmentKernel
 from raystream.graphics.streams.passes import Draw, groups_of
 from raystream.graphics.streams.stencil import Stencil
+from raystream.graphics.structures import ShaderStructure
 from raystream.graphics.textures import FLOATS, WORDS, sampled
 
 __all__ = ["LAYOUT", "STREAM_TYPES", "Plan", "PlanInputs", "make_plan"]
@@ -28,7 +28,7 @@ _FORMATS = {"uint32": WORDS, "float32": FLOATS}
 LAYOUT = (*FRAME, *(sampled(_FORMATS[STREAM_TYPES[name]]) for name in STREAMS))
 
 #: What a kernel's program returns if it may write half of the streams at a time.
-_HALVES = ("fragment/texels_found.wgsl", "fragment/texels_place.wgsl")
+_HALVES = ("fragment/targets_found.wgsl", "fragment/targets_place.wgsl")
 
 
 class PlanInputs(NamedTuple):
@@ -36,7 +36,7 @@ class PlanInputs(NamedTuple):
 
     Attributes
     ----------
-    form : Form
+    shaders : ShaderStructure
         The structure's.
     instead : mapping of str to str
         See `source.shader_source`.
@@ -47,7 +47,7 @@ class PlanInputs(NamedTuple):
         Whether programs count.
     """
 
-    form: Form
+    shaders: ShaderStructure
     instead: Mapping[str, str]
     constants: Mapping[str, float]
     layouts: Sequence[Layout]
@@ -101,9 +101,9 @@ class _Maker:
         self._wish = inputs
         self.kernels = traversal.kernels
         self.groups = groups_of(STREAMS, opened)
-        form = inputs.form
+        shaders = inputs.shaders
         self._sources = self._sources_of(
-            lambda instead: form.source(traversal.shader, instead={**inputs.instead, **instead})
+            lambda instead: shaders.source(traversal.shader, instead={**inputs.instead, **instead})
         )
         # Those that do not depend on the structure, nor on the query.
         self._shared_sources = self._sources_of(
@@ -114,7 +114,7 @@ class _Maker:
         """The source for each group of targets."""
         if len(self.groups) == 1:
             return [source({})]
-        return [source({"fragment/texels.wgsl": half}) for half in _HALVES]
+        return [source({"fragment/targets.wgsl": half}) for half in _HALVES]
 
     def _draw(
         self,
@@ -125,7 +125,7 @@ class _Maker:
         kernel: int = 0,
     ) -> Draw:
         targets = [(_FORMATS[STREAM_TYPES[name]], name in writes) for name in self.groups[group]]
-        name = f"{self._wish.form.shader}, {program.entry}"
+        name = f"{self._wish.shaders.shader}, {program.entry}"
         pipeline = fragment_pipeline(self._opened, name, program, targets, stencil)
         return Draw(pipeline, stencil.reference, kernel)
 

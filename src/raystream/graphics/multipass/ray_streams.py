@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.forms import Form
 from raystream.graphics.multipass.kernels import STREAMS
 from raystream.graphics.multipass.plan import LAYOUT, STREAM_TYPES
 from raystream.graphics.pipelines import bind
 from raystream.graphics.ray_textures import RayTextures
 from raystream.graphics.streams.passes import Bindings, StreamPasses
 from raystream.graphics.streams.textures import StreamTexture
+from raystream.graphics.structures import ShaderStructure
 from raystream.kernels.local_frame import LocalRays
 
 __all__ = ["RayStreams"]
@@ -27,7 +27,7 @@ class RayStreams:
     Parameters
     ----------
     opened : OpenDevice
-    form : Form
+    shaders : ShaderStructure
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class RayStreams:
     passes : StreamPasses
     """
 
-    def __init__(self, opened: OpenDevice, form: Form) -> None:
+    def __init__(self, opened: OpenDevice, shaders: ShaderStructure) -> None:
         self._opened = opened
-        self.rays = RayTextures(opened, form)
+        self.rays = RayTextures(opened, shaders)
         self._resize()
 
     def _resize(self) -> None:

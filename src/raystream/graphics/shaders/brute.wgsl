@@ -9,7 +9,7 @@ struct Tree {
 // Corners of all triangles: nine numbers each.
 @group(1) @binding(1) var<storage, read> corners: array<f32>;
 
-//! include "corners.wgsl"
+//! include "vertices.wgsl"
 
 // Test the triangle in a row of the list.
 fn test_row(ray: Ray, row: u32) {

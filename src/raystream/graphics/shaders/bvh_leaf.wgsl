@@ -1,7 +1,7 @@
 // The triangles of a leaf: blocks of four slots, in which the last ones may be empty. As
 // raystream/kernels/leaf_block.py.
 
-//! include "block.wgsl"
+//! include "leaf_block.wgsl"
 
 // The prim_id of an empty slot. One below is that of a triangle that cannot be hit any more.
 const NO_TRIANGLE: i32 = -1;

@@ -17,10 +17,10 @@ override COUNTS: bool = false;
 //! include "exact.wgsl"
 //! include "ray.wgsl"
 //! include "triangle.wgsl"
-//! include "found.wgsl"
-//! include "heap.wgsl"
+//! include "search_state.wgsl"
+//! include "nearest_hits.wgsl"
 //! include "tally.wgsl"
-//! include "ending.wgsl"
+//! include "termination.wgsl"
 
 // The first of a ray's rows, and how many hits it wants.
 fn wish_of(i: u32) -> vec2u {
@@ -40,7 +40,7 @@ fn trace(@builtin(global_invocation_id) id: vec3u) {
     let to = rays[2u * i + 1u];
     let ray = set_up_ray(from_.xyz, to.xyz, from_.w, to.w);
     let wish = wish_of(i);
-    begin_found(ray.t_max, wish.x, wish.y);
+    begin_search_state(ray.t_max, wish.x, wish.y);
     if ray.t_min <= ray.t_max && wish.y != 0u {
         search(ray);
     }
@@ -53,5 +53,5 @@ fn trace(@builtin(global_invocation_id) id: vec3u) {
         note_shadings();
         tallies[i] = tally;
     }
-    endings[i] = ending();
+    endings[i] = termination_code();
 }

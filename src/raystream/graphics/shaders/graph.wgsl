@@ -16,13 +16,13 @@ struct Tree {
 // sector behind are at -FAR or FAR. Then the link nodes, a row each: plane, axis, link below the
 // plane, link above.
 @group(1) @binding(0) var<storage, read> sector_rows: array<vec4u>;
-// Leaf blocks; see blocks.wgsl.
+// Leaf blocks; see leaf_in_interval.wgsl.
 @group(1) @binding(1) var<storage, read> blocks: array<vec4u>;
 // Row of a sector near by.
 @group(1) @binding(2) var<storage, read> bins: array<u32>;
 
-//! include "blocks.wgsl"
-//! include "planes.wgsl"
+//! include "leaf_in_interval.wgsl"
+//! include "plane_distances.wgsl"
 //! include "graph/steps.wgsl"
 //! include "graph/start.wgsl"
 

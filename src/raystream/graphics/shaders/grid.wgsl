@@ -24,8 +24,8 @@ struct Tree {
 
 const NO_CHILD: i32 = -1;
 
-//! include "corners.wgsl"
-//! include "walk.wgsl"
+//! include "vertices.wgsl"
+//! include "dda.wgsl"
 
 // The references of a cell.
 struct List {

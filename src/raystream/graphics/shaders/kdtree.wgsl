@@ -8,11 +8,11 @@ struct Tree {
     node_count: u32,
 }
 
-// Leaf blocks; see blocks.wgsl. The layout has the nodes.
+// Leaf blocks; see leaf_in_interval.wgsl. The layout has the nodes.
 @group(1) @binding(1) var<storage, read> blocks: array<vec4u>;
 
-//! include "blocks.wgsl"
-//! include "planes.wgsl"
+//! include "leaf_in_interval.wgsl"
+//! include "plane_distances.wgsl"
 //! include "kdtree/state.wgsl"
 //! include "kdtree/compact.wgsl"
 //! include "kdtree/steps.wgsl"
@@ -26,7 +26,7 @@ fn search(ray: Ray) {
     let line = plane_ray(ray);
     while spend() {
         while !is_at_leaf(state) && spend() {
-            state = down(line, state);
+            state = descend(line, state);
             tally.steps += 1u;
         }
         tally.leaves += 1u;
@@ -36,6 +36,6 @@ fn search(ray: Ray) {
         if is_past(state.t_out) || state.t_out >= state.t_end {
             return;
         }
-        state = go_on(line, state);
+        state = continue_counted(line, state);
     }
 }

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from raystream.graphics.adapters import OpenDevice
-from raystream.graphics.fragments import cover_screen
+from raystream.graphics.fragment_program import cover_screen
 from raystream.graphics.streams.textures import (
     TEXEL_BYTES,
     StencilTexture,

@@ -22,6 +22,6 @@ class Brute(StructureOptions):
     structure = "raystream.structures.brute.structure:BruteStructure"
     forms: ClassVar = {
         "multipass": "raystream.machines.steps.brute:steps",
-        "graphics": "raystream.graphics.forms.brute:form",
+        "graphics": "raystream.graphics.structures.brute:shader_structure",
         "graphics multipass": "raystream.graphics.multipass.kernels.brute:kernels",
     }

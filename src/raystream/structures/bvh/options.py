@@ -44,7 +44,7 @@ class Bvh(StructureOptions):
         "multipass": "raystream.machines.steps.bvh:steps",
         "cuda kernels": "raystream.cuda.bvh.kernels",
         "cuda build": "raystream.cuda.builders.bvh:build_bvh",
-        "graphics": "raystream.graphics.forms.bvh:form",
+        "graphics": "raystream.graphics.structures.bvh:shader_structure",
     }
 
     quality: Literal["fast", "balanced", "high"] = "balanced"

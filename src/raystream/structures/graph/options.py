@@ -48,7 +48,7 @@ class Graph(StructureOptions):
     forms: ClassVar = {
         "multipass": "raystream.machines.steps.graph:steps",
         "cuda build": "raystream.cuda.builders.graph.structure:build_graph",
-        "graphics": "raystream.graphics.forms.graph:form",
+        "graphics": "raystream.graphics.structures.graph:shader_structure",
     }
 
     crossing_cost: Annotated[float, Range(1e-6, 1e6)] = 24.0

@@ -62,7 +62,7 @@ class Grid(StructureOptions):
     forms: ClassVar = {
         "multipass": "raystream.machines.steps.grid:steps",
         "cuda build": "raystream.cuda.builders.grid:build_grid",
-        "graphics": "raystream.graphics.forms.grid:form",
+        "graphics": "raystream.graphics.structures.grid:shader_structure",
         "graphics multipass": "raystream.graphics.multipass.kernels.grid:kernels",
     }
 

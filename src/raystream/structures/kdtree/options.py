@@ -54,7 +54,7 @@ class KdTree(StructureOptions):
     forms: ClassVar = {
         "multipass": "raystream.machines.steps.kdtree:steps",
         "cuda build": "raystream.cuda.builders.kdtree.structure:build_kdtree",
-        "graphics": "raystream.graphics.forms.kdtree:form",
+        "graphics": "raystream.graphics.structures.kdtree:shader_structure",
         "graphics multipass": "raystream.graphics.multipass.kernels.kdtree:kernels",
     }
 

@@ -9,7 +9,7 @@ from raystream.machines.records import RayState
 
 __all__ = ["FOUND", "PLACE", "STREAMS", "TraversalKernels", "with_shade"]
 
-#: What kernels write, in the order of their targets: see fragment/texels.wgsl.
+#: What kernels write, in the order of their targets: see fragment/targets.wgsl.
 STREAMS = ("state", "found", "place", "span")
 
 #: Where a ray is, and what it has found. Kernels that count or keep hits write the count to

@@ -24,7 +24,7 @@ _KERNELS = with_shade(
     ),
     FragmentKernel(
         "down",
-        "go_down",
+        "descend_rays",
         state=RayState.TRAVERSING,
         next_states=(RayState.TRAVERSING, RayState.AT_LEAF, RayState.DONE),
         reads=(*_RAY, *PLACE),
@@ -34,7 +34,7 @@ _KERNELS = with_shade(
         "leaf",
         "look_at_leaf",
         state=RayState.AT_LEAF,
-        next_states=(RayState.INTERSECTING, RayState.LEAVING),
+        next_states=(RayState.INTERSECTING, RayState.CONTINUING),
         reads=("place",),
         writes=("state", "place"),
     ),
@@ -44,7 +44,7 @@ _KERNELS = with_shade(
         state=RayState.INTERSECTING,
         next_states=(
             RayState.INTERSECTING,
-            RayState.LEAVING,
+            RayState.CONTINUING,
             RayState.SHADING,
             RayState.DONE,
         ),
@@ -53,12 +53,12 @@ _KERNELS = with_shade(
     ),
     FragmentKernel(
         "continue",
-        "continue_search",
-        state=RayState.LEAVING,
+        "continue_rays",
+        state=RayState.CONTINUING,
         next_states=(
             RayState.TRAVERSING,
             RayState.AT_LEAF,
-            RayState.CLIMBING,
+            RayState.BACKTRACKING,
             RayState.SHADING,
             RayState.DONE,
         ),
@@ -67,10 +67,10 @@ _KERNELS = with_shade(
     ),
     FragmentKernel(
         "up",
-        "climb",
-        state=RayState.CLIMBING,
+        "backtrack_rays",
+        state=RayState.BACKTRACKING,
         next_states=(
-            RayState.CLIMBING,
+            RayState.BACKTRACKING,
             RayState.TRAVERSING,
             RayState.AT_LEAF,
             RayState.DONE,

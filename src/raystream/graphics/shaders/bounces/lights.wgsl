@@ -1,6 +1,6 @@
 // What a light sends to a point. As raystream/rendering/shading/classic.py: each in one place.
 
-//! include "bounces/lobes.wgsl"
+//! include "bounces/bsdf.wgsl"
 
 @group(1) @binding(6) var<storage, read> lights: array<f32>;
 

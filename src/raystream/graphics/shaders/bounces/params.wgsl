@@ -26,4 +26,4 @@ struct Params {
 const SURFACES: bool = false;
 
 //! include "exact.wgsl"
-//! include "view.wgsl"
+//! include "camera.wgsl"

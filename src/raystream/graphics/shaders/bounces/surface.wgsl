@@ -18,7 +18,7 @@ const UNKNOWN: f32 = 1e30;
 
 //! include "bounces/ray_record.wgsl"
 //! include "triangle.wgsl"
-//! include "corners.wgsl"
+//! include "vertices.wgsl"
 
 struct Point {
     // Local frame, on the triangle.

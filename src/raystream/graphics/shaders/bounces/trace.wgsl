@@ -9,13 +9,13 @@
 @group(0) @binding(3) var<storage, read_write> failures: array<atomic<u32>>;
 
 //! include "exact.wgsl"
-//! include "view.wgsl"
+//! include "camera.wgsl"
 //! include "ray.wgsl"
 //! include "triangle.wgsl"
-//! include "found.wgsl"
-//! include "no_rows.wgsl"
+//! include "search_state.wgsl"
+//! include "no_hit_rows.wgsl"
 //! include "tally.wgsl"
-//! include "loops.wgsl"
+//! include "loop_limit.wgsl"
 
 // A first hit: t in lengths of the local direction, weights, and number of the triangle. Of any
 // hit, the last word is whether there is one.
@@ -24,7 +24,7 @@ fn trace(@builtin(position) pixel: vec4f) -> @location(0) vec4u {
     let place = vec2i(pixel.xy);
     let origin = textureLoad(origins, place, 0);
     let direction = textureLoad(directions, place, 0);
-    begin_found(FAR, 0u, 1u);
+    begin_search_state(FAR, 0u, 1u);
     if direction.w >= 0.0 {
         let power = power_for(direction.xyz);
         let t_max = select(direction.w / power, FAR, direction.w >= 0x1p+60);

@@ -1,19 +1,19 @@
 // One fragment program with loops: a ray from start to end. Around a structure's search().
 
 //! include "fragment/frame.wgsl"
-//! include "ending.wgsl"
+//! include "termination.wgsl"
 
 @fragment
-fn trace(@builtin(position) position: vec4f) -> Texels {
+fn trace(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     let number = ray_number(texel);
     if number >= params.ray_count {
         // Not a discard: one software driver loses writes to buffers after it, those of others too.
-        return texels_of(vec4u(), vec4f(), vec4u(), vec4f());
+        return targets_of(vec4u(), vec4f(), vec4u(), vec4f());
     }
     let ray = ray_at(texel);
     let wish = textureLoad(wanted, texel, 0);
-    begin_found(ray.t_max, wish.x, wish.y);
+    begin_search_state(ray.t_max, wish.x, wish.y);
     if ray.t_min <= ray.t_max {
         search(ray);
     }
@@ -22,8 +22,8 @@ fn trace(@builtin(position) position: vec4f) -> Texels {
     }
     note_shadings();
     add_tallies(number);
-    return texels_of(
-        vec4u(0u, ending(), bitcast<u32>(found.prim_id), found.budget),
+    return targets_of(
+        vec4u(0u, termination_code(), bitcast<u32>(found.prim_id), found.budget),
         vec4f(found.t, found.u, found.v, found.t_far),
         vec4u(),
         vec4f(),

@@ -11,12 +11,12 @@
 //! include "exact.wgsl"
 //! include "ray.wgsl"
 //! include "triangle.wgsl"
-//! include "found.wgsl"
+//! include "search_state.wgsl"
 //! include "tally.wgsl"
-//! include "fragment/cover.wgsl"
-//! include "fragment/rows.wgsl"
-//! include "fragment/counting.wgsl"
-//! include "fragment/texels.wgsl"
+//! include "fragment/texel.wgsl"
+//! include "fragment/hit_rows.wgsl"
+//! include "fragment/counters.wgsl"
+//! include "fragment/targets.wgsl"
 
 // The number of a texel's ray.
 fn ray_number(texel: vec2i) -> u32 {

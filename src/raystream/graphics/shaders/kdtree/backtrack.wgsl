@@ -2,7 +2,7 @@
 // Figure 4).
 
 //! include "kdtree/no_stack.wgsl"
-//! include "kdtree/compact_up.wgsl"
+//! include "kdtree/compact_parents.wgsl"
 
 // Foley's ExtendedSplit: corners of a split's box, FAR at the border of the scene, where no plane
 // ends the search; and a link, see the layout.
@@ -20,29 +20,29 @@ fn extended_of(row: u32) -> KdExtended {
     return KdExtended(low, high, second.z);
 }
 
-fn leave(state: KdState) -> KdState {
+fn continue_search(state: KdState) -> KdState {
     return KdState(state.node, state.t_out, state.t_end, state.t_end, 0u, true);
 }
 
 // Go to the parent of a node; stay there if it holds t_in (Foley's Up). Nodes above hold all that
 // was searched, so only where the ray leaves one is in question: at the first of the planes that
 // it goes towards. The root has none.
-fn up(line: PlaneRay, state: KdState) -> KdState {
+fn backtrack(line: PlaneRay, state: KdState) -> KdState {
     let row = parent_row(state.node);
     let parent = extended_of(row);
     let ends = select(parent.low, parent.high, line.inv > vec3f(0.0));
     let t = distances_to(line, ends, FAR);
     let t_out = min(min(t.x, t.y), t.z);
-    let is_climbing = !(state.t_in < t_out);
+    let is_backtracking = !(state.t_in < t_out);
     let node = node_of_row(row, parent.link);
-    return KdState(node, state.t_in, min(t_out, state.t_end), state.t_end, 0u, is_climbing);
+    return KdState(node, state.t_in, min(t_out, state.t_end), state.t_end, 0u, is_backtracking);
 }
 
-fn go_on(line: PlaneRay, state: KdState) -> KdState {
+fn continue_counted(line: PlaneRay, state: KdState) -> KdState {
     tally.backtracks += 1u;
-    var next = leave(state);
-    while next.is_climbing && spend() {
-        next = up(line, next);
+    var next = continue_search(state);
+    while next.is_backtracking && spend() {
+        next = backtrack(line, next);
         tally.backtrack_steps += 1u;
     }
     return next;

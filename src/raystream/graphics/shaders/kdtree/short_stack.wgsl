@@ -31,7 +31,7 @@ fn has_forgotten(state: KdState) -> bool {
     return (state.top >> COUNT_SHIFT) == 0u;
 }
 
-fn leave(state: KdState) -> KdState {
+fn continue_search(state: KdState) -> KdState {
     if has_forgotten(state) {
         return KdState(lowest, state.t_out, state.t_end, state.t_end, 0u, false);
     }
@@ -42,9 +42,9 @@ fn leave(state: KdState) -> KdState {
     return KdState(entry.node, state.t_out, entry.t_out, state.t_end, top, false);
 }
 
-fn go_on(line: PlaneRay, state: KdState) -> KdState {
+fn continue_counted(line: PlaneRay, state: KdState) -> KdState {
     if has_forgotten(state) {
         tally.restarts += 1u;
     }
-    return leave(state);
+    return continue_search(state);
 }

@@ -1,4 +1,4 @@
-// Going on after a leaf with what down() put on a stack: a node and the end of its interval for
+// Going on after a leaf with what descend() put on a stack: a node and the end of its interval for
 // each split on a path. STACK_SIZE is the source's.
 
 struct KdEntry {
@@ -15,12 +15,12 @@ fn push(state: KdState, node: u32) -> u32 {
 }
 
 // The child on top begins where the leaf ends: only then was it put there.
-fn leave(state: KdState) -> KdState {
+fn continue_search(state: KdState) -> KdState {
     let top = state.top - 1u;
     let entry = stack[top];
     return KdState(entry.node, state.t_out, entry.t_out, state.t_end, top, false);
 }
 
-fn go_on(line: PlaneRay, state: KdState) -> KdState {
-    return leave(state);
+fn continue_counted(line: PlaneRay, state: KdState) -> KdState {
+    return continue_search(state);
 }

@@ -10,8 +10,8 @@ struct KdState {
     t_end: f32,
     // Nodes on the stack.
     top: u32,
-    // The search goes on above the node: up() is next.
-    is_climbing: bool,
+    // The search goes on above the node: backtrack() is next.
+    is_backtracking: bool,
 }
 
 // A node with a plane, and its children.

@@ -1,5 +1,5 @@
-// The steps that Foley's traversals share. As raystream/structures/kdtree/traversal.py, which
-// says why every search ends. A traversal has push(), leave() and go_on().
+// The steps that Foley's traversals share. As raystream/structures/kdtree/traversal.py, where it is
+// said why no ray loops. A traversal has push(), continue_search() and continue_counted().
 //
 // Foley and Sugerman, "KD-Tree Acceleration Structures for a GPU Raytracer", Graphics Hardware
 // 2005, Figures 2 to 4, and section 3.3.
@@ -20,7 +20,7 @@ fn is_at_leaf(state: KdState) -> bool {
 }
 
 // Go from a split to the child that holds t_in (Foley's Down).
-fn down(line: PlaneRay, state: KdState) -> KdState {
+fn descend(line: PlaneRay, state: KdState) -> KdState {
     let split = split_of(state.node);
     let t = distance_to(line, split.axis, split.position);
     let is_upward = line.inv[split.axis] > 0.0;

@@ -5,7 +5,7 @@
 
 // Begin with the first triangle.
 @fragment
-fn set_up(@builtin(position) position: vec4f) -> Texels {
+fn set_up(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, STARTING) {
         return nothing();
@@ -19,7 +19,7 @@ fn set_up(@builtin(position) position: vec4f) -> Texels {
 
 // Test a triangle.
 @fragment
-fn intersect_next(@builtin(position) position: vec4f) -> Texels {
+fn intersect_next(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, INTERSECTING) {
         return nothing();

@@ -2,8 +2,8 @@
 // written are copied from scratch textures to the streams, and its rays are told what they wait
 // for next. The textures that are read are the scratch ones.
 
-//! include "fragment/cover.wgsl"
-//! include "fragment/texels.wgsl"
+//! include "fragment/texel.wgsl"
+//! include "fragment/targets.wgsl"
 //! include "multipass/states.wgsl"
 
 // What params.wgsl has before the structure's Tree.
@@ -21,7 +21,7 @@ struct Params {
 @group(0) @binding(6) var places: texture_2d<u32>;
 @group(0) @binding(7) var spans: texture_2d<f32>;
 
-// As ray.wgsl and found.wgsl have them.
+// As ray.wgsl and search_state.wgsl have them.
 const FAR: f32 = 0x1.fffffep+127;
 const MISS: i32 = -1;
 
@@ -30,12 +30,12 @@ override NEXT: u32 = 0u;
 
 // All rays begin; texels that are no ray's never do.
 @fragment
-fn begin(@builtin(position) position: vec4f) -> Texels {
+fn begin(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if u32(texel.y) * params.row_size + u32(texel.x) >= params.ray_count {
         discard;
     }
-    return texels_of(
+    return targets_of(
         vec4u(STARTING, 0u, bitcast<u32>(MISS), params.budget),
         vec4f(FAR, 0.0, 0.0, FAR),
         vec4u(),
@@ -44,9 +44,9 @@ fn begin(@builtin(position) position: vec4f) -> Texels {
 }
 
 @fragment
-fn commit(@builtin(position) position: vec4f) -> Texels {
+fn commit(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
-    return texels_of(
+    return targets_of(
         textureLoad(states, texel, 0),
         textureLoad(founds, texel, 0),
         textureLoad(places, texel, 0),

@@ -11,7 +11,7 @@ override INTERSECTIONS: u32 = 1u;
 //! include "fragment/frame.wgsl"
 //! include "multipass/states.wgsl"
 
-// See texels.wgsl.
+// See targets.wgsl.
 @group(0) @binding(4) var states: texture_2d<u32>;
 @group(0) @binding(5) var founds: texture_2d<f32>;
 @group(0) @binding(6) var places: texture_2d<u32>;
@@ -26,13 +26,13 @@ fn begin_kernel(texel: vec2i, waits_for: u32) -> bool {
     let state = textureLoad(states, texel, 0);
     let hit = textureLoad(founds, texel, 0);
     let wish = textureLoad(wanted, texel, 0);
-    found = Found(hit.w, state.y, wish.y, wish.x, hit.x, hit.y, hit.z, bitcast<i32>(state.z), state.w);
+    found = SearchState(hit.w, state.y, wish.y, wish.x, hit.x, hit.y, hit.z, bitcast<i32>(state.z), state.w);
     return state.x == waits_for;
 }
 
 // What a fragment writes that does not count.
-fn nothing() -> Texels {
-    return texels_of(vec4u(), vec4f(), vec4u(), vec4f());
+fn nothing() -> Targets {
+    return targets_of(vec4u(), vec4f(), vec4u(), vec4f());
 }
 
 // Count a step: false if the ray's budget is spent, and its search must end.
@@ -50,11 +50,11 @@ fn end_of_search() -> u32 {
 }
 
 // Write what a ray has found, where it is, and what it waits for.
-fn end_kernel(texel: vec2i, state: u32, place: vec4u, span: vec4f) -> Texels {
+fn end_kernel(texel: vec2i, state: u32, place: vec4u, span: vec4f) -> Targets {
     let number = ray_number(texel);
     add_tallies(number);
     add_runs(number, KERNEL, run_count);
-    return texels_of(
+    return targets_of(
         vec4u(state, found.count, bitcast<u32>(found.prim_id), found.budget),
         vec4f(found.t, found.u, found.v, found.t_far),
         place,

@@ -24,7 +24,7 @@ fn place_at(texel: vec2i) -> Place {
     return Place(i32(place.x), i32(place.y), place.z, place.w, span.x, span.y);
 }
 
-fn end_at(texel: vec2i, state: u32, at: Place) -> Texels {
+fn end_at(texel: vec2i, state: u32, at: Place) -> Targets {
     let place = vec4u(u32(at.cell), u32(at.outer), at.row, at.end);
     return end_kernel(texel, state, place, vec4f(at.t_in, at.t_end, 0.0, 0.0));
 }
@@ -80,7 +80,7 @@ fn enter_cell(ray: Ray, at: Place, child: i32) -> Place {
 
 // Find the cell in which a ray begins.
 @fragment
-fn set_up(@builtin(position) position: vec4f) -> Texels {
+fn set_up(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, STARTING) {
         return nothing();
@@ -100,7 +100,7 @@ fn set_up(@builtin(position) position: vec4f) -> Texels {
 
 // Look at the cell that a ray is in; go on to the next one if it is empty.
 @fragment
-fn traverse(@builtin(position) position: vec4f) -> Texels {
+fn traverse(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, TRAVERSING) {
         return nothing();
@@ -142,7 +142,7 @@ fn traverse(@builtin(position) position: vec4f) -> Texels {
 
 // Test a triangle of the cell that a ray is in; go on to the next cell after the last.
 @fragment
-fn intersect_cell(@builtin(position) position: vec4f) -> Texels {
+fn intersect_cell(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, INTERSECTING) {
         return nothing();

@@ -18,7 +18,7 @@ fn place_at(texel: vec2i) -> Place {
     return Place(state, KdLeaf(place.y, place.z));
 }
 
-fn end_at(texel: vec2i, waits_for: u32, at: Place) -> Texels {
+fn end_at(texel: vec2i, waits_for: u32, at: Place) -> Targets {
     let place = vec4u(at.state.node, at.triangles.block, at.triangles.triangle_count, 0u);
     let span = vec4f(at.state.t_in, at.state.t_out, at.state.t_end, 0.0);
     return end_kernel(texel, waits_for, place, span);
@@ -31,7 +31,7 @@ fn downward(state: KdState) -> u32 {
 
 // Begin at the root.
 @fragment
-fn begin_at_root(@builtin(position) position: vec4f) -> Texels {
+fn begin_at_root(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, STARTING) {
         return nothing();
@@ -48,7 +48,7 @@ fn begin_at_root(@builtin(position) position: vec4f) -> Texels {
 
 // Go to a child.
 @fragment
-fn go_down(@builtin(position) position: vec4f) -> Texels {
+fn descend_rays(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, TRAVERSING) {
         return nothing();
@@ -62,7 +62,7 @@ fn go_down(@builtin(position) position: vec4f) -> Texels {
             break;
         }
         tally.steps += 1u;
-        state = down(line, state);
+        state = descend(line, state);
         waits_for = downward(state);
     }
     return end_at(texel, waits_for, Place(state, NO_TRIANGLES));
@@ -70,7 +70,7 @@ fn go_down(@builtin(position) position: vec4f) -> Texels {
 
 // Find the triangles of a leaf.
 @fragment
-fn look_at_leaf(@builtin(position) position: vec4f) -> Texels {
+fn look_at_leaf(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, AT_LEAF) {
         return nothing();
@@ -79,13 +79,13 @@ fn look_at_leaf(@builtin(position) position: vec4f) -> Texels {
     tally.leaves += 1u;
     let state = place_at(texel).state;
     let triangles = leaf(state);
-    let waits_for = select(INTERSECTING, LEAVING, triangles.triangle_count == 0u);
+    let waits_for = select(INTERSECTING, CONTINUING, triangles.triangle_count == 0u);
     return end_at(texel, waits_for, Place(state, triangles));
 }
 
 // Test a block of up to four triangles.
 @fragment
-fn intersect_leaf(@builtin(position) position: vec4f) -> Texels {
+fn intersect_leaf(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, INTERSECTING) {
         return nothing();
@@ -106,7 +106,7 @@ fn intersect_leaf(@builtin(position) position: vec4f) -> Texels {
         if is_enough() {
             waits_for = end_of_search();
         } else if at.triangles.triangle_count == 0u {
-            waits_for = LEAVING;
+            waits_for = CONTINUING;
         }
     }
     return end_at(texel, waits_for, at);
@@ -115,19 +115,19 @@ fn intersect_leaf(@builtin(position) position: vec4f) -> Texels {
 // Go on after a leaf, unless nothing more is wanted: hits in leaves to come are not before this
 // one's end.
 @fragment
-fn continue_search(@builtin(position) position: vec4f) -> Texels {
+fn continue_rays(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
-    if !begin_kernel(texel, LEAVING) {
+    if !begin_kernel(texel, CONTINUING) {
         return nothing();
     }
     let state = place_at(texel).state;
     if !tick() || is_past(state.t_out) || state.t_out >= state.t_end {
         return end_at(texel, end_of_search(), Place(state, NO_TRIANGLES));
     }
-    let next = leave(state);
-    if next.is_climbing {
+    let next = continue_search(state);
+    if next.is_backtracking {
         tally.backtracks += 1u;
-        return end_at(texel, CLIMBING, Place(next, NO_TRIANGLES));
+        return end_at(texel, BACKTRACKING, Place(next, NO_TRIANGLES));
     }
     tally.restarts += 1u;
     return end_at(texel, downward(next), Place(next, NO_TRIANGLES));
@@ -135,22 +135,22 @@ fn continue_search(@builtin(position) position: vec4f) -> Texels {
 
 // Go to the parent.
 @fragment
-fn climb(@builtin(position) position: vec4f) -> Texels {
+fn backtrack_rays(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
-    if !begin_kernel(texel, CLIMBING) {
+    if !begin_kernel(texel, BACKTRACKING) {
         return nothing();
     }
     let line = plane_ray(ray_at(texel));
     var state = place_at(texel).state;
-    var waits_for = CLIMBING;
-    for (var i = 0u; i < TRAVERSAL_STEPS && waits_for == CLIMBING; i++) {
+    var waits_for = BACKTRACKING;
+    for (var i = 0u; i < TRAVERSAL_STEPS && waits_for == BACKTRACKING; i++) {
         if !tick() {
             waits_for = DONE;
             break;
         }
         tally.backtrack_steps += 1u;
-        state = up(line, state);
-        if !state.is_climbing {
+        state = backtrack(line, state);
+        if !state.is_backtracking {
             waits_for = downward(state);
         }
     }

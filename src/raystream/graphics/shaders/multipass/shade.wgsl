@@ -2,7 +2,7 @@
 
 // Hand a ray's hits over: sorted, where several may have been kept.
 @fragment
-fn shade(@builtin(position) position: vec4f) -> Texels {
+fn shade(@builtin(position) position: vec4f) -> Targets {
     let texel = texel_at(position);
     if !begin_kernel(texel, SHADING) {
         return nothing();

@@ -5,5 +5,5 @@ const TRAVERSING: u32 = 2u;
 const INTERSECTING: u32 = 3u;
 const SHADING: u32 = 4u;
 const AT_LEAF: u32 = 5u;
-const LEAVING: u32 = 6u;
-const CLIMBING: u32 = 7u;
+const CONTINUING: u32 = 6u;
+const BACKTRACKING: u32 = 7u;

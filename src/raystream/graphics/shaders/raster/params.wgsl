@@ -14,7 +14,7 @@ struct Params {
 const SURFACES: bool = false;
 
 //! include "exact.wgsl"
-//! include "view.wgsl"
+//! include "camera.wgsl"
 //! include "ray.wgsl"
 //! include "triangle.wgsl"
-//! include "corners.wgsl"
+//! include "vertices.wgsl"

@@ -1,0 +1,235 @@
+"""GraphicsBackend: the queries of the graphics device's machines, some rays at a time."""
+
+from __future__ import annotations
+
+import operator
+import time
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.query import Kind, Query
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.dispatch_size import DispatchSize
+from raystream.graphics.error_scope import guarded
+from raystream.graphics.packing import MOST_HITS, unpack_rows, without_repeats
+from raystream.graphics.structures import ShaderStructure, shader_structure_of
+from raystream.jit.threads import Progress
+from raystream.kernels.local_frame import LocalRays
+from raystream.kernels.sink import Sink
+from raystream.machines.local import LocalBackend
+from raystream.structures import Structure
+
+__all__ = ["RAYS_AT_ONCE", "Chunk", "GraphicsBackend"]
+
+#: Most rays that a dispatch or a draw gets; see `pace` for how many it should get.
+RAYS_AT_ONCE = 1 << 18
+
+#: Rows of hits that may be written at once; a ray with more is traced by itself.
+_ROWS_AT_ONCE = 1 << 22
+
+
+class Chunk(NamedTuple):
+    """Rays that are traced together, and what is wanted of them.
+
+    Attributes
+    ----------
+    kind : Kind
+    surfaces : bool
+    rays : LocalRays
+        All rays of the query.
+    rows : slice
+        Which of them.
+    wanted : ndarray of shape (n, 2), uint32
+        Of each of these the first of its rows, and how many hits are wanted.
+    row_count : int
+        Rows of all of them, which `_rows` gives afterwards.
+    tallies : ndarray of shape (N, 8), uint32, or None
+        What each of all rays meets is added to its row.
+    """
+
+    kind: Kind
+    surfaces: bool
+    rays: LocalRays
+    rows: slice
+    wanted: NDArray[np.uint32]
+    row_count: int
+    tallies: NDArray[np.uint32] | None
+
+
+class GraphicsBackend(LocalBackend):
+    """Queries of local rays, for a machine that traces some rays at a time.
+
+    Parameters
+    ----------
+    structure : Structure
+        Built on the CPU.
+    opened : OpenDevice
+    rays_at_once : int
+        Most rays that are traced together.
+
+    Attributes
+    ----------
+    adapts_size : bool
+        Whether fewer rays are traced together where they take long.
+
+    Raises
+    ------
+    GraphicsError
+        If there are no shaders for the structure.
+    """
+
+    adapts_size: ClassVar[bool] = False
+
+    def __init__(self, structure: Structure, opened: OpenDevice, rays_at_once: int) -> None:
+        self.structure = structure
+        self.opened = opened
+        self.rays_at_once = operator.index(rays_at_once)
+        if self.rays_at_once < 1:
+            raise ValueError(f"rays_at_once: expected at least 1, got {rays_at_once}")
+        self._shaders: ShaderStructure = shader_structure_of(structure)
+        self._sizes: dict[Kind, DispatchSize] = {}
+
+    @abstractmethod
+    def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
+        """Trace some rays; returns how many hits each has."""
+
+    @abstractmethod
+    def _rows(self, count: int) -> NDArray[Any]:
+        """What the latest `_run` has found: `records.ROW` of each row."""
+
+    def run_local(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
+    ) -> None:
+        """Answer a query of local rays; see `LocalBackend.run_local`."""
+        with guarded(self.opened):
+            if query.kind is Kind.FIRST_HIT:
+                self._first_hit(rays, sink, progress)
+            elif query.kind is Kind.ANY_HIT:
+                seen = self._count(query._replace(limit=1), rays, sink.tallies, progress)
+                np.not_equal(seen, 0, out=sink.seen)
+            elif query.kind is Kind.COUNT_HITS:
+                self._count_hits(query, rays, sink, progress)
+            else:
+                self._multi_hit(query, rays, sink, progress)
+
+    def _first_hit(self, rays: LocalRays, sink: Sink, progress: Progress | None) -> None:
+        count, kind, hits = len(rays.t_min), Kind.FIRST_HIT, sink.hits
+        for rows in self._chunks(kind, count):
+            wanted = np.ones((rows.stop - rows.start, 2), np.uint32)
+            wanted[:, 0] = np.arange(len(wanted))
+            self._timed(Chunk(kind, False, rays, rows, wanted, len(wanted), sink.tallies))
+            unpack_rows(self._rows(len(wanted)), hits.part(rows))
+            if progress:
+                progress(rows.stop, count)
+
+    def _count_hits(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
+    ) -> None:
+        counts, limit = sink.counts, query.limit
+        if not self._shaders.has_duplicates or limit <= 1:
+            counts[:] = self._count(query, rays, sink.tallies, progress)
+            return
+        for rows, splits, _ in self._distinct(rays, query.surfaces, sink.tallies):
+            counts[rows] = np.minimum(np.diff(splits), limit)
+            if progress:
+                progress(rows.stop, len(counts))
+
+    def _multi_hit(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
+    ) -> None:
+        count, splits, hits = len(rays.t_min), sink.splits, sink.hits
+        if self._shaders.has_duplicates:
+            for rows, own, found in self._distinct(rays, query.surfaces, sink.tallies):
+                wanted = splits[rows.start : rows.stop + 1]
+                part = hits.part(slice(wanted[0], wanted[-1]))
+                unpack_rows(_nearest(found, own, wanted), part)
+                if progress:
+                    progress(rows.stop, count)
+            return
+        for rows in self._chunks(Kind.MULTI_HIT, len(splits) - 1, splits):
+            own = splits[rows.start : rows.stop + 1]
+            found = self._keep(rays, rows, query.surfaces, own - own[0], sink.tallies)
+            unpack_rows(found, hits.part(slice(own[0], own[-1])))
+            if progress:
+                progress(rows.stop, count)
+
+    def _count(
+        self,
+        query: Query,
+        rays: LocalRays,
+        tallies: NDArray[np.uint32] | None,
+        progress: Progress | None,
+    ) -> NDArray[np.int64]:
+        count = len(rays.t_min)
+        counts = np.empty(count, np.int64)
+        for rows in self._chunks(query.kind, count):
+            wanted = np.zeros((rows.stop - rows.start, 2), np.uint32)
+            wanted[:, 1] = min(query.limit, MOST_HITS)
+            chunk = Chunk(query.kind, query.surfaces, rays, rows, wanted, 0, tallies)
+            counts[rows] = self._timed(chunk)
+            if progress:
+                progress(rows.stop, count)
+        return counts
+
+    def _distinct(
+        self, rays: LocalRays, surfaces: bool, tallies: NDArray[np.uint32] | None
+    ) -> Iterator[tuple[slice, NDArray[np.int64], NDArray[Any]]]:
+        """All hits where a search may meet a triangle twice: rays, their splits, and rows."""
+        counts = self._count(Query(Kind.COUNT_HITS, surfaces), rays, tallies, None)
+        splits = np.concatenate([[0], np.cumsum(counts)])
+        for rows in self._chunks(Kind.MULTI_HIT, len(splits) - 1, splits):
+            own = splits[rows.start : rows.stop + 1] - splits[rows.start]
+            found = self._keep(rays, rows, surfaces, own, None)
+            yield (rows, *without_repeats(found, own))
+
+    def _keep(
+        self,
+        rays: LocalRays,
+        rows: slice,
+        surfaces: bool,
+        splits: NDArray[np.int64],
+        tallies: NDArray[np.uint32] | None,
+    ) -> NDArray[Any]:
+        """Rows of the nearest hits of some rays, of which ray i wants splits[i] to splits[i+1]."""
+        wanted = np.column_stack([splits[:-1], np.diff(splits)]).astype(np.uint32)
+        row_count = int(splits[-1])
+        self._timed(Chunk(Kind.MULTI_HIT, surfaces, rays, rows, wanted, row_count, tallies))
+        return self._rows(row_count)
+
+    def _timed(self, chunk: Chunk) -> NDArray[np.uint32]:
+        """As `_run`, noting how long it takes."""
+        began = time.perf_counter()
+        counts = self._run(chunk)
+        self._size_for(chunk.kind).took(len(chunk.wanted), time.perf_counter() - began)
+        return counts
+
+    def _size_for(self, kind: Kind) -> DispatchSize:
+        return self._sizes.setdefault(kind, DispatchSize(self.rays_at_once))
+
+    def _chunks(
+        self, kind: Kind, count: int, splits: NDArray[np.int64] | None = None
+    ) -> Iterator[slice]:
+        """Rays that are traced together; or one ray that alone has too many rows."""
+        begin = 0
+        while begin < count:
+            size = self._size_for(kind).size if self.adapts_size else self.rays_at_once
+            end = min(begin + size, count)
+            if splits is not None:
+                fits = int(np.searchsorted(splits, splits[begin] + _ROWS_AT_ONCE, "right")) - 1
+                end = min(end, max(fits, begin + 1))
+            yield slice(begin, end)
+            begin = end
+
+
+def _nearest(
+    rows: NDArray[Any], splits: NDArray[np.int64], wanted: NDArray[np.int64]
+) -> NDArray[Any]:
+    """Of each ray's rows the first ones: as many as its part of `wanted` is long."""
+    counts = np.diff(wanted)
+    ends = np.cumsum(counts)
+    within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
+    return rows[np.repeat(splits[:-1], counts) + within]

@@ -1,0 +1,63 @@
+"""A pinhole camera and its picture as shaders take them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.triangles import Triangles
+from raystream.scene.camera import Camera
+
+__all__ = ["check_pinhole", "packed_view"]
+
+#: The nearest depth that rasterised surfaces have, in sizes of the scene: floats of reversed
+#: depth are as fine there as anywhere.
+_NEAR = 2.0**-24
+
+
+def check_pinhole(camera: Camera) -> None:
+    """Raise ValueError if the graphics pipeline cannot project as a camera does."""
+    if camera.projection != "perspective":
+        raise ValueError(
+            f"camera: expected one in perspective, as the graphics pipeline has it, got "
+            f"{camera.projection!r}"
+        )
+
+
+def packed_view(camera: Camera, size: tuple[int, int], triangles: Triangles) -> bytes:
+    """The uniform ``View``, see ``camera.wgsl``: float64 numbers as sums of two float32.
+
+    Parameters
+    ----------
+    camera : Camera
+        In perspective; a lens counts as its middle.
+    size : (int, int)
+        Width and height in pixels.
+    triangles : Triangles
+        Of the scene: they set the frame of reference.
+    """
+    width, height = size
+    right, up, forward = map(_halves, camera.basis())
+    scale = _halves(2.0 * math.tan(math.radians(camera.fov) / 2.0) / height)
+    eye = ((np.array(camera.eye) - triangles.center) * triangles.scale).astype(np.float32)
+    near = max(float(triangles.max_coordinate), float(np.abs(eye).max()), 1e-30) * _NEAR
+    rows = [
+        [*eye, near],
+        [*right[0], scale[0]],
+        [*right[1], scale[1]],
+        [*up[0], width],
+        [*up[1], height],
+        [*forward[0], 1.0 / triangles.scale],
+        [*forward[1], 0.0],
+    ]
+    return np.array(rows, np.float32).tobytes()
+
+
+def _halves(value: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A float64 number or vector as the sum of two of float32."""
+    exact = np.asarray(value, np.float64)
+    high = exact.astype(np.float32)
+    return high, (exact - high).astype(np.float32)

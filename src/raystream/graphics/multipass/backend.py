@@ -1,0 +1,282 @@
+"""The multipass machine on the graphics pipeline: in each pass one kernel, a fragment program."""
+
+from __future__ import annotations
+
+import copy
+import operator
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.core.query import Kind
+from raystream.graphics.adapters import OpenDevice
+from raystream.graphics.backend import Chunk, GraphicsBackend
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.multipass.device_scheduler import DeviceScheduler
+from raystream.graphics.multipass.kernels import kernels_of
+from raystream.graphics.multipass.kernels.brute_constants import TriangleConstants
+from raystream.graphics.multipass.loops import (
+    MOST_PASSES,
+    Batch,
+    Work,
+    run_by_queries,
+    run_on_device,
+)
+from raystream.graphics.multipass.plan import Plan, PlanInputs, make_plan
+from raystream.graphics.multipass.ray_streams import RayStreams
+from raystream.graphics.termination import ENDLESS, hit_counts
+from raystream.kernels.local_frame import LocalRays
+from raystream.machines.backend import Capabilities
+from raystream.machines.passes import Passes
+from raystream.machines.schedulers import (
+    SCHEDULERS,
+    USUAL_THRESHOLD,
+    Scheduler,
+    make_scheduler,
+)
+from raystream.machines.steps import steps_of
+from raystream.machines.steps.base import StepKernel
+from raystream.streams import Pass
+from raystream.structures import Structure
+
+__all__ = ["LOOPS", "MAX_PASSES", "MultipassBackend"]
+
+#: Who chooses kernels: the device, or the host by occlusion queries.
+LOOPS = ("device", "queries")
+
+#: Most passes of some rays.
+MAX_PASSES = 1 << 20
+
+#: Rays that are traced together: each takes 11 texels, and passes are as many for few as for many.
+_RAYS_AT_ONCE = 1 << 20
+
+#: Words of a texel.
+_TEXEL_WORDS = 4
+
+#: Schedulers that run shading when all rays have ended, and not before.
+_SHADE_LAST = ("threshold", "naive")
+
+
+class MultipassBackend(GraphicsBackend):
+    """Runs each step of a traversal as a fragment program over all rays that wait for it.
+
+    As `machines.Multipass`, with the same kernels, states, schedulers and passes; but on the
+    graphics pipeline (Purcell 2002, section 3; Foley 2005, section 3.4): see `graphics.streams`.
+
+    Parameters
+    ----------
+    structure : Structure
+        Built on the CPU; its arrays are copied to the device.
+    opened : OpenDevice
+    scheduler : {"threshold", "naive", "most-work", "double"} or Scheduler
+        How the next kernel is chosen; see `machines.schedulers`. An object chooses on the host,
+        with ``loop="queries"``.
+    threshold : float
+        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
+        intersection.
+    traversal_steps, intersections : int
+        Steps and triangles that a ray does in one pass.
+    loop : {"device", "queries"}
+        Who chooses: the device, where the host looks every few dozen passes whether rays are
+        left; or the host, which waits for the counts of each pass. These are occlusion queries,
+        as Purcell and Christen used them; not every adapter answers them exactly. ``"brute"``
+        then has a triangle in the constants of each draw, as Foley did, if `intersections` is 1.
+    max_passes : int
+        Most passes of the rays that are traced together.
+    rays_at_once : int
+        Most rays that are traced together.
+
+    Raises
+    ------
+    GraphicsError
+        If the structure has no kernels, they do not compile, or it is too large for the device.
+        When tracing: if there are more passes than allowed, or counts are not exact.
+    ValueError, TypeError
+        If an option is out of range.
+    """
+
+    capabilities = Capabilities(passes=True)
+
+    def __init__(
+        self,
+        structure: Structure,
+        opened: OpenDevice,
+        *,
+        scheduler: str | Scheduler = "threshold",
+        threshold: float = USUAL_THRESHOLD,
+        traversal_steps: int = 1,
+        intersections: int = 1,
+        loop: str = "device",
+        max_passes: int = MAX_PASSES,
+        rays_at_once: int = _RAYS_AT_ONCE,
+    ) -> None:
+        traversal = kernels_of(structure)
+        super().__init__(structure, opened, rays_at_once)
+        if loop not in LOOPS:
+            raise ValueError(f"loop: expected one of {', '.join(map(repr, LOOPS))}, got {loop!r}")
+        self._host_scheduler = make_scheduler(scheduler, threshold)
+        if loop == "device" and not isinstance(scheduler, str):
+            known = ", ".join(map(repr, SCHEDULERS))
+            raise TypeError(
+                f"scheduler: the device knows {known}; {scheduler!r:.60} needs loop='queries'"
+            )
+        self._scheduler = scheduler
+        self._threshold = float(threshold)
+        self._traversal = traversal
+        self._steps = steps_of(structure)
+        self.traversal_steps = _at_least_one("traversal_steps", traversal_steps)
+        self.intersections = _at_least_one("intersections", intersections)
+        self.max_passes = _at_least_one("max_passes", max_passes)
+        self.loop = loop
+        self.passes: Passes | None = None
+        self._constants = TriangleConstants.wanted(structure, loop, self.intersections)
+        if self._constants is not None:
+            self._shaders = self._constants.shaders
+        self._latest = Kind.FIRST_HIT
+        self._streams = RayStreams(opened, self._shaders)
+        self._plans: dict[tuple[Kind, bool, bool], Plan] = {}
+        self._device_scheduler: list[DeviceScheduler] = []
+        self._plan(Kind.FIRST_HIT, False, False)  # whatever is wrong is said now
+
+    def recording(self, passes: Passes) -> MultipassBackend:
+        """The same machine, which adds its passes to a record."""
+        machine = copy.copy(self)
+        machine.passes = passes
+        return machine
+
+    def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
+        kind, wanted, tallies = chunk.kind, chunk.wanted, chunk.tallies
+        self._latest = kind
+        counts, is_multi = tallies is not None, kind == Kind.MULTI_HIT
+        streams = self._streams
+        if is_multi and len(streams.passes.groups) > 1:
+            raise GraphicsError(
+                f"multipass: {self.opened.adapter} has too few render targets to keep many hits "
+                "of a ray; take machine='compute'"
+            )
+        begins = wanted[:, 1] != 0 if is_multi else np.full(len(wanted), True)
+        if not begins.all():
+            return self._run_some(chunk, begins)
+        row_count = chunk.row_count if is_multi else 0
+        streams.load(chunk.rays, chunk.rows, wanted, row_count, counts)
+        streams.rays.write_params(self.structure.triangles.max_coordinate)
+        work = Work(
+            self.opened,
+            streams.passes,
+            self._plan(kind, chunk.surfaces, counts),
+            streams.bindings(kind, counts),
+            len(wanted),
+            self._prepare,
+        )
+        if self._constants is not None:
+            self._constants.begin()
+        self._loop(work)
+        state = streams.rays.state.read_records(len(wanted))
+        endings = np.where(state[:, 3] == 0, ENDLESS, state[:, 1] + np.uint32(1))
+        found = hit_counts(endings, self._shaders, self.opened)
+        if tallies is not None:
+            tallies[chunk.rows] += streams.rays.read_tallies()
+            self._note_bound()
+        return found
+
+    def _run_some(self, chunk: Chunk, begins: NDArray[np.bool_]) -> NDArray[np.uint32]:
+        """Trace a chunk without the rays that want nothing."""
+        rows = chunk.rows.start + np.flatnonzero(begins)
+        some = LocalRays(*(array[rows] for array in chunk.rays))
+        tallies = chunk.tallies
+        met = None if tallies is None else tallies[rows]
+        all_counts = np.zeros(len(chunk.wanted), np.uint32)
+        all_counts[begins] = self._run(
+            chunk._replace(
+                rays=some, rows=slice(0, len(rows)), wanted=chunk.wanted[begins], tallies=met
+            )
+        )
+        if tallies is not None and met is not None:
+            tallies[rows] = met
+        return all_counts
+
+    def _rows(self, count: int) -> NDArray[Any]:
+        return self._streams.rays.read_rows(self._latest, count)
+
+    def _prepare(self, kernel: StepKernel) -> None:
+        if self._constants is not None:
+            self._constants.load(self._streams.rays, kernel)
+
+    def _loop(self, work: Work) -> None:
+        """Pass after pass, until no ray is active."""
+        count = 0
+        for batch in self._batches(work):
+            count += len(batch.passes)
+            if self.passes is not None:
+                self.passes.draw_count += batch.draw_count
+                for kernel, active in batch.passes:
+                    self.passes.counters.passes.append(self._pass(kernel, active))
+            if count > self.max_passes:
+                raise GraphicsError(
+                    f"multipass: {batch.active_count:,} rays are still active after "
+                    f"{count:,} passes; max_passes is {self.max_passes:,}"
+                )
+
+    def _batches(self, work: Work) -> Iterator[Batch]:
+        kernels = self._traversal.kernels
+        if self.loop == "queries":
+            return run_by_queries(work, self._host_scheduler, self._steps.kernels)
+        if not self._device_scheduler:
+            self._device_scheduler.append(
+                DeviceScheduler(
+                    self.opened, kernels, str(self._scheduler), self._threshold, MOST_PASSES
+                )
+            )
+        device_scheduler, last = self._device_scheduler[0], len(kernels) - 1
+        inner = range(1, last if self._scheduler in _SHADE_LAST else last + 1)
+        rays = self._streams.rays
+        device_scheduler.begin(rays.count, rays.shape, self._streams.passes.stencil)
+        return run_on_device(work, device_scheduler, inner)
+
+    def _pass(self, number: int, active: int) -> Pass:
+        """The record of a pass: a record is a texel."""
+        one = self._traversal.kernels[number]
+        words = active * _TEXEL_WORDS
+        return Pass(
+            one.name,
+            self._streams.rays.count,
+            active,
+            active,
+            dict.fromkeys(one.reads, words),
+            dict.fromkeys(one.writes, words),
+        )
+
+    def _note_bound(self) -> None:
+        if self.passes is not None:
+            at_once = {"steps": self.traversal_steps, "tests": self.intersections, "": 1}
+            runs = self._streams.rays.read_runs()
+            self.passes.add_bound(self._steps.kernels, runs, at_once)
+
+    def _plan(self, kind: Kind, surfaces: bool, counts: bool) -> Plan:
+        key = kind, surfaces, counts
+        if key not in self._plans:
+            rays = self._streams.rays
+            inputs = PlanInputs(
+                self._shaders,
+                rays.instead(kind, counts),
+                {
+                    "QUERY": float(kind),
+                    "SURFACES": float(surfaces),
+                    "TRAVERSAL_STEPS": float(self.traversal_steps),
+                    "INTERSECTIONS": float(self.intersections),
+                    **self._shaders.constants,
+                },
+                rays.layouts(kind, counts),
+                counts,
+            )
+            self._plans[key] = make_plan(self.opened, self._traversal, inputs)
+        return self._plans[key]
+
+
+def _at_least_one(name: str, number: int) -> int:
+    number = operator.index(number)
+    if number < 1:
+        raise ValueError(f"{name}: expected at least 1, got {number}")
+    return number

@@ -1,0 +1,80 @@
+"""Brute force with a triangle in the constants of each draw (Foley 2005, section 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.graphics.ray_textures import RayTextures
+from raystream.graphics.structures.base import ShaderStructure, budget_for
+from raystream.machines.records import RayState
+from raystream.machines.steps.base import StepKernel
+from raystream.structures import Structure
+from raystream.structures.brute.structure import BruteStructure
+
+__all__ = ["TriangleConstants"]
+
+#: The uniform of a triangle: see brute_constants.wgsl.
+_CONSTANTS = np.dtype(
+    [
+        ("a", "f4", 3),
+        ("triangle_count", "u4"),
+        ("b", "f4", 3),
+        ("prim_id", "i4"),
+        ("c", "f4", 3),
+        ("pad", "f4"),
+    ]
+)
+
+
+class TriangleConstants:
+    """Brute force's triangles, as the constants of one draw after another.
+
+    All rays are at the same triangle, because each pass takes all that are left to the next one.
+
+    Parameters
+    ----------
+    brute : BruteStructure
+
+    Attributes
+    ----------
+    shaders : ShaderStructure
+        With the first triangle, and without arrays: the device has one triangle at a time.
+    """
+
+    def __init__(self, brute: BruteStructure) -> None:
+        triangles = brute.triangles
+        ids = triangles.prim_ids
+        self._records = np.zeros(max(len(ids), 1), _CONSTANTS)
+        self._records["triangle_count"] = len(ids)
+        if len(ids):
+            corners = triangles.corners[ids]
+            for number, name in enumerate("abc"):
+                self._records[name] = corners[:, number]
+            self._records["prim_id"] = ids
+        self.shaders = ShaderStructure(
+            name="brute",
+            shader="brute_constants.wgsl",
+            tree=self._records[0].tobytes(),
+            arrays=(),
+            budget=budget_for(len(ids)),
+        )
+        self._row = 0
+
+    def begin(self) -> None:
+        """Go back to the first triangle, for other rays."""
+        self._row = 0
+
+    def load(self, rays: RayTextures, kernel: StepKernel) -> None:
+        """Before a pass: write the constants that its kernel wants."""
+        if kernel.state == RayState.INTERSECTING:
+            rays.write_tree(self._records[self._row].tobytes())
+            self._row += 1
+
+    @classmethod
+    def wanted(
+        cls, structure: Structure, loop: str, intersections: int
+    ) -> TriangleConstants | None:
+        """Those of brute force where the host encodes each pass, which tests one triangle."""
+        if isinstance(structure, BruteStructure) and loop == "queries" and intersections == 1:
+            return cls(structure)
+        return None

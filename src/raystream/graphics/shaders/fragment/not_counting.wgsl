@@ -1,5 +1,0 @@
-// Where nobody counts: takes the place of counting.wgsl.
-
-fn add_tallies(ray: u32) {}
-
-fn add_runs(ray: u32, kernel: u32, count: u32) {}

@@ -1,0 +1,9 @@
+// A fragment program runs over all rays by drawing a triangle that covers the screen: a texel is
+// a ray, a texture a stream of records of four words.
+
+//! include "fullscreen.wgsl"
+
+// The texel of the fragment's ray.
+fn texel_at(position: vec4f) -> vec2i {
+    return vec2i(position.xy);
+}

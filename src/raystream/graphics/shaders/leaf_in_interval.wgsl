@@ -1,0 +1,31 @@
+// The triangles of a leaf whose hits count in a part of the ray alone, a block after the other.
+
+//! include "leaf_block.wgsl"
+
+// Test four triangles of a leaf, and offer their hits with t_in <= t < t_out: others are another
+// leaf's.
+fn intersect_block(ray: Ray, block: u32, t_in: f32, t_out: f32) {
+    for (var lane = 0u; lane < BLOCK_SIZE; lane++) {
+        let prim_id = block_prim_id(block, lane);
+        if prim_id < 0 || is_enough() {
+            return;
+        }
+        let hit = intersect(ray, block_triangle(block, lane));
+        if hit.is_hit && hit.t >= t_in && hit.t < t_out && hit.t <= found.t_far {
+            offer(hit, prim_id);
+        }
+    }
+}
+
+// Test so many triangles, a block after the other, and count them.
+fn test_blocks(ray: Ray, first: u32, triangle_count: u32, t_in: f32, t_out: f32) {
+    var block = first;
+    var left = triangle_count;
+    while left != 0u && !is_enough() && spend() {
+        let count = min(left, BLOCK_SIZE);
+        tally.tests += count;
+        intersect_block(ray, block, t_in, t_out);
+        block += 1u;
+        left -= count;
+    }
+}

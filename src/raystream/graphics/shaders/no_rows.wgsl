@@ -1,5 +1,0 @@
-// Where no more than one hit of a ray is kept: takes the place of heap.wgsl.
-
-fn keep(row: Row) {}
-
-fn sort_rows() {}

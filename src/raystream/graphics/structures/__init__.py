@@ -1,0 +1,51 @@
+"""Forms: what shaders get of each structure."""
+
+from __future__ import annotations
+
+from raystream.core.choices import DeviceOptions
+from raystream.core.triangles import Triangles
+from raystream.graphics.errors import GraphicsError
+from raystream.graphics.structures.base import ShaderStructure
+from raystream.jit.threads import Progress
+from raystream.machines.devices import build_on_cpu
+from raystream.structures import Structure, StructureOptions, form_of, names_with
+
+__all__ = ["ShaderStructure", "build_with_shaders", "shader_structure_of"]
+
+
+def shader_structure_of(structure: Structure) -> ShaderStructure:
+    """What shaders get of a structure.
+
+    Raises
+    ------
+    GraphicsError
+        If there are no shaders for it.
+    """
+    _check_name(structure.name)
+    shaders: ShaderStructure = form_of(structure.name, "graphics")(structure)
+    return shaders
+
+
+def build_with_shaders(
+    structure: StructureOptions,
+    triangles: Triangles,
+    *,
+    progress: Progress | None = None,
+    device: DeviceOptions | None = None,
+) -> Structure:
+    """Build a structure on the CPU; a `machines.devices.DeviceFactory`.
+
+    Raises
+    ------
+    GraphicsError
+        If there are no shaders for it: before it is built.
+    """
+    _check_name(structure.name)
+    return build_on_cpu(structure, triangles, progress=progress, device=device)
+
+
+def _check_name(name: str) -> None:
+    known = names_with("graphics")
+    if name not in known:
+        listed = ", ".join(map(repr, known))
+        raise GraphicsError(f"device 'graphics': has the structures {listed}, not {name!r}")

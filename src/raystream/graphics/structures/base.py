@@ -1,0 +1,90 @@
+"""ShaderStructure: a structure as shaders take it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.shader_source import shader_source
+
+__all__ = ["TREE_AT", "ShaderStructure", "budget_for", "numbers"]
+
+#: Bytes of the uniform ``Params`` before the structure's ``Tree``.
+TREE_AT = 32
+
+#: Searches take some steps whatever the structure is.
+_LEAST_BUDGET = 1 << 10
+
+
+@dataclass(frozen=True)
+class ShaderStructure:
+    """A structure as shaders take it.
+
+    Attributes
+    ----------
+    name : str
+        The structure's.
+    shader : str
+        The file with its ``Tree``, its buffers, and ``search()``.
+    tree : bytes
+        The uniform ``Tree``, laid out as WGSL does.
+    arrays : tuple of ndarray
+        Its buffers: binding k of group 1 has the k-th.
+    budget : int
+        More steps and tests than a search can take: what takes more is endless.
+    constants : dict of str to float
+        Of the pipeline: values of the file's ``override`` declarations.
+    sizes : dict of str to int
+        Of the source: what the file leaves to be declared, for arrays whose size must be known
+        as it is compiled.
+    instead : dict of str to str
+        Files that the file's own includes are replaced by; see `source.shader_source`.
+    has_duplicates : bool
+        Whether a search may meet a triangle more than once.
+    """
+
+    name: str
+    shader: str
+    tree: bytes
+    arrays: tuple[NDArray[Any], ...]
+    budget: int
+    constants: dict[str, float] = field(default_factory=dict)
+    sizes: dict[str, int] = field(default_factory=dict)
+    instead: dict[str, str] = field(default_factory=dict)
+    has_duplicates: bool = False
+
+    def params(
+        self,
+        max_coordinate: np.float32,
+        *,
+        ray_count: int = 0,
+        row_size: int = 0,
+        capacity: int = 0,
+    ) -> bytes:
+        """The uniform ``Params``, see params.wgsl: what all rays of a search share."""
+        shared = numbers(max_coordinate, 0, ray_count, row_size, self.budget, capacity)
+        return shared + bytes(TREE_AT - len(shared)) + self.tree
+
+    def source(self, *names: str, instead: Mapping[str, str] | None = None) -> str:
+        """A machine's shader files, put together with the structure's; see `shader_source`."""
+        declared = [f"const {name}: u32 = {size}u;" for name, size in self.sizes.items()]
+        replaced = {**self.instead, **(instead or {})}
+        return "\n".join([*declared, shader_source(*names, self.shader, instead=replaced)])
+
+
+def numbers(*values: float | np.integer[Any] | np.floating[Any]) -> bytes:
+    """Numbers as the words of a uniform: float32 for floats, uint32 for integers."""
+    words = [
+        np.float32(value) if isinstance(value, float | np.floating) else np.uint32(value)
+        for value in values
+    ]
+    return b"".join(word.tobytes() for word in words)
+
+
+def budget_for(most: int) -> int:
+    """A budget for so many steps and tests, in 32 bits."""
+    return min(_LEAST_BUDGET + most, 2**32 - 1)

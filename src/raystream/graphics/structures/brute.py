@@ -1,0 +1,23 @@
+"""Brute force as shaders take it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from raystream.graphics.structures.base import ShaderStructure, budget_for, numbers
+from raystream.structures.brute.structure import BruteStructure
+
+__all__ = ["shader_structure"]
+
+
+def shader_structure(brute: BruteStructure) -> ShaderStructure:
+    """All triangles."""
+    triangles = brute.triangles
+    count = len(triangles.prim_ids)
+    return ShaderStructure(
+        name="brute",
+        shader="brute.wgsl",
+        tree=numbers(count),
+        arrays=(triangles.prim_ids.astype(np.uint32), triangles.corners),
+        budget=budget_for(count),
+    )

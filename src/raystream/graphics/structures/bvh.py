@@ -1,0 +1,53 @@
+"""The bounding volume hierarchy as shaders take it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raystream.graphics.structures.base import ShaderStructure, budget_for, numbers
+from raystream.kernels.leaf_block import BLOCK_SIZE
+from raystream.structures.bvh.layout import WIDTH, BvhArrays
+from raystream.structures.bvh.structure import BvhStructure
+
+__all__ = ["shader_structure"]
+
+#: Stacks have a multiple of so many entries, so that most trees share a shader.
+_STACK_STEP = 32
+
+#: The prim_id of a triangle that moved and cannot be hit any more; see bvh_leaf.wgsl.
+_NEVER_HIT = -2
+
+
+def shader_structure(bvh: BvhStructure) -> ShaderStructure:
+    """The nodes and leaves as the CPU has them."""
+    tree = bvh.tree
+    node_count, block_count = len(tree.nodes), len(tree.leaves)
+    # A node is visited once, its children are taken from the stack once; a slot is looked at
+    # once, and a triangle that is crossed once more.
+    most = (1 + WIDTH) * node_count + 2 * BLOCK_SIZE * block_count
+    return ShaderStructure(
+        name="bvh",
+        shader="bvh.wgsl",
+        tree=numbers(node_count),
+        arrays=(tree.nodes.view(np.uint32), _blocks(tree)),
+        budget=budget_for(most),
+        sizes={"STACK_SIZE": _stack_size(bvh)},
+        has_duplicates=bvh.has_duplicates,
+    )
+
+
+def _stack_size(bvh: BvhStructure) -> int:
+    entry_count = bvh.stack_half // 4
+    return -(-entry_count // _STACK_STEP) * _STACK_STEP
+
+
+def _blocks(tree: BvhArrays) -> NDArray[np.uint32]:
+    """The leaves, in which a prim_id says whether a triangle has coordinates at all."""
+    blocks = tree.leaves.view(np.uint32)
+    is_lost = np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)
+    if is_lost.any():
+        blocks = blocks.copy()
+        ids = BvhArrays(tree.nodes, blocks.view(np.float32)).prim_ids
+        ids[is_lost] = _NEVER_HIT
+    return blocks
