@@ -147,7 +147,7 @@ def test_occlusion_queries_lead_to_the_same_passes(opened, scheduler):
 
 
 def test_queries_whose_answers_are_not_exact_are_refused(opened, scene, rays, monkeypatch):
-    monkeypatch.setattr(loops._Counts, "ask", lambda self, encoder, count: [1] * count)
+    monkeypatch.setattr(loops._Counts, "read", lambda self, encoder, count: [1] * count)
     with pytest.raises(GraphicsError, match=r"inexactly .*1 for 300 fragments.*loop='device'"):
         multipass(scene, loop="queries").first_hit(**rays)
 
@@ -169,14 +169,14 @@ def test_a_stencil_test_that_comes_late_does_no_harm(opened, scene, rays, monkey
     """Kernels then run on all rays: what they write to buffers, the state in the stream guards."""
     expected = multipass(scene, "cpu", counters=True)
     hits = expected.multi_hit(**rays)
-    make = plan._Maker.kernel
+    make = plan._PlanBuilder.kernel
 
     def without_test(self, *arguments):
         with monkeypatch.context() as patch:
             patch.setattr(plan, "Stencil", lambda state: Stencil())
             return make(self, *arguments)
 
-    monkeypatch.setattr(plan._Maker, "kernel", without_test)
+    monkeypatch.setattr(plan._PlanBuilder, "kernel", without_test)
     tracer = multipass(scene, counters=True)
     assert_same_hits(tracer.multi_hit(**rays), hits)
     assert_same_run(tracer, expected)

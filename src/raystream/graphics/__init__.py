@@ -1,10 +1,10 @@
-"""The graphics device: rays traced by a GPU's shaders, by way of wgpu.
+"""The graphics device: rays traced by shaders, through wgpu.
 
 Vulkan, Metal or Direct3D 12; ``pip install raystream[graphics]``. ``Tracer(device="graphics")``
-has three machines: ``"compute"``, its usual one.
+has the machines ``"compute"``, the default, ``"branching"`` and ``"multipass"``.
 
-Pictures by the graphics pipeline itself: `visibility` rasterises, `hybrid` adds ray traced shadows
-to that, and `render_bounces` draws mirrors in mirrors by fragment programs alone.
+Images by the graphics pipeline itself: `visibility` rasterises, `hybrid` adds ray-traced shadows,
+and `render_bounces` renders shadows and mirrors by fragment programs alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["GRAPHICS_MACHINES", "Visibility", "hybrid", "render_bounces", "visib
 
 register_device("graphics", build_with_shaders, GRAPHICS_MACHINES, Graphics)
 
-#: What renders, by module: imported when it is asked for.
+#: Modules of functions that render, imported on first use.
 _HOMES = {
     "Visibility": "raster",
     "visibility": "raster",

@@ -1,4 +1,4 @@
-"""Graphics adapters: which there are, which one is taken, and the device that is opened on it."""
+"""Graphics adapters: listing them, choosing one, and opening a device on it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from raystream.graphics.errors import GraphicsError
 
 __all__ = ["ADAPTER_VARIABLE", "Adapter", "OpenDevice", "adapters", "choose_adapter", "open_device"]
 
-#: Names an adapter that is to be taken: a part of its name.
+#: Selects an adapter by a part of its name.
 ADAPTER_VARIABLE = "RAYSTREAM_ADAPTER"
 
-#: Those that render to rgba32float: the OpenGL one does not.
+#: Backends that render to rgba32float: OpenGL does not.
 _BACKENDS = ("Vulkan", "Metal", "D3D12")
 
-#: Real hardware first, and of that the fastest.
+#: Fastest first, software last.
 _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 
-#: Where adapters offer more than WebGPU promises, this much is asked for.
+#: Limits for which all that the adapter offers is requested, beyond what WebGPU guarantees.
 _LIMITS = (
     "max-buffer-size",
     "max-storage-buffer-binding-size",
@@ -32,7 +32,7 @@ _LIMITS = (
     "max-color-attachment-bytes-per-sample",
 )
 
-#: A device that makes no buffer of this size is lost.
+#: A device that cannot make a buffer of this size is lost.
 _PROBE_BYTES = 16
 
 _NO_WGPU = "device 'graphics': needs wgpu; install it with: pip install 'raystream[graphics]'"
@@ -49,16 +49,16 @@ class Adapter(NamedTuple):
     Attributes
     ----------
     name : str
-        As its driver calls it.
+        As its driver reports it.
     kind : str
         ``"DiscreteGPU"``, ``"IntegratedGPU"``, ``"VirtualGPU"``, ``"Unknown"``, or ``"CPU"`` for
         software.
     backend : str
         ``"Vulkan"``, ``"Metal"`` or ``"D3D12"``.
     description : str
-        Of the driver.
+        The driver.
     handle : GPUAdapter
-        What wgpu has for it.
+        wgpu's object.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Adapter(NamedTuple):
 
     @property
     def is_software(self) -> bool:
-        """Whether the processor does a GPU's work."""
+        """Whether it runs on the CPU."""
         return self.kind == "CPU"
 
     def __str__(self) -> str:
@@ -78,18 +78,18 @@ class Adapter(NamedTuple):
 
 
 class OpenDevice:
-    """A device, opened.
+    """An open device.
 
     Attributes
     ----------
     adapter : Adapter
     device : GPUDevice
     limits : dict of str to int
-        The device's, by wgpu's names.
+        The device's limits, by wgpu's names.
     is_known_lost : bool
         Whether the device was found to be lost.
     lock : RLock
-        Held by who uses the device: its queries have buffers in common.
+        Held while the device is used: its queries share buffers.
     """
 
     def __init__(self, adapter: Adapter, device: Any) -> None:
@@ -101,11 +101,11 @@ class OpenDevice:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the device is gone, because its driver was reset, say: it never comes back."""
+        """Whether the device is lost for good, for instance because its driver was reset."""
         if not self.is_known_lost:
             try:
                 self.device.create_buffer(size=_PROBE_BYTES, usage=_wgpu().BufferUsage.COPY_DST)
-            except Exception:  # of any kind: a device that has not even this much is of no use
+            except Exception:  # of any kind
                 self.is_known_lost = True
         return self.is_known_lost
 
@@ -115,26 +115,26 @@ def _wgpu() -> Any:
         return importlib.import_module("wgpu")
     except ImportError as error:
         raise GraphicsError(_NO_WGPU) from error
-    except Exception as error:  # its own library is missing, or made for another machine
+    except Exception as error:  # its native library is missing, or of another platform
         raise GraphicsError(f"device 'graphics': wgpu cannot be used: {error}") from error
 
 
 def adapters() -> list[Adapter]:
-    """The adapters that can trace rays, best first.
+    """List the adapters that can trace rays, best first.
 
     Raises
     ------
     GraphicsError
         If wgpu is not installed, or cannot be used.
     """
-    # Software Vulkan complains on standard error without a folder for sockets that it never opens.
+    # Without it, software Vulkan prints a warning about sockets that it never opens.
     if os.name == "posix":
         os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     try:
         handles = _wgpu().gpu.enumerate_adapters_sync()
     except GraphicsError:
         raise
-    except Exception as error:  # wgpu wraps whatever a driver says
+    except Exception as error:  # wgpu wraps all errors of a driver
         raise GraphicsError(f"device 'graphics': wgpu cannot list adapters: {error}") from error
     found = [
         Adapter(
@@ -150,19 +150,18 @@ def adapters() -> list[Adapter]:
     return sorted(found, key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else 3)
 
 
-#: Devices by the name that was asked for, and who may open one.
+#: Open devices by the name requested, and the lock for opening one.
 _OPEN: dict[str, OpenDevice] = {}
 _OPENING = threading.Lock()
 
 
 def open_device(name: str | None = None) -> OpenDevice:
-    """Open a device on an adapter; the same one each time, until it is lost.
+    """Open a device on an adapter, or return the one that is open, unless it is lost.
 
     Parameters
     ----------
     name : str, optional
-        A part of the adapter's name; else of what ``RAYSTREAM_ADAPTER`` holds; else the best
-        adapter is taken.
+        A part of the adapter's name [default: ``RAYSTREAM_ADAPTER``, else the best adapter].
 
     Raises
     ------
@@ -177,12 +176,12 @@ def open_device(name: str | None = None) -> OpenDevice:
 
 
 def choose_adapter(name: str | None = None) -> Adapter:
-    """The adapter that `open_device` takes.
+    """The adapter that `open_device` uses.
 
     Raises
     ------
     GraphicsError
-        If there is none, or wgpu is not installed.
+        If there is no such adapter, or wgpu is not installed.
     """
     name = _wanted(name)
     found = adapters()
@@ -204,6 +203,6 @@ def _open(adapter: Adapter) -> OpenDevice:
     wanted = {limit: offered[limit] for limit in _LIMITS if limit in offered}
     try:
         device = adapter.handle.request_device_sync(required_limits=wanted)
-    except Exception as error:  # wgpu wraps whatever a driver says
+    except Exception as error:  # wgpu wraps all errors of a driver
         raise GraphicsError(f"adapter {adapter}: gives no device: {error}") from error
     return OpenDevice(adapter, device)

@@ -1,4 +1,4 @@
-"""GraphicsBackend: the queries of the graphics device's machines, some rays at a time."""
+"""GraphicsBackend: queries on the graphics device, in chunks of rays."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from raystream.structures import Structure
 
 __all__ = ["RAYS_AT_ONCE", "Chunk", "GraphicsBackend"]
 
-#: Most rays that a dispatch or a draw gets; see `pace` for how many it should get.
+#: Most rays of a dispatch or a draw; see `dispatch_size` for how many it should have.
 RAYS_AT_ONCE = 1 << 18
 
-#: Rows of hits that may be written at once; a ray with more is traced by itself.
+#: Most hits that a chunk may keep; a ray with more is traced by itself.
 _ROWS_AT_ONCE = 1 << 22
 
 
 class Chunk(NamedTuple):
-    """Rays that are traced together, and what is wanted of them.
+    """Rays that are traced together, and the hits wanted of them.
 
     Attributes
     ----------
@@ -44,11 +44,11 @@ class Chunk(NamedTuple):
     rows : slice
         Which of them.
     wanted : ndarray of shape (n, 2), uint32
-        Of each of these the first of its rows, and how many hits are wanted.
+        First row and capacity of each of them.
     row_count : int
-        Rows of all of them, which `_rows` gives afterwards.
+        Rows of all of them, which `_rows` returns afterwards; 0 if hits are only counted.
     tallies : ndarray of shape (N, 8), uint32, or None
-        What each of all rays meets is added to its row.
+        Counters of all rays, which are added to.
     """
 
     kind: Kind
@@ -61,7 +61,7 @@ class Chunk(NamedTuple):
 
 
 class GraphicsBackend(LocalBackend):
-    """Queries of local rays, for a machine that traces some rays at a time.
+    """Queries of local rays, for machines that trace them in chunks.
 
     Parameters
     ----------
@@ -69,12 +69,12 @@ class GraphicsBackend(LocalBackend):
         Built on the CPU.
     opened : OpenDevice
     rays_at_once : int
-        Most rays that are traced together.
+        Most rays of a chunk.
 
     Attributes
     ----------
     adapts_size : bool
-        Whether fewer rays are traced together where they take long.
+        Whether slow rays are traced in smaller chunks.
 
     Raises
     ------
@@ -95,29 +95,28 @@ class GraphicsBackend(LocalBackend):
 
     @abstractmethod
     def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
-        """Trace some rays; returns how many hits each has."""
+        """Trace a chunk; returns the number of hits of each ray."""
 
     @abstractmethod
     def _rows(self, count: int) -> NDArray[Any]:
-        """What the latest `_run` has found: `records.ROW` of each row."""
+        """The rows of `packing.ROW` that the latest `_run` kept."""
 
     def run_local(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None = None
     ) -> None:
         """Answer a query of local rays; see `LocalBackend.run_local`."""
+        answers = {
+            Kind.FIRST_HIT: self._first_hit,
+            Kind.ANY_HIT: self._any_hit,
+            Kind.MULTI_HIT: self._multi_hit,
+        }
         with guarded(self.opened):
-            if query.kind is Kind.FIRST_HIT:
-                self._first_hit(rays, sink, progress)
-            elif query.kind is Kind.ANY_HIT:
-                seen = self._count(query._replace(limit=1), rays, sink.tallies, progress)
-                np.not_equal(seen, 0, out=sink.seen)
-            elif query.kind is Kind.COUNT_HITS:
-                self._count_hits(query, rays, sink, progress)
-            else:
-                self._multi_hit(query, rays, sink, progress)
+            answers.get(query.kind, self._count_hits)(query, rays, sink, progress)
 
-    def _first_hit(self, rays: LocalRays, sink: Sink, progress: Progress | None) -> None:
-        count, kind, hits = len(rays.t_min), Kind.FIRST_HIT, sink.hits
+    def _first_hit(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
+    ) -> None:
+        count, kind, hits = len(rays.t_min), query.kind, sink.hits
         for rows in self._chunks(kind, count):
             wanted = np.ones((rows.stop - rows.start, 2), np.uint32)
             wanted[:, 0] = np.arange(len(wanted))
@@ -125,6 +124,12 @@ class GraphicsBackend(LocalBackend):
             unpack_rows(self._rows(len(wanted)), hits.part(rows))
             if progress:
                 progress(rows.stop, count)
+
+    def _any_hit(
+        self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
+    ) -> None:
+        seen = self._count(query._replace(limit=1), rays, sink.tallies, progress)
+        np.not_equal(seen, 0, out=sink.seen)
 
     def _count_hits(
         self, query: Query, rays: LocalRays, sink: Sink, progress: Progress | None
@@ -178,7 +183,7 @@ class GraphicsBackend(LocalBackend):
     def _distinct(
         self, rays: LocalRays, surfaces: bool, tallies: NDArray[np.uint32] | None
     ) -> Iterator[tuple[slice, NDArray[np.int64], NDArray[Any]]]:
-        """All hits where a search may meet a triangle twice: rays, their splits, and rows."""
+        """All hits in a structure that may list a triangle twice: rays, their splits, and rows."""
         counts = self._count(Query(Kind.COUNT_HITS, surfaces), rays, tallies, None)
         splits = np.concatenate([[0], np.cumsum(counts)])
         for rows in self._chunks(Kind.MULTI_HIT, len(splits) - 1, splits):
@@ -194,14 +199,14 @@ class GraphicsBackend(LocalBackend):
         splits: NDArray[np.int64],
         tallies: NDArray[np.uint32] | None,
     ) -> NDArray[Any]:
-        """Rows of the nearest hits of some rays, of which ray i wants splits[i] to splits[i+1]."""
+        """Rows of the nearest hits of some rays: those of ray i are splits[i] to splits[i+1]."""
         wanted = np.column_stack([splits[:-1], np.diff(splits)]).astype(np.uint32)
         row_count = int(splits[-1])
         self._timed(Chunk(Kind.MULTI_HIT, surfaces, rays, rows, wanted, row_count, tallies))
         return self._rows(row_count)
 
     def _timed(self, chunk: Chunk) -> NDArray[np.uint32]:
-        """As `_run`, noting how long it takes."""
+        """As `_run`; its time sets the size of later chunks."""
         began = time.perf_counter()
         counts = self._run(chunk)
         self._size_for(chunk.kind).took(len(chunk.wanted), time.perf_counter() - began)
@@ -213,7 +218,7 @@ class GraphicsBackend(LocalBackend):
     def _chunks(
         self, kind: Kind, count: int, splits: NDArray[np.int64] | None = None
     ) -> Iterator[slice]:
-        """Rays that are traced together; or one ray that alone has too many rows."""
+        """Ranges of rays to trace together; a ray with too many rows is a range of its own."""
         begin = 0
         while begin < count:
             size = self._size_for(kind).size if self.adapts_size else self.rays_at_once
@@ -228,7 +233,7 @@ class GraphicsBackend(LocalBackend):
 def _nearest(
     rows: NDArray[Any], splits: NDArray[np.int64], wanted: NDArray[np.int64]
 ) -> NDArray[Any]:
-    """Of each ray's rows the first ones: as many as its part of `wanted` is long."""
+    """The first rows of each ray: as many as its range of `wanted` has."""
     counts = np.diff(wanted)
     ends = np.cumsum(counts)
     within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)

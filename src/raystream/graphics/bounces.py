@@ -1,8 +1,8 @@
-"""Bounces: mirrors in mirrors by fragment programs alone, without recursion (Christen 2005).
+"""Mirror reflections by fragment programs alone, without recursion (Christen 2005).
 
-All that a pixel needs is in textures, and one program after the other runs over all pixels. An
-iteration is: trace the rays; add up the light of the surfaces they meet, light by light; let the
-iteration buffer take that, weighted, and weigh what is reflected; send the reflected rays.
+Textures hold the state of each pixel, and one program after the other runs over all pixels. An
+iteration traces the rays, sums the light at their hits, light by light, adds it, weighted, to the
+iteration buffer, and generates the reflected rays.
 """
 
 from __future__ import annotations
@@ -46,40 +46,40 @@ def render_bounces(
     adapter: str | None = None,
     **options: Any,
 ) -> Image:
-    """Render a picture with shadows and mirrors by fragment programs.
+    """Render an image with shadows and mirrors by fragment programs.
 
     Parameters
     ----------
     scene : Scene or Tracer
-        A tracer saves building its structure again; its device does not matter.
+        A tracer's structure is reused; its device does not matter.
     size : (int, int)
         Width and height in pixels.
     structure, **options
-        See `Tracer`; not to be given together with one.
+        See `Tracer`; not with a tracer as `scene`.
     camera : Camera, optional
-        The view, in perspective; a lens counts as its middle. Without it, the scene's.
+        Perspective; a lens is taken as a pinhole [default: the scene's].
     max_bounces : int
-        Surfaces that may mirror light on its way: there is one iteration more.
+        Most reflections on a path: there is one iteration more.
     min_weight : float
-        Rays of which no colour weighs more end.
+        Paths end when no channel of their weight is greater.
     adapter : str, optional
         See `adapters.open_device`.
 
     Returns
     -------
     Image
-        Linear RGB, as ``render(scene, "whitted")`` has it with the same options but for float32,
-        which moves the outlines of mirrored things a little. Its figures have ``iterations``,
-        and ``passes``, of which each draws the whole picture once.
+        Linear RGB, that of ``render(scene, "whitted")`` but for float32, which moves the outlines
+        of reflected objects a little. Its figures are ``iterations`` and ``passes``; each pass
+        draws all pixels once.
 
     Raises
     ------
     ValueError
-        If an argument is out of range, or the scene has what these programs do not draw: glass
-        (each pixel has room for one ray), textures, rough or partly clear surfaces, or a light
-        with an image.
+        If an argument is out of range, or the scene has unsupported features: glass (a pixel
+        stores one ray), textures other than diffuse ones, rough or partly transparent surfaces,
+        or an environment map.
     GraphicsError
-        If there is no adapter, the scene or the picture is too large for it, or a ray's search
+        If there is no adapter, the scene or the image is too large for it, or a ray's search
         did not end.
 
     References
@@ -167,7 +167,7 @@ class _Pipeline:
         def screens(name: str, count: int, kind: str = FLOATS) -> list[Texture]:
             return [Texture(self._opened, name, self._size, kind) for _ in range(count)]
 
-        # Pairs of which one is read while the other is written.
+        # Pairs: one is read while the other is written.
         self._rays, self._next_rays = screens("rays", 2), screens("next rays", 2)
         self._light, self._next_light = screens("light", 2)
         self._buffer, self._next_buffer = screens("colours", 2), screens("weights", 2)
@@ -181,7 +181,7 @@ class _Pipeline:
         )
 
     def render(self, iterations: int) -> Image:
-        """Run all programs, and read the picture once."""
+        """Run all programs, and read the image back."""
         self._failures.write(np.zeros(2, np.uint32))
         encoder = self._opened.device.create_command_encoder()
         self._buffer[0].clear(encoder, 0.0)
@@ -189,7 +189,7 @@ class _Pipeline:
         self._draw(encoder, self._camera_rays, [], self._rays)
         for _ in range(iterations):
             self._iterate_once(encoder)
-            # Each iteration is given to the device by itself: drivers take long ones for hung.
+            # Submitted one by one: drivers take long submissions for hung.
             self._opened.device.queue.submit([encoder.finish()])
             encoder = self._opened.device.create_command_encoder()
         pixels = self._buffer[0].read()[..., :3]

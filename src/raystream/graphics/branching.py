@@ -1,7 +1,7 @@
-"""The branching machine: one fragment program with loops, run over all rays at once.
+"""The branching machine: one fragment program traces each ray from start to end.
 
-What Purcell 2002, section 3.2, calls the branching architecture: as the compute machine, but rays
-come from textures, and their hits go to render targets.
+The branching architecture of Purcell 2002, section 3.2: like the compute machine, but rays are
+read from textures, and hits are written to render targets.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["BranchingBackend"]
 
 
 class BranchingBackend(GraphicsBackend):
-    """Traces rays with one fragment program.
+    """Traces rays by one fragment program.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class BranchingBackend(GraphicsBackend):
         super().__init__(structure, opened, rays_at_once)
         self._textures = RayTextures(opened, self._shaders)
         self._latest = Kind.FIRST_HIT
-        self._program(Kind.FIRST_HIT, False, False)  # whatever is wrong is said now
+        self._program(Kind.FIRST_HIT, False, False)  # raises for a shader that does not compile
 
     def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
         kind, tallies = chunk.kind, chunk.tallies

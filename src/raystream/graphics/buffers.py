@@ -1,4 +1,4 @@
-"""Buffers of a graphics device: arrays that go there and come back."""
+"""Buffers of a graphics device: upload and readback."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from raystream.graphics.errors import GraphicsError
 
 __all__ = ["Buffer", "ReadBack", "uniform", "upload", "whole"]
 
-#: A binding holds at least one element, of at most so many bytes, and whole words.
-_LEAST_BYTES = 64
+#: A binding holds at least one element: this is the largest one.
+_MIN_BYTES = 64
 
 
 class Buffer:
-    """A storage buffer that grows: what it held is lost then.
+    """A storage buffer that can be grown, without its content.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Buffer:
     Attributes
     ----------
     handle : GPUBuffer or None
-        None until it has room for something.
+        None until `reserve` is called.
     """
 
     def __init__(self, opened: OpenDevice, name: str) -> None:
@@ -40,8 +40,8 @@ class Buffer:
         self.handle: Any = None
 
     def reserve(self, byte_count: int) -> bool:
-        """Have room for so many bytes; returns whether the buffer is a new one."""
-        wanted = max(byte_count, _LEAST_BYTES)
+        """Grow to a number of bytes if needed; returns whether the buffer is a new one."""
+        wanted = max(byte_count, _MIN_BYTES)
         if wanted <= self._byte_count:
             return False
         check_size(self._opened, self._name, wanted)
@@ -55,13 +55,13 @@ class Buffer:
             self._opened.device.queue.write_buffer(self.handle, 0, np.ascontiguousarray(array))
 
     def read(self, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Copy its beginning back, when the device has done what it was given."""
+        """Wait for the device, and copy its beginning back."""
         byte_count = int(np.dtype(dtype).itemsize * np.prod(shape, dtype=np.int64))
         if byte_count == 0:
             return np.empty(shape, dtype)
         try:
             memory = self._opened.device.queue.read_buffer(self.handle, 0, byte_count)
-        except Exception as error:  # wgpu wraps whatever a driver says
+        except Exception as error:  # wgpu wraps all errors of a driver
             raise GraphicsError(
                 f"device 'graphics': {self._opened.adapter}: {self._name} cannot be read: {error}"
             ) from error
@@ -69,12 +69,12 @@ class Buffer:
 
     @property
     def binding(self) -> dict[str, Any]:
-        """As a resource of a bind group."""
+        """The buffer as a resource of a bind group."""
         return {"buffer": self.handle, "offset": 0, "size": self._byte_count}
 
 
 class ReadBack:
-    """Brings what a device has computed back, a few buffers at a time.
+    """Reads several buffers back at once.
 
     Parameters
     ----------
@@ -86,14 +86,14 @@ class ReadBack:
         self._memory: Any = None
 
     def read(self, encoder: Any, parts: Sequence[tuple[Buffer, int]]) -> list[NDArray[np.uint8]]:
-        """Run what was encoded, and copy the beginnings of buffers when it is done.
+        """Submit encoded commands, wait, and copy the beginnings of buffers back.
 
         Parameters
         ----------
         encoder : GPUCommandEncoder
-            Is finished.
+            It is finished.
         parts : sequence of (Buffer, int)
-            Buffers and how many bytes of each: multiples of 4.
+            Buffers and the bytes to read of each: multiples of 4.
 
         Returns
         -------
@@ -106,7 +106,7 @@ class ReadBack:
             if size:
                 encoder.copy_buffer_to_buffer(buffer.handle, 0, memory, offset, size)
         self._opened.device.queue.submit([encoder.finish()])
-        self._memory = None  # lost, if an interrupt comes while it is waited for
+        self._memory = None  # dropped, if interrupted while mapped
         memory.map_sync("READ", 0, offsets[-1])
         mapped = np.frombuffer(memory.read_mapped(copy=False), np.uint8)
         copies = [
@@ -127,7 +127,7 @@ class ReadBack:
 
 
 def check_size(opened: OpenDevice, name: str, byte_count: int) -> None:
-    """Raise GraphicsError if a buffer is larger than the device allows."""
+    """Raise GraphicsError for a buffer larger than the device allows."""
     most = min(opened.limits["max-storage-buffer-binding-size"], opened.limits["max-buffer-size"])
     if byte_count > most:
         raise GraphicsError(
@@ -137,7 +137,7 @@ def check_size(opened: OpenDevice, name: str, byte_count: int) -> None:
 
 
 def upload(opened: OpenDevice, arrays: Iterable[tuple[str, NDArray[Any]]]) -> list[Buffer]:
-    """Buffers with arrays, by name."""
+    """Copy named arrays to new buffers."""
     buffers = []
     for name, array in arrays:
         buffer = Buffer(opened, name)
@@ -148,7 +148,7 @@ def upload(opened: OpenDevice, arrays: Iterable[tuple[str, NDArray[Any]]]) -> li
 
 
 def uniform(opened: OpenDevice, content: bytes) -> Any:
-    """A uniform buffer with whole vectors of four words."""
+    """A uniform buffer, padded to whole vectors of four words."""
     import wgpu
 
     padded = content + bytes(-len(content) % 16)
@@ -171,7 +171,7 @@ def _storage() -> int:
 def _new_buffer(opened: OpenDevice, byte_count: int, name: str, usage: int) -> Any:
     try:
         return opened.device.create_buffer(size=-(-byte_count // 16) * 16, usage=usage)
-    except Exception as error:  # wgpu wraps whatever a driver says
+    except Exception as error:  # wgpu wraps all errors of a driver
         raise GraphicsError(
             f"device 'graphics': {opened.adapter} has no memory for {name}, {byte_count:,} bytes: "
             f"{error}"

@@ -1,4 +1,4 @@
-"""A pinhole camera and its picture as shaders take them."""
+"""A pinhole camera as a uniform of shaders."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from raystream.scene.camera import Camera
 
 __all__ = ["check_pinhole", "packed_view"]
 
-#: The nearest depth that rasterised surfaces have, in sizes of the scene: floats of reversed
-#: depth are as fine there as anywhere.
+#: Depth of the near plane, in sizes of the scene: reversed float depth has the same relative
+#: precision everywhere.
 _NEAR = 2.0**-24
 
 
 def check_pinhole(camera: Camera) -> None:
-    """Raise ValueError if the graphics pipeline cannot project as a camera does."""
+    """Raise ValueError for a camera that is not a perspective one."""
     if camera.projection != "perspective":
         raise ValueError(
             f"camera: expected one in perspective, as the graphics pipeline has it, got "
@@ -33,11 +33,11 @@ def packed_view(camera: Camera, size: tuple[int, int], triangles: Triangles) -> 
     Parameters
     ----------
     camera : Camera
-        In perspective; a lens counts as its middle.
+        Perspective; a lens is taken as a pinhole.
     size : (int, int)
         Width and height in pixels.
     triangles : Triangles
-        Of the scene: they set the frame of reference.
+        The scene's: they define the local frame.
     """
     width, height = size
     right, up, forward = map(_halves, camera.basis())

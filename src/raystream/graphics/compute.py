@@ -1,4 +1,4 @@
-"""The compute machine: one ray from start to end in each invocation of a compute shader."""
+"""The compute machine: each invocation of a compute shader traces one ray."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from raystream.core.query import Kind
 from raystream.graphics.adapters import OpenDevice
 from raystream.graphics.backend import RAYS_AT_ONCE, Chunk, GraphicsBackend
-from raystream.graphics.dispatches import Dispatcher, ShaderQuery
+from raystream.graphics.dispatches import Dispatcher, ShaderVariant
 from raystream.graphics.packing import ROW, packed_rays
 from raystream.structures import Structure
 
@@ -18,7 +18,7 @@ __all__ = ["ComputeBackend"]
 
 
 class ComputeBackend(GraphicsBackend):
-    """Traces rays with compute shaders.
+    """Traces rays by compute shaders.
 
     Parameters
     ----------
@@ -43,15 +43,19 @@ class ComputeBackend(GraphicsBackend):
         super().__init__(structure, opened, rays_at_once)
         self._dispatcher = Dispatcher(self._shaders, opened, structure.triangles.max_coordinate)
         self._found: NDArray[Any] = np.empty(0, ROW)
-        self._dispatcher.pipeline(ShaderQuery(Kind.FIRST_HIT))  # whatever is wrong is said now
+        self._dispatcher.pipeline(
+            ShaderVariant(Kind.FIRST_HIT)
+        )  # raises for a shader that does not compile
 
     def _run(self, chunk: Chunk) -> NDArray[np.uint32]:
         wanted, tallies = chunk.wanted, chunk.tallies
-        task = ShaderQuery(chunk.kind, chunk.surfaces, tallies is not None)
-        is_multi = chunk.kind == Kind.MULTI_HIT
+        variant = ShaderVariant(chunk.kind, chunk.surfaces, tallies is not None)
+        is_multi = chunk.kind is Kind.MULTI_HIT
         capacity = 0 if is_multi else int(wanted[0, 1])
         rays = packed_rays(chunk.rays, chunk.rows)
-        found = self._dispatcher.run(task, rays, capacity, wanted if is_multi else None)
+        found = self._dispatcher.run(
+            variant, rays, capacity, wanted if is_multi else None, chunk.row_count
+        )
         self._found = found.rows
         if tallies is not None:
             tallies[chunk.rows] += found.tallies

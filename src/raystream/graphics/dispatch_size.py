@@ -1,27 +1,27 @@
-"""DispatchSize: how many rays a dispatch gets, so that none takes long."""
+"""DispatchSize: the number of rays of a dispatch, adapted so that none takes long."""
 
 from __future__ import annotations
 
 __all__ = ["DispatchSize"]
 
-#: Rays of the first dispatch. One of a hopeless search must not take minutes.
+#: Rays of the first dispatch: few, since a slow structure must not take minutes.
 _FIRST = 1 << 10
 
-#: Seconds that a dispatch should take: long beside what it costs to begin one; but Ctrl-C waits
-#: for its end, progress is told then, and a driver may take one of some seconds for hung.
+#: Seconds that a dispatch should take: long against its overhead, but Ctrl-C and progress wait for
+#: its end, and drivers take one of some seconds for hung.
 _SECONDS = 0.2
 
-#: The next one has at most so many times the rays.
+#: Largest growth from one dispatch to the next.
 _GROWTH = 8
 
 
 class DispatchSize:
-    """How many rays the next dispatch gets, by how long those before took.
+    """The number of rays of the next dispatch, from the times of those before.
 
     Parameters
     ----------
     most : int
-        More are never given.
+        Upper bound.
 
     Attributes
     ----------
@@ -34,8 +34,8 @@ class DispatchSize:
         self.size = min(_FIRST, most)
 
     def took(self, count: int, seconds: float) -> None:
-        """Tell how long a dispatch of so many rays took."""
+        """Take in the time of a dispatch."""
         if count < self.size and seconds <= _SECONDS:
-            return  # the last ones of a batch: they tell too little
+            return  # the last rays of a batch: too few to extrapolate
         right = int(count * _SECONDS / max(seconds, 1e-9))
         self.size = max(1, min(right, self.size * _GROWTH, self._most))

@@ -1,4 +1,4 @@
-"""Dispatcher: some rays at a time, traced by a compute shader."""
+"""Dispatcher: traces rays by dispatches of a compute shader."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from raystream.graphics.pipelines import Program, bind, compute_pipeline
 from raystream.graphics.structures.base import ShaderStructure
 from raystream.graphics.termination import hit_counts
 
-__all__ = ["DispatchResults", "Dispatcher", "ShaderQuery"]
+__all__ = ["DispatchResults", "Dispatcher", "ShaderVariant"]
 
 #: Invocations of a workgroup; see compute.wgsl.
 _GROUP_SIZE = 64
@@ -24,23 +24,23 @@ _GROUP_SIZE = 64
 #: Bytes of a ray's tally.
 _TALLY_BYTES = 32
 
-#: The shared buffers, by their bindings from 1 on.
+#: The shared buffers, in the order of their bindings from 1 on.
 _NAMES = ("rays", "wanted", "rows", "endings", "tallies")
 
 #: Group 0: the uniform, and these.
 _LAYOUT = ("uniform", "gather", "gather", "scatter", "scatter", "scatter")
 
 
-class ShaderQuery(NamedTuple):
-    """What a shader is to do.
+class ShaderVariant(NamedTuple):
+    """The variant of a shader: one is compiled for each.
 
     Attributes
     ----------
     kind : Kind
     surfaces : bool
-        What a ray through an edge meets.
+        Whether a ray through an edge or vertex crosses a surface once.
     tallies : bool
-        Whether tallies are wanted.
+        Whether steps and tests are counted.
     """
 
     kind: Kind
@@ -49,7 +49,7 @@ class ShaderQuery(NamedTuple):
 
 
 class DispatchResults(NamedTuple):
-    """What came back from a dispatch of N rays.
+    """The results of a dispatch of N rays.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class DispatchResults(NamedTuple):
         Hits of each ray.
     rows : ndarray of dtype `records.ROW`
     tallies : ndarray of shape (N, 8), uint32
-        Empty if they were not wanted.
+        Empty if the shader does not count.
     """
 
     counts: NDArray[np.uint32]
@@ -96,8 +96,8 @@ class Dispatcher:
         self._read_back = ReadBack(opened)
         self._groups: list[Any] = []
 
-    def pipeline(self, task: ShaderQuery) -> Any:
-        """Compile what a task needs, once.
+    def pipeline(self, variant: ShaderVariant) -> Any:
+        """The pipeline of a variant, compiled once.
 
         Raises
         ------
@@ -105,52 +105,50 @@ class Dispatcher:
             If it does not compile.
         """
         constants = {
-            "QUERY": float(task.kind),
-            "SURFACES": float(task.surfaces),
-            "COUNTS": float(task.tallies),
+            "QUERY": float(variant.kind),
+            "SURFACES": float(variant.surfaces),
+            "COUNTS": float(variant.tallies),
             **self._shaders.constants,
         }
-        name = f"{self._shaders.name}, {task.kind.name}"
+        name = f"{self._shaders.name}, {variant.kind.name}"
         program = Program(self._source, "trace", self._layouts, constants)
         return compute_pipeline(self._opened, name, program)
 
     def run(
         self,
-        task: ShaderQuery,
+        variant: ShaderVariant,
         rays: NDArray[np.float32],
         capacity: int,
         wanted: NDArray[np.uint32] | None = None,
+        row_count: int = 0,
     ) -> DispatchResults:
         """Trace some rays.
 
         Parameters
         ----------
-        task : ShaderQuery
+        variant : ShaderVariant
         rays : ndarray of shape (N, 2, 4), float32
             See `records.packed_rays`.
         capacity : int
-            Hits that are wanted of each ray.
+            Hits wanted of each ray, where that is the same for all.
         wanted : ndarray of shape (N, 2), uint32, optional
-            For MULTI_HIT: of each ray its first row, and how many hits it has and wants.
+            First row and number of hits of each ray, where these differ.
+        row_count : int
+            Hits to keep, of all rays.
 
         Raises
         ------
         GraphicsError
-            If the device is lost, or a search did not end as it should.
+            If the device is lost, or a search did not end normally.
         """
         count = len(rays)
-        pipeline = self.pipeline(task)
-        row_count = 0
-        if task.kind == Kind.FIRST_HIT:
-            row_count = count
-        elif wanted is not None:
-            row_count = int(wanted[:, 1].sum(dtype=np.int64))
+        pipeline = self.pipeline(variant)
         sizes = (
             RAY_BYTES * count,
             0 if wanted is None else wanted.nbytes,
             ROW.itemsize * row_count,
             4 * count,
-            _TALLY_BYTES * count * task.tallies,
+            _TALLY_BYTES * count * variant.tallies,
         )
         self._reserve(sizes)
         try:
@@ -172,7 +170,7 @@ class Dispatcher:
         return found
 
     def _reserve(self, sizes: tuple[int, ...]) -> None:
-        """Make room; what was bound to smaller buffers is no good any more."""
+        """Grow the buffers; new ones must be bound again."""
         grown = [
             self._buffers[name].reserve(size) for name, size in zip(_NAMES, sizes, strict=True)
         ]
@@ -187,7 +185,7 @@ class Dispatcher:
         wanted: NDArray[np.uint32] | None,
         result_sizes: tuple[int, ...],
     ) -> list[NDArray[np.uint8]]:
-        """Bytes of rows, endings and tallies."""
+        """Dispatch, and read rows, termination codes and tallies back, as bytes."""
         count = len(rays)
         groups = -(-count // _GROUP_SIZE)
         most = self._opened.limits["max-compute-workgroups-per-dimension"]
@@ -202,7 +200,7 @@ class Dispatcher:
         if wanted is not None:
             self._buffers["wanted"].write(wanted)
         encoder = device.create_command_encoder()
-        # Whoever does not run leaves it so.
+        # 0 stays for an invocation that does not run.
         encoder.clear_buffer(self._buffers["endings"].handle, 0, 4 * count)
         run = encoder.begin_compute_pass()
         run.set_pipeline(pipeline)

@@ -1,4 +1,4 @@
-"""Whatever goes wrong on a graphics device becomes one GraphicsError of the query."""
+"""Errors of a graphics device, raised as one GraphicsError of the query."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from raystream.graphics.errors import GraphicsError
 
 __all__ = ["guarded"]
 
-#: Functions of wgpu that log what no call can raise: errors between calls, and a loss.
+#: Functions of wgpu that log errors which no call raises: those between calls, and a loss.
 _REPORTERS = ("log_error", "device_lost_callback")
 
 
 @contextlib.contextmanager
 def guarded(opened: OpenDevice) -> Iterator[None]:
-    """Use a device alone, and turn what goes wrong on it into `GraphicsError`.
+    """Lock a device, and raise its errors as `GraphicsError`.
 
-    Threads wait for each other. An error is what wgpu raises, and what it would print because it
-    happened between two calls. After the loss of the device every query says so, until there is
-    a new tracer.
+    Errors are exceptions of wgpu, and those that it only logs because they happened between two
+    calls. A lost device raises in every query: only a new tracer opens another one.
 
     Raises
     ------
     GraphicsError
-        As soon as the block ends; at once if the device was lost before.
+        At the end of the block; at once if the device was lost before.
     """
     with opened.lock, _listening() as reports:
         if opened.is_known_lost:
@@ -62,7 +61,7 @@ def _loss_of(opened: OpenDevice) -> str:
 
 @contextlib.contextmanager
 def _listening() -> Iterator[list[str]]:
-    """Gather what wgpu reports of errors between calls, which is not printed then."""
+    """Collect errors that wgpu would log."""
     reports: list[str] = []
 
     def hear(record: logging.LogRecord) -> bool:

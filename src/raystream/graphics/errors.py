@@ -1,4 +1,4 @@
-"""GraphicsError: what goes wrong with a graphics device, in one line."""
+"""GraphicsError: an error of a graphics device, in one line."""
 
 from __future__ import annotations
 

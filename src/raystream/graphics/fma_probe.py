@@ -1,4 +1,4 @@
-"""Whether a device's fma() rounds once, and what pipelines are told of that."""
+"""Whether a device's fma() rounds once, as a constant of pipelines."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ _KNOWN: WeakKeyDictionary[OpenDevice, bool] = WeakKeyDictionary()
 
 
 def is_fused(opened: OpenDevice) -> bool:
-    """Whether fma() rounds once on a device: tried out, once."""
+    """Whether fma() rounds once on a device: tested at first use."""
     if opened not in _KNOWN:
-        _KNOWN[opened] = _try_out(opened)
+        _KNOWN[opened] = _probe_fma(opened)
     return _KNOWN[opened]
 
 
 def device_constants(
     opened: OpenDevice, source: str, constants: Mapping[str, float]
 ) -> dict[str, float]:
-    """A pipeline's constants, and those that tell its source of the device; see exact.wgsl."""
+    """A pipeline's constants, and those of the device that its source declares; see exact.wgsl."""
     if "override FUSED" not in source:
         return dict(constants)
     return {**constants, "FUSED": float(is_fused(opened))}
 
 
-def _try_out(opened: OpenDevice) -> bool:
+def _probe_fma(opened: OpenDevice) -> bool:
     import wgpu
 
-    # Products of 48 bits, less their first 24: nothing is left of them if they were rounded.
+    # A product of 48 bits, less its first 24: zero if the product was rounded.
     random = np.random.default_rng(24)
     given = np.zeros((_COUNT, 4), np.float32)
     given[:, :2] = 1.0 + random.integers(1, 1 << 23, (_COUNT, 2)) * 2.0**-23

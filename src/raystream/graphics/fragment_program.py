@@ -1,4 +1,4 @@
-"""Fragment programs: kernels whose streams are textures, run by drawing over all their texels."""
+"""Fragment programs: kernels over textures, run by drawing all their texels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["FragmentProgram", "cover_screen"]
 
 
 class FragmentProgram:
-    """A fragment program over all texels: it gathers from textures and writes others.
+    """A fragment program over all texels: it reads textures and writes others.
 
     It draws one triangle that covers the screen, see ``fullscreen.wgsl``.
 
@@ -25,7 +25,7 @@ class FragmentProgram:
     program : Program
         With ``fullscreen.wgsl``.
     formats : sequence of str
-        Of the textures it writes.
+        Formats of the textures that it writes.
 
     Raises
     ------
@@ -44,15 +44,15 @@ class FragmentProgram:
     def draw(
         self, encoder: Any, groups: Sequence[Sequence[Any]], writes: Sequence[Texture]
     ) -> None:
-        """Run it over all texels, in a pass of its own.
+        """Run it over all texels, in a render pass of its own.
 
         Parameters
         ----------
         encoder : GPUCommandEncoder
         groups : sequence of sequence
-            Of each group its resources: none of the textures that are written.
+            Resources of each bind group, without the textures that are written.
         writes : sequence of Texture
-            All of one size.
+            Of equal size.
         """
         attachments = [
             {"view": one.view, "clear_value": (0,) * 4, "load_op": "clear", "store_op": "store"}
@@ -70,10 +70,9 @@ class FragmentProgram:
 def cover_screen(run: Any, size: tuple[int, int]) -> None:
     """Set a render pass's viewport so that the triangle of fullscreen.wgsl covers its textures.
 
-    A triangle that reaches beyond the viewport may be clipped to a rectangle, and that be drawn as
-    two triangles: blocks of pixels on their diagonal are computed twice. Mesa's software driver
-    lets loops of their pixels that are not drawn run on and on. So the viewport is twice as wide
-    and as high as the textures, and nothing is clipped.
+    A triangle beyond the viewport may be clipped to a rectangle, drawn as two triangles whose
+    diagonal's pixel quads run twice; loops of helper invocations do not end in Mesa's software
+    driver. So the viewport is twice as wide and as high as the textures, and nothing is clipped.
     """
     width, height = size
     run.set_viewport(0, 0, 2 * width, 2 * height, 0.0, 1.0)

@@ -22,7 +22,7 @@ OPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "compute": _SHARED,
         "branching": _SHARED,
-        # No fragment program drops rays from its streams.
+        # Fragment programs cannot compact streams.
         "multipass": tuple(
             name for name in (*Graphics.names(), *Multipass.names()) if name != "compaction"
         ),
@@ -57,9 +57,9 @@ class _GraphicsMachines:
     names: tuple[str, ...] = tuple(OPTIONS)
 
     def own_options(self, machine: str, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Those of a tracer's options that are a machine's.
+        """The options of a tracer that are the machine's.
 
-        The device is opened, too: where there is none, no structure need be built to say so.
+        Also opens the device: if there is none, this raises before a structure is built.
         """
         if machine not in OPTIONS:
             known = ", ".join(map(repr, OPTIONS))
@@ -77,7 +77,7 @@ class _GraphicsMachines:
         return own
 
     def make(self, machine: str, structure: Structure, options: Mapping[str, Any]) -> Backend:
-        """Make a machine for a structure that was built on the CPU."""
+        """Make the backend of a machine, for a structure that was built on the CPU."""
         rest = dict(options)
         adapter = rest.pop("adapter", None)
         with guarded(open_device(adapter)):

@@ -1,4 +1,4 @@
-"""What shaders read and write for each ray, and how it becomes the arrays of a query."""
+"""Rays and hits as shaders store them, to and from the arrays of a query."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = [
     "without_repeats",
 ]
 
-#: Stands for infinity, which shaders need not have; see ray.wgsl.
+#: In place of infinity, which WGSL does not guarantee; see ray.wgsl.
 FAR = np.finfo(np.float32).max
 
 #: Most hits of a ray that can be counted, besides the codes of `termination`.
@@ -36,21 +36,20 @@ ROW = np.dtype([("t", "f4"), ("u", "f4"), ("v", "f4"), ("prim_id", "i4")])
 def packed_rays(rays: LocalRays, rows: slice) -> NDArray[np.float32]:
     """Origin and t_min, direction and t_max of some rays: shape (N, 2, 4), float32, finite.
 
-    A ray whose interval is empty, because nothing can be hit or because it is not valid, gets
-    t_min = 1, t_max = 0, and a direction.
+    A ray with an empty interval, and an invalid one, gets t_min = 1, t_max = 0, and a direction.
     """
     packed = np.empty((rows.stop - rows.start, 2, 4), np.float32)
     packed[:, 0, :3], packed[:, 1, :3] = rays.origins[rows], rays.directions[rows]
     packed[:, 0, 3] = np.clip(rays.t_min[rows], -FAR, FAR)
     packed[:, 1, 3] = np.clip(rays.t_max[rows], -FAR, FAR)
-    # Written so that a NaN is none.
+    # In this form, NaN is inactive.
     is_active = (rays.t_min[rows] <= rays.t_max[rows]) & np.isfinite(packed).all(axis=(1, 2))
     packed[~is_active] = [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]
     return packed
 
 
 def unpack_rows(rows: NDArray[Any], out: HitArrays) -> None:
-    """Hits as columns; a miss has t = inf."""
+    """Copy hits to columns; a miss gets t = inf."""
     out.t[:], out.u[:], out.v[:], out.prim_id[:] = (rows[name] for name in ROW.names or ())
     out.t[rows["prim_id"] < 0] = np.inf
 
@@ -58,7 +57,7 @@ def unpack_rows(rows: NDArray[Any], out: HitArrays) -> None:
 def without_repeats(
     rows: NDArray[Any], splits: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """Sorted rows without those of the triangle before, and their splits.
+    """Sorted rows without repeated triangles, and their splits.
 
     A triangle that a search meets twice has the same t both times, so its rows are neighbours.
     """

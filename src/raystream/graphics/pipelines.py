@@ -1,4 +1,4 @@
-"""Pipelines: shaders compiled for a device, once for each set of their constants."""
+"""Pipelines: shaders compiled for a device, once per set of constants."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ __all__ = [
     "shader_module",
 ]
 
-#: What the bindings of a group are, one after the other.
+#: Kinds of the bindings of a group, in order.
 Layout = tuple[str, ...]
 
-#: What a program may be bound to, as WebGPU's layouts call it.
+#: Kinds of bindings, as entries of WebGPU's bind group layouts.
 _BINDINGS: Mapping[str, Mapping[str, Any]] = {
     "uniform": {"buffer": {"type": "uniform"}},
     "gather": {"buffer": {"type": "read-only-storage"}},
@@ -33,7 +33,7 @@ _BINDINGS: Mapping[str, Mapping[str, Any]] = {
     "sint": {"texture": {"sample_type": "sint"}},
 }
 
-#: Of each device: modules, layouts and pipelines by what they were made of.
+#: Modules, layouts and pipelines of each device, by their sources.
 _MADE: WeakKeyDictionary[OpenDevice, dict[Any, Any]] = WeakKeyDictionary()
 
 
@@ -45,14 +45,13 @@ class Program(NamedTuple):
     source : str
         WGSL.
     entry : str
-        The name of its function; of a fragment program also for errors.
+        The name of its entry point.
     layouts : sequence of Layout
-        Of each group what it is bound to: "uniform", "gather" and "scatter" are buffers, the
-        others textures.
+        For each bind group: "uniform", "gather" and "scatter" are buffers, the others textures.
     constants : mapping of str to float
         Values of ``override`` declarations.
     vertex : str
-        The function that places triangles, of a fragment program.
+        Vertex entry point, of a fragment program.
     """
 
     source: str
@@ -63,10 +62,10 @@ class Program(NamedTuple):
 
 
 class DepthStencil(Protocol):
-    """What a draw does with depth or stencil; hashable."""
+    """Depth or stencil state of a draw; hashable."""
 
     def description(self) -> dict[str, Any]:
-        """As wgpu takes it."""
+        """The state in wgpu's terms."""
 
 
 def shader_module(opened: OpenDevice, source: str, name: str) -> Any:
@@ -75,13 +74,13 @@ def shader_module(opened: OpenDevice, source: str, name: str) -> Any:
     Raises
     ------
     GraphicsError
-        If it is not valid: in one line, and what the compiler says after it.
+        If it is not valid: one line, then the compiler's message.
     """
     made = _MADE.setdefault(opened, {})
     if source not in made:
         try:
             made[source] = opened.device.create_shader_module(code=source, label=name)
-        except Exception as error:  # wgpu wraps whatever the compiler says
+        except Exception as error:  # wgpu wraps all errors of the compiler
             raise GraphicsError(f"shader {name}: does not compile: {error}") from error
     return made[source]
 
@@ -129,7 +128,7 @@ def fragment_pipeline(
         For errors.
     program : Program
     targets : sequence of (str, bool)
-        Format of each target, and whether the program writes it.
+        Format of each render target, and whether the program writes it.
     depth_stencil : DepthStencil, optional
 
     Raises
@@ -170,9 +169,9 @@ def _made(
     drawn: tuple[Any, ...] | None,
     make: Callable[[Any, Any], Any],
 ) -> Any:
-    """A pipeline that was made before, or a new one, of a module and a layout.
+    """A cached pipeline, or a new one from a module and a layout.
 
-    Besides the program it depends on what is drawn, None for a compute pipeline.
+    Besides the program, `drawn` is part of its key: None for a compute pipeline.
     """
     made = _MADE.setdefault(opened, {})
     entries = program.entry, program.vertex, tuple(program.layouts)
@@ -183,7 +182,7 @@ def _made(
         try:
             layout = opened.device.create_pipeline_layout(bind_group_layouts=groups)
             made[key] = make(module, layout)
-        except Exception as error:  # wgpu wraps whatever the driver says
+        except Exception as error:  # wgpu wraps all errors of the driver
             raise GraphicsError(f"shader {name}: gives no pipeline: {error}") from error
     return made[key]
 
@@ -202,7 +201,7 @@ def _layout_of(opened: OpenDevice, layout: Layout, is_compute: bool) -> Any:
                     "binding": number,
                     "visibility": stage.COMPUTE
                     if is_compute
-                    # Vertex programs write no buffers.
+                    # Vertex shaders may not write buffers.
                     else (stage.FRAGMENT if kind == "scatter" else drawing),
                     **_BINDINGS[kind],
                 }
@@ -215,7 +214,7 @@ def _layout_of(opened: OpenDevice, layout: Layout, is_compute: bool) -> Any:
 def bind(
     opened: OpenDevice, layout: Layout, resources: Sequence[Any], *, is_compute: bool = False
 ) -> Any:
-    """Bind resources to a group of a layout: a compute program's, or a fragment program's."""
+    """Bind resources to a group of a compute or fragment program."""
     entries = [
         {"binding": number, "resource": resource}
         for (number, resource), _ in zip(enumerate(resources), layout, strict=True)

@@ -1,7 +1,7 @@
-"""Rasterising: what the eye sees, found by the graphics pipeline and its depth buffer.
+"""Visibility by rasterisation: the nearest triangle of each pixel, from the depth buffer.
 
 Purcell 2002 (introduction, and the shadow caster of section 3.2): a rendering pass with a depth
-buffer finds the visible surfaces, and rays what follows: see `shadow_caster`.
+buffer finds the visible surfaces, and rays are traced from there: see `shadow_caster`.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ __all__ = ["Visibility", "visibility"]
 
 _DEPTH = "depth32float"
 
-#: What both programs are bound to: the triangles' numbers and corners, and a picture.
+#: Bindings of both programs: prim_ids and vertices of the triangles, and an image.
 _PROJECTED = [("uniform",), ("gather", "gather")]
 _RESOLVED = [("uniform", sampled(IDS)), ("gather",)]
 
-#: Triangles in a draw: its vertices are counted in 32 bits, and drivers take long ones for hung.
+#: Triangles of a draw: vertex indices have 32 bits, and drivers take long draws for hung.
 _TRIANGLES_AT_ONCE = 1 << 20
 
 
 class Visibility(NamedTuple):
-    """What is seen in each pixel's centre, by (row, column).
+    """The surface seen at each pixel's centre, by (row, column).
 
     Attributes
     ----------
     prim_id : ndarray of shape (H, W), int32
-        Triangle, counted over the whole scene; -1 where nothing is seen.
+        Triangle, counted over the whole scene; -1 for the background.
     t : ndarray of shape (H, W), float32
-        Distance from the eye, scene units; inf where nothing is seen.
+        Distance from the eye, scene units; inf for the background.
     u, v : ndarray of shape (H, W), float32
-        Weights of vertices 1 and 2; 0 where nothing is seen.
+        Weights of vertices 1 and 2; 0 for the background.
     """
 
     prim_id: NDArray[np.int32]
@@ -72,7 +72,7 @@ def visibility(
     size : (int, int)
         Width and height in pixels.
     camera : Camera, optional
-        The view, in perspective; a lens counts as its middle. Without it, the scene's.
+        Perspective; a lens is taken as a pinhole [default: the scene's].
     adapter : str, optional
         See `adapters.open_device`.
 
@@ -83,17 +83,16 @@ def visibility(
     Raises
     ------
     ValueError
-        If the size is out of range, or the camera is not in perspective.
+        If the size is out of range, or the camera is not a perspective one.
     GraphicsError
-        If there is no adapter, or the scene or the picture is too large for it.
+        If there is no adapter, or the scene or the image is too large for it.
 
     Notes
     -----
-    The same as the nearest hits of `camera.rays`, but for pixels whose centre is on an edge, or
-    nearer to one than the rasteriser is exact: its vertices are on a lattice, usually of 1/256
-    pixel. Distance and weights are those of the pixel's ray and the triangle, or of the
-    triangle's nearest point where the ray just misses it. Surfaces nearer to the eye than 2**-24
-    of the scene's size are cut off.
+    Equal to the first hits of `camera.rays`, except where a pixel's centre is on an edge or closer
+    to one than the rasteriser resolves: it snaps vertices to a lattice, usually of 1/256 pixel.
+    Distance and weights are those of the pixel's ray and the triangle, or of the triangle's
+    nearest point where the ray just misses it. The near plane is at 2**-24 of the scene's size.
     """
     check_camera(camera)
     size = check_size(size)
@@ -110,13 +109,13 @@ def visibility(
 
 
 class _Raster:
-    """The two passes: which triangle, and where."""
+    """The two passes: the triangle of each pixel, and the hit on it."""
 
     def __init__(self, triangles: Triangles, opened: OpenDevice) -> None:
         self._triangles, self._opened = triangles, opened
         arrays = [
-            ("the numbers of triangles", triangles.prim_ids.astype(np.uint32)),
-            ("the corners of triangles", triangles.corners),
+            ("the prim_ids of triangles", triangles.prim_ids.astype(np.uint32)),
+            ("the vertices of triangles", triangles.corners),
         ]
         self._buffers: list[Buffer] = upload(opened, arrays)
         resolve = Program(
@@ -127,10 +126,10 @@ class _Raster:
         self._pipeline = fragment_pipeline(opened, "raster", project, [(IDS, True)], _Nearest())
 
     def draw(self, view: Camera, size: tuple[int, int]) -> NDArray[np.uint32]:
-        """Shape (H, W, 4): t, u and v as bits, and prim_id."""
+        """Rasterise; shape (H, W, 4): the bits of t, u and v, and prim_id."""
         opened = self._opened
         packed = packed_view(view, size, self._triangles)
-        seen = Texture(opened, "numbers of triangles", size, IDS)
+        seen = Texture(opened, "prim_ids of pixels", size, IDS)
         found = Texture(opened, "hits", size, WORDS)
         encoder = opened.device.create_command_encoder()
         params = uniform(opened, numbers(self._triangles.max_coordinate, 0, 0, 0) + packed)
@@ -168,7 +167,7 @@ class _Raster:
 
 @dataclass(frozen=True)
 class _Nearest:
-    """The depth test: of what is drawn the nearest is kept, whose depth is the largest."""
+    """The depth test, on reversed depth: the nearest fragment has the largest."""
 
     def description(self) -> dict[str, Any]:
         """As wgpu takes it."""

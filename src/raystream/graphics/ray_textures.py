@@ -1,4 +1,4 @@
-"""The rays of a kind as textures, and what fragment programs are bound to besides."""
+"""Rays as textures, and the other resources of fragment programs."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ __all__ = ["FRAME", "RayTextures"]
 #: Group 0 of a fragment program: see fragment/frame.wgsl.
 FRAME = ("uniform", "float", "float", "uint")
 
-#: Group 2, where it writes buffers: rows, tallies and runs.
+#: Group 2, of programs that write buffers: rows, tallies and runs.
 _BUFFERS = ("scatter", "scatter", "scatter")
 
 
 class RayTextures:
-    """Rays, what is wanted of them and what they have found, as streams of one shape.
+    """Rays, the hits wanted of them and their results, as streams of one shape.
 
     Parameters
     ----------
@@ -38,11 +38,11 @@ class RayTextures:
     ----------
     shape : StreamShape
     count : int
-        Rays that are loaded.
+        Number of rays.
     state, found : StreamTexture
-        What programs write: see fragment/targets.wgsl.
+        Render targets of programs: see fragment/targets.wgsl.
     inputs : list of StreamTexture
-        Origins, directions, and what is wanted.
+        Origins, directions, and hits wanted.
     params : dict
         The uniform buffer, as a resource.
     """
@@ -76,7 +76,7 @@ class RayTextures:
         row_count: int,
         counts: bool,
     ) -> bool:
-        """Copy rays to the device; returns whether the textures are other ones than before."""
+        """Copy rays to the device; returns whether the textures are new ones."""
         self.count = len(wanted)
         shape = StreamShape.for_count(self.count, self._opened)
         is_new = shape != self.shape
@@ -93,18 +93,18 @@ class RayTextures:
         return is_new
 
     def write_params(self, max_coordinate: np.float32) -> None:
-        """Say how many rays there are, and what all of them share."""
+        """Write the uniforms that all rays share."""
         width = self.shape.width
         params = self._shaders.params(max_coordinate, ray_count=self.count, row_size=width)
         self._opened.device.queue.write_buffer(self._uniform, 0, params)
 
     def write_tree(self, tree: bytes) -> None:
-        """Put other constants of the structure in their place."""
+        """Replace the constants of the structure."""
         self._opened.device.queue.write_buffer(self._uniform, TREE_AT, tree)
 
     @staticmethod
     def instead(kind: Kind, counts: bool) -> dict[str, str]:
-        """Files that take the place of others: programs write no buffer that nobody wants."""
+        """Shader files to replace: programs write no buffers that a query does not need."""
         files = {}
         if kind != Kind.MULTI_HIT:
             files["fragment/hit_rows.wgsl"] = "no_hit_rows.wgsl"
@@ -113,12 +113,12 @@ class RayTextures:
         return files
 
     def layouts(self, kind: Kind, counts: bool) -> list[Layout]:
-        """Of the groups after the first one."""
+        """Layouts of the bind groups after the first one."""
         gathers = ("gather",) * len(self._arrays)
         return [gathers, _BUFFERS] if kind == Kind.MULTI_HIT or counts else [gathers]
 
     def resources(self, kind: Kind, counts: bool) -> list[list[Any]]:
-        """What these groups are bound to, as it is loaded."""
+        """Resources of these groups."""
         own = [buffer.binding for buffer in self._arrays]
         written = [buffer.binding for buffer in self._buffers.values()]
         return [own, written][: len(self.layouts(kind, counts))]
@@ -133,7 +133,7 @@ class RayTextures:
         ]
 
     def read_rows(self, kind: Kind, count: int) -> NDArray[Any]:
-        """Hits that were found: for each ray, or all that were kept."""
+        """Hits as `packing.ROW`: one for each ray, or all that were kept."""
         if kind == Kind.MULTI_HIT:
             return self._buffers["rows"].read(ROW, (count,))
         rows = np.empty(count, ROW)
@@ -143,9 +143,9 @@ class RayTextures:
         return rows
 
     def read_tallies(self) -> NDArray[np.uint32]:
-        """What each ray met."""
+        """Counters of each ray."""
         return self._buffers["tallies"].read(np.uint32, (self.count, 8))
 
     def read_runs(self) -> NDArray[np.uint32]:
-        """How often each kernel ran on each ray."""
+        """Runs of each kernel on each ray."""
         return self._buffers["runs"].read(np.uint32, (self.count, 8))

@@ -1,4 +1,4 @@
-"""Shader sources: WGSL files that include each other, put together."""
+"""Shader sources, assembled from WGSL files that include each other."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from importlib.resources import files
 
 __all__ = ["shader_source"]
 
-#: A line that is replaced by a file of the same folder, the first time that it is asked for.
+#: A line that is replaced by a file of the folder, unless it was included before.
 _INCLUDE = re.compile(r'^//! include "([a-z0-9_/]+\.wgsl)"$', re.MULTILINE)
 
 
@@ -19,20 +19,20 @@ def _text_of(name: str) -> str:
 
 
 def shader_source(*names: str, instead: Mapping[str, str] | None = None) -> str:
-    """Put shader files together.
+    """Assemble shader files.
 
     Parameters
     ----------
     *names : str
-        Files of the folder ``shaders``. Each file is included once, where it is first asked for:
-        WGSL lets functions call what is declared after them.
+        Files of the folder ``shaders``. Each one is included once, at its first include: in WGSL,
+        declarations may follow their use.
     instead : mapping of str to str, optional
-        Files to be taken in place of others, by the name of these.
+        Files that replace others, by the names of these.
 
     Returns
     -------
     str
-        With a comment at the beginning of each file, so that line numbers can be found again.
+        With the name of each file in a comment before it, to locate errors.
     """
     seen: set[str] = set()
     replaced = instead or {}

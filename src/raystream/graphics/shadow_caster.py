@@ -1,8 +1,8 @@
-"""Hybrid rendering: visibility by rasterising, shadows by ray tracing.
+"""Hybrid rendering: visibility by rasterisation, shadows by ray tracing.
 
-Purcell 2002, section 3.2 (the shadow caster): the standard graphics pipeline finds what is seen in
-a first pass; a second one sends a ray from there to each light, and adds what that light sends
-where nothing is in the way. So there are no rays from the eye.
+Purcell 2002, section 3.2 (the shadow caster): the standard graphics pipeline finds the visible
+surfaces in a first pass; a second one traces a shadow ray from there to each light. There are no
+camera rays.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from raystream.tracer import Tracer
 
 __all__ = ["hybrid"]
 
-#: Rays to lights that are made at once.
+#: Most shadow rays at a time.
 _MOST_RAYS = 1 << 18
 
 
@@ -44,35 +44,35 @@ def hybrid(
     adapter: str | None = None,
     **options: Any,
 ) -> Image:
-    """Render a picture with shadows: the nearest surfaces rasterised, the shadows ray traced.
+    """Render an image: visible surfaces by rasterisation, shadows by ray tracing.
 
     Parameters
     ----------
     scene : Scene or Tracer
-        A tracer, of any device, saves building its structure again.
+        A tracer, of any device; its structure is reused.
     size : (int, int)
         Width and height in pixels.
     structure, device, **options
-        Of the tracer of shadow rays, see `Tracer`: a BVH on the graphics device, if nothing is
-        said. Not to be given together with a tracer.
+        Of the tracer of shadow rays, see `Tracer` [default: a BVH on the graphics device]. Not
+        with a tracer as `scene`.
     camera : Camera, optional
-        The view, in perspective; a lens counts as its middle. Without it, the scene's.
+        Perspective; a lens is taken as a pinhole [default: the scene's].
     adapter : str, optional
         Of the rasteriser, see `adapters.open_device`.
 
     Returns
     -------
     Image
-        Linear RGB, as ``render(scene, "shadow")`` has it but where `visibility` differs from
-        primary rays; with the layers ``prim_id`` and ``depth``, the distance from the eye.
+        Linear RGB, that of ``render(scene, "shadow")`` except where `visibility` differs from
+        primary rays; with the AOVs ``prim_id`` and ``depth``, the distance from the eye.
 
     Raises
     ------
     ValueError
-        If an argument is out of range, the camera is not in perspective, or some of the scene's
-        surfaces are not opaque: the rasteriser sees only the nearest.
+        If an argument is out of range, the camera is not a perspective one, or some of the
+        scene's surfaces are not opaque: the rasteriser keeps only the nearest.
     GraphicsError
-        If there is no adapter, or the scene or the picture is too large for it.
+        If there is no adapter, or the scene or the image is too large for it.
     """
     check_camera(camera)
     width, height = check_size(size)
@@ -95,14 +95,14 @@ def hybrid(
 def _tracer_of(
     scene: Scene | Tracer, structure: str | None, device: str | None, options: dict[str, Any]
 ) -> Tracer:
-    """The tracer given, or one of the scene."""
+    """The given tracer, or a new one of the scene."""
     if isinstance(scene, Tracer):
         return make_tracer(scene, structure or "bvh", device or "cpu", options)
     return make_tracer(scene, structure or "bvh", device or "graphics", options)
 
 
 def _shade(context: RenderContext, seen: Visibility, rows: range) -> Any:
-    """Light what is seen in some rows: the shadow renderer's stages without its first."""
+    """Shade some rows: the stages of the shadow renderer after its first."""
     count = len(rows) * context.width
     size = context.width, context.height
     band = Band(context, 0, rows.start * context.width, np.zeros((count, 3), np.float32))

@@ -1,4 +1,4 @@
-"""Surfaces and lights of a scene as fragment programs take them."""
+"""Surfaces and lights of a scene, as buffers of fragment programs."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from raystream.scene.scene import Scene
 
 __all__ = ["SurfaceArrays", "check_surfaces"]
 
-#: Of a vertex without texture coordinates, and of a material without texture.
+#: Texture coordinates of a vertex without any; texture of a material without one.
 _UNKNOWN, _NO_TEXTURE = 1e30, (0, 0, 0, 0)
 
-#: Of textures: those that are drawn, and one that no renderer uses.
+#: Supported textures, and one that no renderer uses.
 _DRAWN_ROLES = frozenset(["diffuse", "occlusion"])
 
 _UNSUPPORTED = {
@@ -37,20 +37,20 @@ _UNSUPPORTED = {
 
 
 def check_surfaces(scene: Scene) -> None:
-    """Raise ValueError if fragment programs cannot draw some of a scene's surfaces or lights."""
+    """Raise ValueError for surfaces or lights that fragment programs do not support."""
     used = np.unique(scene.attributes.material_ids)
     for index in used.tolist():
         material: Material = scene.materials[index]
         for what, holds in _UNSUPPORTED.items():
             if holds(material):
                 raise ValueError(
-                    f"scene: material {index} ({material.name!r}) {what}, which bounces on the "
-                    "graphics pipeline do not; use render(mode='whitted')"
+                    f"scene: material {index} ({material.name!r}) {what}: not supported "
+                    "by render_bounces; use render(mode='whitted')"
                 )
     if image_light(scene.lights) is not None:
         raise ValueError(
-            "scene: has a light with an image, which bounces on the graphics pipeline do not; "
-            "use render(mode='whitted')"
+            "scene: has a light with an image: not supported by render_bounces; use "
+            "render(mode='whitted')"
         )
 
 
@@ -61,7 +61,7 @@ class SurfaceArrays:
     ----------
     scene : Scene
     camera : Camera
-        A scene without lights gets one at its eye.
+        A scene without lights gets one at the eye.
     opened : OpenDevice
 
     Attributes
@@ -119,7 +119,7 @@ def _vertex_rows(vertices: VertexAttributes) -> NDArray[np.float32]:
 
 
 def _texels(materials: Sequence[Material]) -> NDArray[np.uint32]:
-    """Where each material's diffuse texture is, four words each, then all texels."""
+    """The place of each material's diffuse texture, four words each, then all texels."""
     texels, places, of_material, *_ = texture_arrays(materials)
     rows = np.zeros((len(materials), 4), np.uint32)
     for row, texture in zip(rows, of_material[:, ROLES.index("diffuse")], strict=True):

@@ -1,4 +1,4 @@
-"""Textures: a record of words in each texel, that fragment programs write and read."""
+"""Textures that fragment programs write and read: a record per texel."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from raystream.graphics.errors import GraphicsError
 
 __all__ = ["FLOATS", "IDS", "WORDS", "Texture", "new_texture", "sampled"]
 
-#: Formats: four float32, four uint32, and one int32 of each texel.
+#: Formats: four float32, four uint32, or one int32 per texel.
 FLOATS, WORDS, IDS = "rgba32float", "rgba32uint", "r32sint"
 
 _DTYPES = {FLOATS: (np.float32, 4), WORDS: (np.uint32, 4), IDS: (np.int32, 1)}
 
 
 class Texture:
-    """A texture that fragment programs write, and read later.
+    """A texture that fragment programs write, then read.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ class Texture:
         )
 
     def read(self, rows: int | None = None) -> NDArray[Any]:
-        """Copy its first rows back, or all, when the device has done what it was given.
+        """Wait for the device, and copy its first rows back, or all.
 
         Returns
         -------
         ndarray of shape (rows, width, channels)
-            Four float32, four uint32 or one int32 of each texel.
+            Four float32, four uint32 or one int32 per texel.
         """
         width, height = self.size
         rows = height if rows is None else rows
@@ -97,7 +97,7 @@ class Texture:
         return np.frombuffer(memory, self._dtype).reshape(rows, width, self._channels)
 
     def clear(self, encoder: Any, value: float) -> None:
-        """Set all its numbers."""
+        """Fill it with a number."""
         attachment = {"view": self.view, "clear_value": (value,) * 4}
         attachment |= {"load_op": "clear", "store_op": "store"}
         encoder.begin_render_pass(color_attachments=[attachment]).end()
@@ -110,17 +110,17 @@ def new_texture(
     format: str,  # noqa: A002
     usage: Any,
 ) -> Any:
-    """Make a texture of any format, for any use; see `Texture` for arguments and errors."""
+    """Make a texture of any format and usage; see `Texture` for arguments and errors."""
     most = opened.limits["max-texture-dimension-2d"]
     width, height = size
     if max(size) > most:
         raise GraphicsError(
-            f"device 'graphics': {name}, a picture of {width} x {height} texels, is larger than "
+            f"device 'graphics': {name}: {width} x {height} texels are more than "
             f"the {most:,} on a side that {opened.adapter} allows"
         )
     try:
         return opened.device.create_texture(size=(*size, 1), format=format, usage=usage, label=name)
-    except Exception as error:  # wgpu wraps whatever a driver says
+    except Exception as error:  # wgpu wraps all errors of a driver
         raise GraphicsError(
             f"device 'graphics': {opened.adapter} has no memory for {name}, "
             f"{width} x {height} texels: {error}"
@@ -128,5 +128,5 @@ def new_texture(
 
 
 def sampled(format: str) -> str:  # noqa: A002
-    """What a program that reads textures of a format is bound to: see `pipelines.Program`."""
+    """The kind of binding that reads a format, see `pipelines.Program`."""
     return {WORDS: "uint", IDS: "sint"}.get(format, "float")

@@ -1,4 +1,4 @@
-"""The multipass machine on the graphics pipeline: in each pass one kernel, a fragment program."""
+"""The multipass machine on the graphics pipeline: each pass runs one fragment program."""
 
 from __future__ import annotations
 
@@ -43,27 +43,28 @@ from raystream.structures import Structure
 
 __all__ = ["LOOPS", "MAX_PASSES", "MultipassBackend"]
 
-#: Who chooses kernels: the device, or the host by occlusion queries.
+#: Where kernels are chosen: on the device, or on the host by occlusion queries.
 LOOPS = ("device", "queries")
 
-#: Most passes of some rays.
+#: Most passes of a chunk of rays.
 MAX_PASSES = 1 << 20
 
-#: Rays that are traced together: each takes 11 texels, and passes are as many for few as for many.
+#: Rays of a chunk: each takes 11 texels, and the number of passes hardly depends on it.
 _RAYS_AT_ONCE = 1 << 20
 
 #: Words of a texel.
 _TEXEL_WORDS = 4
 
-#: Schedulers that run shading when all rays have ended, and not before.
+#: Schedulers that shade only once all rays have ended.
 _SHADE_LAST = ("threshold", "naive")
 
 
 class MultipassBackend(GraphicsBackend):
     """Runs each step of a traversal as a fragment program over all rays that wait for it.
 
-    As `machines.Multipass`, with the same kernels, states, schedulers and passes; but on the
-    graphics pipeline (Purcell 2002, section 3; Foley 2005, section 3.4): see `graphics.streams`.
+    As `machines.MultipassBackend`, with the same kernels, states, schedulers and passes, but on
+    the graphics pipeline (Purcell 2002, section 3; Foley 2005, section 3.4):
+    see `graphics.streams`.
 
     Parameters
     ----------
@@ -71,28 +72,29 @@ class MultipassBackend(GraphicsBackend):
         Built on the CPU; its arrays are copied to the device.
     opened : OpenDevice
     scheduler : {"threshold", "naive", "most-work", "double"} or Scheduler
-        How the next kernel is chosen; see `machines.schedulers`. An object chooses on the host,
-        with ``loop="queries"``.
+        How the next kernel is chosen; see `machines.schedulers`. An object needs
+        ``loop="queries"``.
     threshold : float
-        For ``"threshold"``: the share of the active rays, 0 to 1, that has to wait for an
+        For ``"threshold"``: the share of the active rays, 0 to 1, that must wait for an
         intersection.
     traversal_steps, intersections : int
-        Steps and triangles that a ray does in one pass.
+        Steps and triangle tests per ray and pass.
     loop : {"device", "queries"}
-        Who chooses: the device, where the host looks every few dozen passes whether rays are
-        left; or the host, which waits for the counts of each pass. These are occlusion queries,
-        as Purcell and Christen used them; not every adapter answers them exactly. ``"brute"``
-        then has a triangle in the constants of each draw, as Foley did, if `intersections` is 1.
+        Where kernels are chosen: on the device, and the host tests every few dozen passes
+        whether rays are left; or on the host, which waits for the counts of each pass. These are
+        occlusion queries, as Purcell and Christen used them; not every adapter counts exactly.
+        ``"brute"`` then has a triangle in the constants of each draw, as Foley did, if
+        `intersections` is 1.
     max_passes : int
-        Most passes of the rays that are traced together.
+        Most passes of a chunk of rays.
     rays_at_once : int
-        Most rays that are traced together.
+        Most rays of a chunk.
 
     Raises
     ------
     GraphicsError
-        If the structure has no kernels, they do not compile, or it is too large for the device.
-        When tracing: if there are more passes than allowed, or counts are not exact.
+        If the structure is not supported, a kernel does not compile, or it is too large for the
+        device. When tracing: if there are more passes than allowed, or counts are not exact.
     ValueError, TypeError
         If an option is out of range.
     """
@@ -131,17 +133,17 @@ class MultipassBackend(GraphicsBackend):
         self.max_passes = _at_least_one("max_passes", max_passes)
         self.loop = loop
         self.passes: Passes | None = None
-        self._constants = TriangleConstants.wanted(structure, loop, self.intersections)
+        self._constants = TriangleConstants.if_supported(structure, loop, self.intersections)
         if self._constants is not None:
             self._shaders = self._constants.shaders
         self._latest = Kind.FIRST_HIT
         self._streams = RayStreams(opened, self._shaders)
         self._plans: dict[tuple[Kind, bool, bool], Plan] = {}
-        self._device_scheduler: list[DeviceScheduler] = []
-        self._plan(Kind.FIRST_HIT, False, False)  # whatever is wrong is said now
+        self._device_scheduler: DeviceScheduler | None = None
+        self._plan(Kind.FIRST_HIT, False, False)  # raises for a kernel that does not compile
 
     def recording(self, passes: Passes) -> MultipassBackend:
-        """The same machine, which adds its passes to a record."""
+        """A copy that records its passes."""
         machine = copy.copy(self)
         machine.passes = passes
         return machine
@@ -182,7 +184,7 @@ class MultipassBackend(GraphicsBackend):
         return found
 
     def _run_some(self, chunk: Chunk, begins: NDArray[np.bool_]) -> NDArray[np.uint32]:
-        """Trace a chunk without the rays that want nothing."""
+        """Trace a chunk without its rays that want no hits."""
         rows = chunk.rows.start + np.flatnonzero(begins)
         some = LocalRays(*(array[rows] for array in chunk.rays))
         tallies = chunk.tallies
@@ -223,20 +225,18 @@ class MultipassBackend(GraphicsBackend):
         kernels = self._traversal.kernels
         if self.loop == "queries":
             return run_by_queries(work, self._host_scheduler, self._steps.kernels)
-        if not self._device_scheduler:
-            self._device_scheduler.append(
-                DeviceScheduler(
-                    self.opened, kernels, str(self._scheduler), self._threshold, MOST_PASSES
-                )
+        if self._device_scheduler is None:
+            self._device_scheduler = DeviceScheduler(
+                self.opened, kernels, str(self._scheduler), self._threshold, MOST_PASSES
             )
-        device_scheduler, last = self._device_scheduler[0], len(kernels) - 1
+        scheduler, last = self._device_scheduler, len(kernels) - 1
         inner = range(1, last if self._scheduler in _SHADE_LAST else last + 1)
         rays = self._streams.rays
-        device_scheduler.begin(rays.count, rays.shape, self._streams.passes.stencil)
-        return run_on_device(work, device_scheduler, inner)
+        scheduler.begin(rays.count, rays.shape, self._streams.passes.stencil)
+        return run_on_device(work, scheduler, inner)
 
     def _pass(self, number: int, active: int) -> Pass:
-        """The record of a pass: a record is a texel."""
+        """The counters of a pass: records are texels."""
         one = self._traversal.kernels[number]
         words = active * _TEXEL_WORDS
         return Pass(

@@ -1,8 +1,8 @@
 """DeviceScheduler: counts rays by state on the device, and chooses the next kernel there.
 
-Purcell 2002, section 3.2, lets the host ask for counts, and it waits for each. Here passes are
-encoded by dozens before any has run: the draws of every kernel in each, with arguments that a
-compute shader writes, so that those of one kernel draw something.
+In Purcell 2002, section 3.2, the host waits for the counts of each pass. Here dozens of passes are
+encoded before any has run: each has the draws of every kernel, with indirect arguments that a
+compute shader writes, so that only those of one kernel draw.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LAYOUT = ("uint", "scatter", "uniform", "gather")
 #: Words of Schedule: arguments of eight draws, 16 counts, then latest, pass_count, active_count.
 _COUNTS_AT, _LATEST_AT, _HEAD_WORDS = 32, 48, 52
 
-#: Kernels that shaders have room for.
+#: Most kernels, see schedule.wgsl.
 _MOST_KERNELS = 8
 
 _GROUP_SIZE = 16
@@ -39,14 +39,14 @@ _NO_KERNEL = 2**32 - 1
 
 
 class ScheduledPasses(NamedTuple):
-    """What ran since the host looked.
+    """Passes that ran since the record began.
 
     Attributes
     ----------
     passes : list of (int, int)
         The number of a kernel, and the rays that it ran on.
     active_count : int
-        Rays that waited for any kernel before the last of them.
+        Active rays before the last of them.
     """
 
     passes: list[tuple[int, int]]
@@ -68,7 +68,7 @@ class DeviceScheduler:
     Attributes
     ----------
     arguments : GPUBuffer
-        Of the kernels' draws.
+        Indirect arguments of the kernels' draws.
     """
 
     def __init__(
@@ -97,8 +97,8 @@ class DeviceScheduler:
         self._groups = (0, 0)
 
     def begin(self, count: int, shape: StreamShape, stencil: StencilTexture) -> None:
-        """Prepare for some rays."""
-        # As the schedulers compare: in float64. So equal numbers of rays lead to equal choices.
+        """Prepare for a chunk of rays."""
+        # In float64, as schedulers on the host compare, so that both choose the same kernels.
         least = np.ceil(self._share * np.arange(count + 1, dtype=np.float64)).astype(np.uint32)
         self._least.reserve(least.nbytes)
         self._least.write(least)
@@ -115,7 +115,7 @@ class DeviceScheduler:
         self._groups = -(-shape.width // _GROUP_SIZE), -(-shape.height // _GROUP_SIZE)
 
     def encode(self, encoder: Any, kernels: Sequence[int]) -> None:
-        """Count, and choose; a kernel that is none of these does not run yet."""
+        """Encode counting and choosing; kernels other than these do not run yet."""
         encoded = sum(1 << number for number in kernels)
         run = encoder.begin_compute_pass()
         run.set_bind_group(0, self._group)
@@ -125,12 +125,12 @@ class DeviceScheduler:
         run.dispatch_workgroups(1)
         run.end()
 
-    def forget(self, encoder: Any) -> None:
-        """Begin the record of passes anew."""
+    def clear_record(self, encoder: Any) -> None:
+        """Clear the record of passes."""
         encoder.clear_buffer(self.arguments, 4 * (_LATEST_AT + 1), 4)
 
     def read(self, most: int) -> ScheduledPasses:
-        """What ran since the record began, of `most` passes."""
+        """Read the record, of at most `most` passes."""
         size = 4 * (_HEAD_WORDS + 2 * min(most, self._most_passes))
         memory = self._opened.device.queue.read_buffer(self.arguments, 0, size)
         words: NDArray[np.uint32] = np.frombuffer(memory, np.uint32)

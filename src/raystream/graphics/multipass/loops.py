@@ -1,4 +1,4 @@
-"""Loops: kernel after kernel, until no ray is active."""
+"""Loops over passes, until no ray is active."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from raystream.machines.steps.base import StepKernel
 
 __all__ = ["MOST_PASSES", "Batch", "Work", "run_by_queries", "run_on_device"]
 
-#: Passes that are encoded before the host looks how far they went: first, and at most.
+#: Passes that are encoded before the host reads the counts: at first, and at most.
 _FIRST_PASSES = 8
 MOST_PASSES = 64
 
 
 @dataclass(frozen=True)
 class Work:
-    """Rays, and the kernels over them.
+    """Rays, and the draws of their kernels.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Work:
     bind : callable
         See `streams.passes.Bindings`.
     count : int
-        Rays that begin.
+        Number of rays.
     prepare : callable
-        Called before a pass with its kernel, where the host chooses it.
+        Called with the kernel before each pass that the host chooses.
     """
 
     opened: OpenDevice
@@ -57,9 +57,9 @@ class Batch:
     passes : list of (int, int)
         The number of a kernel, and the rays that it ran on.
     active_count : int
-        Rays that waited for any kernel before the last of them.
+        Active rays before the last of them.
     draw_count : int
-        Draws that were encoded, of which many may have drawn nothing.
+        Encoded draws, many of which may have drawn nothing.
     """
 
     passes: list[tuple[int, int]]
@@ -70,15 +70,15 @@ class Batch:
 def run_on_device(
     work: Work, device_scheduler: DeviceScheduler, inner: Sequence[int]
 ) -> Iterator[Batch]:
-    """Let the device choose; the host looks at times whether any ray is left.
+    """Let the device choose kernels; the host only tests at intervals whether rays are left.
 
     Parameters
     ----------
     work : Work
     device_scheduler : DeviceScheduler
     inner : sequence of int
-        Kernels that run many times. The others, which run once, are encoded in the first and
-        the last pass of each batch.
+        Kernels that run many times. The others, which run once, are encoded only in the first
+        and the last pass of each batch.
     """
     kernels = range(1 + max(draw.kernel for group in work.plan.kernels for draw in group))
     device, plan = work.opened.device, work.plan
@@ -87,7 +87,7 @@ def run_on_device(
     work.streams.begin(encoder, plan.begin, work.bind, None)
     draw_count = len(plan.begin)
     while True:
-        device_scheduler.forget(encoder)
+        device_scheduler.clear_record(encoder)
         for number in range(length):
             is_edge = number in (0, length - 1)
             chosen = plan if is_edge else inner_plan
@@ -112,19 +112,19 @@ def run_on_device(
 
 
 class _Counts:
-    """Occlusion queries, and their answers."""
+    """Occlusion queries and their results."""
 
-    def __init__(self, opened: OpenDevice, most: int) -> None:
+    def __init__(self, opened: OpenDevice, capacity: int) -> None:
         import wgpu
 
         self._opened = opened
-        self.queries = opened.device.create_query_set(type="occlusion", count=most)
+        self.queries = opened.device.create_query_set(type="occlusion", count=capacity)
         self._answers = opened.device.create_buffer(
-            size=8 * most, usage=wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
+            size=8 * capacity, usage=wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
         )
 
-    def ask(self, encoder: Any, count: int) -> list[int]:
-        """Run what is encoded, wait for it, and return how many fragments each query counted."""
+    def read(self, encoder: Any, count: int) -> list[int]:
+        """Submit, wait, and return the number of fragments that each query counted."""
         encoder.resolve_query_set(self.queries, 0, count, self._answers, 0)
         queue = self._opened.device.queue
         queue.submit([encoder.finish()])
@@ -136,20 +136,20 @@ class _Counts:
 def run_by_queries(
     work: Work, scheduler: Scheduler, kernels: Sequence[StepKernel]
 ) -> Iterator[Batch]:
-    """Let the host choose, by occlusion queries: how many rays each draw moved on.
+    """Let the host choose kernels, by occlusion queries that count the rays that change state.
 
     As Purcell 2002, section 3.2, and Christen 2005 did: the host waits for each pass.
 
     Raises
     ------
     GraphicsError
-        If the adapter's counts are not exact: WebGPU promises no more than whether they are 0.
+        If the adapter's counts are not exact: WebGPU only guarantees whether they are 0.
     """
     device, plan = work.opened.device, work.plan
     counts = _Counts(work.opened, max(1, len(plan.classifies)))
     encoder = device.create_command_encoder()
     work.streams.begin(encoder, plan.begin, work.bind, counts.queries)
-    (begun,) = counts.ask(encoder, 1)
+    (begun,) = counts.read(encoder, 1)
     _check(work, begun == work.count, f"{begun:,} for {work.count:,} fragments")
     number_of = {int(one.state): number for number, one in enumerate(kernels)}
     waiting = [0] * len(kernels)
@@ -171,7 +171,7 @@ def run_by_queries(
             queries=counts.queries,
         )
         active, active_count = waiting[latest], sum(waiting)
-        moved = counts.ask(encoder, len(part.classifies))
+        moved = counts.read(encoder, len(part.classifies))
         waiting[latest] -= sum(moved)
         _check(work, waiting[latest] >= 0, f"{sum(moved):,} of {active:,} rays moved")
         for state, count in zip(part.next_states, moved, strict=True):

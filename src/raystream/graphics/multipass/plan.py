@@ -27,22 +27,22 @@ _FORMATS = {"uint32": WORDS, "float32": FLOATS}
 #: Group 0 of a kernel: see multipass/frame.wgsl.
 LAYOUT = (*FRAME, *(sampled(_FORMATS[STREAM_TYPES[name]]) for name in STREAMS))
 
-#: What a kernel's program returns if it may write half of the streams at a time.
+#: Render targets of a program that can write only half of the streams at a time.
 _HALVES = ("fragment/targets_found.wgsl", "fragment/targets_place.wgsl")
 
 
 class PlanInputs(NamedTuple):
-    """What the programs of a query are made for.
+    """Inputs of the programs of a query.
 
     Attributes
     ----------
     shaders : ShaderStructure
         The structure's.
     instead : mapping of str to str
-        See `source.shader_source`.
+        See `shader_source`.
     constants : mapping of str to float
     layouts : sequence of Layout
-        Of the groups after the first one.
+        Of the bind groups after the first one.
     counts : bool
         Whether programs count.
     """
@@ -63,9 +63,9 @@ class Plan:
     begin : list of Draw
         For each group of targets; see `streams.passes.groups_of`.
     kernels, commits : list of list of Draw
-        For each group of targets those of the kernels.
+        For each group of targets, those of the kernels.
     classifies : list of Draw
-        For each state that a kernel moves rays to.
+        One for each next state of each kernel.
     next_states : list of int
         That state.
     """
@@ -93,19 +93,19 @@ class Plan:
         )
 
 
-class _Maker:
-    """Makes the pipelines of a query."""
+class _PlanBuilder:
+    """Builds the draws of a query."""
 
     def __init__(self, opened: OpenDevice, traversal: TraversalKernels, inputs: PlanInputs) -> None:
         self._opened = opened
-        self._wish = inputs
+        self._inputs = inputs
         self.kernels = traversal.kernels
         self.groups = groups_of(STREAMS, opened)
         shaders = inputs.shaders
         self._sources = self._sources_of(
             lambda instead: shaders.source(traversal.shader, instead={**inputs.instead, **instead})
         )
-        # Those that do not depend on the structure, nor on the query.
+        # Independent of the structure and the query.
         self._shared_sources = self._sources_of(
             lambda instead: shader_source("multipass/commit.wgsl", instead=instead)
         )
@@ -125,39 +125,39 @@ class _Maker:
         kernel: int = 0,
     ) -> Draw:
         targets = [(_FORMATS[STREAM_TYPES[name]], name in writes) for name in self.groups[group]]
-        name = f"{self._wish.shaders.shader}, {program.entry}"
+        name = f"{self._inputs.shaders.shader}, {program.entry}"
         pipeline = fragment_pipeline(self._opened, name, program, targets, stencil)
         return Draw(pipeline, stencil.reference, kernel)
 
     def kernel(self, group: int, number: int, one: FragmentKernel) -> Draw:
-        """The kernel itself."""
-        constants = {**self._wish.constants, "KERNEL": float(number)}
-        if self._wish.counts:
+        """The draw of a kernel."""
+        constants = {**self._inputs.constants, "KERNEL": float(number)}
+        if self._inputs.counts:
             constants["COUNTS"] = float(group == 0)
-        layouts = [LAYOUT, *self._wish.layouts]
+        layouts = [LAYOUT, *self._inputs.layouts]
         program = Program(self._sources[group], one.entry, layouts, constants)
         return self._draw(group, program, Stencil(one.state), one.writes, number)
 
     def commit(self, group: int, number: int, one: FragmentKernel) -> Draw:
-        """The copy of what it wrote."""
+        """The draw that copies a kernel's results from scratch textures."""
         program = Program(self._shared_sources[group], "commit", [LAYOUT])
         return self._draw(group, program, Stencil(one.state), one.writes, number)
 
     def begin(self, group: int) -> Draw:
-        """The program that all rays begin with."""
+        """The draw that starts all rays."""
         program = Program(self._shared_sources[group], "begin", [LAYOUT])
         stencil = Stencil(None, self.kernels[0].state)
         return self._draw(group, program, stencil, self.groups[group])
 
     def classify(self, number: int, state: int, next_state: int) -> Draw:
-        """What tells apart the rays that a kernel moves to a state."""
-        # When all of a kernel's streams have been copied, so among the last group's draws.
+        """The draw that moves rays to their next state."""
+        # After all of a kernel's streams have been copied, so in the last group.
         constants = {"NEXT": float(next_state)}
         program = Program(self._shared_sources[-1], "classify", [LAYOUT], constants)
         return self._draw(len(self.groups) - 1, program, Stencil(state, next_state), (), number)
 
     def of_group(self, make: Any) -> list[list[Draw]]:
-        """Draws of the kernels that write anything of each group."""
+        """For each group, draws of the kernels that write to it."""
         return [
             [
                 make(group, number, one)
@@ -169,20 +169,20 @@ class _Maker:
 
 
 def make_plan(opened: OpenDevice, traversal: TraversalKernels, inputs: PlanInputs) -> Plan:
-    """Make the draws of a query.
+    """Build the draws of a query.
 
     Raises
     ------
     GraphicsError
         If a program does not compile.
     """
-    maker = _Maker(opened, traversal, inputs)
-    numbered = list(enumerate(maker.kernels))
+    builder = _PlanBuilder(opened, traversal, inputs)
+    numbered = list(enumerate(builder.kernels))
     moves = [(number, one.state, to) for number, one in numbered for to in one.transitions]
     return Plan(
-        begin=[maker.begin(group) for group in range(len(maker.groups))],
-        kernels=maker.of_group(maker.kernel),
-        commits=maker.of_group(maker.commit),
-        classifies=[maker.classify(*move) for move in moves],
+        begin=[builder.begin(group) for group in range(len(builder.groups))],
+        kernels=builder.of_group(builder.kernel),
+        commits=builder.of_group(builder.commit),
+        classifies=[builder.classify(*move) for move in moves],
         next_states=[int(to) for _, _, to in moves],
     )

@@ -1,4 +1,4 @@
-"""The rays of a query on the graphics pipeline: their streams, and what kernels are bound to."""
+"""The rays of a query on the graphics pipeline: their streams, and the bindings of kernels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["RayStreams"]
 
 
 class RayStreams:
-    """Textures of rays, and of where their searches are.
+    """Textures of rays and of their traversal state.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class RayStreams:
             self._resize()
 
     def bindings(self, kind: Kind, counts: bool) -> Bindings:
-        """What binds the streams, or their scratch textures, and all else that kernels read."""
+        """A function that binds the streams, or their scratch textures, and other resources."""
         shared = [self.rays.params, *(one.view for one in self.rays.inputs)]
         rest = self.rays.groups(kind, counts)
         first = [

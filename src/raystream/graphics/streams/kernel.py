@@ -8,18 +8,18 @@ __all__ = ["FragmentKernel"]
 
 
 class FragmentKernel(NamedTuple):
-    """A fragment program, with what `streams.Kernel` has of a function of one record.
+    """A fragment program, declared like a `streams.Kernel`.
 
     Attributes
     ----------
     name : str
     entry : str
-        Its function in WGSL. It has no ``discard``, so that the stencil test comes before it, and
-        returns a texel of each stream.
+        Its entry point in WGSL, which returns a texel of each stream. It has no ``discard``, so
+        that the stencil test comes first.
     state : int
         It runs on the records in this state.
     next_states : tuple of int
-        The states that it may put records into; with its own, if they may stay in it.
+        The states that it may set, with its own if records may stay in it.
     reads, writes : tuple of str
         Names of streams.
     """

@@ -1,4 +1,4 @@
-"""Passes: kernels are run over streams that they read and write, and records change their state."""
+"""Passes: kernels run over streams, and records change state."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from raystream.graphics.streams.textures import (
 
 __all__ = ["Bindings", "Draw", "StreamPasses", "groups_of"]
 
-#: Binds what a program reads, besides the pipeline, in a render pass; told whether the streams
-#: are to be read, or their scratch textures.
+#: Binds a program's resources in a render pass: with the scratch textures of streams if the flag is
+#: set, else with the streams.
 Bindings = Callable[[Any, bool], None]
 
 
@@ -39,10 +39,10 @@ class Draw(NamedTuple):
 
 
 def groups_of(names: Sequence[str], opened: OpenDevice) -> list[list[str]]:
-    """Streams that can be written together: all, or a half after the other.
+    """Streams that one draw can write: all, or half of them.
 
-    An adapter allows so many bytes of a pixel; 32 of them are promised. A kernel with more
-    outputs runs once for each group: it writes scratch textures, so it finds all as it was.
+    Adapters limit the bytes per pixel; 32 are guaranteed. A kernel with more outputs runs once
+    per group: it writes scratch textures, so that its inputs stay as they were.
     """
     names = list(names)
     if TEXEL_BYTES * len(names) <= opened.limits["max-color-attachment-bytes-per-sample"]:
@@ -52,7 +52,7 @@ def groups_of(names: Sequence[str], opened: OpenDevice) -> list[list[str]]:
 
 
 class StreamPasses:
-    """Streams, their scratch textures and the stencil; and the passes of kernels over these.
+    """Streams, their scratch textures and the stencil, and passes of kernels over them.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class StreamPasses:
         self.groups = groups_of(list(streams), opened)
 
     def begin(self, encoder: Any, draws: Sequence[Draw], bind: Bindings, queries: Any) -> None:
-        """Clear all, and run the program that puts records into their first state.
+        """Clear all, and run the program that sets the first state of records.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class StreamPasses:
             One for each group of targets.
         bind : callable
         queries : GPUQuerySet or None
-            Query 0 gets the count of records.
+            Query 0 counts the records.
         """
         for number, (group, draw) in enumerate(zip(self.groups, draws, strict=True)):
             run = self._pass(encoder, self.streams, group, "clear", queries)
@@ -109,7 +109,7 @@ class StreamPasses:
         arguments: Any = None,
         queries: Any = None,
     ) -> None:
-        """A pass of one kernel; of several, that of which the arguments draw something.
+        """A pass of one kernel; of several, the one whose indirect arguments draw.
 
         Parameters
         ----------
@@ -117,12 +117,12 @@ class StreamPasses:
         kernels, commits : sequence of sequence of Draw
             For each group of targets.
         classifies : sequence of Draw
-            For each state that a kernel moves records to.
+            One for each next state.
         bind : callable
         arguments : GPUBuffer, optional
-            Kernel k has the arguments of its draws there, see `ARGUMENT_BYTES`.
+            Indirect arguments of each kernel's draws, see `ARGUMENT_BYTES`.
         queries : GPUQuerySet, optional
-            Query i gets how many records the i-th of `classifies` moves.
+            Query i counts the records that the i-th of `classifies` moves.
         """
         for group, draws in zip(self.groups, kernels, strict=True):
             run = self._pass(encoder, self.scratch, group, "read")
@@ -148,7 +148,7 @@ class StreamPasses:
         stencil: str,
         queries: Any = None,
     ) -> Any:
-        """Begin a render pass; the stencil is to be read, loaded or cleared."""
+        """Begin a render pass; `stencil` is "read", "load" or "clear"."""
         load = "clear" if stencil == "clear" else "load"
         states: dict[str, Any] = {"view": self.stencil.view}
         if stencil == "read":
@@ -172,7 +172,7 @@ class StreamPasses:
         return run
 
 
-#: Of a kernel's draws in the buffer of arguments: four words, 3 corners and 0 or 1 instances.
+#: Indirect arguments of a kernel's draws: four words, 3 vertices and 0 or 1 instances.
 ARGUMENT_BYTES = 16
 
 

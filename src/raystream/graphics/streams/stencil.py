@@ -1,4 +1,4 @@
-"""The stencil test: draws for the records in one state, which may take them to another."""
+"""The stencil test: selects the records in one state, and sets their next one."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ __all__ = ["Stencil"]
 
 
 class Stencil(NamedTuple):
-    """What a draw does with the stencil.
+    """Stencil state of a draw.
 
     Attributes
     ----------
     state : int or None
-        The draw is for records in this state; None for all.
+        Records in this state are drawn; None for all.
     next_state : int or None
-        The state that it takes the fragments to which it does not discard; None to leave them.
+        The next state of fragments that are not discarded; None to keep it.
     """
 
     state: int | None = None
@@ -25,17 +25,17 @@ class Stencil(NamedTuple):
 
     @property
     def reference(self) -> int:
-        """The value that the pass has to set."""
+        """The reference value that the pass must set."""
         reference = self.next_state if self.state is None else self.state
         return 0 if reference is None else reference
 
     def description(self) -> dict[str, Any]:
-        """As wgpu takes it."""
+        """The state in wgpu's terms."""
         operation, mask = "keep", 0
         if self.next_state is not None and self.state is None:
             operation, mask = "replace", 0xFF
         elif self.next_state is not None and self.state is not None:
-            # The reference is taken by the test: the bits in which both states differ turn over.
+            # The test uses the reference, so the bits in which both states differ are inverted.
             operation, mask = "invert", self.state ^ self.next_state
         face = {
             "compare": "always" if self.state is None else "equal",

@@ -1,4 +1,4 @@
-"""Textures of streams: a texel is a record, of four words."""
+"""Textures of streams: a record of four words per texel."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["TEXEL_BYTES", "StencilTexture", "StreamShape", "StreamTexture"]
 #: Four words.
 TEXEL_BYTES = 16
 
-#: Widths are multiples of this: rows of so many texels may be copied as they are.
+#: Widths are multiples of this: such rows can be copied without padding.
 _COLUMNS = 16
 
 _FORMATS = {"f": FLOATS, "u": WORDS}
 
 
 class StreamShape(NamedTuple):
-    """How records lie in a texture: row by row, and the last row may have some left over.
+    """The shape of a texture of records, row by row; the last row may be partly unused.
 
     Attributes
     ----------
@@ -36,12 +36,12 @@ class StreamShape(NamedTuple):
 
     @classmethod
     def for_count(cls, count: int, opened: OpenDevice) -> StreamShape:
-        """Nearly a square.
+        """A nearly square shape.
 
         Raises
         ------
         GraphicsError
-            If the device has no textures for so many records.
+            If they do not fit in a texture of the device.
         """
         most = opened.limits["max-texture-dimension-2d"]
         columns = -(-max(math.isqrt(max(count - 1, 0)) + 1, 1) // _COLUMNS) * _COLUMNS
@@ -71,7 +71,7 @@ class StreamTexture(Texture):
         super().__init__(opened, name, shape, _FORMATS[np.dtype(dtype).kind])
 
     def write_records(self, records: NDArray[Any]) -> None:
-        """Copy records to its beginning: shape (N, k), k up to 4; the rest of their rows is 0."""
+        """Write the first records, of shape (N, k), k up to 4; the rest of their rows is 0."""
         width = self.size[0]
         rows = -(-len(records) // width)
         if rows == 0:
@@ -81,12 +81,12 @@ class StreamTexture(Texture):
         self.write(texels.reshape(rows, width, 4))
 
     def read_records(self, count: int) -> NDArray[Any]:
-        """Copy its first records back, when the device has done what it was given: (N, 4)."""
+        """Wait for the device, and read the first records: shape (N, 4)."""
         return self.read(-(-count // self.size[0])).reshape(-1, 4)[:count]
 
 
 class StencilTexture:
-    """The states of records: one byte of each.
+    """The states of records: one byte each.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Forms: what shaders get of each structure."""
+"""Each structure as shaders read it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["ShaderStructure", "build_with_shaders", "shader_structure_of"]
 
 
 def shader_structure_of(structure: Structure) -> ShaderStructure:
-    """What shaders get of a structure.
+    """A structure as shaders read it.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def build_with_shaders(
     Raises
     ------
     GraphicsError
-        If there are no shaders for it: before it is built.
+        If there are no shaders for it; nothing is built then.
     """
     _check_name(structure.name)
     return build_on_cpu(structure, triangles, progress=progress, device=device)

@@ -1,4 +1,4 @@
-"""ShaderStructure: a structure as shaders take it."""
+"""ShaderStructure: a structure as shaders read it."""
 
 from __future__ import annotations
 
@@ -16,35 +16,34 @@ __all__ = ["TREE_AT", "ShaderStructure", "budget_for", "numbers"]
 #: Bytes of the uniform ``Params`` before the structure's ``Tree``.
 TREE_AT = 32
 
-#: Searches take some steps whatever the structure is.
-_LEAST_BUDGET = 1 << 10
+#: Budget of a search besides what the structure needs.
+_MIN_BUDGET = 1 << 10
 
 
 @dataclass(frozen=True)
 class ShaderStructure:
-    """A structure as shaders take it.
+    """A structure as shaders read it.
 
     Attributes
     ----------
     name : str
-        The structure's.
+        The structure's name.
     shader : str
         The file with its ``Tree``, its buffers, and ``search()``.
     tree : bytes
         The uniform ``Tree``, laid out as WGSL does.
     arrays : tuple of ndarray
-        Its buffers: binding k of group 1 has the k-th.
+        Its buffers: binding k of group 1 is the k-th.
     budget : int
-        More steps and tests than a search can take: what takes more is endless.
+        Upper bound of the steps and tests of a search: one that exceeds it is endless.
     constants : dict of str to float
-        Of the pipeline: values of the file's ``override`` declarations.
+        Values of the file's ``override`` declarations.
     sizes : dict of str to int
-        Of the source: what the file leaves to be declared, for arrays whose size must be known
-        as it is compiled.
+        Constants that are declared before the file, for the sizes of its arrays.
     instead : dict of str to str
-        Files that the file's own includes are replaced by; see `source.shader_source`.
+        Replacements of the file's includes; see `shader_source`.
     has_duplicates : bool
-        Whether a search may meet a triangle more than once.
+        Whether a search may test a triangle more than once.
     """
 
     name: str
@@ -65,12 +64,12 @@ class ShaderStructure:
         row_size: int = 0,
         capacity: int = 0,
     ) -> bytes:
-        """The uniform ``Params``, see params.wgsl: what all rays of a search share."""
+        """The uniform ``Params`` of a search, see params.wgsl."""
         shared = numbers(max_coordinate, 0, ray_count, row_size, self.budget, capacity)
         return shared + bytes(TREE_AT - len(shared)) + self.tree
 
     def source(self, *names: str, instead: Mapping[str, str] | None = None) -> str:
-        """A machine's shader files, put together with the structure's; see `shader_source`."""
+        """The source of a machine's shader files and the structure's; see `shader_source`."""
         declared = [f"const {name}: u32 = {size}u;" for name, size in self.sizes.items()]
         replaced = {**self.instead, **(instead or {})}
         return "\n".join([*declared, shader_source(*names, self.shader, instead=replaced)])
@@ -86,5 +85,5 @@ def numbers(*values: float | np.integer[Any] | np.floating[Any]) -> bytes:
 
 
 def budget_for(most: int) -> int:
-    """A budget for so many steps and tests, in 32 bits."""
-    return min(_LEAST_BUDGET + most, 2**32 - 1)
+    """A budget for a number of steps and tests, in 32 bits."""
+    return min(_MIN_BUDGET + most, 2**32 - 1)

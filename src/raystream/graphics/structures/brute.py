@@ -1,4 +1,4 @@
-"""Brute force as shaders take it."""
+"""Brute force as shaders read it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["shader_structure"]
 
 
 def shader_structure(brute: BruteStructure) -> ShaderStructure:
-    """All triangles."""
+    """A list of all triangles."""
     triangles = brute.triangles
     count = len(triangles.prim_ids)
     return ShaderStructure(

@@ -1,4 +1,4 @@
-"""The bounding volume hierarchy as shaders take it."""
+"""The bounding volume hierarchy as shaders read it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from raystream.structures.bvh.structure import BvhStructure
 
 __all__ = ["shader_structure"]
 
-#: Stacks have a multiple of so many entries, so that most trees share a shader.
+#: Stack sizes are multiples of this, so that most trees share a shader.
 _STACK_STEP = 32
 
-#: The prim_id of a triangle that moved and cannot be hit any more; see bvh_leaf.wgsl.
+#: The prim_id of a triangle without finite vertices after an update; see bvh_leaf.wgsl.
 _NEVER_HIT = -2
 
 
 def shader_structure(bvh: BvhStructure) -> ShaderStructure:
-    """The nodes and leaves as the CPU has them."""
+    """The nodes and leaves of the CPU."""
     tree = bvh.tree
     node_count, block_count = len(tree.nodes), len(tree.leaves)
-    # A node is visited once, its children are taken from the stack once; a slot is looked at
-    # once, and a triangle that is crossed once more.
+    # A node is visited once and its children are popped once; a slot is read once, and a
+    # triangle that is crossed once more.
     most = (1 + WIDTH) * node_count + 2 * BLOCK_SIZE * block_count
     return ShaderStructure(
         name="bvh",
@@ -43,7 +43,7 @@ def _stack_size(bvh: BvhStructure) -> int:
 
 
 def _blocks(tree: BvhArrays) -> NDArray[np.uint32]:
-    """The leaves, in which a prim_id says whether a triangle has coordinates at all."""
+    """The leaves; triangles without coordinates are marked by their prim_id."""
     blocks = tree.leaves.view(np.uint32)
     is_lost = np.isnan(tree.leaves[:, :BLOCK_SIZE]) & (tree.prim_ids >= 0)
     if is_lost.any():

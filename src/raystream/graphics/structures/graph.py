@@ -1,4 +1,4 @@
-"""The graph of sectors as shaders take it."""
+"""The graph of sectors as shaders read it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["shader_structure"]
 
 _PAD = 0
 
-#: Link nodes one after another that a builder makes: more than splits on a path.
+#: Upper bound of consecutive link nodes: more than splits on a path.
 _MOST_PASSES = 3 * MAX_DEPTH
 
 
@@ -26,7 +26,7 @@ def shader_structure(graph: GraphStructure) -> ShaderStructure:
         *(*at.low, sector_count, *at.high, _PAD, *at.bin_counts, _PAD),
         *(*at.bin_low, _PAD, *at.bin_scales, _PAD),
     )
-    # Back to where it begins, from there, and to the end.
+    # Each sector at most three times: back to the first one, forward to it, and to the end.
     depth = _most_nodes(graph.rows[SECTOR_ROWS * sector_count :], SECTOR_ROWS * sector_count)
     most = 3 * sector_count * (1 + depth) + len(graph.blocks)
     return ShaderStructure(
@@ -39,7 +39,7 @@ def shader_structure(graph: GraphStructure) -> ShaderStructure:
 
 
 def _finite(rows: NDArray[np.uint32], sector_count: int) -> NDArray[np.uint32]:
-    """Rows in which no plane is at infinity; see graph.wgsl."""
+    """Rows without planes at infinity; see graph.wgsl."""
     rows = rows.copy()
     planes = rows[: SECTOR_ROWS * sector_count].view(np.float32).reshape(-1, SECTOR_ROWS, 4)
     planes[:, :2, :3] = np.clip(planes[:, :2, :3], -FAR, FAR)
@@ -47,7 +47,7 @@ def _finite(rows: NDArray[np.uint32], sector_count: int) -> NDArray[np.uint32]:
 
 
 def _most_nodes(nodes: NDArray[np.uint32], first: int) -> int:
-    """Link nodes that a link leads through at most, if there are few; they begin at a row."""
+    """Most link nodes behind a link, or all of them; `first` is the row of the first one."""
     below, above = (
         np.where(links & NODE_BIT, (links & (NODE_BIT - 1)).astype(np.int64) - first, -1)
         for links in (nodes[:, 2], nodes[:, 3])

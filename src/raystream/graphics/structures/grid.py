@@ -1,4 +1,4 @@
-"""The grid as shaders take it."""
+"""The grid as shaders read it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PAD = 0
 
 
 def shader_structure(grid: GridStructure) -> ShaderStructure:
-    """Lists of the cells, and of those within cells."""
+    """Lists of triangles of the coarse and fine cells."""
     lattice, fine = grid.lattice, grid.fine
     triangles = grid.triangles
     tree = numbers(
@@ -39,7 +39,7 @@ def shader_structure(grid: GridStructure) -> ShaderStructure:
 
 
 def _most_steps(grid: GridStructure) -> int:
-    """No ray looks at more cells, and tests more triangles: of each cell that it may be in."""
+    """Upper bound of a ray's cells and triangles: all along a coarse path, and all fine ones."""
     references = len(grid.lists.references) + len(grid.fine.lists.references)
     fine_cells = int(grid.fine.counts.astype(np.int64).sum())
     return sum(grid.lattice.counts) + fine_cells + references

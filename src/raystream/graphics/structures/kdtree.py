@@ -1,4 +1,4 @@
-"""The kd-tree as shaders take it: each traversal and each layout has shader files of its own."""
+"""The kd-tree as shaders read it, with a file for each traversal and each layout."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["shader_structure"]
 
-#: Files of each layout's nodes, and of what is above them; and of each traversal.
+#: Files of each layout's nodes and their parents, and of each traversal.
 _LAYOUTS = {"compact": "kdtree/compact.wgsl", "foley": "kdtree/foley.wgsl"}
 _PARENTS = {"compact": "kdtree/compact_parents.wgsl", "foley": "kdtree/foley_parents.wgsl"}
 _TRAVERSALS = {
@@ -25,12 +25,12 @@ _TRAVERSALS = {
     "short-stack": "kdtree/short_stack.wgsl",
 }
 
-#: Stacks have room for a multiple of so many nodes: trees of about one depth share their shaders.
+#: Stack sizes are multiples of this, so that trees of similar depth share shaders.
 _STACK_STEP = 8
 
 
 def shader_structure(kdtree: KdTreeStructure) -> ShaderStructure:
-    """Nodes and leaf blocks; to backtrack, bounds and parents of the splits."""
+    """Nodes and leaf blocks; for kd-backtrack, bounds and parents of the splits."""
     traversal, layout = kdtree.options.traversal, kdtree.options.layout
     low, high = kdtree.triangles.bounds
     nodes = kdtree.tree.nodes
@@ -80,6 +80,6 @@ def _depth_of(nodes: NDArray[np.int32]) -> int:
 
 
 def _most_steps(nodes: NDArray[np.int32], depth: int, block_count: int) -> int:
-    """No ray takes more: to each leaf it may go down and up once."""
+    """Upper bound of a ray's steps: down to each leaf and up again once."""
     leaf_count = (len(nodes) + 1) // 2
     return leaf_count * (2 * depth + 2) + block_count

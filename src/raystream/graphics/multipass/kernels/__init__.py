@@ -15,7 +15,7 @@ def kernels_of(structure: Structure) -> TraversalKernels:
     Raises
     ------
     GraphicsError
-        If there are none for it.
+        If it is not supported.
     """
     make = form_of(structure.name, "graphics multipass")
     if make is None:

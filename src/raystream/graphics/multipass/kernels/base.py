@@ -9,11 +9,10 @@ from raystream.machines.records import RayState
 
 __all__ = ["FOUND", "PLACE", "STREAMS", "TraversalKernels", "with_shade"]
 
-#: What kernels write, in the order of their targets: see fragment/targets.wgsl.
+#: Streams that kernels write, in the order of their render targets: see fragment/targets.wgsl.
 STREAMS = ("state", "found", "place", "span")
 
-#: Where a ray is, and what it has found. Kernels that count or keep hits write the count to
-#: "state", which all write anyway.
+#: Streams of a ray's traversal state, and of its hits; the number of hits is in "state".
 PLACE = ("state", "place", "span")
 FOUND = ("state", "found")
 
@@ -35,8 +34,7 @@ class TraversalKernels(NamedTuple):
     shader : str
         The file with their functions.
     kernels : tuple of FragmentKernel
-        With the names, the states and the order of `machines.steps`: the one that begins comes
-        first, and shading last.
+        With the names, states and order of `machines.steps`: set-up first, shading last.
     """
 
     shader: str
@@ -44,5 +42,5 @@ class TraversalKernels(NamedTuple):
 
 
 def with_shade(shader: str, *kernels: FragmentKernel) -> TraversalKernels:
-    """The kernels of a traversal, and the one that hands hits over."""
+    """The kernels of a traversal, and shading."""
     return TraversalKernels(shader, (*kernels, _SHADE))

@@ -27,9 +27,9 @@ _CONSTANTS = np.dtype(
 
 
 class TriangleConstants:
-    """Brute force's triangles, as the constants of one draw after another.
+    """Brute force's triangles, one in the constants of each draw.
 
-    All rays are at the same triangle, because each pass takes all that are left to the next one.
+    All rays test the same triangle, since each pass runs on all that are left.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class TriangleConstants:
     Attributes
     ----------
     shaders : ShaderStructure
-        With the first triangle, and without arrays: the device has one triangle at a time.
+        With the first triangle and no arrays: the device holds one triangle at a time.
     """
 
     def __init__(self, brute: BruteStructure) -> None:
@@ -61,20 +61,20 @@ class TriangleConstants:
         self._row = 0
 
     def begin(self) -> None:
-        """Go back to the first triangle, for other rays."""
+        """Restart at the first triangle, for other rays."""
         self._row = 0
 
     def load(self, rays: RayTextures, kernel: StepKernel) -> None:
-        """Before a pass: write the constants that its kernel wants."""
+        """Write the constants of a kernel, before its pass."""
         if kernel.state == RayState.INTERSECTING:
             rays.write_tree(self._records[self._row].tobytes())
             self._row += 1
 
     @classmethod
-    def wanted(
+    def if_supported(
         cls, structure: Structure, loop: str, intersections: int
     ) -> TriangleConstants | None:
-        """Those of brute force where the host encodes each pass, which tests one triangle."""
+        """For brute force, if the host encodes each pass, of one test; else None."""
         if isinstance(structure, BruteStructure) and loop == "queries" and intersections == 1:
             return cls(structure)
         return None

@@ -82,7 +82,7 @@ _KERNELS = with_shade(
 
 
 def kernels(kdtree: KdTreeStructure) -> TraversalKernels:
-    """The kernels of a kd-tree, which keep no stack.
+    """The kernels of a kd-tree; stackless traversals only.
 
     Raises
     ------
