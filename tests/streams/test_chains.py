@@ -144,7 +144,7 @@ def test_wrong_chains_are_said(stream):
     kernel = make(stream)
     with pytest.raises(ValueError, match="at least one step"):
         Sequential()
-    with pytest.raises(TypeError, match="is no step"):
+    with pytest.raises(TypeError, match="is not a step"):
         Sequential(kernel.execute)
     with pytest.raises(ValueError, match="number of times"):
         Repeat(-1, kernel)

@@ -1,6 +1,6 @@
 """Streams, gather arrays, kernels, chains and loops: the stream programming model.
 
-Knows nothing of rays. A kernel is a function of one record; a stream is what it is run over.
+Independent of rays. A kernel is a function of one record, run over all records of streams.
 
 >>> import numpy as np
 >>> from raystream.streams import Kernel, Stream

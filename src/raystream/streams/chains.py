@@ -1,7 +1,7 @@
-"""Chains: kernels one after another, repeated, and in loops (Christen 2005, chapter 4.3).
+"""Chains: kernels in sequence, repeated, and in loops (Christen 2005, chapter 4.3).
 
-A chain is made of steps, and is a step itself. A step is anything with a method
-``run(counters=None)`` that returns a `Count`: a kernel, a chain, or an object of one's own.
+A chain consists of steps, and is a step itself. A step is any object with a method
+``run(counters=None)`` that returns a `Count`: a kernel, a chain, or a custom object.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from raystream.streams.counters import Counters
 
 __all__ = ["LOOP_LIMIT", "Count", "Repeat", "Sequential", "Step", "While", "check_limit"]
 
-#: Most rounds of a loop, unless it is said otherwise.
+#: Default limit of a loop's rounds.
 LOOP_LIMIT = 100_000
 
 
 def check_limit(name: str, limit: int) -> int:
-    """Check the most rounds that a loop may take: an integer, at least 1."""
+    """Check a limit of rounds: an integer, at least 1."""
     limit = operator.index(limit)
     if limit < 1:
         raise ValueError(f"{name}, limit: expected at least 1 round, got {limit}")
@@ -30,18 +30,18 @@ def check_limit(name: str, limit: int) -> int:
 
 @dataclass(frozen=True)
 class Count:
-    """What a run did.
+    """The result of a run.
 
     Attributes
     ----------
     rounds : int
-        How often the step went round: 1 unless it is a loop.
+        Rounds of the step: 1 unless it is a loop.
     calls : int
-        Kernels executed.
+        Kernel executions.
     written : int
-        Records written, in all calls.
+        Records written by all of them.
     steps : tuple of Count
-        The same for each step of a chain, added up over its rounds.
+        The same for each step of a chain, summed over its rounds.
     """
 
     rounds: int
@@ -62,7 +62,7 @@ class Step(Protocol):
     """Part of a chain."""
 
     def run(self, counters: Counters | None = None) -> Count:
-        """Do it once."""
+        """Run it once."""
         ...
 
 
@@ -74,7 +74,7 @@ class _Chain:
         for step in steps:
             if not callable(getattr(step, "run", None)):
                 raise TypeError(
-                    f"{name}: {step!r:.60} is no step: expected a kernel, a chain, or an object "
+                    f"{name}: {step!r:.60} is not a step: expected a kernel, a chain, or an object "
                     "with a method run"
                 )
         self.steps = tuple(steps)
@@ -87,7 +87,7 @@ class _Chain:
 
 
 class Sequential(_Chain):
-    """Steps one after another (Christen 2005, Figure 4.4).
+    """Steps in sequence (Christen 2005, Figure 4.4).
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Sequential(_Chain):
 
 
 class Repeat(_Chain):
-    """Steps, a known number of times (Christen 2005, Figure 4.5).
+    """Steps, a fixed number of times (Christen 2005, Figure 4.5).
 
     Parameters
     ----------
@@ -126,10 +126,9 @@ class Repeat(_Chain):
 
 
 class While(_Chain):
-    """Steps, until they write nothing (Christen 2005, Figures 4.6 and 4.7).
+    """Steps, repeated until they write nothing (Christen 2005, Figures 4.6 and 4.7).
 
-    A while-loop whose steps are while-loops is Figure 4.9's nested one; it takes
-    ``idle="all"``.
+    A while-loop of while-loops, with ``idle="all"``, is the nested loop of Figure 4.9.
 
     Parameters
     ----------
@@ -148,12 +147,12 @@ class While(_Chain):
         self.limit = check_limit("While", limit)
 
     def run(self, counters: Counters | None = None) -> Count:
-        """Run the steps round and round.
+        """Run the steps until a round writes nothing.
 
         Raises
         ------
         LoopLimitError
-            If the last round of those allowed still wrote records.
+            If the last round within the limit still wrote records.
         """
         counts: tuple[Count, ...] = ()
         written = 0

@@ -1,4 +1,4 @@
-"""Conditions: which records a kernel runs on, like the stencil test of a graphics card."""
+"""Conditions: the records that a kernel runs on, as by a stencil test."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _OPERATIONS = {
 
 
 class Condition:
-    """A comparison of a stream's records with a number, made anew whenever it is used.
+    """A comparison of a stream's records with a number, evaluated at each use.
 
-    ``state == 2`` makes one. It takes no memory, and follows the stream as kernels change it.
+    ``state == 2`` makes one. It takes no memory, and follows the stream's changes.
 
     Parameters
     ----------
     stream : Stream
-        Its records are numbers.
+        Of numbers.
     operation : str
         One of ``== != < <= > >=``.
     value : number
@@ -46,7 +46,7 @@ class Condition:
 
     @property
     def array(self) -> NDArray[np.bool_]:
-        """What holds now, for each record."""
+        """The current result for each record."""
         result: NDArray[np.bool_] = _OPERATIONS[self.operation](self.stream.array, self.value)
         return result
 
@@ -63,34 +63,32 @@ class Condition:
         return bool(self.array.all())
 
     def __bool__(self) -> NoReturn:
-        raise TypeError("a condition holds for some records and not for others: use any() or all()")
+        raise TypeError("a condition has a value for each record: use any() or all()")
 
     def __repr__(self) -> str:
         return f"<Condition {self.stream.label} {self.operation} {self.value!r}>"
 
 
 def _number(stream: Stream, value: Any) -> Any:
-    """The value, as one of few types: each compiles its own loop."""
+    """The value as one of few types, since a loop is compiled for each."""
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):
         return int(value) if -(2**63) <= value < 2**63 else np.uint64(value)
     if isinstance(value, float | np.floating):
         return float(value)
-    raise TypeError(
-        f"{stream.label}: compared with {type(value).__name__}; a condition compares with a number"
-    )
+    raise TypeError(f"{stream.label}: compared with {type(value).__name__}; expected a number")
 
 
 def as_condition(where: Any, count: int) -> Condition | None:
-    """Read the argument `where`.
+    """The argument `where` as a condition.
 
     Parameters
     ----------
     where : Condition, Stream, array_like or None
-        A stream or an array must be of bool.
+        Streams and arrays of bool.
     count : int
-        Records that it must be about.
+        Records that it must have.
     """
     from raystream.streams.stream import Stream
 

@@ -1,4 +1,4 @@
-"""Constants of kernels: numbers, and tuples of them, that keep their type."""
+"""Constants of kernels: numbers and tuples of them, of fixed types."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def as_constant(label: str, value: Any) -> Any:
     label : str
         For errors.
     value : number or tuple
-        NumPy's scalars keep their type; Python's are bool, int64, float64 or complex128. A
-        tuple's part may be None, which is a type of its own: what a function does with it is
-        left out when it is compiled.
+        NumPy scalars keep their type; Python numbers are bool, int64, float64 or complex128. An
+        item of a tuple may be None, which is a type of its own: code for it is left out when a
+        function is compiled.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def as_constant(label: str, value: Any) -> Any:
 
 
 def changed_constant(label: str, old: Any, new: Any) -> Any:
-    """The new value, in the old one's type.
+    """The new value, in the type of the old one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Counters: what the passes of kernels did, and how much memory they read and wrote."""
+"""Counters: passes of kernels, their records, and the memory that they read and write."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Pass:
     record_count : int
         Length of the streams.
     run_count : int
-        Records that the function ran on: those where the condition held.
+        Records that the function ran on: those for which the condition held.
     written_count : int
         Records that it did not reject.
     words_read, words_written : mapping of str to int
@@ -36,7 +36,7 @@ class Pass:
 
 @dataclass
 class Counters:
-    """Adds up passes; given to ``execute``, ``loop`` or ``run``.
+    """Collects passes, as an argument of ``execute``, ``loop`` or ``run``.
 
     Attributes
     ----------
@@ -45,10 +45,10 @@ class Counters:
 
     Notes
     -----
-    A record of a stream is read once by each run on it, whether or not the function looks at
-    all of it, and a record of a condition's stream once by each pass. A gather array's record
-    is read whole at each index. Words are 4 bytes; a record takes the last one alone.
-    Streams of one name are counted together.
+    Each run on a record reads all of it once, whether or not the function uses it; each pass
+    reads all records of a condition's stream. A gather array's record is read whole at each
+    index. Words are 4 bytes, and a record's last word is counted whole. Streams of one name are
+    counted together.
     """
 
     passes: list[Pass] = field(default_factory=list)
@@ -83,7 +83,7 @@ class Counters:
         return Counters([one for one in self.passes if one.kernel == kernel])
 
     def clear(self) -> None:
-        """Forget all passes."""
+        """Remove all passes."""
         self.passes.clear()
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""What a kernel is declared to read and write, checked against its function."""
+"""The streams, gather arrays and constants of a kernel, checked against its function."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Declarations:
     is_single : bool
         Whether the function returns one record, not a tuple with one for each output.
     gathers : dict of str to GatherArray
-        Members of named tuples too, as ``"table.member"``.
+        With members of named tuples, as ``"table.member"``.
     constants : dict of str to number or tuple
         Likewise.
     bindings : list of (str, str)
-        Parameters for gather arrays and constants, and the loop's expressions for them.
+        Parameters of the function, and the loop's expressions for them.
     groups : list of (tuple of str, type)
         Fields and class of the named tuples.
     """
@@ -61,7 +61,7 @@ class Declarations:
         return list(streams.values())
 
     def source(self) -> KernelSource:
-        """What the text of the loop depends on."""
+        """The source of the loop."""
         streams = self.streams()
         place = {id(stream): k for k, stream in enumerate(streams)}
         gathered = {id(gather.stream) for gather in self.gathers.values()}
@@ -77,12 +77,12 @@ class Declarations:
         )
 
     def name_of(self, stream: Stream) -> str | None:
-        """The stream's own name, else that of the parameter which it is an input for."""
+        """The stream's own name, else that of the parameter that reads it."""
         keys = [key for key, one in self.inputs.items() if one is stream]
         return stream.name or (keys[0] if keys else None)
 
     def add_gather(self, name: str, key: str, value: Any) -> None:
-        """Declare a gather array, or a named tuple of such and of constants."""
+        """Declare a gather array, or a named tuple of gather arrays and constants."""
         fields = getattr(value, "_fields", None)
         if fields is None:
             self.bindings.append((key, self._gather(key, value)))
@@ -118,7 +118,7 @@ def declare(
     gathers: Mapping[str, Any] | None,
     constants: Mapping[str, Any] | None,
 ) -> Declarations:
-    """Read and check what `Kernel` is given.
+    """Check the arguments of `Kernel`.
 
     Raises
     ------

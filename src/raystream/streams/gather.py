@@ -1,4 +1,4 @@
-"""Gather arrays: read anywhere by a kernel, written by none."""
+"""Gather arrays: read at any index by kernels, never written."""
 
 from __future__ import annotations
 
@@ -18,27 +18,26 @@ class GatherArray:
     """An array that a kernel reads at any index.
 
     In a kernel's function ``table[i]`` is one record, or ``table[i, j]`` if it has two
-    dimensions; ``len(table)`` and ``table.shape`` say how many there are. As for any kernel,
-    indices are not checked, except in counted passes; negative ones count from the end.
+    dimensions; ``len(table)`` and ``table.shape`` are those of the records. Indices are not
+    checked, except in counted passes; negative ones count from the end.
 
     Parameters
     ----------
     values : array_like or Stream
-        An array is not copied. Of a stream the current records are read, so that a kernel
-        which also writes it reads the old ones.
+        An array is not copied. Of a stream, a kernel that also writes it reads the old records.
     shape : tuple of int, optional
-        To read the records as an array of this shape, the last index running fastest.
+        Reshapes the records, the last index running fastest.
     vectors : bool
-        Whether the last axis of an array holds the components of vectors. A stream knows that.
+        Whether the last axis of an array holds the components of vectors; not for streams.
     name : str, optional
-        For counters; by default the kernel's name for it.
+        For counters [default: the kernel's name for it].
 
     Raises
     ------
     TypeError
         If kernels cannot compute with the dtype.
     ValueError
-        If the array has no dimension, or not that many records.
+        If the array has no dimensions, or `shape` has another number of records.
     """
 
     def __init__(
@@ -74,6 +73,6 @@ class GatherArray:
 
     @property
     def array(self) -> NDArray[Any]:
-        """The records as they are now; not a copy if the shape allows it."""
+        """The current records; not a copy if the shape allows it."""
         array = self._array if self.stream is None else self.stream.array
         return np.reshape(array, self._array_shape)

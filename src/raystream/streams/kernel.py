@@ -22,7 +22,7 @@ from raystream.streams.stream import Stream
 
 __all__ = ["CHUNK", "INDEX", "Kernel"]
 
-#: Records that a thread takes at a time.
+#: Records per chunk of work of a thread.
 CHUNK = 1 << 14
 
 
@@ -32,43 +32,43 @@ class Kernel:
     Parameters
     ----------
     function : callable
-        Takes the records of its inputs, gather arrays and constants as arguments of these
-        names. Returns the output's record, or a tuple with one for each of several outputs;
-        or None, to reject: the record of every output then stays as it was.
-        Numba compiles it: it may use numbers, tuples, NumPy's functions of numbers, and other
-        functions compiled by `device`. Its variables from outside are frozen when it is compiled.
+        Its parameters are the names of inputs (records), gather arrays and constants. Returns the
+        output's record, or a tuple with one for each of several outputs; or None, to reject: the
+        record of every output then stays as it was. Compiled by Numba: it may use numbers,
+        tuples, NumPy's functions of numbers, and other functions compiled by `device`. Variables
+        from outside are frozen when it is compiled.
     inputs : mapping of str to Stream, optional
         Or `INDEX`, for the position of the record.
     outputs : Stream or sequence of Stream
         A stream may be both input and output.
     gathers : mapping of str to GatherArray, optional
-        A Stream or an array is made one. Of a named tuple all members are, except numbers:
-        the function gets a named tuple of that class.
+        A Stream or an array is converted. So are all members of a named tuple, except numbers;
+        the function receives a named tuple of that class.
     constants : mapping of str to number, optional
         Or to tuples of numbers. `set_constants` changes them.
     where : Condition, optional
         Run only on records for which it holds, such as ``state == 2``. Also a stream or an
         array of booleans.
     name : str, optional
-        For errors and counters; by default the function's.
+        For errors and counters [default: the function's].
 
     Raises
     ------
     TypeError
-        If the function's parameters are not those declared, or something is not what it
-        should be. When a kernel first runs: if its function cannot be compiled.
+        If the function's parameters are not those declared, or an argument has a wrong type.
+        When a kernel first runs: if its function cannot be compiled.
     ValueError
         If the streams differ in length, or an output is given twice.
 
     Notes
     -----
-    Records run in any order and on several threads. A function sees its own record, and
-    through gather arrays the records as they were before: the result is the same for every
-    number of threads. One kernel is not to be executed twice at a time.
+    Records run in any order and on several threads. A function sees its own record, and through
+    gather arrays the old records: the result is the same for any number of threads. Do not
+    execute one kernel from two threads at a time.
 
-    Python's numbers are float64 and int64 inside, as constants and in the function's text:
-    write ``np.float32(0.5)`` to stay in float32. A float is not stored in a stream of
-    integers; any integer is, without a check of its range.
+    Python numbers, as constants and in the function's text, are float64 and int64: write
+    ``np.float32(0.5)`` to stay in float32. A stream of integers takes any integer, without a
+    check of its range, but no float.
 
     Examples
     --------
@@ -110,16 +110,16 @@ class Kernel:
 
     @property
     def constants(self) -> Mapping[str, Any]:
-        """The constants as they are now."""
+        """The current constants."""
         return MappingProxyType(self._declared.constants)
 
     @property
     def declared(self) -> Declarations:
-        """What it reads and writes."""
+        """Its streams, gather arrays and constants."""
         return self._declared
 
     def set_constants(self, **values: Any) -> None:
-        """Change constants; nothing is compiled again.
+        """Change constants, without recompilation.
 
         Parameters
         ----------
@@ -153,10 +153,10 @@ class Kernel:
         where : Condition, optional
             Instead of the kernel's own.
         counters : Counters, optional
-            Gets the pass. If there are gather arrays, another variant of the loop is compiled
-            for it, which counts what is read of them and checks their indices.
+            The pass is added. With gather arrays, a variant of the loop is compiled for it, which
+            counts their reads and checks their indices.
         progress : callable, optional
-            Called with how many records are done and how many there are.
+            Called with (records done, records).
 
         Returns
         -------
@@ -168,8 +168,8 @@ class Kernel:
         IndexError
             If an index is out of range, in a counted pass.
         KeyboardInterrupt
-            On Ctrl-C. Streams that the kernel gathers from are then as they were; others
-            have some of the new records.
+            On Ctrl-C. Streams that the kernel gathers from are then unchanged; others have some
+            of the new records.
         """
         condition = self.where if where is None else as_condition(where, self.record_count)
         is_counted = counters is not None and bool(self._declared.gathers)
@@ -215,22 +215,21 @@ class Kernel:
         Parameters
         ----------
         where, counters : optional
-            As for `execute`. A condition is looked at anew in each call.
+            As for `execute`. A condition is evaluated again in each call.
         limit : int
             Most calls.
         progress : callable, optional
-            Called after each call with how many records it did not write, and how many there
-            are.
+            Called after each call with (records that it did not write, records).
 
         Returns
         -------
         int
-            The number of calls, with the last, which wrote none.
+            The number of calls, including the last, which wrote nothing.
 
         Raises
         ------
         LoopLimitError
-            If the last call of those allowed still wrote records.
+            If the last call within the limit still wrote records.
         """
         written = 0
         for call in range(1, check_limit(self.name, limit) + 1):
@@ -260,7 +259,7 @@ class Kernel:
         return loop
 
     def _place(self, condition: Condition | None) -> int | None:
-        """Which of the kernel's streams the condition is about; None if none."""
+        """The index of the condition's stream among the kernel's; None if it is another one."""
         if condition is not None:
             for k, stream in enumerate(self._streams):
                 if stream is condition.stream:
@@ -284,7 +283,7 @@ class Kernel:
     def pass_of(
         self, condition: Condition | None, written: int, run: int, gathered: Sequence[int]
     ) -> Pass:
-        """The record of a pass: words follow from the counts.
+        """The record of a pass, with words computed from the counts.
 
         Parameters
         ----------

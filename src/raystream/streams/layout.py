@@ -1,4 +1,4 @@
-"""Layouts: what one record is, and how a loop reads and writes it."""
+"""Layouts: the type of a record, and the code that reads and writes it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 __all__ = ["MAX_COMPONENTS", "WORD_BYTES", "Layout", "find_layout", "native_array"]
 
-#: Most components of a vector. A loop has its own variable for each.
+#: Most components of a vector: a loop has a variable for each.
 MAX_COMPONENTS = 16
 
 #: Bytes of a word, the unit in which memory traffic is counted.
@@ -29,12 +29,12 @@ _NUMBERS = frozenset(
 
 @dataclass(frozen=True)
 class Layout:
-    """What one record of an array is.
+    """The type of one record of an array.
 
     Attributes
     ----------
     dtype : dtype
-        Of the array.
+        The dtype of the array.
     component_count : int
         Length of a vector; 0 for numbers and for records with fields.
     """
@@ -44,17 +44,17 @@ class Layout:
 
     @property
     def word_count(self) -> int:
-        """Words of 4 bytes that a record takes, the last one perhaps in part."""
+        """Words of 4 bytes of a record, rounded up."""
         return -(-self.dtype.itemsize * max(1, self.component_count) // WORD_BYTES)
 
     @property
     def record(self) -> Any:
-        """The named tuple that stands for a record with fields; None for other records."""
+        """The named tuple of a record with fields; None for other records."""
         return None if self.dtype.names is None else _record_class(self.dtype.names)
 
     @property
     def shape(self) -> Any:
-        """The numbers of a record: a dtype's name, or a tuple of them for each part."""
+        """The types of a record: a dtype's name, or a tuple of them for its parts."""
         if self.dtype.names is None:
             if self.component_count:
                 return (self.dtype.name,) * self.component_count
@@ -130,14 +130,14 @@ def find_layout(name: str, array: NDArray[Any], vectors: bool) -> Layout:
         For errors.
     array : ndarray
     vectors : bool
-        Whether the last axis is that of the records' components.
+        Whether the last axis holds the components of vectors.
 
     Raises
     ------
     TypeError
         If kernels cannot compute with the dtype.
     ValueError
-        If vectors are too long or empty, or a field has a name that Python has not.
+        If vectors are too long or empty, or a field's name is not an identifier.
     """
     names = array.dtype.names
     if names is None:

@@ -1,6 +1,6 @@
-"""Reductions: all records of a stream to one.
+"""Reductions of a stream's records to one.
 
-Records are folded in blocks of a fixed length, and the blocks' results in their order. So the
+Records are folded in blocks of a fixed length, and the blocks' results in order, so that the
 result does not depend on the number of threads.
 """
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BLOCK", "add_up", "count_nonzero", "fold", "greatest", "least"]
 
-#: Records in a block. Part of what a sum of floats is: another length rounds otherwise.
+#: Records in a block. Sums of floats depend on it: another length rounds differently.
 BLOCK = 1 << 14
 
 

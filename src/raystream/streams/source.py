@@ -19,12 +19,12 @@ __all__ = ["KernelSource", "compile_fold", "compile_kernel"]
 
 @dataclass(frozen=True)
 class KernelSource:
-    """All that the text of a loop depends on; equal ones share compiled code.
+    """All inputs of the text of a loop; equal ones share compiled code.
 
     The loop is ``loop(begin, end, *streams, *new_streams, *tables, *constants, ...)`` and
-    returns the number of records written. Then come the condition's array, unless it is one of
-    the streams, and value; then the counts. Each stream is one argument, however many parts
-    it plays: loops over arrays that might overlap are slow.
+    returns the number of records written. The last arguments are the condition's array, unless it
+    is one of the streams, its value, and the counts. A stream with several roles is one argument:
+    loops over arrays that might overlap are slow.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class KernelSource:
     inputs : tuple of (str, int or None)
         Parameter and stream of each input; None is the record's index.
     outputs : tuple of (int, bool)
-        Stream of each output, and whether its new records go to another array than the old.
+        Stream of each output, and whether its new records go to a second array.
     gathers : tuple of (str, Layout, int)
         Name, layout and number of dimensions.
     constant_count : int
@@ -73,7 +73,7 @@ class KernelSource:
         return names + (["counts"] if self.is_counted else [])
 
     def arguments(self) -> list[str]:
-        """What the function is called with."""
+        """The arguments of the call of the function."""
         parts = []
         for name, k in self.inputs:
             if k is None:
@@ -92,7 +92,7 @@ class KernelSource:
         return lines
 
     def copies(self) -> list[str]:
-        """The statements that keep a record which is not written."""
+        """The statements that keep a record that is not written."""
         lines = []
         for k, is_double in self.outputs:
             if is_double:
@@ -108,7 +108,7 @@ class KernelSource:
 
     def text(self) -> str:
         """The loop."""
-        # The first line tells loops apart whose layouts do not show in the rest.
+        # The first line distinguishes loops whose layouts do not show in the rest.
         lines = [f"# {self!r}", f"def loop({', '.join(self.parameters())}):"]
         for k in range(len(self.gathers)):
             counted = f", inside_{k}, counts" if self.is_counted else ""
@@ -130,7 +130,7 @@ class KernelSource:
         return "\n".join(lines) + "\n"
 
     def names(self) -> dict[str, Any]:
-        """What the text uses."""
+        """The globals of the text."""
         shapes = tuple(self.streams[k].shape for k, _ in self.outputs)
         names: dict[str, Any] = {
             "accept": accept(shapes[0] if self.is_single else shapes, "its output"),
@@ -152,12 +152,12 @@ class KernelSource:
 
 
 def compile_kernel(function: Callable[..., Any], source: KernelSource) -> Loop:
-    """Make the loop of a kernel; equal functions and sources share one."""
+    """Compile the loop of a kernel; equal functions and sources share one."""
     return compile_loop(source.text(), function, source.names(), __name__)
 
 
 def compile_fold(function: Callable[..., Any], layout: Layout) -> Loop:
-    """Make the loop of a reduction.
+    """Compile the loop of a reduction.
 
     It is ``loop(begin, end, block, records, folds)``: it folds the blocks begin to end, of
     `block` records each, into one record of `folds` for each.
@@ -198,7 +198,7 @@ def _parameter_names(function: Callable[..., Any]) -> Sequence[str]:
 
 
 def _copy_first(layout: Layout) -> list[str]:
-    """The first record of a block begins its fold."""
+    """The statements that copy the first record of a block."""
     if layout.component_count:
         return [f"folds[b, {k}] = records[start, {k}]" for k in range(layout.component_count)]
     return ["folds[b] = records[start]"]
@@ -214,7 +214,7 @@ def _load_function(layout: Layout, dimensions: int) -> Callable[..., Any]:
 
 
 def _inside_function(dimensions: int) -> Callable[..., Any]:
-    """The device function (array, index) that says whether an index is in range."""
+    """The device function (array, index) that tests whether an index is in range."""
     parts = [
         f"-array.shape[{k}] <= {index} < array.shape[{k}]"
         for k, index in enumerate(_indices(dimensions))

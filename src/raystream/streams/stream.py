@@ -21,28 +21,28 @@ class Stream:
     Parameters
     ----------
     values : array_like
-        Shape (N,) for records that are numbers, or have fields (a structured dtype); shape
-        (N, k) for vectors of k components. The values are copied.
+        Shape (N,) for numbers and for records with fields (a structured dtype); shape (N, k) for
+        vectors of k components. The values are copied.
     dtype : dtype, optional
-        If the values are to be converted.
+        Converts the values.
     name : str, optional
-        For errors and counters. By default a kernel's name for it.
+        For errors and counters [default: a kernel's name for it].
 
     Raises
     ------
     TypeError
         If kernels cannot compute with the dtype.
     ValueError
-        If the shape is another.
+        If the shape is not supported.
 
     Notes
     -----
-    A kernel's function gets a vector as a tuple of numbers, and a record with fields as a
-    named tuple; `record` is its class. It returns records in the same form.
+    A kernel's function receives a vector as a tuple of numbers, and a record with fields as a
+    named tuple of class `record`. It returns records in the same form.
 
-    A kernel that writes a stream and gathers from it reads the old values throughout: the new
-    ones are written to a second array, and the two change places at the end. `array` is then
-    another one than before, so ask for it anew.
+    A kernel that writes a stream and gathers from it reads only old values: new ones go to a
+    second array, and the two are swapped at the end. `array` is then another array than before:
+    do not keep it.
 
     Comparing a stream with a number gives a `Condition`, not an array.
 
@@ -75,19 +75,19 @@ class Stream:
         ----------
         count : int
         dtype : dtype
-            For vectors with their length: ``(np.float32, 3)``.
+            For vectors, with their length: ``(np.float32, 3)``.
         name : str, optional
         """
         return cls(np.zeros(count, dtype), name=name)
 
     @property
     def label(self) -> str:
-        """What errors call it."""
+        """Its name in errors."""
         return "stream" if self.name is None else f"stream {self.name!r}"
 
     @property
     def array(self) -> NDArray[Any]:
-        """The records as they are now; not a copy."""
+        """The current records; not a copy."""
         return self._front
 
     @property
@@ -111,9 +111,9 @@ class Stream:
         Raises
         ------
         TypeError
-            If a conversion would lose the kind of number, such as float to int.
+            If a conversion would change the kind of number, such as float to int.
         ValueError
-            If the shape is another.
+            If the shape differs.
         """
         try:
             np.copyto(self._front, values, casting="same_kind")
@@ -132,7 +132,7 @@ class Stream:
             kind += f" x {self.layout.component_count}"
         return f"<Stream{'' if self.name is None else f' {self.name!r}'}: {len(self):,} x {kind}>"
 
-    # Comparisons are conditions, so a stream is equal to itself alone where that is asked.
+    # Comparisons make conditions; streams are hashed by identity.
     __hash__ = object.__hash__
 
     def __eq__(self, value: object) -> Condition:  # type: ignore[override]
@@ -158,23 +158,23 @@ class Stream:
         return reductions.add_up(self)
 
     def min(self) -> Any:
-        """Smallest number, of each component; NaN if there is one."""
+        """Smallest number, by component; NaN if there is one."""
         return reductions.least(self)
 
     def max(self) -> Any:
-        """Largest number, of each component; NaN if there is one."""
+        """Largest number, by component; NaN if there is one."""
         return reductions.greatest(self)
 
     def count(self) -> Any:
-        """How many records are not zero, in each component."""
+        """Number of nonzero records, by component."""
         return reductions.count_nonzero(self)
 
     def any(self) -> Any:
-        """Whether some record is not zero, in each component."""
+        """Whether any record is nonzero, by component."""
         return reductions.count_nonzero(self) > 0
 
     def all(self) -> Any:
-        """Whether no record is zero, in each component."""
+        """Whether all records are nonzero, by component."""
         return reductions.count_nonzero(self) == len(self)
 
     def reduce(self, function: Callable[..., Any], initial: Any = None) -> Any:
@@ -183,17 +183,17 @@ class Stream:
         Parameters
         ----------
         function : callable
-            Takes two records and returns one, in the form that kernels' functions use. It
-            should be associative: records are folded in order, but in blocks of
-            `reductions.BLOCK`, whose results are then folded in order.
+            Takes two records and returns one, in the form of kernels' functions. It should be
+            associative: records are folded in order in blocks of `reductions.BLOCK`, and then the
+            blocks' results.
         initial : record, optional
-            Comes before the first; the result of an empty stream.
+            Precedes the first record; the result of an empty stream.
 
         Returns
         -------
         record
-            A NumPy scalar; an array for a vector; a structured scalar for fields. The same
-            for every number of threads.
+            A NumPy scalar; an array for a vector; a structured scalar for fields. The same for
+            any number of threads.
 
         Raises
         ------
@@ -203,18 +203,18 @@ class Stream:
         return reductions.fold(self, function, initial)
 
     def shares_memory(self, array: NDArray[Any]) -> bool:
-        """Whether an array may be part of this stream's."""
+        """Whether an array may overlap this stream's memory."""
         return any(
             own is not None and np.may_share_memory(own, array) for own in (self._front, self._back)
         )
 
     def new_array(self) -> NDArray[Any]:
-        """The second array, for a kernel that reads the first while it writes."""
+        """The second array, written by a kernel that gathers from the first."""
         if self._back is None:
             self._back = np.empty_like(self._front)
         return self._back
 
     def swap(self) -> None:
-        """Make the second array the first."""
+        """Swap the first and the second array."""
         assert self._back is not None
         self._front, self._back = self._back, self._front
