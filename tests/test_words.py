@@ -22,7 +22,6 @@ NOT_YET = (
     "src/raystream/lab",
     "src/raystream/machines",
     "src/raystream/programs",
-    "src/raystream/rendering",
     "src/raystream/scene",
     "src/raystream/streams",
     "src/raystream/structures",
