@@ -304,5 +304,5 @@ def test_more_hits_than_memory_are_refused(monkeypatch):
     with pytest.raises(MemoryError, match=refused):
         tracer.multi_hit(*rays)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 10)
-    with pytest.raises(MemoryError, match="a picture of 100x100 would"):
+    with pytest.raises(MemoryError, match="an image of 100x100 would"):
         rs.render(rs.Scene(), size=(100, 100))

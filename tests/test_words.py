@@ -21,7 +21,6 @@ NOT_YET = (
     "src/raystream/lab",
     "src/raystream/machines",
     "src/raystream/programs",
-    "src/raystream/rendering",
     "src/raystream/scene",
     "src/raystream/structures",
     "docs/api.rst",

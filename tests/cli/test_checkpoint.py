@@ -126,7 +126,7 @@ def test_samples_are_not_overwritten(run, tmp_path):
 def test_samples_of_another_picture_are_refused(run, options, differing):
     interrupted("out.png", **options)
     complaint = run(*ASKED, "--resume").complaint
-    assert complaint.startswith("out.png.samples.npz: is a checkpoint of another picture")
+    assert complaint.startswith("out.png.samples.npz: is a checkpoint of another image")
     assert differing in complaint
     assert complaint.endswith("delete it to start over, or choose another --output")
     assert Path("out.png.samples.npz").exists()

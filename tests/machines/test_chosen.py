@@ -94,7 +94,7 @@ def test_pictures_and_heat_maps_take_them():
     scene = rs.load("cornell")
     assert (rs.render(scene, **arguments).pixels == rs.render(scene, **named).pixels).all()
     assert (rs.heatmap(scene, **arguments).counts == rs.heatmap(scene, **named).counts).all()
-    with pytest.raises(ValueError, match="the tracer given has its own"):
+    with pytest.raises(ValueError, match="not allowed with a Tracer"):
         rs.render(rs.Tracer(scene), **arguments)
 
 

@@ -71,7 +71,7 @@ def test_pixels_that_are_not_finite_are_left_out():
 
 def test_sizes_are_compared():
     for method in (rs.Image.compare, rs.Image.draw_difference):
-        with pytest.raises(ValueError, match="one size, got 90x4 and 91x4"):
+        with pytest.raises(ValueError, match="equal size, got 90x4 and 91x4"):
             method(flat(1), flat(1, width=91))
 
 

@@ -214,9 +214,9 @@ def test_checkpoint_of_another_picture_is_refused(tmp_path):
     path = tmp_path / "a.npz"
     filled(samples_of(1)).save(path, IDENTITY)
     other = json.dumps({"scene": "cornell", "mode": "ao", "seed": 4})
-    with pytest.raises(FileFormatError, match=r"another picture \(mode, seed differ\)"):
+    with pytest.raises(FileFormatError, match=r"another image \(mode, seed differ\)"):
         Film.load(path, other)
-    with pytest.raises(FileFormatError, match=r"another picture .*not 'plain text'"):
+    with pytest.raises(FileFormatError, match=r"another image .*not 'plain text'"):
         Film.load(path, "plain text")
     with pytest.raises(TypeError, match="identity"):
         Film.load(path, 3)
@@ -225,7 +225,7 @@ def test_checkpoint_of_another_picture_is_refused(tmp_path):
 def test_identities_that_only_look_like_json(tmp_path):
     path = tmp_path / "a.npz"
     filled(samples_of(1)).save(path, "[" * 5000)
-    with pytest.raises(FileFormatError, match="another picture"):
+    with pytest.raises(FileFormatError, match="another image"):
         Film.load(path, "[" * 5001)
     with pytest.raises(ValueError, match="identity"):
         filled(samples_of(1)).save(path, "x" * 70000)

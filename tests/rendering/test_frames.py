@@ -61,7 +61,7 @@ def test_cameras_of_ones_own_move() -> None:
     [
         ({"camera": CAMERA}, ValueError, "nothing moves"),
         ({"mode": "oil"}, ValueError, "mode: expected"),
-        ({"checkpoint": "a"}, TypeError, "checkpoint: only for a single picture"),
+        ({"checkpoint": "a"}, TypeError, "checkpoint: only for a single image"),
         ({"frames": 48, "camera": TRACK}, ValueError, "got 48"),
     ],
 )
@@ -95,7 +95,7 @@ def test_videos_have_all_frames(tmp_path: Path, suffix: str) -> None:
 def test_pictures_of_several_sizes_are_refused(tmp_path: Path) -> None:
     for pictures, reason in (
         ([], "at least one"),
-        (gradients(1) + gradients(1, (8, 8)), "all of one size"),
+        (gradients(1) + gradients(1, (8, 8)), "expected equal sizes"),
         ([np.zeros((4, 4), np.uint8)], "shape"),
     ):
         with pytest.raises(ValueError, match=reason):

@@ -180,7 +180,7 @@ def test_another_camera_keeps_the_choice():
 def test_a_checkpoint_with_other_lights_is_another_picture(tmp_path):
     kept = {"size": (4, 3), "checkpoint": tmp_path / "kept.npz"}
     rs.render(terrain((0.02, 0.02, 0.01)), "path", **kept)
-    with pytest.raises(FileFormatError, match="another picture"):
+    with pytest.raises(FileFormatError, match="another image"):
         rs.render(terrain((0.02, 0.02, 0.01)), "path", lights="file", **kept)
 
 

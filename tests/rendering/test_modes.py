@@ -309,7 +309,7 @@ def test_samples_of_a_picture_that_goes_on_are_those_of_a_longer_one(tmp_path):
     again = rs.render(scene, "path", samples=12, checkpoint=file, **options)
     np.testing.assert_array_equal(again.pixels, whole.pixels)
     np.testing.assert_array_equal(again.layers["samples"], 12)
-    with pytest.raises(rs.FileFormatError, match="another picture"):
+    with pytest.raises(rs.FileFormatError, match="another image"):
         rs.render(scene, "path", samples=12, checkpoint=file, **{**options, "seed": 4})
 
 
@@ -378,7 +378,7 @@ def test_a_checkpoint_of_other_texture_pixels_is_another_picture(tmp_path):
         mesh = rs.Mesh(mesh.vertices, mesh.faces, texcoords=np.zeros((4, 2)))
         scene = rs.Scene([mesh], materials=[rs.Material(textures={"diffuse": texture})])
         if refused:
-            with pytest.raises(rs.FileFormatError, match="another picture"):
+            with pytest.raises(rs.FileFormatError, match="another image"):
                 rs.render(scene, "path", (4, 3), 3, checkpoint=file)
         else:
             rs.render(scene, "path", (4, 3), 2, checkpoint=file)

@@ -253,7 +253,7 @@ def test_render_is_a_function_whatever_was_imported_first():
     import raystream.rendering.image  # noqa: F401
 
     assert isinstance(rs.render, FunctionType)
-    assert "Render a picture" in rs.render.__doc__
+    assert "Render an image" in rs.render.__doc__
     assert pickle.loads(pickle.dumps(rs.render)) is rs.render
 
 

@@ -119,9 +119,9 @@ START = len(HEADER) + len(SIZE)
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "not a Radiance picture"),
-        (b"\x89PNG\r\n\x1a\n\n\n", "not a Radiance picture"),
-        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n", "not a Radiance picture"),
+        (b"", "not a Radiance image"),
+        (b"\x89PNG\r\n\x1a\n\n\n", "not a Radiance image"),
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n", "not a Radiance image"),
         (b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n1234", "expected the format"),
         (b"#?RADIANCE\nEXPOSURE=0\n\n-Y 1 +X 1\n1234", "exposure"),
         (b"#?RADIANCE\nEXPOSURE=much\n\n-Y 1 +X 1\n1234", "exposure"),

@@ -1,7 +1,7 @@
-"""ao: ambient occlusion, what part of a white sky each surface sees (Rayforce 2013).
+"""ao: ambient occlusion, the share of a white sky that each first hit sees (Rayforce 2013).
 
-The first surface, and 32 rays from it into the directions that it faces: white where they meet
-nothing within `distance`, so that rooms are not black for having walls.
+32 rays from each first hit, cosine-distributed around its normal: white where they hit nothing
+within `distance`, so that closed rooms are not black.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from raystream.rendering.shading.shadow_rays import ShadowRays
 
 __all__ = ["AO", "REACH", "distance_of", "sampler_of", "spawn_ambient_rays"]
 
-#: Most rays from a point.
+#: Upper bound of the option `rays`.
 MAX_RAYS = 4096
 
-#: Length of the rays [default], as a share of the diagonal of the scene's box.
+#: Default length of the rays, as a share of the diagonal of the scene's bounds.
 REACH = 0.1
 
 
 def spawn_ambient_rays(stream: PathStream, band: Band) -> PathStream:
-    """Stage: send rays from the surfaces; the paths end."""
+    """Stage: spawn rays from the hits; the paths end."""
     context = band.context
     count = context.options["rays"]
     rays = ShadowRays.empty(len(stream) * count)
@@ -50,7 +50,7 @@ def spawn_ambient_rays(stream: PathStream, band: Band) -> PathStream:
 
 
 def sampler_of(context: RenderContext) -> Sampler:
-    """The context's sampler, for all rays of a sample."""
+    """The context's sampler, with a sample for each ray."""
     count = context.sampler.sample_count * context.options["rays"]
     return context.sampler._replace(sample_count=count)
 
@@ -80,7 +80,7 @@ def _check(options: Mapping[str, Any]) -> Mapping[str, Any]:
 
 AO = Integrator(
     "ao",
-    "ambient occlusion: 32 rays from the first surface (Rayforce 2013)",
+    "ambient occlusion: 32 rays from the first hit (Rayforce 2013)",
     (find_surfaces, spawn_ambient_rays, trace_shadow_rays),
     {"rays": 32, "distance": None},
     _check,

@@ -1,4 +1,4 @@
-"""Arguments that everything which makes a picture of a scene takes, checked."""
+"""Validation of the arguments that renderers share."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ __all__ = [
     "make_tracer",
 ]
 
-#: Larger pictures are refused.
+#: Most pixels of an image.
 MAX_PIXELS = 1 << 30
 
-#: Memory that a picture takes: sums for each pixel, the image, and its encoding.
+#: Memory per pixel: film, image, and encoded image.
 _BYTES_PER_PIXEL = 60
 
 
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Width and height, if a picture may be as large.
+    """Validate width and height.
 
     Raises
     ------
     ValueError
-        If they are no two numbers, below 1, or more than `MAX_PIXELS` together.
+        If they are not two integers, are below 1, or exceed `MAX_PIXELS` together.
     MemoryError
-        If the picture does not fit into memory.
+        If the image does not fit into memory.
     """
     try:
         width, height = (operator.index(length) for length in size)
@@ -47,12 +47,12 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
         raise ValueError(f"size: expected (width, height), got {size!r}") from None
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ValueError(f"size: expected 1 to {MAX_PIXELS:,} pixels, got {width}x{height}")
-    check_memory(width * height * _BYTES_PER_PIXEL, f"a picture of {width}x{height} would")
+    check_memory(width * height * _BYTES_PER_PIXEL, f"an image of {width}x{height} would")
     return width, height
 
 
 def check_samples(samples: int) -> int:
-    """The number of samples, if it is at least 1; else ValueError."""
+    """Validate the number of samples: at least 1, else ValueError."""
     samples = operator.index(samples)
     if samples < 1:
         raise ValueError(f"samples: expected at least 1, got {samples}")
@@ -60,7 +60,7 @@ def check_samples(samples: int) -> int:
 
 
 def check_camera(camera: Camera | None) -> None:
-    """Raise TypeError if it is no camera."""
+    """Raise TypeError if it is not a camera or None."""
     if camera is not None and not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
 
@@ -71,22 +71,24 @@ def make_tracer(
     device: str | DeviceOptions,
     options: Mapping[str, Any],
 ) -> Tracer:
-    """The tracer given, or one of the scene.
+    """Return the tracer given, or make one for the scene.
 
     Raises
     ------
     ValueError, TypeError
-        If a tracer is given with options of another, or as `Tracer`.
+        If a tracer is given together with options, or as `Tracer`.
     """
     if isinstance(scene, Tracer):
         if structure != "bvh" or device != "cpu" or options:
-            raise ValueError("structure, device, options: the tracer given has its own")
+            raise ValueError(
+                "structure, device, options: not allowed with a Tracer, which has its own"
+            )
         return scene
     return Tracer(scene, structure, device, **options)
 
 
 def check_whole(name: str, value: Any, least: int, most: int) -> int:
-    """An integer of an option, if it is within bounds; else ValueError that names it."""
+    """Validate an option: an integer within bounds, else ValueError with its name."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -97,7 +99,7 @@ def check_whole(name: str, value: Any, least: int, most: int) -> int:
 
 
 def check_number(name: str, value: Any) -> float:
-    """A number of an option; ValueError that names it if it is none, or NaN."""
+    """Validate an option: a number other than NaN, else ValueError with its name."""
     try:
         number = float(value)
     except (TypeError, ValueError):

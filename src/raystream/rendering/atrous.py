@@ -1,7 +1,7 @@
-"""Kernels of the à-trous filter: means over neighbours that show the same surface.
+"""Kernels of the à-trous wavelet filter: edge-avoiding weighted means of neighbours.
 
-The kernel of 5 x 5 pixels has holes, which double from pass to pass: five passes reach over
-125 pixels with 25 reads each (Dammertz et al. 2010). Weights are those of the spatial filter
+The spacing of the 5 x 5 kernel's taps doubles in each pass: five passes cover 125 pixels with 25
+reads each (Dammertz et al. 2010). Weights are those of the spatial filter
 of Schied et al. 2017, equations 2 to 5, and one on albedo in the form of Dammertz's.
 """
 
@@ -18,30 +18,30 @@ from raystream.rendering.color import LUMINANCE
 
 __all__ = ["Guides", "estimate_rows", "filter_rows"]
 
-#: How the B3 spline weighs pixels 0, 1 and 2 steps away.
+#: Weights of the B3 spline at 0, 1 and 2 steps.
 _SPLINE = (np.float32(3 / 8), np.float32(1 / 4), np.float32(1 / 16))
 
-#: How a Gaussian of 3 x 3 weighs variances 0 and 1 pixels away.
+#: Weights of the 3 x 3 Gaussian of variances at 0 and 1 pixels.
 _BLUR = (np.float32(1 / 2), np.float32(1 / 4))
 
-#: Depth that does not count as a difference, beyond the slope: a part of the depth, for curved
-#: surfaces and for depths that are means over a pixel.
+#: Tolerance of depth differences beyond the slope, relative to depth: for curved surfaces, and
+#: because depths are means over a pixel.
 _DEPTH_SLACK = np.float32(5e-3)
 
-#: Differences of albedo that divide the weight by e. It is large: colours of one texture still
-#: mix, since light is filtered without its albedo.
+#: Difference of albedo that divides the weight by e. It is large, so that texels of different
+#: colours are averaged: light is filtered without its albedo.
 _ALBEDO_SPREAD = np.float32(0.5)
 
-#: Luminance that does not count as a difference where no variance is known: rounding.
+#: Least standard deviation of luminance: rounding errors.
 _LEAST_SPREAD = np.float32(1e-6)
 
-#: Beyond this exponent, weights are no normal float32 above 0 any more.
+#: Beyond this exponent, weights underflow in float32.
 _MOST_UNLIKE = np.float32(87)
 
-#: Squarings that raise a cosine to the power 128, Schied's exponent for normals.
+#: Number of squarings for Schied's exponent of normals, 128.
 _NORMAL_SQUARINGS = 7
 
-#: How far `estimate_rows` looks: 7 x 7 pixels, as Schied does.
+#: Radius of `estimate_rows`: 7 x 7 pixels, as Schied.
 _ESTIMATE_REACH = 3
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
@@ -49,16 +49,16 @@ _RED, _GREEN, _BLUE = map(np.float32, LUMINANCE)
 
 
 class Guides(NamedTuple):
-    """What tells surfaces apart; the same in all passes.
+    """Guide images that distinguish surfaces; the same in all passes.
 
     Attributes
     ----------
     normals : ndarray of shape (H, W, 3), float32
-        Of length 1, or 0 where nothing is seen.
+        Of length 1, or 0 for misses.
     depth : ndarray of shape (H, W), float32
-        Infinite where nothing is seen.
+        Infinite for misses.
     slopes : ndarray of shape (H, W, 2), float32
-        Change of depth for one pixel to the right and one down.
+        Change of depth per pixel to the right and down.
     albedo : ndarray of shape (H, W, 3), float32
     """
 
@@ -70,14 +70,14 @@ class Guides(NamedTuple):
 
 @kernel
 def filter_rows(begin, end, step, strength, guides, light, variance, out_light, out_variance):
-    """Filter rows of a picture once.
+    """Filter some rows of an image in one pass.
 
     Parameters
     ----------
     begin, end : int
         Rows.
     step : int
-        Pixels between those that are read.
+        Spacing of the taps in pixels.
     strength : float32
         Standard deviations of luminance that count as noise.
     guides : Guides
@@ -93,7 +93,7 @@ def filter_rows(begin, end, step, strength, guides, light, variance, out_light, 
         for x in range(width):
             spread = math.sqrt(_blurred(variance, y, x)) * strength + _LEAST_SPREAD
             bright = _luminance(light, y, x)
-            # Sums of differences: where neighbours are equal, light stays, bit for bit.
+            # Sums of differences: among equal neighbours light keeps its bits.
             total = _ZERO
             red, green, blue, squares = _ZERO, _ZERO, _ZERO, _ZERO
             for j in range(-2, 3):
@@ -121,7 +121,7 @@ def filter_rows(begin, end, step, strength, guides, light, variance, out_light, 
 
 @kernel
 def estimate_rows(begin, end, guides, light, variance):
-    """Estimate the variance of luminance from neighbours, where it is not known.
+    """Estimate the variance of luminance from neighbours, where it is unknown.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def estimate_rows(begin, end, guides, light, variance):
     guides : Guides
     light : ndarray of shape (H, W, 3), float32
     variance : ndarray of shape (H, W), float32
-        Where it is infinite, it is written: the spread of those of 7 x 7 pixels that show the
-        same surface.
+        Written where it is infinite: the variance over those of 7 x 7 pixels that show the same
+        surface.
     """
     height, width = variance.shape
     for y in range(begin, end):
@@ -144,7 +144,7 @@ def estimate_rows(begin, end, guides, light, variance):
                 for u in range(max(x - _ESTIMATE_REACH, 0), min(x + _ESTIMATE_REACH + 1, width)):
                     if v != y or u != x:
                         weight = _likeness(guides, y, x, v, u, _ZERO)
-                        # From this pixel's, which keeps what is small exact.
+                        # Relative to this pixel, which keeps small differences exact.
                         difference = _luminance(light, v, u) - bright
                         total += weight
                         mean += weight * difference
@@ -155,7 +155,7 @@ def estimate_rows(begin, end, guides, light, variance):
 
 @device
 def _likeness(guides, y, x, v, u, unlike):
-    """How far two pixels show the same: 0 to 1.
+    """Similarity of two pixels' surfaces: 0 to 1.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _likeness(guides, y, x, v, u, unlike):
     y, x, v, u : int
         Row and column of the pixels.
     unlike : float32
-        What else tells them apart, as an exponent.
+        Other dissimilarity, as an exponent.
     """
     depth, other = guides.depth[y, x], guides.depth[v, u]
     if math.isinf(depth) or math.isinf(other):
@@ -173,7 +173,7 @@ def _likeness(guides, y, x, v, u, unlike):
         across = guides.slopes[y, x, 0] * np.float32(u - x)
         down = guides.slopes[y, x, 1] * np.float32(v - y)
         slack = abs(across + down) + _DEPTH_SLACK * abs(depth)
-        if depth != other:  # both may be 0, and the slack with them
+        if depth != other:  # both may be 0, and so the slack
             unlike += abs(other - depth) / slack
     cosine, length, other_length = _ZERO, _ZERO, _ZERO
     for k in range(3):
@@ -194,7 +194,7 @@ def _likeness(guides, y, x, v, u, unlike):
 
 @device
 def _blurred(variance, y, x):
-    """Variance over 3 x 3 pixels: that of one pixel is noisy itself."""
+    """Mean variance over 3 x 3 pixels, since a single one is noisy."""
     height, width = variance.shape
     total, found = _ZERO, _ZERO
     for j in range(max(y - 1, 0), min(y + 2, height)):

@@ -1,4 +1,4 @@
-"""Checkpoints: the arrays of a file of sums, and the picture that they belong to."""
+"""CheckpointArrays: the arrays of a checkpoint file, validated, and the identity of its image."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from raystream.core.errors import FileFormatError
 
 __all__ = ["CheckpointArrays", "identity_bytes"]
 
-#: Longer ones are refused: they are shown to people.
+#: Longest identity: it is shown in error messages.
 _MAX_BYTES = 1 << 16
 
 _SHOWN = 60
 
 
 def identity_bytes(identity: str) -> NDArray[np.uint8]:
-    """An identity as numbers, for a file that holds nothing else.
+    """An identity as bytes, for a file of arrays.
 
     Raises
     ------
     TypeError
-        If it is no text.
+        If it is not text.
     ValueError
         If it is longer than 64 KiB.
     """
@@ -38,12 +38,12 @@ def identity_bytes(identity: str) -> NDArray[np.uint8]:
 
 
 class CheckpointArrays:
-    """The arrays of a file, each checked when it is taken.
+    """The arrays of a checkpoint file, validated on access.
 
     Parameters
     ----------
     path : str or path
-        For errors.
+        For error messages.
     arrays : dict of str to ndarray
     """
 
@@ -52,17 +52,17 @@ class CheckpointArrays:
         self.arrays = arrays
 
     def check_identity(self, identity: str) -> None:
-        """Refuse a checkpoint of another picture.
+        """Check that the checkpoint is of this image.
 
         Parameters
         ----------
         identity : str
-            What is wanted. Where both are JSON objects, the error names what differs.
+            Of the image. If both are JSON objects, the error names the differing keys.
 
         Raises
         ------
         FileFormatError
-            If the file has another.
+            If the file has another identity.
         """
         length = self._array("identity").size
         found = self.take("identity", (length,), np.uint8)
@@ -75,17 +75,17 @@ class CheckpointArrays:
             keys = sorted({*theirs, *ours})
             differing = [key for key in keys if theirs.get(key) != ours.get(key)]
             reason = f"{_short(', '.join(differing))} differ" if differing else reason
-        raise FileFormatError(self.path, f"is a checkpoint of another picture ({reason})")
+        raise FileFormatError(self.path, f"is a checkpoint of another image ({reason})")
 
     def take(
         self, name: str, shape: tuple[int, ...], dtype: type[Any], least: float = -np.inf
     ) -> NDArray[Any]:
-        """An array of finite numbers of a shape and dtype, not below `least`.
+        """An array of finite numbers, of a given shape and dtype, none below `least`.
 
         Raises
         ------
         FileFormatError
-            If it is not there, or another.
+            If it is missing or invalid.
         """
         array = self._array(name)
         if array.shape != shape or array.dtype != dtype:

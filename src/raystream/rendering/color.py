@@ -1,4 +1,4 @@
-"""Between linear colours and the bytes of screens and image files."""
+"""Conversion between linear colours and sRGB bytes, and luminance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 __all__ = ["LUMINANCE", "decode_srgb", "encode_srgb", "luminance"]
 
-#: Luminance of linear RGB, by channel (the primaries of sRGB).
+#: Weights of linear RGB in luminance (sRGB primaries).
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 # Encoded bytes for linear values in steps of 1/4095 would be too coarse near black, where
@@ -32,7 +32,7 @@ def encode_srgb(linear: NDArray[Any], exposure: float = 1.0) -> NDArray[np.uint8
     Parameters
     ----------
     linear : ndarray of any shape, float
-        0 is black, 1 / exposure is full; NaN becomes black.
+        0 is black, 1 / exposure is 255; NaN becomes black.
     exposure : float
         Factor before encoding.
 
@@ -44,7 +44,7 @@ def encode_srgb(linear: NDArray[Any], exposure: float = 1.0) -> NDArray[np.uint8
     ----------
     IEC 61966-2-1:1999 (sRGB).
     """
-    from raystream.rendering.srgb_encoding import encode  # compiled: only what encodes needs Numba
+    from raystream.rendering.srgb_encoding import encode  # compiled: only encoding needs Numba
 
     numbers = np.ascontiguousarray(linear, np.float32)
     encoded = encode(numbers.ravel(), np.float32(exposure * _STEPS), _ENCODED)
@@ -64,7 +64,7 @@ def decode_srgb(encoded: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def luminance(linear: NDArray[Any]) -> NDArray[Any]:
-    """Luminance of linear colours of shape (..., 3): shape (...), of their dtype."""
+    """Luminance of linear colours, shape (..., 3): shape (...), same dtype."""
     weights = np.array(LUMINANCE, linear.dtype)
     result: NDArray[Any] = linear @ weights
     return result

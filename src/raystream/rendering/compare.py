@@ -1,4 +1,4 @@
-"""compare: how far a picture is from another, in figures and in false colours."""
+"""compare: errors of an image against a reference, as numbers and in false colours."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ __all__ = ["Comparison", "compare", "draw_difference"]
 #: Keeps relative errors of dark pixels bounded; after Rousselle et al. 2011.
 _DARK = 0.01
 
-#: Colours on the way from black, in sRGB: of what is brighter, and of what is darker.
+#: Anchor colours in sRGB: of brighter pixels, and of darker ones.
 _WARM = ((0, 0, 0), (72, 22, 8), (150, 52, 12), (222, 104, 30), (244, 168, 92), (255, 236, 214))
 _COLD = ((0, 0, 0), (8, 28, 72), (14, 66, 140), (36, 122, 200), (112, 182, 236), (218, 242, 255))
 
-#: Of pixels that are not finite in one of the pictures (linear RGB): no ramp has it.
+#: Of pixels that are not finite in one of the images (linear RGB), in none of the ramps.
 _INVALID = (0.0, 0.6, 0.0)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of a picture against a reference, over pixels and channels of linear RGB.
+    """Errors of an image against a reference, over pixels and channels of linear RGB.
 
     Attributes
     ----------
@@ -39,18 +39,18 @@ class Comparison:
     relative_mse : float
         Mean of (a - b)² / (b² + 0.01) [1]_.
     psnr : float
-        Peak signal-to-noise ratio in decibels, of the pictures as sRGB bytes with the peak
-        255: as far as a screen shows a difference. Infinite where it shows none.
+        Peak signal-to-noise ratio in decibels, of the images as sRGB bytes with the peak
+        255: the difference that a screen shows. Infinite if it shows none.
     max_error : float
         Largest ``abs(a - b)``.
     max_error_at : (int, int)
-        Column and row of its pixel, from the upper left; the first, if there are several.
+        Column and row of its pixel, from the upper left; the first one on ties.
     mean, reference_mean : float
-        Of each picture.
+        Of each image.
     bias : float
         ``mean - reference_mean``.
     invalid_count : int
-        Pixels that are not finite in one of the pictures. They are left out of all figures.
+        Pixels that are not finite in one of the images; all other figures exclude them.
 
     References
     ----------
@@ -73,7 +73,7 @@ class Comparison:
 def compare(image: Image, reference: Image) -> Comparison:
     """Measure errors: see `Image.compare`."""
     is_valid = _check(image, reference)
-    a, b = (picture.pixels[is_valid].astype(np.float64) for picture in (image, reference))
+    a, b = (one.pixels[is_valid].astype(np.float64) for one in (image, reference))
     if len(a) == 0:
         raise ValueError("image: no pixel is finite both in it and in the reference")
     errors = np.abs(a - b)
@@ -99,28 +99,28 @@ def draw_difference(image: Image, reference: Image, maximum: float | None) -> Im
     is_valid = _check(image, reference)
     check_maximum(maximum)
     difference = np.zeros(is_valid.shape)
-    a, b = (picture.pixels[is_valid].astype(np.float64) for picture in (image, reference))
+    a, b = (one.pixels[is_valid].astype(np.float64) for one in (image, reference))
     difference[is_valid] = luminance(a - b)
     most = float(np.abs(difference).max())
     top = float(maximum or most or 1.0)
     warm, cold = color_ramp(anchors=_WARM), color_ramp(anchors=_COLD)
     levels = np.minimum(np.abs(difference) / top, 1.0) * (len(warm) - 1)
     places = np.rint(levels).astype(np.int32)
-    picture = np.where((difference > 0.0)[..., None], warm[places], cold[places])
-    picture[~is_valid] = _INVALID
+    drawn = np.where((difference > 0.0)[..., None], warm[places], cold[places])
+    drawn[~is_valid] = _INVALID
     width = image.size[0]
     scales = [
         draw_scale(width, top, most > top, title, ramp)
         for title, ramp in (("brighter by", warm), ("darker by", cold))
     ]
-    return Image(np.concatenate([picture, *scales]))
+    return Image(np.concatenate([drawn, *scales]))
 
 
 def _check(image: Image, reference: Image) -> NDArray[np.bool_]:
-    """Where both pictures are finite: shape (H, W)."""
+    """Mask of pixels that are finite in both images: shape (H, W)."""
     if image.size != reference.size:
-        sizes = " and ".join("{}x{}".format(*picture.size) for picture in (image, reference))
-        raise ValueError(f"reference: expected pictures of one size, got {sizes}")
+        sizes = " and ".join("{}x{}".format(*one.size) for one in (image, reference))
+        raise ValueError(f"reference: expected images of equal size, got {sizes}")
     is_finite = np.isfinite(image.pixels) & np.isfinite(reference.pixels)
     return np.asarray(is_finite.all(axis=2))
 

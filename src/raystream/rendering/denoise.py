@@ -1,4 +1,4 @@
-"""denoise: fewer samples, and a filter that knows the edges of surfaces."""
+"""denoise: smoothing noise, with edges from the layers of an image."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from raystream.rendering.image import Image
 
 __all__ = ["denoise"]
 
-#: Surfaces darker than this are filtered with their colour: light divided by nothing.
+#: Least albedo by which light is divided.
 _LEAST_ALBEDO = np.float32(0.01)
 
-#: With fewer samples, a pixel's own variance tells too little (Schied et al. 2017, 4.2).
+#: With fewer samples, a pixel's own variance is unreliable (Schied et al. 2017, 4.2).
 _LEAST_SAMPLES = 4
 
-#: Rows that a thread gets at a time: some milliseconds.
+#: Rows per task of a thread: some milliseconds.
 _ROWS = 8
 
-#: Passes; more would reach over 2000 pixels.
+#: Most passes; more would reach over 2000 pixels.
 _MAX_PASSES = 10
 
-#: More is as if light did not matter.
+#: With a larger strength, light would not matter.
 _MAX_STRENGTH = 1e6
 
-#: Light and variance twice, guides, and what they are made of.
+#: Memory per pixel: light and variance twice, guides, and temporaries.
 _BYTES_PER_PIXEL = 160
 
-#: Light beyond this is cut: sums of squares stay below the largest float32.
+#: Light is clamped to this, so that sums of squares do not overflow float32.
 _MOST_LIGHT = np.float32(1e15)
 
 
 def denoise(image: Image, *, passes: int, strength: float) -> Image:
-    """Smooth a picture: see `Image.denoise`."""
+    """Remove noise from an image: see `Image.denoise`."""
     passes = operator.index(passes)
     if not 1 <= passes <= _MAX_PASSES:
         raise ValueError(f"passes: expected 1 to {_MAX_PASSES}, got {passes}")
@@ -55,7 +55,7 @@ def denoise(image: Image, *, passes: int, strength: float) -> Image:
     variance = _light_variance(image, albedo)
     parallel_for(lambda a, b: estimate_rows(a, b, guides, light, variance), height, _ROWS)
     smooth = _filter(guides, light, variance, passes, strength)
-    # What the filter changed is added: where that is nothing, colours keep their bits.
+    # Add the change of the filter: where that is 0, colours keep their bits.
     changed = pixels + albedo * (smooth - light)
     layers = {name: layer for name, layer in image.layers.items() if name != "variance"}
     return Image(changed, layers, image.figures)
@@ -91,9 +91,9 @@ def _filter_rows(
 
 
 def _make_guides(image: Image, albedo: NDArray[np.float32]) -> Guides:
-    """The layers as guides; one that is missing is the same everywhere, and so says nothing."""
+    """The layers as guides; a missing one is constant, and so has no effect."""
     normals = _finite(_layer(image, "normal", 3, 0.0))
-    # Means of unit normals are shorter, down to nothing where they cancel.
+    # Means of unit normals are shorter, and 0 where they cancel.
     lengths = np.sqrt(np.einsum("hwk,hwk->hw", normals, normals, dtype=np.float64))
     normals = (normals / np.maximum(lengths, 1e-30)[:, :, None]).astype(np.float32)
     depth = _layer(image, "depth", 1, 0.0)
@@ -105,7 +105,7 @@ def _make_guides(image: Image, albedo: NDArray[np.float32]) -> Guides:
 def _slope(depth: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     """Change of depth from pixel to pixel.
 
-    Of the changes on both sides, the smaller: at an edge, it is the one on the surface.
+    The smaller change of both sides: at an edge, the one on the surface.
     """
     with np.errstate(invalid="ignore"):
         steps = np.diff(depth, axis=axis)
@@ -119,16 +119,16 @@ def _slope(depth: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 
 def _light_variance(image: Image, albedo: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Variance of the luminance of light without albedo; infinite where it is not known.
+    """Variance of the luminance of light without albedo; infinite where it is unknown.
 
-    Channels are taken to vary together, as they do under white light: deviations add up.
+    Channels are assumed to vary together, as under white light: deviations add up.
     """
     given = _layer(image, "variance", 3, np.inf)
     deviation = np.sqrt(np.maximum(_finite(given), 0.0)) / albedo
     with np.errstate(over="ignore"):
         variance = np.asarray(luminance(deviation) ** 2)
     enough = _layer(image, "samples", 1, _LEAST_SAMPLES) >= _LEAST_SAMPLES
-    # At the rim of a lamp, samples differ because some see it.
+    # At the edge of an emitter, samples differ because only some hit it.
     enough &= ~_layer(image, "emission", 3, 0.0).any(axis=2)
     is_known = np.isfinite(given).all(axis=2) & np.isfinite(variance) & enough
     variance[~is_known] = np.inf
@@ -136,7 +136,7 @@ def _light_variance(image: Image, albedo: NDArray[np.float32]) -> NDArray[np.flo
 
 
 def _layer(image: Image, name: str, width: int, otherwise: float) -> NDArray[np.float32]:
-    """A layer, or the same value everywhere."""
+    """A layer, or a constant if it is missing."""
     shape = image.pixels.shape[:2] if width == 1 else image.pixels.shape
     if name not in image.layers:
         return np.full(shape, otherwise, np.float32)

@@ -1,4 +1,4 @@
-"""DeviceBands: samples taken by a device whose memory the paths stay in."""
+"""DeviceBands: rendering samples on a device, without copying paths to the host."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ __all__ = ["DeviceBands"]
 
 
 class DeviceBands(Protocol):
-    """What a tracer's machine has that shades, too; see `Tracer.bands_on_device`.
+    """A renderer of samples on a tracer's device; see `Tracer.bands_on_device`.
 
     Attributes
     ----------
     pixels_at_once : int
-        Most whose paths are followed together.
+        Upper bound for a band.
     """
 
     pixels_at_once: int
 
     def takes(self, stages: Sequence[Callable[..., Any]]) -> bool:
-        """Whether it has its own way for each of a renderer's stages."""
+        """Whether it implements all of an integrator's stages."""
         ...
 
     def trace(

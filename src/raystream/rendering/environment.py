@@ -1,4 +1,4 @@
-"""Environment maps: the image of an environment light, read once, and how it is turned."""
+"""Environment maps: images of environment lights, loaded once, and their orientation."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ _read: WeakKeyDictionary[EnvironmentLight, NDArray[np.float32]] = WeakKeyDiction
 
 
 def texels_of(light: EnvironmentLight) -> NDArray[np.float32]:
-    """The texels of a light that has an image; a file is read for the first call.
+    """The texels of a light with an image; files are read on the first call.
 
     Returns
     -------
     ndarray of shape (H, W, 3), float32
-        Linear radiance without the light's factor, top row first.
+        Linear radiance, without the light's factor, top row first.
 
     Raises
     ------
     FileFormatError
-        If the file is missing, damaged, too large, of an unknown kind, or has radiance that is
-        negative or not finite.
+        If the file is missing, corrupt, too large, of an unsupported kind, or has radiance that
+        is negative or not finite.
     ImportError
-        If it is an EXR and OpenEXR is not installed.
+        If it is an EXR, and OpenEXR is not installed.
     """
     assert light.image is not None
     if not isinstance(light.image, Path):
@@ -70,12 +70,12 @@ def _read_map(path: Path) -> NDArray[np.float32]:
 
 
 def image_light(lights: Sequence[Light]) -> EnvironmentLight | None:
-    """The one environment light that has an image, if there is one.
+    """The environment light with an image, or None.
 
     Raises
     ------
     ValueError
-        If several have.
+        If there are several.
     """
     found = [light for light in lights if isinstance(light, EnvironmentLight)]
     found = [light for light in found if light.image is not None]
@@ -85,29 +85,29 @@ def image_light(lights: Sequence[Light]) -> EnvironmentLight | None:
 
 
 def axes_of(light: EnvironmentLight) -> NDArray[np.float64]:
-    """Where the image's right, up and middle are: rows of shape (3, 3), float64, world space."""
+    """The image's right, up and centre directions: rows of shape (3, 3), float64, world space."""
     up = np.array(light.up) / np.abs(light.up).max()
     up /= np.linalg.norm(up)
-    # Along x up to rounding: an image that a hair's breadth turns by a right angle is no use.
+    # Along x up to rounding, so that tiny changes of `up` do not turn the image by 90 degrees.
     is_along_x = abs(up[0]) > 1.0 - 1e-12
     axis = np.array([0.0, 0.0, 1.0] if is_along_x else [1.0, 0.0, 0.0])
     right = axis - (axis @ up) * up
     right /= np.linalg.norm(right)
     middle = np.cross(up, right)
     angle = math.radians(math.fmod(light.rotation, 360.0))
-    # Counterclockwise, the middle turns to the left.
+    # Counterclockwise, the centre turns to the left.
     turned = math.cos(angle) * middle - math.sin(angle) * right
     return np.array([np.cross(turned, up), up, turned])
 
 
 def row_heights(count: int) -> NDArray[np.float64]:
-    """Heights of a unit sphere's slices between latitudes: the area of rows over 2 pi."""
+    """Heights of the unit sphere's slices between latitudes: the area of each row over 2 pi."""
     middles = (np.arange(count) + 0.5) * (math.pi / count)
     return 2.0 * math.sin(math.pi / 2.0 / count) * np.sin(middles)
 
 
 def mean_radiance(light: EnvironmentLight) -> Color:
-    """Mean over all directions of a light that has an image."""
+    """Mean radiance, over all directions, of a light with an image."""
     rows = texels_of(light).mean(axis=1, dtype=np.float64)
     red, green, blue = np.array(light.radiance) * (row_heights(len(rows)) @ rows) / 2.0
     return float(red), float(green), float(blue)

@@ -1,4 +1,4 @@
-"""EXR files: pictures and their layers as channels of linear numbers."""
+"""EXR files: reading and writing images with their layers as channels."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["read_exr", "write_exr"]
 
 _MAX_CHANNELS = 1000
 
-#: A channel while it is read, and as a part of a layer.
+#: Memory per number: in a channel being read, and in a layer.
 _BYTES_PER_NUMBER = 8
 
 
 def write_exr(path: str, pixels: NDArray[np.float32], layers: Mapping[str, NDArray[Any]]) -> None:
-    """Write a picture with its layers, compressed without loss.
+    """Write an image with its layers, with lossless compression.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def write_exr(path: str, pixels: NDArray[np.float32], layers: Mapping[str, NDArr
     pixels : ndarray of shape (H, W, 3), float32
         Channels R, G and B.
     layers : mapping of str to ndarray
-        See `layers.channels_of`. Integers are kept by their bits, as unsigned ones.
+        See `layers.channels_of`. Integers keep their bits, as unsigned ones.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def write_exr(path: str, pixels: NDArray[np.float32], layers: Mapping[str, NDArr
 
 
 def read_exr(path: str) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
-    """Read a picture with its layers.
+    """Read an image with its layers.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def read_exr(path: str) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
     ImportError
         If OpenEXR is not installed.
     FileFormatError
-        If there is no such file, it is damaged or too large, has several parts, channels of
-        fewer pixels than others, or no colours.
+        If the file is missing, corrupt or too large, has several parts, subsampled channels, or
+        no colours.
     MemoryError
         If it does not fit into memory.
     """
@@ -92,7 +92,7 @@ def read_exr(path: str) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
             channels = {name: _plain(it.pixels) for name, it in file.channels().items()}
     except (FileFormatError, MemoryError):
         raise
-    except Exception as error:  # OpenEXR raises many kinds for damaged files
+    except Exception as error:  # OpenEXR raises many types for corrupt files
         raise FileFormatError(path, f"is not a whole .exr file ({error})") from error
     colors = [channels.pop(name, None) for name in "RGB"]
     if all(plane is None for plane in colors) and "Y" in channels:
@@ -104,11 +104,11 @@ def read_exr(path: str) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
 
 
 def _check_header(path: str, openexr: ModuleType, part_count: int, header: dict[str, Any]) -> None:
-    """Refuse what is not read, before pixels are."""
+    """Check the header, before pixels are read."""
     if part_count != 1:
-        raise FileFormatError(path, f"has {part_count} parts; files of one part are read")
+        raise FileFormatError(path, f"has {part_count} parts; multi-part files are not supported")
     if header["type"] not in (openexr.scanlineimage, openexr.tiledimage):
-        raise FileFormatError(path, "has many depths in a pixel, which is not read")
+        raise FileFormatError(path, "is a deep image, which is not supported")
     low, high = header["dataWindow"]
     width, height = (int(high[k]) - int(low[k]) + 1 for k in range(2))
     channels = header["channels"]
@@ -117,13 +117,13 @@ def _check_header(path: str, openexr: ModuleType, part_count: int, header: dict[
     if len(channels) > _MAX_CHANNELS:
         raise FileFormatError(path, f"has {len(channels)} channels; at most {_MAX_CHANNELS}")
     if any(channel.xSampling != 1 or channel.ySampling != 1 for channel in channels):
-        raise FileFormatError(path, "has channels of fewer pixels than others")
+        raise FileFormatError(path, "has subsampled channels, which are not supported")
     byte_count = width * height * len(channels) * _BYTES_PER_NUMBER
     check_memory(byte_count, f"{path}: {len(channels)} channels of {width}x{height} would")
 
 
 def _plain(plane: NDArray[Any]) -> NDArray[Any]:
-    """A channel as float32 or, by the bits of unsigned integers, as int32."""
+    """A channel as float32 or, if it has unsigned integers, as int32 with the same bits."""
     if plane.dtype == np.uint32:
         return np.ascontiguousarray(plane).view(np.int32)
     return plane.astype(np.float32, copy=False)

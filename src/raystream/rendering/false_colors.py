@@ -1,8 +1,7 @@
-"""False colours: counts on a ramp of colours, with a scale below.
+"""False colours: counts mapped to a colour ramp, with a scale bar.
 
-The ramp goes from black for 0 through blue, red and yellow to nearly white, and its lightness
-(CIE L*) rises evenly: larger counts are always lighter, also in print and to people who cannot
-tell red from green.
+The ramp goes from black through blue, red and yellow to nearly white. Its lightness (CIE L*) is
+linear: larger counts are always lighter, also in greyscale and for colour-blind readers.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from raystream.rendering.scale_bar import draw_scale
 
 __all__ = ["check_maximum", "color_ramp", "draw_counts"]
 
-#: Colours on the way, in sRGB; each is where its lightness puts it.
+#: Anchor colours in sRGB, positioned by their lightness.
 _ANCHORS = (
     (0, 0, 0),
     (26, 16, 66),
@@ -46,7 +45,7 @@ def color_ramp(
     level_count : int
         At least 2.
     anchors : sequence of (int, int, int)
-        Colours on the way from black, sRGB bytes, each lighter than the one before.
+        Colours from black on, sRGB bytes, each lighter than the previous one.
 
     Returns
     -------
@@ -61,7 +60,7 @@ def color_ramp(
     places = _lightness(colors @ LUMINANCE)
     wanted = np.linspace(0.0, places[-1], level_count)
     mixed = np.stack([np.interp(wanted, places, channel) for channel in colors.T], axis=1)
-    # Mixtures of linear colours are lighter than halfway: dim them to the lightness wanted.
+    # Mixtures of linear colours are too light: scale them to the wanted lightness.
     luminance = np.maximum(mixed @ LUMINANCE, 1e-9)
     return (mixed * (_luminance(wanted) / luminance)[:, None]).astype(np.float32)
 
@@ -69,27 +68,27 @@ def color_ramp(
 def draw_counts(
     counts: ArrayLike, title: str = "", maximum: float | None = None
 ) -> NDArray[np.float32]:
-    """Draw counts in false colours, with a scale below.
+    """Draw counts in false colours, with a scale bar below.
 
     Parameters
     ----------
     counts : array_like of shape (H, W), real
         Not negative.
     title : str
-        A line about the counts, wrapped where the picture is narrow.
+        Of the scale bar, wrapped if the image is narrow.
     maximum : float, optional
-        Top of the scale; without it, the largest count. Larger counts are drawn as the top,
-        and the scale says so.
+        Top of the scale [default: the largest count]. Larger counts are clamped, and the scale
+        bar says so.
 
     Returns
     -------
     ndarray of shape (H + S, W, 3), float32
-        Linear RGB: the counts, and S rows of scale. S depends on the width and the title.
+        Linear RGB: the counts, and S rows of scale bar. S depends on the width and the title.
 
     Raises
     ------
     ValueError
-        If the shape is another, a count is negative, NaN or infinite, or `maximum` is not a
+        If the shape is wrong, a count is negative, NaN or infinite, or `maximum` is not a
         number above 0.
     """
     counts = np.asarray(counts)
@@ -104,13 +103,13 @@ def draw_counts(
     np.minimum(levels, 1.0, out=levels)
     levels *= _LEVELS - 1
     ramp = color_ramp()
-    picture = ramp[np.rint(levels, out=levels).astype(np.int32)]
+    drawn = ramp[np.rint(levels, out=levels).astype(np.int32)]
     scale = draw_scale(counts.shape[1], top, most > top, title, ramp)
-    return np.concatenate([picture, scale])
+    return np.concatenate([drawn, scale])
 
 
 def check_maximum(maximum: float | None) -> None:
-    """Raise ValueError if it is no top of a scale."""
+    """Raise ValueError if it is not a finite number above 0, or None."""
     if maximum is not None and not (math.isfinite(maximum) and maximum > 0.0):
         raise ValueError(f"maximum: expected a number above 0, got {maximum}")
 

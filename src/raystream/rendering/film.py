@@ -1,4 +1,4 @@
-"""Film: sums over the samples of each pixel, and how far to trust their mean."""
+"""Film: accumulates samples per pixel, with their mean, variance and layers."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from raystream.rendering.layers import LAYERS, LayerKind
 
 __all__ = ["Film"]
 
-#: Of the checkpoints; a file of another version is refused.
+#: Of checkpoint files; other versions are refused.
 _VERSION = 1
 
 #: Two sums of three float64, and a count.
 _BYTES_PER_PIXEL = 56
 
-#: What a checkpoint's arrays are called, beside those of layers.
+#: Names of a checkpoint's arrays, apart from those of layers.
 _SUM, _SQUARES, _COUNTS = "sum", "squares", "counts"
 
 
 class Film:
-    """Sums of samples by pixel, from which come the mean, its variance, and layers.
+    """Sums of samples per pixel: the mean, its variance, and layers.
 
-    Threads may add to it at the same time if no two add to one pixel; everything else is for
-    one thread, while none adds. A pixel's sums depend on the order of its own samples only.
+    Several threads may add samples if no two of them share a pixel; nothing else may run at the
+    same time. A pixel's sums depend on the order of its own samples only.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ class Film:
     counts : ndarray of shape (H * W,), int64
         Samples of each pixel.
     dropped : int
-        Samples that were not finite; they count as black.
+        Number of samples that were not finite; they count as black.
 
     Raises
     ------
     ValueError
-        If a length is below 1, or the picture too large.
+        If a length is below 1, or the image is too large.
     MemoryError
         If the sums do not fit into memory.
     """
@@ -71,20 +71,19 @@ class Film:
         self._lock = threading.Lock()
 
     def add_samples(self, first_pixel: int, radiance: NDArray[Any]) -> None:
-        """Add one sample to each pixel of a row of them.
+        """Add one sample to each of N consecutive pixels.
 
         Parameters
         ----------
         first_pixel : int
-            Row times width plus column. The pixels are this one and the next, also over the
-            ends of rows of the picture.
+            Row times width plus column. Pixels may continue in the next rows.
         radiance : ndarray of shape (N, 3), float32
             Linear RGB. A sample that is not finite in all channels counts as black.
 
         Raises
         ------
         ValueError
-            If the shape is another, or there are no such pixels.
+            If the shape is wrong, or pixels are out of range.
         """
         if radiance.ndim != 2 or radiance.shape[1] != 3:
             raise ValueError(f"radiance: expected shape (N, 3), got {radiance.shape}")
@@ -96,21 +95,21 @@ class Film:
                 self.dropped += dropped
 
     def set_layer(self, name: str, first_pixel: int, values: NDArray[Any]) -> None:
-        """Add one sample of a layer to each pixel of a row of them.
+        """Add one sample of a layer to each of N consecutive pixels.
 
         Parameters
         ----------
         name : {"depth", "normal", "albedo", "prim_id", "emission"}
         first_pixel : int
             As in `add_samples`.
-        values : ndarray of shape (N,) or, of normals, albedo and emission, (N, 3)
-            The layer is their mean over samples; of prim_id, the first. Other values that are
-            not finite (nothing was seen) are left out.
+        values : ndarray of shape (N,), or (N, 3) for normal, albedo and emission
+            The layer is their mean over samples, or the first one for prim_id. Other values
+            that are not finite (misses) are skipped.
 
         Raises
         ------
         ValueError
-            If the name is unknown, the shape is another, or there are no such pixels.
+            If the name is unknown, the shape is wrong, or pixels are out of range.
         """
         if name not in LAYERS:
             known = ", ".join(repr(known) for known in LAYERS)
@@ -126,18 +125,18 @@ class Film:
         self._layers[name].add(pixels, values)
 
     def mean(self) -> NDArray[np.float32]:
-        """The picture: shape (H, W, 3), float32; black where there is no sample."""
+        """The mean of the samples: shape (H, W, 3), float32; black without samples."""
         mean = self._sum / np.maximum(self.counts, 1)[:, None]
         return mean.astype(np.float32).reshape(self.height, self.width, 3)
 
     def variance(self) -> NDArray[np.float32]:
-        """Variance of the mean of each pixel, estimated without bias.
+        """Unbiased estimate of the variance of each pixel's mean.
 
         Returns
         -------
         ndarray of shape (H, W, 3), float32
             By channel: (Σx² - (Σx)² / n) / (n (n - 1)). Infinite for pixels of 0 or 1
-            samples, which tell nothing of their spread; never NaN.
+            samples; never NaN.
         """
         with np.errstate(over="ignore"):
             variance = self._variance().astype(np.float32)
@@ -153,16 +152,15 @@ class Film:
         return variance
 
     def error(self) -> float:
-        """The picture's relative error, estimated.
+        """Estimate of the image's relative error.
 
         Returns
         -------
         float
             The root of the mean of `variance` over all pixels and channels, divided by the
-            mean of the picture: about the RMSE that the picture has against the truth, as a
-            part of its brightness. Four times the samples halve it. Infinite while a pixel
-            has fewer than 2 samples, or where a picture that is black on the whole has spread;
-            0 where nothing has any.
+            mean of the image: about the RMSE against the converged image, relative to its
+            brightness. Four times the samples halve it. Infinite while a pixel has fewer than
+            2 samples, or if an image whose mean is black has variance; 0 without variance.
         """
         spread = math.sqrt(float(self._variance().mean()))
         if not 0.0 < spread < math.inf:
@@ -171,7 +169,7 @@ class Film:
         return spread / brightness if brightness > 0.0 else math.inf
 
     def layers(self) -> dict[str, NDArray[Any]]:
-        """The layers set, by name, and ``"variance"`` and ``"samples"``, each as a picture."""
+        """The layers by name, with ``"variance"`` and ``"samples"``: shape (H, W) or (H, W, 3)."""
         size = (self.height, self.width)
         layers = {}
         for name, layer in self._layers.items():
@@ -182,25 +180,25 @@ class Film:
         return layers
 
     def image(self, figures: Mapping[str, Any] | None = None) -> Image:
-        """The picture with its layers; see `mean` and `layers`."""
+        """The image with its layers; see `mean` and `layers`."""
         return Image(self.mean(), self.layers(), figures)
 
     def save(self, path: str | PathLike[str], identity: str) -> None:
-        """Write all sums to a checkpoint, which appears, or is replaced, as a whole.
+        """Write all sums to a checkpoint, atomically.
 
         Parameters
         ----------
         path : str or path
             Ends in ``.npz``.
         identity : str
-            What is rendered, as text or as a JSON object: all on which samples depend.
+            What is rendered, as text or a JSON object: everything that samples depend on.
 
         Raises
         ------
         ValueError
-            If the file's name ends in something else, or the identity is too long.
+            If the file has another suffix, or the identity is too long.
         OSError
-            If the file cannot be written; an old one is then kept.
+            If the file cannot be written; an existing one is then kept.
         """
         arrays: dict[str, NDArray[Any]] = {
             "version": np.array([_VERSION]),
@@ -218,19 +216,18 @@ class Film:
 
     @classmethod
     def load(cls, path: str | PathLike[str], identity: str) -> Film:
-        """Read a checkpoint; sums go on from it to the same bits as without a break.
+        """Read a checkpoint, to resume to the same bits as without an interruption.
 
         Parameters
         ----------
         path : str or path
         identity : str
-            As it was saved with.
+            As given to `save`.
 
         Raises
         ------
         FileFormatError
-            If there is no such file, it is no checkpoint, is damaged, or is of another
-            picture.
+            If the file is missing, corrupt, not a checkpoint, or of another image.
         MemoryError
             If the sums do not fit into memory.
         """
@@ -266,7 +263,7 @@ class Film:
 
 
 class _Layer:
-    """Sums of a layer's samples, or the first ones."""
+    """A layer's sums of samples, or its first samples."""
 
     def __init__(self, kind: LayerKind, pixel_count: int) -> None:
         self.kind = kind
@@ -289,7 +286,7 @@ class _Layer:
         counts += is_known
 
     def values(self) -> NDArray[Any]:
-        """The layer, flat."""
+        """The layer, a row per pixel."""
         if self.kind.fold == "first":
             return self.sum.copy()
         counts = self.counts if self.sum.ndim == 1 else self.counts[:, None]

@@ -1,4 +1,4 @@
-"""Adding samples to sums, of the light and of its square."""
+"""The kernel that adds samples to a film's sums, of light and of its square."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["add_light"]
 
 @kernel
 def add_light(light, sums, squares, counts):
-    """Add a sample to each of some pixels; an eighth of the time that NumPy takes for it.
+    """Add a sample to each of N pixels, in an eighth of NumPy's time.
 
     Parameters
     ----------
     light : ndarray of shape (N, 3), float32
-        One that is not finite in all channels counts as black.
+        A sample that is not finite in all channels counts as black.
     sums, squares : ndarray of shape (N, 3), float64
         Changed.
     counts : ndarray of shape (N,), integer
@@ -27,7 +27,7 @@ def add_light(light, sums, squares, counts):
     Returns
     -------
     int
-        Samples that were not finite.
+        Number of samples that were not finite.
     """
     dropped = 0
     for i in range(len(light)):

@@ -1,4 +1,4 @@
-"""Frames: the pictures of a scene that moves, one after another."""
+"""render_frames: the frames of an animation, rendered one at a time."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from raystream.tracer import Tracer
 
 __all__ = ["frame_seed", "render_frames", "split_options", "timeline_of"]
 
-#: Arguments of `render` that make no sense for many pictures.
-_OF_ONE_PICTURE = ("checkpoint", "on_pass")
+#: Arguments of `render` for single images only.
+_SINGLE_IMAGE_OPTIONS = ("checkpoint", "on_pass")
 
 
 def frame_seed(seed: int, frame: int) -> int:
     """The seed of a frame's samples, in [0, 2**32).
 
-    Noise that stays where it is looks like dirt on the lens, so each frame has its own. It
-    depends on nothing but the two numbers: frames can be rendered in any order, by anyone.
+    Each frame has its own: static noise would look like dirt on the lens. It depends on the two
+    numbers only, so that frames can be rendered in any order and on any machine.
     """
     return int(np.random.SeedSequence([seed, frame]).generate_state(1)[0])
 
@@ -58,38 +58,38 @@ def render_frames(
     scene : Scene
         With an animation or a camera track, or still, if `camera` moves.
     mode, size, samples, structure, device, **options
-        As for `render`, without ``checkpoint`` and ``on_pass``; limits of noise and time are
-        those of each frame.
+        As for `render`, without ``checkpoint`` and ``on_pass``; noise and time limits apply to
+        each frame.
     frames : slice, int or iterable of int, optional
-        Which of the frames; all without it. See `Timeline.chosen`.
+        Frames to render [default: all]; see `Timeline.chosen`.
     fps : float, optional
-        Frames in a unit of time, as a rule a second; without it, what the file says, else 24.
+        Frames per unit of time, usually a second [default: from the file, else 24].
     camera : Camera or CameraTrack, optional
-        The view; without it, the scene's, which may move, or one that frames the scene as it
-        was given.
+        The view [default: the scene's camera, which may move, or one that frames the scene as
+        given].
     seed : int
-        Of the whole; each frame has its own, see `frame_seed`.
+        Of the animation; each frame has its own, see `frame_seed`.
     progress : callable, optional
         Called with (rays done, rays) of all frames.
 
     Returns
     -------
     iterator of (int, Image)
-        Number and picture of each frame, rendered when it is asked for. Frame i is what
-        ``render(scene.at(time), ..., seed=frame_seed(seed, i))`` makes of the time ``start +
-        i / fps``, to the bit where both trace in the same local frame, as ordinary scenes do.
+        Number and image of each frame, rendered on demand. Frame i is ``render(scene.at(time),
+        ..., seed=frame_seed(seed, i))`` at the time ``start + i / fps``, bit for bit if both trace
+        in the same local frame, as ordinary scenes do.
 
     Raises
     ------
     ValueError
-        If nothing moves, a frame is not there, or as `render`.
+        If nothing moves, a frame is out of range, or as `render`.
     TypeError
-        If `scene` is no scene, or as `render`.
+        If `scene` is not a scene, or as `render`.
 
     Notes
     -----
-    The structure is built once and then moved, see `Tracer.update`; a new one is built where
-    meshes come or go.
+    The structure is built once and then refitted, see `Tracer.update`; it is rebuilt when meshes
+    appear or disappear.
 
     Examples
     --------
@@ -105,19 +105,23 @@ def render_frames(
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; see rs.load")
     width, height = check_size(size)
-    of_picture, of_tracer = split_options(mode, options)
+    image_options, tracer_options = split_options(mode, options)
     timeline = timeline_of(scene, camera, fps)
     numbers = timeline.chosen(frames)
     if camera is None and not scene.has_own_camera:
         camera = scene.camera_for(width / height)
-    of_picture |= {"size": (width, height), "samples": check_samples(samples)}
-    shown = None if progress is None else _Shown(progress, len(numbers), width * height * samples)
+    image_options |= {"size": (width, height), "samples": check_samples(samples)}
+    shown = (
+        None
+        if progress is None
+        else _FrameProgress(progress, len(numbers), width * height * samples)
+    )
 
-    def pictures() -> Iterator[tuple[int, Image]]:
+    def images() -> Iterator[tuple[int, Image]]:
         tracer: Tracer | None = None
         for place, number in enumerate(numbers):
             time = timeline.time_of(number)
-            tracer = _moved(tracer, scene.at(time), structure, device, of_tracer)
+            tracer = _moved(tracer, scene.at(time), structure, device, tracer_options)
             view = camera if camera is None or isinstance(camera, Camera) else camera.at(time)
             report = None if shown is None else shown.of(place)
             yield (
@@ -128,28 +132,28 @@ def render_frames(
                     camera=view,
                     seed=frame_seed(seed, number),
                     progress=report,
-                    **of_picture,
+                    **image_options,
                 ),
             )
 
-    return pictures()
+    return images()
 
 
 def split_options(mode: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Tell options of a picture from those of a tracer."""
+    """Separate options of an image from those of a tracer."""
     if mode not in RENDERERS:
         known = ", ".join(repr(known) for known in RENDERERS)
         raise ValueError(f"mode: expected one of {known}, got {mode!r}")
-    for name in _OF_ONE_PICTURE:
+    for name in _SINGLE_IMAGE_OPTIONS:
         if name in options:
-            raise TypeError(f"{name}: only for a single picture; render each frame for itself")
+            raise TypeError(f"{name}: only for a single image; render each frame by itself")
     own = set(inspect.signature(render).parameters) | set(RENDERERS[mode].options)
-    of_picture = {name: value for name, value in options.items() if name in own}
-    return of_picture, {name: value for name, value in options.items() if name not in own}
+    image_options = {name: value for name, value in options.items() if name in own}
+    return image_options, {name: value for name, value in options.items() if name not in own}
 
 
 def timeline_of(scene: Scene, camera: Camera | CameraMotion | None, fps: float | None) -> Timeline:
-    """The scene's frames; those of a camera that moves through a still scene."""
+    """The timeline of a scene, or of a camera that moves through a static one."""
     if camera is None or isinstance(camera, Camera) or scene.animation is not None:
         return scene.timeline(fps)
     return Timeline(*camera.times, FPS if fps is None else fps)
@@ -162,15 +166,15 @@ def _moved(
     device: str | DeviceOptions,
     options: Mapping[str, Any],
 ) -> Tracer:
-    """The tracer with the scene of another frame; a new one where it has other triangles."""
+    """The tracer, updated to another frame's scene, or a new one if the meshes differ."""
     if tracer is None or not have_same_faces(tracer.scene.meshes, scene.meshes):
         return Tracer(scene, structure, device, **options)
     tracer.update(scene)
     return tracer
 
 
-class _Shown:
-    """Shows the progress of all frames by that of each."""
+class _FrameProgress:
+    """Reports the progress of an animation from that of its frames."""
 
     def __init__(self, progress: Progress, frame_count: int, rays: int) -> None:
         self._progress = progress

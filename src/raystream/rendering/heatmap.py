@@ -1,4 +1,4 @@
-"""heatmap: what the rays of each pixel cost, in false colours."""
+"""heatmap: the traversal cost of each pixel's rays, in false colours."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 __all__ = ["HEATMAPS", "Heatmap", "PassCost", "RayCost", "heatmap"]
 
-#: What a heat map can show, and what its title says; see `_title_of`.
+#: The counts that a heat map can show, and their titles; see `_title_of`.
 HEATMAPS: dict[str, str] = {
     "cells": "cells visited",
     "tests": "triangles tested",
     "steps": "traversal steps",
 }
 
-#: Rays that are traced at a time: bounds memory at about 40 MB.
+#: Rays traced at a time: bounds memory to about 40 MB.
 _RAYS_PER_BAND = 1 << 18
 
 
@@ -46,9 +46,9 @@ class RayCost:
     Attributes
     ----------
     mean : float
-        For each ray.
+        Per ray.
     most : int
-        Of any ray.
+        Of a single ray.
     total : int
     """
 
@@ -59,18 +59,18 @@ class RayCost:
 
 @dataclass(frozen=True)
 class PassCost:
-    """What a multipass machine ran for a heat map.
+    """The passes that a multipass machine ran for a heat map.
 
     Attributes
     ----------
     count : int
         Passes.
     optimal_count : int
-        No scheduler needs fewer; see `raystream.machines.Passes`.
+        The minimum for any scheduler; see `raystream.machines.Passes`.
 
     Notes
     -----
-    Rays are traced 2**18 at a time, and the passes of each time are added up.
+    Rays are traced in batches of 2**18, and the passes of all batches are added up.
     """
 
     count: int
@@ -79,23 +79,23 @@ class PassCost:
 
 @dataclass(frozen=True, eq=False)
 class Heatmap:
-    """What the rays of each pixel cost.
+    """The traversal cost of each pixel's rays.
 
     Attributes
     ----------
     what : {"cells", "tests", "steps"}
-        The count that is shown.
+        The count shown.
     counts : ndarray of shape (H, W), float32
-        For each pixel, the mean over its rays.
+        The mean over each pixel's rays.
     costs : dict of str to RayCost
-        By the name of the count; all of them, not only the one shown.
+        All counts by name, not only the one shown.
     structure : str
-        In which rays were traced.
+        Name of the structure.
     passes : PassCost or None
-        Of a multipass machine.
+        Of a multipass machine only.
     maximum : float, optional
-        Top of the scale; None takes the largest of the counts. ``dataclasses.replace(heat,
-        maximum=50)`` draws the same counts by another scale.
+        Top of the scale [default: the largest count]. ``dataclasses.replace(heat, maximum=50)``
+        draws the same counts on another scale.
     """
 
     what: str
@@ -107,22 +107,22 @@ class Heatmap:
 
     @cached_property
     def image(self) -> Image:
-        """The picture: the counts, and a scale below that adds to the height."""
+        """The image: the counts, with a scale bar below."""
         return Image(draw_counts(self.counts, self.title, self.maximum))
 
     @property
     def title(self) -> str:
-        """What is shown, with the mean and the most of a ray."""
+        """The count shown, with its mean and maximum per ray."""
         cost = self.costs[self.what]
         mean = f"{cost.mean:,.1f}" if cost.mean >= 10.0 else f"{cost.mean:.3g}"
         return f"{_title_of(self.what, self.structure)} per ray, mean {mean}, most {cost.most:,}"
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the picture to a file, see `Image.save`."""
+        """Write the image to a file, see `Image.save`."""
         self.image.save(path)
 
     def _repr_png_(self) -> bytes:
-        """Show the picture in a notebook."""
+        """Show the image in a notebook."""
         return self.image._repr_png_()
 
     def __repr__(self) -> str:
@@ -144,45 +144,44 @@ def heatmap(
     progress: Progress | None = None,
     **options: Any,
 ) -> Heatmap:
-    """Draw what the first hit of each pixel's rays costs.
+    """Draw the cost of finding the first hits of each pixel's rays.
 
     Parameters
     ----------
     scene : Scene or Tracer
         A tracer must have been made with ``counters=True``.
     what : {"steps", "cells", "tests"}
-        Steps of the traversal, down and back up; cells of a grid that were visited, or leaves
-        of a tree; or triangles that were tested. See `raystream.machines.RayCounters`.
+        Traversal steps, down and back up; visited cells of a grid, or leaves of a tree; or
+        triangle tests. See `raystream.machines.RayCounters`.
     size : (int, int)
-        Width and height of the rendered part, in pixels. The scale below it adds to the
-        height of the picture.
+        Width and height in pixels, without the scale bar.
     samples : int
-        Rays for each pixel, the same that `render` sends from the eye.
+        Rays per pixel: the camera rays of `render`.
     structure, device, **options
-        See `Tracer`; not to be given together with one.
+        See `Tracer`; not allowed if `scene` is a tracer.
     camera : Camera, optional
-        The view; without it, the scene's, or one that frames it.
+        The view [default: the scene's camera, or one that frames it].
     maximum : float, optional
-        Top of the scale, so that pictures can be compared; larger counts are drawn as the
-        top, and the scale says so. Without it, the largest count of a pixel.
+        Top of the scale, to make images comparable [default: the largest count of a pixel].
+        Larger counts are clamped, and the scale bar says so.
     seed : int
-        For the places of the samples, 0 to 2**32 - 1.
+        Of the samples' positions, 0 to 2**32 - 1.
     progress : callable, optional
         Called with (rays done, rays).
 
     Returns
     -------
     Heatmap
-        With the picture, the counts, and figures about them.
+        With the image, the counts, and their statistics.
 
     Raises
     ------
     ValueError
         If a name is unknown, a number out of range, or the tracer does not count.
     TypeError
-        If `scene` is neither a scene nor a tracer, or `camera` no camera.
+        If `scene` is neither a scene nor a tracer, or `camera` is not a camera.
     MemoryError
-        If so large a picture does not fit into memory.
+        If the image does not fit into memory.
     """
     if what not in HEATMAPS:
         known = ", ".join(repr(known) for known in HEATMAPS)
@@ -200,17 +199,17 @@ def heatmap(
     camera = camera or tracer.scene.camera_for(width / height)
 
     sums = np.zeros(height * width, np.int64)
-    tallies = {name: _Tally() for name in HEATMAPS}
+    totals = {name: _Totals() for name in HEATMAPS}
     passes: list[Passes] = []
     for pixels, counters in _trace(tracer, camera, (width, height), sampler, progress):
         counts = {"cells": counters.cells, "tests": counters.tests, "steps": counters.all_steps}
-        for name, tally in tallies.items():
-            tally.add(counts[name])
+        for name, total in totals.items():
+            total.add(counts[name])
         sums[pixels] += counts[what]
         if counters.passes is not None:
             passes.append(counters.passes)
     means = (sums / samples).astype(np.float32).reshape(height, width)
-    costs = {name: tally.cost(len(sums) * samples) for name, tally in tallies.items()}
+    costs = {name: total.cost(len(sums) * samples) for name, total in totals.items()}
     return Heatmap(what, means, costs, tracer.structure.name, _add_up(passes), maximum)
 
 
@@ -221,9 +220,9 @@ def _trace(
     sampler: Sampler,
     progress: Progress | None,
 ) -> Iterator[tuple[NDArray[np.int64], RayCounters]]:
-    """Trace a ray for each pixel and sample; give the pixels and the counters of some at a time.
+    """Trace a ray per pixel and sample; yield the pixels and the counters of each batch.
 
-    One query runs at a time, on all threads: the counters are those of the last one.
+    Queries run one at a time, on all threads: `Tracer.counters` are of the last one.
     """
     width, height = size
     samples = sampler.sample_count
@@ -241,8 +240,8 @@ def _trace(
 
 
 @dataclass
-class _Tally:
-    """Adds up the counts of rays."""
+class _Totals:
+    """Accumulates the counts of rays."""
 
     most: int = 0
     total: int = 0
@@ -256,7 +255,7 @@ class _Tally:
 
 
 def _part_of(progress: Progress | None, first: int, count: int, total: int) -> Progress | None:
-    """The callback for a query of `count` rays that begins after `first` of `total`."""
+    """The callback of a query of `count` rays, the first of which is number `first` of `total`."""
     if progress is None:
         return None
     whole = progress
@@ -271,6 +270,6 @@ def _add_up(passes: list[Passes]) -> PassCost | None:
 
 
 def _title_of(what: str, structure: str) -> str:
-    """What is counted: the cells of everything but a grid are leaves."""
+    """Name of the count: cells of structures other than a grid are leaves."""
     is_leaves = what == "cells" and structure != "grid"
     return "leaves visited" if is_leaves else HEATMAPS[what]

@@ -1,4 +1,4 @@
-"""Image: a picture in linear colours, and its files."""
+"""Image: an image in linear RGB with layers; loading, saving and comparing."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 
 __all__ = ["IMAGE_SUFFIXES", "Image"]
 
-#: Width or height from which on a notebook shows a smaller picture: it keeps all that it shows.
+#: Larger images are reduced in notebooks, which store all that they show.
 _MOST_SHOWN = 2048
 
 
 class Image:
-    """A picture.
+    """An image in linear RGB, with optional layers.
 
     Parameters
     ----------
     pixels : array_like of shape (H, W, 3), float
         Linear RGB, top row first.
     layers : mapping of str to array_like of shape (H, W) or (H, W, 3), optional
-        What else is known of each pixel: ``"depth"``, ``"normal"``, ``"albedo"``,
-        ``"prim_id"``, ``"variance"`` and any other names.
+        Further values per pixel: ``"depth"``, ``"normal"``, ``"albedo"``, ``"prim_id"``,
+        ``"variance"`` or any other name.
     figures : mapping of str to number or str, optional
-        What is known of the whole. Files do not keep it.
+        Metadata of the image, not saved to files.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Image:
     Raises
     ------
     ValueError
-        If a shape is another, or a layer is not made of numbers.
+        If a shape is wrong, or a layer is not numeric.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Image:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Image:
-        """Read a picture from a file.
+        """Read an image file.
 
         Parameters
         ----------
@@ -77,11 +77,11 @@ class Image:
         Raises
         ------
         ValueError
-            If the name ends in something else.
+            If the suffix is not supported.
         FileFormatError
-            If there is no such file, or it is damaged or too large.
+            If the file is missing, corrupt or too large.
         ImportError
-            If it is an EXR and OpenEXR is not installed.
+            If it is an EXR, and OpenEXR is not installed.
         MemoryError
             If it does not fit into memory.
         """
@@ -101,25 +101,25 @@ class Image:
     def save(
         self, path: str | PathLike[str], *, exposure: float = 1.0, tone: str = "linear"
     ) -> None:
-        """Write the picture to a file, which appears, or is replaced, as a whole.
+        """Write the image to a file, atomically.
 
         Parameters
         ----------
         path : str or path
             ``.png``: sRGB, 8 bits. ``.exr``: linear float32 (needs ``raystream[exr]``), with
-            the layers as further channels.
+            the layers as extra channels.
         exposure : float
-            Factor on the colours of a PNG; EXR keeps them as they are.
+            Factor on the colours of a PNG; not applied to EXR.
         tone : {"linear", "reinhard", "aces"}
-            Curve on the colours of a PNG, after `exposure`; see `raystream.rendering.tone`.
+            Tone curve of a PNG, after `exposure`; see `raystream.rendering.tone`.
 
         Raises
         ------
         ValueError
-            If the name ends in something else, `exposure` is not a number above 0, `tone` is
-            unknown, or two layers would share a channel of an EXR.
+            If the suffix is not supported, `exposure` is not a number above 0, `tone` is unknown,
+            or two layers would share a channel of an EXR.
         ImportError
-            If EXR is wanted and OpenEXR is not installed.
+            If it is an EXR, and OpenEXR is not installed.
         OSError
             If the file cannot be written.
         """
@@ -149,45 +149,42 @@ class Image:
         return encode_srgb(apply_tone(self.pixels.astype(np.float64) * exposure, tone))
 
     def denoise(self, *, passes: int = 5, strength: float = 4.0) -> Image:
-        """Smooth the noise of a rendered picture, and keep edges.
+        """Remove noise from a rendered image, preserving edges.
 
         An edge-avoiding à-trous wavelet filter [1]_ with the weights of the spatial part of [2]_:
-        pixels mix with those of the same surface whose light differs by no more than noise would.
+        it averages pixels of the same surface whose light differs by no more than noise.
 
         Parameters
         ----------
         passes : int
-            Of the filter, 1 to 10; each doubles the reach. 5 reach 62 pixels to each side.
+            Filter passes, 1 to 10; each doubles the radius. 5 passes reach 62 pixels.
         strength : float
-            How many standard deviations of light count as noise, 0 to 1e6.
+            Number of standard deviations of light that count as noise, 0 to 1e6.
 
         Returns
         -------
         Image
-            With the same layers and figures, except ``"variance"``, which is no longer true.
-            Finite: pixels that are not count as black, and light above 1e15 is cut.
+            With the same layers and figures, except ``"variance"``, which no longer applies.
+            Finite: other pixels count as black, and light is clamped to 1e15.
 
         Raises
         ------
         ValueError
-            If `passes` or `strength` is out of range, or a layer has another shape than that of
-            its kind.
+            If `passes` or `strength` is out of range, or a layer has the wrong shape.
         MemoryError
-            If what is needed does not fit into memory.
+            If the buffers do not fit into memory.
 
         Notes
         -----
-        It uses the layers that the picture has: ``"normal"``, ``"depth"`` and ``"albedo"`` tell
-        surfaces apart; what is seen is divided by albedo before and multiplied afterwards, so
-        that textures stay sharp; ``"emission"`` has no noise, and is left as it is;
-        ``"variance"`` (of each pixel's mean, by channel) says what is noise. Where there is
-        none, it is not finite, ``"samples"`` is below 4, or there is emission, it is estimated
-        from 7 x 7 neighbours.
+        The filter uses the layers of the image: ``"normal"``, ``"depth"`` and ``"albedo"``
+        distinguish surfaces; light is demodulated by albedo, so that textures stay sharp;
+        ``"emission"`` has no noise and is not filtered; ``"variance"`` (of each pixel's mean, by
+        channel) measures noise. Where variance is missing or not finite, ``"samples"`` is below 4,
+        or there is emission, it is estimated from 7 x 7 neighbours.
 
-        Mirrors and glass show other surfaces than their own: what is seen in them is told apart
-        by its light only. Light that is rarely found but strong is taken for an outlier at its
-        neighbours, so that pictures of few samples lose some brightness. A picture of one value
-        is left as it is, bit for bit.
+        Surfaces seen in mirrors and through glass are distinguished by their light only. Strong
+        light that few samples find is rejected by neighbours as an outlier, so that images of few
+        samples lose some brightness. A constant image is left unchanged, bit for bit.
 
         References
         ----------
@@ -201,7 +198,7 @@ class Image:
         return denoise(self, passes=passes, strength=strength)
 
     def compare(self, reference: Image) -> Comparison:
-        """Measure the errors against another picture.
+        """Compute the errors against another image.
 
         Parameters
         ----------
@@ -222,21 +219,20 @@ class Image:
         return compare(self, reference)
 
     def draw_difference(self, reference: Image, maximum: float | None = None) -> Image:
-        """Draw the difference of luminance from another picture in false colours, with scales.
+        """Draw the luminance difference from another image in false colours, with scale bars.
 
         Parameters
         ----------
         reference : Image
             Of the same size.
         maximum : float, optional
-            Top of the scales [default: the largest difference]. Larger ones are drawn as the
-            top.
+            Top of the scales [default: the largest difference]. Larger differences are clamped.
 
         Returns
         -------
         Image
-            Black where there is no difference, warm where this picture is brighter, cold where
-            it is darker, green where one of them is not finite; below it two scales.
+            Black where there is no difference, warm where this image is brighter, cold where
+            it is darker, green where one of them is not finite; two scale bars below.
 
         Raises
         ------
@@ -254,7 +250,7 @@ class Image:
         write_exr(target, self.pixels, self.layers)
 
     def _repr_png_(self) -> bytes:
-        """Show the picture in a notebook, smaller if it is larger than a screen."""
+        """Show the image in a notebook, reduced if it is larger than a screen."""
         step = -(-max(self.size) // _MOST_SHOWN)
         buffer = io.BytesIO()
         write_png(buffer, (Image(_reduced(self.pixels, step)) if step > 1 else self).to_bytes())
@@ -264,7 +260,7 @@ class Image:
         return f"Image({self.size[0]}x{self.size[1]})"
 
 
-#: Writers by the suffix of the file.
+#: Writers by file suffix.
 IMAGE_SUFFIXES: dict[str, Callable[[Image, str, float, str], None]] = {
     ".png": Image._write_png,
     ".exr": Image._write_exr,
@@ -272,7 +268,7 @@ IMAGE_SUFFIXES: dict[str, Callable[[Image, str, float, str], None]] = {
 
 
 def _reduced(pixels: NDArray[np.float32], step: int) -> NDArray[np.float32]:
-    """The means of squares of so many pixels; those at the right and at the bottom have fewer."""
+    """Means over squares of ``step`` x ``step`` pixels, cropped at the right and bottom."""
     for axis in (0, 1):
         length = pixels.shape[axis]
         begins = np.arange(0, length, step)

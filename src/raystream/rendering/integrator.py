@@ -1,11 +1,11 @@
-"""Sampled renderers: stages over streams of paths, one sample of every pixel after the other.
+"""Integrators: stages over streams of paths, one sample of every pixel at a time.
 
 A renderer is a list of stages. Each takes a stream of paths and returns one, as the boxes of
 Purcell 2002, Figure 3 do; what the last stage returns (reflected rays, say) goes back to the
-first, until no path is left. So there is no recursion: what a path contributes to its pixel is
-in its weight (Christen 2005, chapter 5). A stage is a query, or a compiled kernel over the whole
-stream; numbers come from a sampler, and a sample's light is gathered for the pixels of a band
-before it goes to the sums.
+first, until no path is left. There is no recursion: a path's weight holds its contribution to its
+pixel (Christen 2005, chapter 5). A stage is a query, or a compiled kernel over the whole stream;
+random numbers come from a sampler, and a sample's light is accumulated for the pixels of a band
+before it is added to the film.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ __all__ = [
     "trace_shadow_rays",
 ]
 
-#: Most surfaces on a path, for options `max_bounces`.
+#: Upper bound of the option `max_bounces`.
 MAX_BOUNCES = 1000
 
 
 @dataclass(frozen=True)
 class RenderContext:
-    """What the stages of one picture share.
+    """What the stages of one image share: scene, camera, sampler and options.
 
     Attributes
     ----------
@@ -63,20 +63,20 @@ class RenderContext:
     tables : SceneTables
     lights : LightTables
     punctual : PunctualLights
-        The same for modes that take each as one place.
+        The same for modes that take each light as one position.
     sampler : Sampler
     opacity : Opacity, optional
-        What of the scene is not there for every ray.
+        The filter for cut-outs and transparent surfaces.
     options : mapping
-        The renderer's own, such as ``max_bounces``.
+        Of the integrator, such as ``max_bounces``.
     kept : object
-        What lies at the tables' addresses.
+        The arrays at the tables' addresses, to keep them alive.
     layers : sequence of str
-        Those of `LAYERS` that are asked for.
+        Names in `LAYERS` to render.
     chosen_lights : {"auto", "file"}
         See `lighting.needs_light`.
     bands : DeviceBands, optional
-        What takes samples where the tracer's rays are, if that is not the host.
+        Renders samples on the tracer's device, if it can.
     """
 
     tracer: Tracer
@@ -95,14 +95,14 @@ class RenderContext:
     bands: DeviceBands | None = None
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound | None:
-        """What the tracer's queries take as ``on_hit`` for rays of shape (N, 3)."""
+        """The filter (``on_hit``) of the tracer's queries for rays of shape (N, 3)."""
         return filter_of(self.opacity, origins, directions)
 
     def seen_by(self, camera: Camera, size: tuple[int, int] | None = None) -> RenderContext:
         """The same scene from another camera, or in another size.
 
-        What of it does not depend on them is shared, which makes this much quicker than
-        `make_context`: for a picture that follows a camera.
+        Shares everything that does not depend on them, and so is much faster than
+        `make_context`: for interactive cameras.
         """
         scene, chosen = self.tracer.scene, self.chosen_lights
         punctual, kept_punctual = punctual_lights_of(scene, camera, chosen)
@@ -127,7 +127,7 @@ def make_context(
     layers: Sequence[str] = (),
     chosen_lights: str = "auto",
 ) -> RenderContext:
-    """Prepare a tracer's scene for shading; see `tables_of` for what it may warn of."""
+    """Prepare a tracer's scene for shading; see `tables_of` for warnings."""
     tables, kept_tables = tables_of(tracer.scene)
     lights, kept_lights = lights_of(tracer.scene, chosen_lights)
     punctual, kept_punctual = punctual_lights_of(tracer.scene, camera, chosen_lights)
@@ -152,7 +152,7 @@ def make_context(
 
 @dataclass(frozen=True)
 class Band:
-    """Rows of the picture, in one sample.
+    """One sample of some rows of the image.
 
     Attributes
     ----------
@@ -171,17 +171,17 @@ class Band:
 
 @dataclass(frozen=True)
 class PathStream:
-    """Paths on their way.
+    """Paths between two stages.
 
     Attributes
     ----------
     paths : Paths
     bounce : int
-        Surfaces that have scattered them.
+        Number of surfaces that have scattered them.
     hits : Hits, optional
-        Where they meet surfaces, once it is known.
+        Of their rays, once traced.
     rays : ShadowRays, optional
-        Rays to lights that are to be tested.
+        To be traced.
     """
 
     paths: Paths
@@ -198,7 +198,7 @@ PathStage = Callable[[PathStream, Band], PathStream]
 
 @dataclass(frozen=True)
 class Integrator:
-    """A mode of rendering by samples.
+    """A render mode.
 
     Attributes
     ----------
@@ -207,12 +207,12 @@ class Integrator:
         One line, with the source.
     stages : tuple of PathStage
     options : mapping
-        What a caller may set, and what holds without; checked by `check`.
+        Names and defaults; checked by `check`.
     check : callable
-        Returns the options as stages take them; raises ValueError for bad ones.
+        Returns the options as stages take them; raises ValueError if one is invalid.
     rays_per_pixel : callable
-        Rays of a pixel, with a context, that a stage makes at once: bands have fewer pixels for
-        more of them.
+        Largest number of rays per pixel that a stage makes at once, for a context: the more,
+        the smaller are bands.
     """
 
     name: str
@@ -223,12 +223,12 @@ class Integrator:
     rays_per_pixel: Callable[[RenderContext], int] = lambda _: 1
 
     def bands_of(self, context: RenderContext) -> DeviceBands | None:
-        """What takes its samples on a device; None if the host does, as for layers."""
+        """The renderer of its samples on a device; None if the host renders, as for layers."""
         bands = context.bands
         return bands if bands and not context.layers and bands.takes(self.stages) else None
 
     def trace(
-        self, context: RenderContext, rows: range, sample: int, seen: AovBuffers | None = None
+        self, context: RenderContext, rows: range, sample: int, aovs: AovBuffers | None = None
     ) -> NDArray[np.float32]:
         """Take one sample of each pixel of some rows.
 
@@ -237,8 +237,8 @@ class Integrator:
         context : RenderContext
         rows : range
         sample : int
-        seen : AovBuffers, optional
-            Gets what the sample sees first, if layers are wanted.
+        aovs : AovBuffers, optional
+            Receives the first hits of the sample, if layers are rendered.
 
         Returns
         -------
@@ -246,43 +246,44 @@ class Integrator:
             Linear RGB.
         """
         bands = self.bands_of(context)
-        if bands is not None and seen is None:
+        if bands is not None and aovs is None:
             return bands.trace(self.stages, rows, sample)
         count = len(rows) * context.width
         radiance = np.zeros((count, 3), np.float32)
         band = Band(context, sample, rows.start * context.width, radiance)
         size = context.width, context.height
         stream = PathStream(camera_paths(context.camera, size, context.sampler, rows, sample))
-        if seen is not None:
+        if aovs is not None:
             stream = find_surfaces(stream, band)
-            note_surfaces(stream, band, seen)
+            batch = shading_batch(stream, band)
+            write_aovs(batch, context.tables, aovs)
         while len(stream):
             for stage in self.stages:
                 stream = stage(stream, band)
-                if seen is not None and stage is not find_surfaces:
-                    seen.emission[:] = radiance  # without any further ray
-                    seen = None
+                if aovs is not None and stage is not find_surfaces:
+                    aovs.emission[:] = radiance  # before any secondary ray
+                    aovs = None
         return radiance
 
 
 def take_no_options(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """For `Integrator.check` of modes that have none."""
+    """For `Integrator.check` of modes without options."""
     return options
 
 
 def camera_paths(
     camera: Camera, size: tuple[int, int], sampler: Sampler, rows: range, sample: int
 ) -> Paths:
-    """Begin a path at each pixel of some rows of a picture (Purcell 2002, 3.1.1).
+    """Generate camera rays for some rows of an image (Purcell 2002, 3.1.1).
 
     Parameters
     ----------
     camera : Camera
     size : (int, int)
-        Width and height of the whole picture.
+        Width and height of the whole image.
     sampler : Sampler
-        A single sample goes through the pixels' centres, and the middle of a lens; many are
-        spread over each pixel and over the lens, by the numbers 0 to 3.
+        A single sample goes through the pixels' centres and the centre of the lens; several
+        are distributed over pixel and lens, by dimensions 0 to 3.
     rows : range
     sample : int
     """
@@ -318,7 +319,7 @@ def shading_batch(stream: PathStream, band: Band) -> ShadingBatch:
 
 
 def find_surfaces(stream: PathStream, band: Band) -> PathStream:
-    """Stage: trace the paths' rays, unless what they meet is known."""
+    """Stage: trace the paths' rays, unless their hits are known."""
     if stream.hits is not None:
         return stream
     context, rays = band.context, (stream.paths.origins, stream.paths.directions)
@@ -326,16 +327,8 @@ def find_surfaces(stream: PathStream, band: Band) -> PathStream:
     return replace(stream, hits=hits)
 
 
-def note_surfaces(stream: PathStream, band: Band, seen: AovBuffers) -> None:
-    """Write down what the paths meet, for layers."""
-    assert stream.hits is not None
-    hits, tables = stream.hits, band.context.tables
-    rows = hits.t, hits.u, hits.v, hits.prim_id
-    write_aovs(stream.paths, rows, tables, band.first_pixel, seen)
-
-
 def trace_shadow_rays(stream: PathStream, band: Band) -> PathStream:
-    """Stage: add what the lights send where nothing is in the way."""
+    """Stage: trace the shadow rays, and add the light of those that nothing blocks."""
     rays = stream.rays
     assert rays is not None
     if len(rays.pixels):

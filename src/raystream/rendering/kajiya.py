@@ -1,6 +1,6 @@
-"""kajiya: the first surface and two bounces, with a shadow ray at each (Rayforce 2013).
+"""kajiya: two diffuse bounces, with a shadow ray at each hit (Rayforce 2013).
 
-The poster's benchmark of diffuse light: `path` of a fixed length.
+The poster's global illumination benchmark: `path` with a fixed length.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["KAJIYA"]
 
 KAJIYA = Integrator(
     "kajiya",
-    "the first surface and two bounces, a shadow ray at each (Rayforce 2013)",
+    "the first hit and two bounces, a shadow ray at each (Rayforce 2013)",
     PATH_STAGES,
     {"max_bounces": 3, "clamp": math.inf},
     check_path,

@@ -1,4 +1,4 @@
-"""Layers: what a picture knows of each pixel beside its colour, and its channels in files."""
+"""Layers (AOVs): extra values per pixel, their kinds and their channels in EXR files."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ __all__ = ["LAYERS", "LayerKind", "channels_of", "check_layers", "choose_layers"
 
 @dataclass(frozen=True)
 class LayerKind:
-    """A layer that renderers fill.
+    """A layer that renderers write.
 
     Attributes
     ----------
     width : {1, 3}
-        Numbers for each pixel.
+        Numbers per pixel.
     dtype : type
     fold : {"mean", "first"}
-        What many samples of a pixel come to.
+        How a pixel's samples are combined.
     empty : float
-        Of a pixel without a sample.
+        Value of a pixel without samples.
     """
 
     width: int
@@ -34,13 +34,13 @@ class LayerKind:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """What follows (H, W) in the layer's shape."""
+        """The layer's shape after (H, W)."""
         return () if self.width == 1 else (self.width,)
 
 
-#: The layers of renderers, by name: what a pixel's samples see first. Those that see nothing
-#: do not count, but for emission, which is the background's there. Depth is the distance along
-#: the ray in scene units; normals are in world space, and their means shorter than 1 where they
+#: The layers of renderers, by name: values at the first hits of a pixel's samples. Misses do not
+#: count, except in emission, where they see the background. Depth is the distance along the ray
+#: in scene units; normals are in world space, and their means are shorter than 1 where they
 #: differ; albedo and emission are linear RGB.
 LAYERS: dict[str, LayerKind] = {
     "depth": LayerKind(1, np.float32, "mean", np.inf),
@@ -53,22 +53,22 @@ LAYERS: dict[str, LayerKind] = {
 #: Channels of the normals.
 _NORMAL = ("N.X", "N.Y", "N.Z")
 
-#: EXR allows 255 bytes for the name of a channel.
+#: Longest name in bytes: EXR allows 255 for a channel.
 _MAX_NAME = 240
 
 
 def choose_layers(names: str | Iterable[str] | None) -> tuple[str, ...]:
-    """Layers that are asked for, in the order of `LAYERS`.
+    """Validate names of layers; return them in the order of `LAYERS`.
 
     Parameters
     ----------
     names : "all", iterable of str, or None
-        None is none.
+        None selects no layers.
 
     Raises
     ------
     ValueError
-        If there is no layer of a name.
+        If a name is unknown.
     """
     if names is None:
         return ()
@@ -84,7 +84,7 @@ def choose_layers(names: str | Iterable[str] | None) -> tuple[str, ...]:
 def check_layers(
     layers: Mapping[str, ArrayLike] | None, size: tuple[int, int]
 ) -> dict[str, NDArray[Any]]:
-    """Layers as arrays.
+    """Convert layers to arrays.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def check_layers(
     Raises
     ------
     ValueError
-        If a name cannot be a channel's, a shape is another, or numbers are of another kind.
+        If a name is not valid for a channel, a shape is wrong, or a layer is not numeric.
     """
     checked = {}
     for name, values in (layers or {}).items():
@@ -145,7 +145,7 @@ def channels_of(layers: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, NDArr
 
 
 def layers_of(channels: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The inverse of `channels_of`; channels that are no part of three stay alone."""
+    """The inverse of `channels_of`; channels that do not form a triple become layers of one."""
     layers: dict[str, NDArray[Any]] = {}
     rest = dict(channels)
     for channel in channels:

@@ -1,4 +1,4 @@
-"""Lights of a scene: whether they are enough to see by, and each as one place."""
+"""Lighting of a scene: area lights as patches, and lights added if a scene is too dark."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ __all__ = [
     "punctual_lights",
 ]
 
-#: Choices of lights: the scene's own, with another one where those are too weak to see by; or
-#: the scene's own alone.
+#: The scene's lights, with another one if they are too weak to see anything; or the scene's
+#: lights only.
 LIGHTS = ("auto", "file")
 
-#: Lights are too weak to see by if white surfaces would show less, on average: a screen's white
-#: is about a thousand times as bright as its black.
+#: Least mean radiance of white surfaces; below it, lights are too weak. A screen's white is about a
+#: thousand times as bright as its black.
 LEAST_LIGHT = 1e-3
 
-#: The light that modes add to lights that are too weak. Other modes ignore lights.
+#: The light that modes add if lights are too weak. Other modes ignore lights.
 ADDED = {
     **dict.fromkeys(("raycast", "shadow", "whitted"), "a light at the eye"),
     **dict.fromkeys(("kajiya", "path"), "a white sky"),
@@ -47,7 +47,7 @@ _FLATNESS = 0.9
 
 @dataclass(frozen=True)
 class PatchLight:
-    """An area light taken together: a small flat patch, or a bulb.
+    """An area light as a whole: a flat patch, or a bulb.
 
     Attributes
     ----------
@@ -56,10 +56,10 @@ class PatchLight:
     normal : ndarray of shape (3,), float64, or None
         Unit normal of a flat patch, which emits to that side only; None for a bulb.
     radiance : ndarray of shape (3,), float64
-        What each point of it emits, linear RGB.
+        Emitted radiance, linear RGB.
     area : float
     prim_ids : ndarray of shape (K,), int32
-        The triangles, which can be hit.
+        Its triangles, without degenerate ones.
     """
 
     position: NDArray[np.float64]
@@ -70,7 +70,7 @@ class PatchLight:
 
 
 def area_patches(scene: Scene) -> list[PatchLight]:
-    """Turn a scene's area lights into one patch each."""
+    """Approximate each of a scene's area lights by one patch."""
     patches = []
     for light in scene.area_lights:
         solid = np.unique(light.prim_ids)
@@ -97,7 +97,7 @@ def area_patches(scene: Scene) -> list[PatchLight]:
 
 
 def check_lights(lights: str) -> None:
-    """Raise ValueError if it is no choice of lights."""
+    """Raise ValueError if `lights` is not in `LIGHTS`."""
     if lights not in LIGHTS:
         known = " or ".join(map(repr, LIGHTS))
         raise ValueError(f"lights: expected {known}, got {lights!r:.40}")
@@ -110,27 +110,27 @@ def needs_light(
     background: Color = (0.0, 0.0, 0.0),
     patches: Sequence[PatchLight] | None = None,
 ) -> bool:
-    """Whether the lights of a scene are missing, or too weak to see by.
+    """Whether a scene's lights are missing, or too weak to see anything.
 
     Parameters
     ----------
     scene : Scene
     lights : {"auto", "file"}
-        With ``"file"`` no light is ever needed.
+        ``"file"`` never needs a light.
     background : Color
-        Radiance of the background, for modes that are lit by it.
+        Radiance of the background, for modes in which it lights the scene.
     patches : sequence of PatchLight, optional
-        The scene's area lights [default: made here].
+        The scene's area lights [default: computed].
 
     Notes
     -----
-    The measure is the radiance of a white matte surface under the mean irradiance over the
-    scene's bounding box, without shadows: the power of area lights and of points inside, over
-    the area of the box; points outside by their distance from its middle; suns as they face a
-    surface. It depends neither on the camera nor on the mode. Below `LEAST_LIGHT` in all three
-    channels, light is needed.
+    The criterion is the radiance of a white diffuse surface under the mean irradiance over the
+    scene's bounding box, without shadows: the power of area lights and of point lights inside,
+    over the area of the box; point lights outside by their distance from its centre; directional
+    lights at normal incidence. It depends neither on the camera nor on the mode. Light is needed
+    if it is below `LEAST_LIGHT` in all three channels.
 
-    A scene whose listed lights are all off (black) is meant to be dark, and needs none.
+    A scene whose lights are all black is meant to be dark, and needs no light.
     """
     if lights == "file":
         return False
@@ -151,7 +151,7 @@ def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
     Returns
     -------
     str
-        Of `ADDED`; empty if none is added, or if the scene has no lights of its own.
+        A value of `ADDED`; empty if no light is added, or if the scene has no lights.
     """
     if mode not in ADDED or not (scene.lights or scene.area_lights):
         return ""
@@ -162,7 +162,7 @@ def added_light(scene: Scene, mode: str, lights: str = "auto") -> str:
 def punctual_lights(
     scene: Scene, camera: Camera, patches: Sequence[PatchLight], lights: str = "auto"
 ) -> tuple[Light, ...]:
-    """The scene's lights, and those that a classic pipeline adds so that all can be seen.
+    """The scene's lights with those that a rasterizer would add: ambient light and a headlight.
 
     Parameters
     ----------
@@ -176,10 +176,9 @@ def punctual_lights(
     Returns
     -------
     tuple of Light
-        The mean of an environment light's image takes its place. A scene with area lights gets
-        an ambient one, for the light that its surfaces would reflect on each other: as much as
-        a closed box of the scene's size would, every wall of which reflects half. A scene that
-        needs light gets a white one at the eye.
+        An environment light's image is replaced by its mean. A scene with area lights gets an
+        ambient light, for interreflections: as much as in a closed box of the scene's size whose
+        walls reflect half. A scene that needs light gets a white one at the camera.
 
     Raises
     ------
@@ -196,7 +195,7 @@ def punctual_lights(
 
 
 def _listed_lights(scene: Scene) -> tuple[Light, ...]:
-    """The scene's lights without area lights; an image is replaced by its mean."""
+    """The scene's lights, without area lights, and with images replaced by their means."""
     image = image_light(scene.lights)
     return tuple(
         EnvironmentLight(mean_radiance(light)) if light is image else light
@@ -212,8 +211,8 @@ def _box_area(scene: Scene) -> float:
 def _area_radiance(scene: Scene, patches: Sequence[PatchLight]) -> NDArray[np.float64]:
     """Radiance of a white surface under the mean irradiance of area lights, shape (3,).
 
-    Their power is pi * radiance * area; the irradiance pi * L makes a white surface show L. It
-    is also the light that walls which reflect half send back: 1/2 + 1/4 + ... = all.
+    Their power is pi * radiance * area; under the irradiance pi * L a white surface has the
+    radiance L. It is also the light that walls with reflectance 1/2 send back: 1/2 + 1/4 + ... = 1.
     """
     box_area = _box_area(scene) if patches else 1.0
     return sum((p.radiance * (p.area / box_area) for p in patches), np.zeros(3))
@@ -222,9 +221,9 @@ def _area_radiance(scene: Scene, patches: Sequence[PatchLight]) -> NDArray[np.fl
 def _listed_radiance(scene: Scene) -> NDArray[np.float64]:
     """Radiance of a white surface under the mean irradiance of listed lights, shape (3,).
 
-    Light that is taken away does not count.
+    Negative light does not count.
     """
-    # The sphere of the box's area: all points inside give it the same mean.
+    # A sphere with the box's area: all points inside give the same mean irradiance.
     near = max(_box_area(scene) / (4.0 * np.pi), 1e-30) if scene.lights else 1.0
     radiance = np.zeros(3)
     for light in _listed_lights(scene):
@@ -236,7 +235,7 @@ def _listed_radiance(scene: Scene) -> NDArray[np.float64]:
             shown = np.array(light.intensity)
             if light.falloff == "inverse_square":
                 away = np.array(light.position) - scene.bounds.mean(axis=0)
-                with np.errstate(over="ignore"):  # as far away as that, it adds nothing
+                with np.errstate(over="ignore"):  # that far away, it adds nothing
                     shown = shown / np.pi / max(float(away @ away), near)
         radiance += np.maximum(shown, 0.0)
     return radiance

@@ -1,7 +1,7 @@
-"""Cut-outs and clear surfaces: what of a scene is not there for every ray.
+"""Opacity: cut-outs and partly transparent surfaces, as a filter of queries.
 
-All rays of a renderer ask the tracer with `Opacity.filter`, so that they pass through in the
-tracer's queries themselves. A scene of opaque materials has none.
+All queries of a renderer take `Opacity.filter` as ``on_hit``, so that rays pass through during
+traversal. Scenes of opaque materials have no filter.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ __all__ = ["Opacity", "filter_of"]
 
 
 class Opacity:
-    """The filter of a scene that is not opaque; `of` makes it.
+    """The filter of a scene that is not opaque, made by `of`.
 
     Parameters
     ----------
     tables : OpacityTables
     seed : int
-        Of the numbers that decide where a surface is partly clear.
+        Of the random numbers that decide on partly transparent surfaces.
     kept : object
-        What lies at the tables' addresses.
+        The arrays at the tables' addresses, to keep them alive.
     """
 
     def __init__(self, tables: OpacityTables, seed: int, kept: object) -> None:
@@ -52,12 +52,12 @@ class Opacity:
 
     @classmethod
     def of(cls, scene: Scene, seed: int) -> Opacity | None:
-        """That of a scene; None if all that rays may meet is opaque.
+        """The opacity of a scene; None if all materials in use are opaque.
 
         Warns
         -----
         RaystreamWarning
-            For each texture that cannot be read; the material's number is then used.
+            For each texture that cannot be read; the material's constant is then used.
         """
         if all(material.is_opaque for material in scene.materials):
             return None
@@ -81,7 +81,7 @@ class Opacity:
         return cls(tables, seed, (material_ids, vertices, kinds, numbers, kept))
 
     def filter(self, origins: NDArray[np.float64], directions: NDArray[np.float32]) -> Bound:
-        """What a tracer's queries take as ``on_hit`` for these rays, each of shape (N, 3)."""
+        """The filter (``on_hit``) of queries for these rays, of shape (N, 3)."""
         origins = np.ascontiguousarray(origins, np.float64)
         directions = np.ascontiguousarray(directions, np.float32)
         places = address_of(origins), address_of(directions)
@@ -92,14 +92,14 @@ class Opacity:
 def filter_of(
     opacity: Opacity | None, origins: NDArray[np.float64], directions: NDArray[np.float32]
 ) -> Bound | None:
-    """`Opacity.filter`, or None where all is opaque."""
+    """`Opacity.filter`, or None if there is no opacity."""
     return None if opacity is None else opacity.filter(origins, directions)
 
 
 def _pack(
     materials: Sequence[Material], used: NDArray[np.int32]
 ) -> tuple[TextureTables, NDArray[np.int32], object]:
-    """Textures for opacity, kinds of materials, and what must be kept; see `pack_textures`."""
+    """Opacity textures, kinds of materials, and the arrays to keep alive; see `pack_textures`."""
     kinds = np.full(len(materials), OPAQUE, np.int32)
     of_material = np.full(len(materials), -1, np.int32)
     known: dict[int, int] = {}

@@ -1,7 +1,7 @@
-"""path: paths of light from surface to surface, one for each sample (Purcell 2002, 3.2).
+"""path: path tracing, one path per sample (Purcell 2002, 3.2).
 
-With two bounces it is Purcell's path tracer ("one path per sample"); with many it is the
-rendering equation's (Kajiya 1986), with samples of the lights at each surface.
+With two bounces it is Purcell's path tracer ("one path per sample"); with more, Kajiya's (1986),
+with next-event estimation at each surface.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from raystream.rendering.shading.shadow_rays import ShadowRays
 
 __all__ = ["PATH", "PATH_STAGES", "check_path", "shade_surfaces"]
 
-#: From so many bounces on, dim paths end by chance: before, nearly all of the light comes.
+#: Russian roulette starts at this bounce: earlier ones carry nearly all of the light.
 ROULETTE_BOUNCE = 3
 
 
 def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
-    """Stage: add light that surfaces emit, ask for that of lights, and scatter the paths."""
+    """Stage: add emitted light, sample the lights by shadow rays, and scatter the paths."""
     context, paths = band.context, stream.paths
     rays = ShadowRays.empty(len(stream))
     path_count, ray_count = shade_paths(
@@ -50,7 +50,7 @@ def shade_surfaces(stream: PathStream, band: Band) -> PathStream:
 
 
 def check_path(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The rules of paths, of their options; ``light_samples`` need not be there."""
+    """Path options, checked; ``light_samples`` may be missing."""
     bounces = check_whole("max_bounces", options["max_bounces"], 0, MAX_BOUNCES)
     samples_lights = options.get("light_samples", True)
     if not isinstance(samples_lights, bool):
@@ -67,7 +67,7 @@ PATH_STAGES = (find_surfaces, shade_surfaces, trace_shadow_rays)
 
 PATH = Integrator(
     "path",
-    "light by any way, one path for each sample (Kajiya 1986, Purcell 2002)",
+    "global illumination, one path per sample (Kajiya 1986, Purcell 2002)",
     PATH_STAGES,
     {"max_bounces": 8, "light_samples": True, "clamp": math.inf},
     check_path,

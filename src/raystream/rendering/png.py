@@ -1,4 +1,4 @@
-"""PNG files: pictures as sRGB bytes."""
+"""PNG files: reading and writing sRGB bytes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from raystream.rendering.color import decode_srgb
 
 __all__ = ["read_png", "write_png"]
 
-#: Bytes as decoded, and as linear float32.
+#: Memory per pixel: as decoded bytes, and as linear float32.
 _BYTES_PER_PIXEL = 20
 
 
 def write_png(target: Any, encoded: NDArray[np.uint8]) -> None:
-    """Write bytes of shape (H, W, 3), sRGB, to a file's name or a stream."""
+    """Write sRGB bytes of shape (H, W, 3) to a path or a stream."""
     from PIL import Image
 
     # Level 3 is twice as fast as the default 6, for files a tenth larger.
@@ -29,12 +29,12 @@ def write_png(target: Any, encoded: NDArray[np.uint8]) -> None:
 
 
 def read_png(path: str) -> NDArray[np.float32]:
-    """Read a picture, and decode it from sRGB.
+    """Read an image and decode it from sRGB.
 
     Parameters
     ----------
     path : str
-        Greys become RGB; 16 bits are rounded to 8; opacity is left out.
+        Greyscale becomes RGB; 16 bits are rounded to 8; alpha is dropped.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def read_png(path: str) -> NDArray[np.float32]:
     Raises
     ------
     FileFormatError
-        If there is no such file, it is no PNG, is damaged or too large.
+        If the file is missing, not a PNG, corrupt or too large.
     MemoryError
         If it does not fit into memory.
     """
@@ -54,14 +54,14 @@ def read_png(path: str) -> NDArray[np.float32]:
         raise FileFormatError(path, "is a folder" if os.path.isdir(path) else "no such file")
     try:
         with warnings.catch_warnings():
-            # Sizes are checked here, and the limit of Pillow's own error is not ours.
+            # Sizes are checked here: Pillow's limit is not ours.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(path, formats=["PNG"]) as image:
                 width, height = image.size
                 if width * height > MAX_PIXELS:
                     raise FileFormatError(path, f"image of {width}x{height} is too large")
                 byte_count = width * height * _BYTES_PER_PIXEL
-                check_memory(byte_count, f"{path}: a picture of {width}x{height} would")
+                check_memory(byte_count, f"{path}: an image of {width}x{height} would")
                 if image.mode.startswith("I"):
                     grey = np.rint(np.asarray(image) / 257.0).astype(np.uint8)
                     encoded = np.repeat(grey[:, :, None], 3, axis=2)
@@ -69,6 +69,6 @@ def read_png(path: str) -> NDArray[np.float32]:
                     encoded = np.asarray(image.convert("RGB"), np.uint8)
     except (FileFormatError, MemoryError):
         raise
-    except Exception as error:  # Pillow raises many kinds for damaged files
+    except Exception as error:  # Pillow raises many types for corrupt files
         raise FileFormatError(path, f"is not a whole .png file ({error})") from error
     return decode_srgb(encoded)

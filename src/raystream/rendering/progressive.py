@@ -1,4 +1,4 @@
-"""Rendering sample by sample: until there are enough, and on from where it was broken off."""
+"""Progressive rendering: sample by sample until limits are reached, resumable from checkpoints."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ __all__ = [
     "trace_sample",
 ]
 
-#: A sample of every pixel: its light, and what it sees first; see `trace_sample`.
+#: A sample of every pixel: its light, and its AOVs; see `trace_sample`.
 Sampled = tuple[NDArray[np.float32], AovBuffers | None]
 
-#: Gives the sample of a number, of all rows: (number, progress).
+#: Returns a sample of all rows, by its number: (number, progress).
 TakeSample = Callable[[int, Progress | None], Sampled]
 
-#: Pixels that go through the stages together: enough for streams of rays to be worth sorting,
-#: few enough for the threads to finish together. Memory is about 300 bytes for each.
+#: Pixels of a band: enough for streams of rays to be worth sorting, few enough for the threads
+#: to finish together. Memory is about 300 bytes per pixel.
 LEAST_BAND, MOST_BAND = 1 << 12, 1 << 16
 
-#: Rays that the pixels of a band may send at once, if they are of more than one row: 110 MB.
+#: Most rays that a band of more than one row may spawn at once: 110 MB.
 MOST_RAYS = 1 << 21
 
 #: See `checkpoint_seconds`.
@@ -50,17 +50,16 @@ CHECKPOINT_SECONDS = 10.0
 
 @dataclass(frozen=True)
 class Limits:
-    """When a picture is done: whatever comes first.
+    """When rendering stops: at the first limit reached.
 
     Attributes
     ----------
     samples : int
-        Of each pixel.
+        Per pixel.
     noise : float, optional
-        Relative error of the picture, see `Film.error`; it is looked at from 8 samples
-        on.
+        Relative error of the image, see `Film.error`; tested from 8 samples on.
     seconds : float, optional
-        A sample that was begun is finished. Seconds before a break do not count.
+        A sample that has begun is finished. Time before an interruption does not count.
     """
 
     samples: int
@@ -73,7 +72,7 @@ class Limits:
                 raise ValueError(f"{name}: expected a number above 0, got {value}")
 
 
-#: Samples before their spread says anything.
+#: Samples before their variance is meaningful.
 _FIRST_SAMPLES = 8
 
 
@@ -87,7 +86,7 @@ def render_samples(
     progress: Progress | None = None,
     take: TakeSample | None = None,
 ) -> Image:
-    """Render a picture.
+    """Render an image.
 
     Parameters
     ----------
@@ -95,19 +94,19 @@ def render_samples(
     context : RenderContext
     limits : Limits
     checkpoint : path, optional
-        A file, ending in ``.npz``, to which all samples go every 10 seconds, at the end (see
-        `SampleFile`), and when the rendering is interrupted after the first of them. If it is
-        there already, the picture goes on from it: to the same bits as without a break.
+        A file, ending in ``.npz``, to which all samples are saved every 10 seconds, at the end
+        (see `SampleFile`), and when rendering is interrupted after the first of them. An existing
+        one is resumed, to the same bits as without the interruption.
     on_pass : callable, optional
-        Called with the picture so far, every 10 seconds, after whole samples.
+        Called with the image so far, every 10 seconds, after whole samples.
     progress : callable, optional
-        Called with (paths done, paths): first with those that the checkpoint has. Noise and
-        time limits tell only on the way how many paths there will be; the last call has the
-        number that there were. An exception that it raises ends the rendering.
+        Called with (paths done, paths), first with those of the checkpoint. With noise and time
+        limits the total is an estimate until the last call. An exception that it raises ends
+        the rendering.
     take : callable, optional
-        Gives each sample when its turn comes, as `trace_sample` would, with the same bits: from
-        other machines, say. If it raises `RaystreamError`, the samples so far are kept as after
-        an interrupt.
+        Returns each sample as `trace_sample` would, with the same bits, for example from other
+        machines. If it raises `RaystreamError`, the samples so far are saved as after an
+        interruption.
 
     Returns
     -------
@@ -117,11 +116,11 @@ def render_samples(
     Raises
     ------
     FileFormatError
-        If the checkpoint is damaged, or of another picture.
+        If the checkpoint is corrupt, or of another image.
     OSError
         If the checkpoint cannot be written.
     ValueError
-        If ``RAYSTREAM_CHECKPOINT_SECONDS`` is no number of seconds.
+        If ``RAYSTREAM_CHECKPOINT_SECONDS`` is not a number of seconds.
     """
     interval = checkpoint_seconds()
     pixel_count = context.width * context.height
@@ -136,10 +135,10 @@ def render_samples(
         _compile(renderer, context, sample)
     shown = time.monotonic()
     try:
-        # Ctrl-C comes to this thread only. On another one, whose end the block waits for, sums
-        # are not left with half of a sample.
+        # Ctrl-C reaches this thread only. Another thread, which the block joins, never leaves
+        # half of a sample in the sums.
         with ThreadPoolExecutor(1) as adder:
-            adder.submit(int).result()  # a thread that has started is waited for
+            adder.submit(int).result()  # only a started thread is joined
             while True:
                 now = time.monotonic()
                 expected = _expected_samples(sums, first, sample, limits, now - started)
@@ -154,12 +153,12 @@ def render_samples(
                         on_pass(sums.image())
                     shown = time.monotonic()
                 report = part_of(progress, sample * pixel_count, expected * pixel_count)
-                light, seen = (
+                light, aovs = (
                     trace_sample(renderer, context, sample, report)
                     if take is None
                     else take(sample, report)
                 )
-                adder.submit(_add, sums, context.layers, light, seen).result()
+                adder.submit(_add, sums, context.layers, light, aovs).result()
                 sample += 1
     except (KeyboardInterrupt, RaystreamError):
         if file is not None and sums.counts.any():
@@ -171,30 +170,30 @@ def render_samples(
 
 
 def _compile(renderer: Integrator, context: RenderContext, sample: int) -> None:
-    """Trace a few rows for nothing: what they call is compiled on this thread.
+    """Trace a few rows and discard them, to compile kernels on this thread.
 
-    See `parallel_for` for the reason. In all but small pictures they are enough rows for a
-    large batch, as the picture's bands are: a small one may take another kernel, which would
-    be compiled for this call alone.
+    See `parallel_for` for the reason. Except in small images the rows make a large batch, as the
+    image's bands do: a small one may select another kernel, which would be compiled for this
+    call alone.
     """
     count = 1
     if context.width * context.height > SMALL_BATCH:
         count = SMALL_BATCH // context.width + 1
     rows = range(min(count, _rows_per_band(renderer, context, context.height)))
-    seen = AovBuffers.empty(len(rows) * context.width) if context.layers else None
-    renderer.trace(context, rows, sample, seen)
+    aovs = AovBuffers.empty(len(rows) * context.width) if context.layers else None
+    renderer.trace(context, rows, sample, aovs)
 
 
 def checkpoint_seconds() -> float:
     """Seconds between two checkpoints, and between two calls of `on_pass`.
 
-    ``RAYSTREAM_CHECKPOINT_SECONDS`` decides, else they are `CHECKPOINT_SECONDS`; 0 is after
+    The value of ``RAYSTREAM_CHECKPOINT_SECONDS`` [default: `CHECKPOINT_SECONDS`]; 0 means after
     every sample.
 
     Raises
     ------
     ValueError
-        If the variable is no finite number from 0 on.
+        If the variable is not a finite number of at least 0.
     """
     text = os.environ.get("RAYSTREAM_CHECKPOINT_SECONDS", "").strip()
     if not text:
@@ -209,13 +208,13 @@ def checkpoint_seconds() -> float:
 
 
 def _expected_samples(sums: Film, first: int, sample: int, limits: Limits, seconds: float) -> int:
-    """Samples that the picture will have, as far as can be told; `sample` or less: it is done.
+    """Estimate the samples that the image will have; at most `sample` once it is complete.
 
     Parameters
     ----------
     sums : Film
     first, sample : int
-        Samples that it had at the start, and has.
+        Number of samples at the start, and now.
     limits : Limits
     seconds : float
         Since the start.
@@ -234,7 +233,7 @@ def _expected_samples(sums: Film, first: int, sample: int, limits: Limits, secon
         if error <= limits.noise:
             return sample
         ratio = error / limits.noise
-        expected = min(expected, sample * ratio * ratio)  # four times the samples halve it
+        expected = min(expected, sample * ratio * ratio)  # 4x the samples halve the error
     return min(limits.samples, max(math.ceil(expected), sample + 1))
 
 
@@ -245,7 +244,7 @@ def trace_sample(
     progress: Progress | None = None,
     rows: range | None = None,
 ) -> Sampled:
-    """Take one more sample of every pixel, or of every one of some rows, on all threads.
+    """Trace one sample of every pixel, or of some rows, on all threads.
 
     Parameters
     ----------
@@ -256,27 +255,27 @@ def trace_sample(
     progress : callable, optional
         Called with (pixels done, pixels).
     rows : range, optional
-        Those to look at, one after another; all without it.
+        Consecutive rows to trace [default: all].
 
     Returns
     -------
     light : ndarray of shape (R * W, 3), float32
         Linear RGB of the R rows.
-    seen : AovBuffers or None
-        What it sees first, if layers are asked for.
+    aovs : AovBuffers or None
+        Of its first hits, if layers are rendered.
     """
     rows = range(context.height) if rows is None else rows
     width, height = context.width, len(rows)
     band_count = -(-height // _rows_per_band(renderer, context, height))
     light: NDArray[np.float32] = np.empty((width * height, 3), np.float32)
-    seen = AovBuffers.empty(width * height) if context.layers else None
+    aovs = AovBuffers.empty(width * height) if context.layers else None
 
     def trace(begin: int, end: int) -> None:
         for band in range(begin, end):
             here = rows[height * band // band_count : height * (band + 1) // band_count]
             first = (here.start - rows.start) * width
             last = first + len(here) * width
-            part = None if seen is None else seen.part(first, last)
+            part = None if aovs is None else aovs.part(first, last)
             light[first:last] = renderer.trace(context, here, sample, part)
 
     report = None
@@ -284,11 +283,11 @@ def trace_sample(
         whole = progress
         report = lambda done, steps: whole(width * height * done // steps, width * height)  # noqa: E731
     parallel_for(trace, band_count, 1, report)
-    return light, seen
+    return light, aovs
 
 
 def _rows_per_band(renderer: Integrator, context: RenderContext, rows: int) -> int:
-    """Most of so many rows that go through the stages together."""
+    """Number of rows in a band, for an image of `rows` rows."""
     bands = renderer.bands_of(context)
     per_pixel = max(renderer.rays_per_pixel(context), 1)
     if bands is not None:
@@ -303,9 +302,9 @@ def _add(
     sums: Film,
     layers: Sequence[str],
     light: NDArray[np.float32],
-    seen: AovBuffers | None,
+    aovs: AovBuffers | None,
 ) -> None:
-    """Add a sample of every pixel to the sums."""
+    """Add a sample of every pixel to the film."""
     sums.add_samples(0, light)
     for name in layers:
-        sums.set_layer(name, 0, getattr(seen, name))
+        sums.set_layer(name, 0, getattr(aovs, name))

@@ -1,7 +1,7 @@
 """raycast: the nearest surface under the scene's lights, without shadows (Purcell 2002, 3.2).
 
-The picture is what the standard graphics pipeline would show: vertex colours times the
-material, matte and glossy light of every light, nothing in the way of any.
+The image that the standard graphics pipeline renders: vertex colours times the material, diffuse
+and glossy reflection of every light, and no shadows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["RAYCAST", "shade_by_lights"]
 
 
 def shade_by_lights(stream: PathStream, band: Band) -> PathStream:
-    """Stage: light the surfaces by every light; the paths end."""
+    """Stage: shade the hits by every light; the paths end."""
     context = band.context
     shade_unshadowed(shading_batch(stream, band), context.tables, context.punctual)
     return PathStream(stream.paths.first(0))

@@ -1,4 +1,4 @@
-"""render: from a scene to an image, by any of the renderers."""
+"""render: render an image of a scene, in any mode."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RENDERERS: dict[str, Integrator] = {
     renderer.name: renderer for renderer in (RAYCAST, VIS, SHADOW, WHITTED, XRAY, AO, KAJIYA, PATH)
 }
 
-#: What each mode shows, by its name.
+#: Description of each mode, by its name.
 MODES: dict[str, str] = {name: renderer.description for name, renderer in RENDERERS.items()}
 
 
@@ -58,63 +58,62 @@ def render(
     progress: Progress | None = None,
     **options: Any,
 ) -> Image:
-    """Render a picture of a scene.
+    """Render an image of a scene.
 
     Parameters
     ----------
     scene : Scene or Tracer
-        A tracer saves building the structure again for every picture.
+        A tracer avoids rebuilding the structure for every image.
     mode : {"raycast", "vis", "shadow", "whitted", "xray", "ao", "kajiya", "path"}
-        The renderer, see `MODES`. The default draws lit surfaces without shadows, at the least
-        cost; ``"whitted"`` has shadows, mirrors and glass, ``"path"`` all light.
+        See `MODES`. The default, the fastest, shades surfaces without shadows; ``"whitted"``
+        adds shadows, mirrors and glass; ``"path"`` renders global illumination.
     size : (int, int)
         Width and height in pixels.
     samples : int
-        Rays for each pixel. One goes through the centre; more smooth the edges.
+        Rays per pixel. One goes through the centre; more reduce aliasing and noise.
     structure, device
-        See `Tracer`; not to be given together with one.
+        See `Tracer`; not allowed if `scene` is a tracer.
     **options
-        The renderer's own: ``max_bounces``, surfaces that may scatter light on its way
+        Of the mode: ``max_bounces``, the maximum number of surfaces that scatter light
         (``"path"`` and ``"whitted"``: 8, ``"kajiya"``: 3); ``min_weight``, below which rays end
-        (``"whitted"``: 1/512); ``light_samples=False`` finds lights by chance only
-        (``"path"``); ``clamp``, the most that light over two surfaces or more may add to a
-        sample at once (``"path"`` and ``"kajiya"``: inf); ``rays``, from each point, and their
-        length ``distance`` (``"ao"``: 32, a tenth of the diagonal of the scene's box; inf for
-        no end); ``opacity`` of a sheet, or ``absorption`` of
-        solids for each world length (``"xray"``: 0.2, None). Others are for the tracer.
+        (``"whitted"``: 1/512); ``light_samples=False`` turns next-event estimation off
+        (``"path"``); ``clamp``, a bound on the indirect light of a sample (``"path"`` and
+        ``"kajiya"``: inf); ``rays`` per hit, and their length ``distance`` (``"ao"``: 32, a
+        tenth of the diagonal of the scene's bounds; inf for unlimited); ``opacity`` of a sheet,
+        or ``absorption`` of solids per world unit (``"xray"``: 0.2, None). All others are
+        passed to the tracer.
     camera : Camera, optional
-        The view; without it, the scene's, or one that frames it.
+        The view [default: the scene's camera, or one that frames it].
     lights : {"auto", "file"}
-        ``"auto"`` adds a light where the scene has none, or only such as are too weak to see
-        by: a white sky (``"path"``, ``"kajiya"``), or a light at the eye (``"raycast"``,
-        ``"shadow"``, ``"whitted"``); see `lighting.needs_light` for the measure. ``"file"``
-        takes the scene's own lights alone.
+        ``"auto"`` adds a light if the scene has none, or if its lights are too weak to see
+        anything: a white sky (``"path"``, ``"kajiya"``), or a headlight (``"raycast"``,
+        ``"shadow"``, ``"whitted"``); see `lighting.needs_light` for the criterion. ``"file"``
+        uses the scene's lights only.
     seed : int
-        For the samples: the same seed gives the same picture, on any number of threads.
+        Of the samples: the same seed gives the same image, on any number of threads.
     noise, time_limit : float, optional
-        Stop before all samples are taken once the picture's estimated relative error is as
-        small, or so many seconds are over; see `progressive.Limits`.
+        Stop early once the image's estimated relative error is below `noise`, or after
+        `time_limit` seconds; see `progressive.Limits`.
     sampler : {"sobol", "stratified", "random"}
-        Where the numbers of samples come from.
+        The random number generator of samples.
     layers : list of {"depth", "normal", "albedo", "prim_id", "emission"}, or "all", optional
-        Layers that the image gets beside ``variance`` and ``samples``: what the pixels' samples
-        see first, their mean and, of ``prim_id``, the first sample's. Depth is the distance
-        from where the ray starts, inf where nothing is seen; normals are in world space and
-        face the eye; albedo is what part of light a surface sends on in any way; prim_id is -1
-        where nothing is seen; emission is the light that needs no further ray. The picture has
-        the same bits with them as without.
+        Extra layers (AOVs), beside ``variance`` and ``samples``: values at the first hits of the
+        pixels' samples, averaged, or of the first sample for ``prim_id``. Depth is the distance
+        from the ray's origin, inf for a miss; normals are in world space and face the camera;
+        albedo is the diffuse and glossy reflectance; prim_id is -1 for a miss; emission is
+        light that needs no secondary ray. The image has the same bits with or without layers.
     checkpoint : path, optional
-        A file that keeps the samples, and from which a picture that was broken off goes on;
-        see `progressive.render_samples`.
+        A file of samples, from which an interrupted image is resumed; see
+        `progressive.render_samples`.
     on_pass : callable, optional
-        Called with the picture so far, every 10 seconds.
+        Called with the image so far, every 10 seconds.
     progress : callable, optional
         Called with (rays done, rays). An exception that it raises ends the rendering.
 
     Returns
     -------
     Image
-        Linear RGB, with the layers ``variance`` and ``samples``, and those asked for.
+        Linear RGB, with the layers ``variance`` and ``samples``, and those given.
 
     Raises
     ------
@@ -122,9 +121,9 @@ def render(
         If a name is unknown or a number out of range, or if the scene has more triangles or
         vertices than can be shaded.
     TypeError
-        If `scene` is neither a scene nor a tracer, or `camera` no camera.
+        If `scene` is neither a scene nor a tracer, or `camera` is not a camera.
     MemoryError
-        If so large a picture does not fit into memory.
+        If the image does not fit into memory.
 
     Examples
     --------

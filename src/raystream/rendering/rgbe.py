@@ -1,4 +1,4 @@
-"""Radiance's pictures (``.hdr``): three mantissas of 8 bits that share an exponent.
+"""Reading Radiance images (``.hdr``): RGBE, three 8-bit mantissas with a shared exponent.
 
 References
 ----------
@@ -20,26 +20,26 @@ from raystream.rendering.rgbe_rows import BAD_RUN, BAD_WIDTH, TRUNCATED, WHOLE, 
 __all__ = ["read_rgbe"]
 
 _MAX_PIXELS = 1 << 28
-_BYTES_PER_PIXEL = 32  # as bytes, and as float32 with what its making takes
+_BYTES_PER_PIXEL = 32  # as bytes, and as float32 with temporaries
 
-#: A header that is longer is none.
+#: Longest header in bytes.
 _MAX_HEADER = 1 << 16
 
 _FAULTS = {
     TRUNCATED: "is truncated",
-    BAD_RUN: "is damaged: a run does not fit its row",
-    BAD_WIDTH: "is damaged: a row is not as wide as the picture",
+    BAD_RUN: "is corrupt: a run does not fit its row",
+    BAD_WIDTH: "is corrupt: a row is not as wide as the image",
 }
 
 
 def read_rgbe(path: str) -> NDArray[np.float32]:
-    """Read a picture.
+    """Read a Radiance image.
 
     Parameters
     ----------
     path : str
-        Rows may be flat, or packed as old or new writers do. Exposures that the header says were
-        applied are taken back.
+        Rows may be flat, or run-length encoded in the old or the new format. The header's
+        exposures are divided out.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def read_rgbe(path: str) -> NDArray[np.float32]:
     Raises
     ------
     FileFormatError
-        If there is no such file, or it is damaged, too large, in XYZ, or stored by columns.
+        If the file is missing, corrupt, too large, in XYZ, or stored by columns.
     MemoryError
         If it does not fit into memory.
     """
@@ -65,7 +65,7 @@ def read_rgbe(path: str) -> NDArray[np.float32]:
         raise FileFormatError(path, f"cannot be read ({reason})") from error
     header, end, rest = head.partition(b"\n\n")
     if not (header.startswith(b"#?") and end):
-        raise FileFormatError(path, "is not a Radiance picture: its header has no beginning or end")
+        raise FileFormatError(path, "is not a Radiance image: its header has no beginning or end")
     exposure = _exposure_of(path, header)
     line = rest.partition(b"\n")[0]
     found = re.fullmatch(rb"([-+])Y (\d{1,9}) ([-+])X (\d{1,9})\s*", line)
@@ -81,7 +81,7 @@ def read_rgbe(path: str) -> NDArray[np.float32]:
     fault = unpack_rows(np.frombuffer(content, np.uint8), start, pixels)
     if fault != WHOLE:
         raise FileFormatError(path, _FAULTS[fault])
-    # Shares of 2**-136 are below float32's numbers where exponents are; products are not.
+    # In float64: 2**-136 underflows in float32, the products do not.
     factor = np.ldexp(1.0 / exposure, np.arange(256) - 136)
     factor[0] = 0.0
     with np.errstate(over="ignore", under="ignore"):
@@ -96,7 +96,7 @@ def read_rgbe(path: str) -> NDArray[np.float32]:
 
 
 def _exposure_of(path: str, header: bytes) -> float:
-    """The product of all exposures in a header, which is checked for its format."""
+    """Check the format in a header, and return the product of its exposures."""
     exposure = 1.0
     for line in header.split(b"\n"):
         name, _, value = line.partition(b"=")
@@ -109,5 +109,5 @@ def _exposure_of(path: str, header: bytes) -> float:
             except ValueError:
                 exposure = math.nan
             if not 0.0 < exposure < math.inf:
-                raise FileFormatError(path, "has an exposure that is no number above 0")
+                raise FileFormatError(path, "has an exposure that is not a number above 0")
     return exposure

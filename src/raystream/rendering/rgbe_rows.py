@@ -1,4 +1,4 @@
-"""Rows of Radiance's pictures: flat, or packed as old or new writers do."""
+"""Decoding rows of Radiance images: flat, or run-length encoded in the old or new format."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WHOLE, TRUNCATED, BAD_RUN, BAD_WIDTH = range(4)
 
 @kernel
 def unpack_rows(content, start, pixels):
-    """Unpack rows of pixels.
+    """Decode rows of pixels.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def unpack_rows(content, start, pixels):
     Returns
     -------
     int
-        `WHOLE`, or what is wrong.
+        `WHOLE`, or an error code.
     """
     at, end = np.uint64(start), np.uint64(len(content))
     height, width = np.uint64(pixels.shape[0]), np.uint64(pixels.shape[1])
@@ -39,7 +39,7 @@ def unpack_rows(content, start, pixels):
             high, low = np.uint64(content[at + two]), np.uint64(content[at + three])
             if (high << np.uint64(8)) + low != width:
                 return BAD_WIDTH
-            # New: each channel of the row by itself, runs of more than 128 repeat a byte.
+            # New format: each channel separately; counts above 128 repeat a byte.
             at += four
             for channel in range(four):
                 column = np.uint64(0)
@@ -60,7 +60,7 @@ def unpack_rows(content, start, pixels):
                     at += one if repeats else count
                     column += count
             continue
-        # Flat, or old: a pixel of 1, 1, 1 repeats the one before, and several make one count.
+        # Flat or old format: pixels 1, 1, 1 repeat the previous one; several form one count.
         column, shift = np.uint64(0), np.uint64(0)
         while column < width:
             if at + four > end:

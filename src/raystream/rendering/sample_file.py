@@ -1,4 +1,4 @@
-"""SampleFile: the file that keeps a picture's samples, and by what it knows the picture."""
+"""SampleFile: an image's checkpoint file, and the identity of the image that it belongs to."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ __all__ = ["SampleFile", "identity"]
 
 
 class SampleFile(PathLike[str]):
-    """A picture's checkpoint, which `render` takes in place of a path.
+    """An image's checkpoint, which `render` takes in place of a path.
 
-    The whole scene is read to know the picture again, and only when the file is first read or
-    written: a picture that does neither is not kept waiting.
+    The image's identity is a digest of the whole scene. It is computed only when the file is
+    first read or written.
 
     Parameters
     ----------
     path : str or path
         Ends in ``.npz``.
     at_end : bool
-        Write the samples of every complete picture. Without it, those of a picture that is
-        complete before a checkpoint was due are held, for `save_held`.
+        Write the samples of every complete image. If False, those of an image that is complete
+        before a checkpoint is due are held, for `save_held`.
     """
 
     def __init__(self, path: str | PathLike[str], at_end: bool = True) -> None:
@@ -49,12 +49,12 @@ class SampleFile(PathLike[str]):
         return self._path
 
     def open(self, renderer: Integrator, context: RenderContext) -> Film | None:
-        """Begin a picture: with the samples that are there, or None.
+        """Begin an image: return the film of an existing checkpoint, or None.
 
         Raises
         ------
         FileFormatError
-            If the file is damaged, or of another picture.
+            If the file is corrupt, or of another image.
         """
         self._identity = cache(lambda: identity(renderer, context))
         if not Path(self._path).exists():
@@ -62,18 +62,18 @@ class SampleFile(PathLike[str]):
         return Film.load(self._path, self._identity())
 
     def save(self, sums: Film) -> None:
-        """Write samples; raises OSError if that fails."""
+        """Write a film; raises OSError on failure."""
         assert self._identity is not None, "open comes first"
         sums.save(self._path, self._identity())
 
     def finish(self, sums: Film, is_due: bool) -> None:
-        """Take the samples of a complete picture.
+        """Save or hold the film of a complete image.
 
         Parameters
         ----------
         sums : Film
         is_due : bool
-            Whether it is time for a checkpoint.
+            Whether a checkpoint is due.
         """
         if self._at_end or is_due or Path(self._path).exists():
             self.save(sums)
@@ -81,16 +81,16 @@ class SampleFile(PathLike[str]):
             self._held = sums
 
     def save_held(self) -> None:
-        """Write the samples that `finish` held, if any: the picture could not be saved, say."""
+        """Write the film that `finish` held, if any, for example if saving the image failed."""
         if self._held is not None:
             self.save(self._held)
 
 
 def identity(renderer: Integrator, context: RenderContext) -> str:
-    """All on which samples depend, as JSON: pictures that agree in it can be continued."""
+    """Everything that samples depend on, as JSON: images with equal ones can be resumed."""
     sampler = context.sampler
-    # One sample goes through the pixels' centres. Of samples that do not depend on how many
-    # there will be, a picture may have more later.
+    # A single sample goes through the pixels' centres. Unless samples depend on their number, an
+    # image may get more of them later.
     depends = sampler == Sampler.of("stratified", sampler.seed, sampler.sample_count)
     counts = sampler.sample_count if depends else min(sampler.sample_count, 2)
     return json.dumps(
@@ -110,7 +110,7 @@ def identity(renderer: Integrator, context: RenderContext) -> str:
 
 
 def _digest(scene: Scene) -> str:
-    """What a picture shows of a scene, in short."""
+    """A hash of everything in a scene that affects images."""
     digest = hashlib.sha256()
 
     def add(value: Any) -> None:
@@ -132,7 +132,7 @@ def _digest(scene: Scene) -> str:
             add(texture.wrap)
             try:
                 add(texture.pixels())
-            except FileFormatError:  # left out of the picture, too
+            except FileFormatError:  # not rendered either
                 add(None)
     add(scene.lights)
     environment = image_light(scene.lights)

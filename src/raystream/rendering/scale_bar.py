@@ -1,4 +1,4 @@
-"""Scale bars: a ramp of colours with ticks, labels and a title, to go below a picture."""
+"""Scale bars: a colour ramp with ticks, labels and a title, drawn below an image."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_scale", "round_ticks"]
 
-#: Grey of the background, of text and ticks, and of the frame round the ramp (sRGB).
+#: Greys of the background, of text and ticks, and of the frame around the ramp (sRGB).
 _BACKGROUND, _TEXT, _FRAME = 24, 232, 128
 
-#: Most steps between ticks.
+#: Maximum number of intervals between ticks.
 _MAX_STEPS = 10
 
 
 @dataclass(frozen=True)
 class _Tick:
-    """A mark at a column of the picture, and the columns that its label takes."""
+    """A tick at a column of the image, with the columns of its label."""
 
     at: int
     label: str
@@ -37,16 +37,16 @@ class _Tick:
 def draw_scale(
     width: int, top: float, is_cut: bool, title: str, ramp: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Draw a scale from 0 to `top`.
+    """Draw a scale bar from 0 to `top`.
 
     Parameters
     ----------
     width : int
-        In pixels. Text is as large as suits it; what is wider than it is left out.
+        In pixels. It determines the font size; labels that do not fit are left out.
     top : float
-        What the end of the ramp stands for.
+        The value at the end of the ramp.
     is_cut : bool
-        Whether there are numbers above, drawn as the top.
+        Whether larger values exist, which are clamped.
     title : str
     ramp : ndarray of shape (L, 3), float32
         Linear RGB.
@@ -95,18 +95,18 @@ def round_ticks(top: float, step_count: int) -> list[float]:
     top : float
         Above 0.
     step_count : int
-        Most steps between them; at least 1.
+        Maximum number of intervals; at least 1.
 
     Returns
     -------
     list of float
-        The finest that has no more steps.
+        The finest scale within that maximum.
     """
     exponent = math.floor(math.log10(top / step_count)) - 1
     sizes = ((round_number, power) for power in range(exponent, 400) for round_number in (1, 2, 5))
     for round_number, power in sizes:
         step = float(f"{round_number}e{power}")
-        count = math.floor(top / step * (1.0 + 1e-9))  # the top itself, if it is a multiple
+        count = math.floor(top / step * (1.0 + 1e-9))  # includes the top if it is a multiple
         if count <= step_count:
             return [float(f"{i * round_number}e{power}") for i in range(count + 1)]
     return [0.0]
@@ -119,7 +119,7 @@ def _place_ticks(
     width: int,
     font: FreeTypeFont | ImageFont,
 ) -> list[_Tick]:
-    """As many ticks as have room for their labels."""
+    """As many ticks as there is room for their labels."""
     space = font.getlength("0")
     last = bar[1] - 1 - bar[0]
 
@@ -131,7 +131,7 @@ def _place_ticks(
 
     for step_count in range(_MAX_STEPS, 0, -1):
         ticks = [tick(value, _number(value)) for value in round_ticks(top, step_count)]
-        if is_cut:  # the end has a label of its own, in the place of those near it
+        if is_cut:  # the label at the end replaces those near it
             end = tick(top, f"{_number(top)}+")
             ticks = [one for one in ticks if one.end + space <= end.begin] + [end]
         if all(one.end + space <= other.begin for one, other in pairwise(ticks)):
@@ -142,7 +142,7 @@ def _place_ticks(
 
 
 def _wrap(text: str, width: int, font: FreeTypeFont | ImageFont) -> list[str]:
-    """Break text into lines; none if a word is wider than a line."""
+    """Break text into lines; no lines if a word is wider than one."""
     lines: list[str] = []
     for word in text.split():
         if font.getlength(word) > width:

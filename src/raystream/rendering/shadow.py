@@ -1,7 +1,6 @@
 """shadow: the shadow caster (Purcell 2002, 3.2).
 
-The first visible surface, and one shadow ray for each light, whose light is added where nothing
-is in the way: `whitted` without mirrors and glass.
+One shadow ray from the first hit to each light: `whitted` without mirrors and glass.
 """
 
 from __future__ import annotations

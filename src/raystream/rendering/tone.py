@@ -1,7 +1,7 @@
-"""Tone curves: from light of any strength to what a screen can show.
+"""Tone mapping: curves that compress linear radiance to the range of a screen.
 
-All are monotone and leave black as it is. They give linear values, which are encoded
-afterwards; what is above 1 then is drawn as 1.
+All are monotone and map 0 to 0. They return linear values, to be encoded afterwards; values above
+1 are then clamped.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ __all__ = ["TONES", "apply_tone", "check_tone"]
 
 
 def apply_tone(pixels: NDArray[Any], tone: str) -> NDArray[np.float32]:
-    """Apply a curve.
+    """Apply a tone curve.
 
     Parameters
     ----------
     pixels : ndarray of shape (..., 3), float
-        Linear RGB. NaN and what is below 0 are taken as 0, infinity as the largest float32.
+        Linear RGB. NaN and negative values count as 0, infinity as the largest float32.
     tone : str
         A name in `TONES`.
 
@@ -45,22 +45,22 @@ def apply_tone(pixels: NDArray[Any], tone: str) -> NDArray[np.float32]:
 
 
 def check_tone(tone: str) -> None:
-    """Raise ValueError if there is no such curve."""
+    """Raise ValueError if the name is unknown."""
     if tone not in TONES:
         known = ", ".join(repr(known) for known in TONES)
         raise ValueError(f"tone: expected one of {known}, got {tone!r}")
 
 
 def _linear(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Light as it is."""
+    """Identity."""
     return light
 
 
 def _reinhard(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The extended curve of Reinhard et al. [1]_, equation 4, on luminance; hues stay.
+    """The extended curve of Reinhard et al. [1]_, equation 4, on luminance; preserves hue.
 
-    White is the picture's largest luminance, and at least 1: so the brightest pixel just
-    reaches white, and a picture that a screen can show is left as it is.
+    White is the image's largest luminance, and at least 1: the brightest pixel just reaches
+    white, and images within the range of a screen do not change.
 
     References
     ----------
@@ -83,7 +83,7 @@ def _aces(light: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.minimum(curve, 1.0)
 
 
-#: Curves by name.
+#: Tone curves by name.
 TONES: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
     "linear": _linear,
     "reinhard": _reinhard,

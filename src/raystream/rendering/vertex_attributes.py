@@ -1,4 +1,4 @@
-"""Vertex attributes as kernels take them: tables whose numbers they can count."""
+"""Vertex attributes as kernels read them: tables small enough for int32 indices."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from raystream.scene.scene import Scene
 
 __all__ = ["MAX_NUMBERS", "VertexAttributes", "check_rows"]
 
-#: Of a table: kernels count them in int32.
+#: Most numbers of a table: kernels index it with int32.
 MAX_NUMBERS = 2**31 - 1
 
 
 def check_rows(count: int, width: int, what: str) -> None:
-    """Check that kernels can count the numbers of a table.
+    """Check that kernels can index a table.
 
     Parameters
     ----------
     count, width : int
-        Rows, and numbers in each.
+        Rows, and numbers per row.
     what : str
-        What rows stand for.
+        Name of the rows, for the error message.
 
     Raises
     ------
     ValueError
-        If they are more than `MAX_NUMBERS`.
+        If the table has more than `MAX_NUMBERS` numbers.
     """
     most = MAX_NUMBERS // width
     if count > most:
         raise ValueError(
             f"scene: {count:,} {what} are more than the {most:,} that can be shaded; "
-            "leave meshes out, or simplify them"
+            "leave out meshes, or simplify them"
         )
 
 
 class VertexAttributes(NamedTuple):
-    """What meshes know of their vertices; None if no mesh does.
+    """Vertex attributes of a scene's meshes; None if no mesh has them.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class VertexAttributes(NamedTuple):
     colors : ndarray of shape (V, 3), float32, or None
         Linear RGB; 1 where a mesh has none.
     faces : ndarray of shape (F, 3), int32
-        Rows of these, by prim_id; empty if there are none.
+        Rows of these, by prim_id; empty without attributes.
     """
 
     normals: NDArray[np.float32] | None
@@ -60,12 +60,12 @@ class VertexAttributes(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> VertexAttributes:
-        """Those of a scene.
+        """Collect the attributes of a scene.
 
         Raises
         ------
         ValueError
-            If kernels cannot count them, see `check_rows`.
+            If there are too many, see `check_rows`.
         """
         known = scene.attributes
         faces = np.empty((0, 3), np.int32)

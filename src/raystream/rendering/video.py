@@ -1,4 +1,4 @@
-"""Video files: pictures in a row, by ffmpeg or by Pillow."""
+"""write_video: encode images as a video, with ffmpeg or Pillow."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from raystream.rendering.image import Image
 
 __all__ = ["VIDEO_SUFFIXES", "check_video", "write_video"]
 
-#: Written by ffmpeg; and by Pillow, with its name for them, and the bytes that it keeps of a
-#: pixel until the file is written.
+#: Suffixes written by ffmpeg; and by Pillow, with its name of the format and the bytes per pixel
+#: that it holds in memory until the file is written.
 _BY_FFMPEG = (".mp4", ".webm", ".mkv", ".mov")
 _BY_PILLOW = {".gif": ("GIF", 1), ".webp": ("WEBP", 3), ".apng": ("PNG", 3)}
 
-#: What the name of a video may end in.
+#: Suffixes of videos.
 VIDEO_SUFFIXES = (*_BY_FFMPEG, *_BY_PILLOW)
 
-#: A GIF counts hundredths of a second, and browsers show what is shorter than two as ten.
-_SHORTEST = 2
+#: Shortest GIF frame in hundredths of a second: browsers show shorter ones for ten.
+_MIN_GIF_FRAME = 2
 
 Bytes = NDArray[np.uint8]
 
 
 def check_video(path: str | PathLike[str], size: tuple[int, int], frame_count: int) -> None:
-    """Refuse a video that could not be written, before its frames are rendered.
+    """Check that a video can be written, before its frames are rendered.
 
     Parameters
     ----------
@@ -48,11 +48,11 @@ def check_video(path: str | PathLike[str], size: tuple[int, int], frame_count: i
     Raises
     ------
     ValueError
-        If the name ends in something else than `VIDEO_SUFFIXES`.
+        If the suffix is not in `VIDEO_SUFFIXES`.
     RaystreamError
-        If it needs ffmpeg, and there is none.
+        If it needs ffmpeg, which is not installed.
     MemoryError
-        If the frames do not fit into memory, where they have to.
+        If the frames must fit into memory, and do not.
     """
     target = Path(path)
     suffix = target.suffix.lower()
@@ -68,36 +68,36 @@ def check_video(path: str | PathLike[str], size: tuple[int, int], frame_count: i
 
 def write_video(
     path: str | PathLike[str],
-    pictures: Iterable[Image | Bytes],
+    images: Iterable[Image | Bytes],
     fps: float = 24.0,
     *,
     exposure: float = 1.0,
     tone: str = "linear",
 ) -> None:
-    """Write pictures to a file that shows them one after another, again and again.
+    """Encode images as a video or a looping animation.
 
-    Equal pictures in a row may become one that stays longer.
+    Consecutive equal images may be merged into one that is shown longer.
 
     Parameters
     ----------
     path : str or path
-        ``.gif`` (256 colours a frame, at most 50 frames a second), ``.webp`` or ``.apng``;
-        ``.mp4``, ``.webm``, ``.mkv`` or ``.mov`` if there is ffmpeg on ``PATH``, which chooses
-        the codec. The file appears, or is replaced, as a whole.
-    pictures : iterable of Image, or of ndarray of shape (H, W, 3), uint8
-        All of one size; arrays are sRGB.
+        ``.gif`` (256 colours per frame, at most 50 frames per second), ``.webp`` or ``.apng``;
+        ``.mp4``, ``.webm``, ``.mkv`` or ``.mov`` if ffmpeg is on ``PATH``; it chooses the codec.
+        Written atomically.
+    images : iterable of Image, or of ndarray of shape (H, W, 3), uint8
+        All of the same size; arrays are sRGB.
     fps : float
-        Pictures in a second.
+        Frames per second.
     exposure, tone
         As for `Image.save`.
 
     Raises
     ------
     ValueError
-        If the name ends in something else, there is no picture, their sizes differ, or `fps`
-        is not above 0.
+        If the suffix is not supported, there are no images, their sizes differ, or `fps` is not
+        above 0.
     RaystreamError
-        If there is no ffmpeg, or it fails: with the last thing that it said.
+        If ffmpeg is missing or fails; the message has the last line of its output.
     OSError
         If the file cannot be written.
     """
@@ -105,29 +105,29 @@ def write_video(
     if not 0.0 < fps <= 1000.0:
         raise ValueError(f"fps: expected a number above 0, at most 1000, got {fps}")
     check_video(target, (0, 0), 0)
-    encoded = _encoded(pictures, exposure, tone)
+    encoded = _encoded(images, exposure, tone)
     with atomic_write(target) as temporary:
         if target.suffix.lower() in _BY_FFMPEG:
-            _by_ffmpeg(target, temporary, encoded, fps)
+            _write_with_ffmpeg(target, temporary, encoded, fps)
         else:
-            _by_pillow(temporary, encoded, fps)
+            _write_with_pillow(temporary, encoded, fps)
 
 
-def _encoded(pictures: Iterable[Image | Bytes], exposure: float, tone: str) -> Iterator[Bytes]:
+def _encoded(images: Iterable[Image | Bytes], exposure: float, tone: str) -> Iterator[Bytes]:
     shape: tuple[int, ...] | None = None
-    for picture in pictures:
-        array = picture.to_bytes(exposure, tone) if isinstance(picture, Image) else picture
+    for image in images:
+        array = image.to_bytes(exposure, tone) if isinstance(image, Image) else image
         if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3:
-            raise ValueError(f"pictures: expected shape (H, W, 3), uint8, got {array.shape}")
+            raise ValueError(f"images: expected shape (H, W, 3), uint8, got {array.shape}")
         if shape is not None and array.shape != shape:
-            raise ValueError(f"pictures: expected all of one size, got {shape} and {array.shape}")
+            raise ValueError(f"images: expected equal sizes, got {shape} and {array.shape}")
         shape = array.shape
         yield array
     if shape is None:
-        raise ValueError("pictures: expected at least one")
+        raise ValueError("images: expected at least one")
 
 
-def _by_pillow(target: Path, arrays: Iterator[Bytes], fps: float) -> None:
+def _write_with_pillow(target: Path, arrays: Iterator[Bytes], fps: float) -> None:
     from PIL import Image as Pillow
 
     kind, _ = _BY_PILLOW[target.suffix.lower()]
@@ -137,7 +137,7 @@ def _by_pillow(target: Path, arrays: Iterator[Bytes], fps: float) -> None:
         images = [image.quantize(256) for image in images]
         ends = [round(100.0 * (i + 1) / fps) for i in range(len(images))]
         lengths = [end - begin for begin, end in zip([0, *ends], ends, strict=False)]
-        options["duration"] = [10 * max(_SHORTEST, length) for length in lengths]
+        options["duration"] = [10 * max(_MIN_GIF_FRAME, length) for length in lengths]
         options["disposal"] = 1
     else:
         options["duration"] = 1000.0 / fps if kind == "PNG" else max(1, round(1000.0 / fps))
@@ -154,8 +154,8 @@ def _ffmpeg(target: Path) -> str:
     return program
 
 
-def _by_ffmpeg(name: Path, target: Path, arrays: Iterator[Bytes], fps: float) -> None:
-    """Send raw pictures to ffmpeg; most codecs want even sizes."""
+def _write_with_ffmpeg(name: Path, target: Path, arrays: Iterator[Bytes], fps: float) -> None:
+    """Pipe raw images to ffmpeg, padded to even sizes, which most codecs need."""
     first = next(arrays)
     height, width, _ = first.shape
     command = [_ffmpeg(name), "-hide_banner", "-loglevel", "error", "-nostdin", "-y"]
@@ -163,13 +163,13 @@ def _by_ffmpeg(name: Path, target: Path, arrays: Iterator[Bytes], fps: float) ->
     command += ["-framerate", f"{fps:.6f}", "-i", "pipe:0"]
     command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]
     command += [f"file:{target.absolute()}"]
-    with tempfile.TemporaryFile() as complaints:
+    with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=complaints
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors
         )
         assert process.stdin is not None
         try:
-            whole = _fed(process.stdin, first, arrays)
+            is_complete = _write_images(process.stdin, first, arrays)
             code = process.wait()
         finally:
             if process.poll() is None:
@@ -177,15 +177,15 @@ def _by_ffmpeg(name: Path, target: Path, arrays: Iterator[Bytes], fps: float) ->
                 process.wait()
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.close()
-        if code != 0 or not whole:
-            complaints.seek(0)
-            lines = complaints.read()[-4000:].decode(errors="replace").split("\n")
-            said = next((line.strip() for line in reversed(lines) if line.strip()), "no reason")
-            raise RaystreamError(f"{name}: ffmpeg failed: {said[:300]}")
+        if code != 0 or not is_complete:
+            errors.seek(0)
+            lines = errors.read()[-4000:].decode(errors="replace").split("\n")
+            message = next((line.strip() for line in reversed(lines) if line.strip()), "no reason")
+            raise RaystreamError(f"{name}: ffmpeg failed: {message[:300]}")
 
 
-def _fed(pipe: IO[bytes], first: Bytes, others: Iterator[Bytes]) -> bool:
-    """Write all pictures; False if ffmpeg stopped reading."""
+def _write_images(pipe: IO[bytes], first: Bytes, others: Iterator[Bytes]) -> bool:
+    """Write all images to a pipe; return False if ffmpeg stopped reading."""
     try:
         pipe.write(np.ascontiguousarray(first).data)
         for array in others:

@@ -1,4 +1,4 @@
-"""vis: what is visible, shaded by how squarely the viewer sees it (Rayforce 2013)."""
+"""vis: visible surfaces, shaded by facing ratio (Rayforce 2013)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["VIS", "shade_by_facing_ratio"]
 
 
 def shade_by_facing_ratio(stream: PathStream, band: Band) -> PathStream:
-    """Stage: grey by the cosine between the normal and the direction to the viewer."""
+    """Stage: shade in grey, by the cosine between normal and view; the paths end."""
     context = band.context
     shade_facing_ratio(shading_batch(stream, band), context.tables, context.punctual)
     return PathStream(stream.paths.first(0))

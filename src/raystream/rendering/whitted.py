@@ -1,7 +1,7 @@
-"""whitted: light from every light, mirrors and glass (Whitted 1980; Purcell 2002, 3.2).
+"""whitted: shadows, mirrors and glass (Whitted 1980; Purcell 2002, 3.2).
 
-Each surface sends a ray to each of L lights, one to where it mirrors and one through it: L + 2
-rays (Purcell 2002, Figure 3). No samples are drawn but for the places in the pixel.
+Each hit spawns a shadow ray to each of L lights, a reflected and a refracted ray: L + 2 rays
+(Purcell 2002, Figure 3). Only positions in the pixel are random.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["WHITTED", "WHITTED_STAGES", "check_whitted", "lights_per_pixel", "sa
 
 
 def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
-    """Stage: light the surfaces, by rays that are to be tested, and reflect and refract."""
+    """Stage: spawn a shadow ray to every light, and reflected and refracted rays."""
     context, count = band.context, len(stream)
     continues = stream.bounce < context.options["max_bounces"]
     rays = ShadowRays.empty(count * lights_per_pixel(context))
@@ -47,12 +47,12 @@ def sample_all_lights(stream: PathStream, band: Band) -> PathStream:
 
 
 def lights_per_pixel(context: RenderContext) -> int:
-    """Rays that a pixel's first surface sends to lights."""
+    """Shadow rays of a pixel's first hit."""
     return int(context.punctual.light_count)
 
 
 def check_whitted(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The options ``max_bounces``, 0 without it, and ``min_weight``."""
+    """The options ``max_bounces`` [default: 0] and ``min_weight`` [default: 0], checked."""
     bounces = check_whole("max_bounces", options.get("max_bounces", 0), 0, MAX_BOUNCES)
     weight = check_number("min_weight", options.get("min_weight", 0.0))
     if not (math.isfinite(weight) and weight >= 0.0):

@@ -1,8 +1,8 @@
 """xray: all surfaces along each ray at once (Rayforce 2013), as sheets or as solids.
 
-As sheets, each surface covers part of what is behind it. As solids, with `absorption`, the
-picture is what an X-ray camera sees: white light, less what closed meshes absorb on its way
-(law of Beer and Lambert); crossings that have no partner count for nothing.
+As sheets, each surface covers part of those behind it. As solids, with `absorption`, the image
+is that of an X-ray camera: white light attenuated by closed meshes (Beer-Lambert law); unpaired
+crossings are ignored.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ __all__ = ["XRAY"]
 
 
 def composite_surfaces(stream: PathStream, band: Band) -> PathStream:
-    """Stage: find all surfaces, and add what is seen through them; the rays end."""
+    """Stage: find all surfaces along the rays, and composite them; the paths end."""
     context, paths = band.context, stream.paths
     if context.options["absorption"] is None:
-        # At an edge a surface is met once, not once for each of its triangles.
+        # A surface counts once at an edge, not once per triangle.
         rays = paths.origins, paths.directions
         hits = context.tracer.multi_hit(*rays, crossings="surfaces", on_hit=context.filter(*rays))
         composite_hits(

@@ -13,7 +13,7 @@ from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, single_lane, store
 from raystream.rendering.sampling.sampler import PixelSample
 from raystream.rendering.shading.ambient_occlusion import OcclusionOptions, spawn_path_ao_rays
-from raystream.rendering.shading.camera_rays import begin_block
+from raystream.rendering.shading.camera_rays import camera_ray_block
 from raystream.rendering.shading.local_shading import facing_ratio_block, unshadowed_block
 from raystream.rendering.shading.paths import shade_path_block
 from raystream.rendering.shading.rows import SINGLE_ROWS
@@ -29,7 +29,7 @@ _WHOLE, _INF = np.float32(1.0), np.float32(np.inf)
 # Bytes: of a number, of a long one, and of three.
 _WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np.uint64(24)
 
-_begin_path = single_lane(begin_block)
+_begin_path = single_lane(camera_ray_block)
 _look_from = single_lane(spawn_path_ao_rays, SINGLE_ROWS)
 _follow_path = single_lane(shade_path_block, SINGLE_ROWS)
 _light_path = single_lane(unshadowed_block)

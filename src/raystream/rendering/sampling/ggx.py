@@ -1,4 +1,4 @@
-"""Normals of a rough surface, after GGX, as a viewer sees them, with their density."""
+"""GGX microfacet normals: distribution, sampling of visible normals, and their density."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _PI = np.float32(math.pi)
 
 @device
 def ggx_density(x, y, z, ax, ay):
-    """Area of the surface's small faces with a normal, per area of the surface and steradian.
+    """Area of microfacets with a normal, per unit of surface area and steradian.
 
     Parameters
     ----------
     x, y, z : float32
-        Unit normal; the surface's is +z.
+        Unit microfacet normal; the surface's is +z.
     ax, ay : float32
         Roughness along x and y, above 0.
 
@@ -44,7 +44,7 @@ def ggx_density(x, y, z, ax, ay):
 
 @device
 def visible_normal(u, v, vx, vy, vz, ax, ay):
-    """A normal of the small faces that a viewer sees, as often as its part of the view.
+    """Sample a normal of the microfacets visible to a viewer, by projected area.
 
     Parameters
     ----------
@@ -64,20 +64,20 @@ def visible_normal(u, v, vx, vy, vz, ax, ay):
     .. [1] Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", Computer
        Graphics Forum 42(8), 2023.
     """
-    # Step 1: stretch the surface until its faces are those of a half sphere, and the view.
+    # Step 1: stretch surface and view, so that microfacets form a hemisphere.
     sx, sy = ax * vx, ay * vy
     inv_length = _1 / square_root(sx * sx + sy * sy + vz * vz)
     sx, sy, sz = sx * inv_length, sy * inv_length, vz * inv_length
 
-    # Step 2: light mirrored by the half sphere towards the viewer comes evenly from the cap
-    # above z = -sz. The normal is half-way; its z is a product, so that it is never 0.
+    # Step 2: directions reflected by the hemisphere are uniform on the spherical cap above
+    # z = -sz. The normal is the half vector; its z is a product, so that it is never 0.
     z = (_1 - v) * (_1 + sz)
     cap = z - sz
     radius = square_root(maximum(_1 - cap * cap, _0))
     x, y = sincos_turns(u)
     x, y = radius * x + sx, radius * y + sy
 
-    # Step 3: back to the surface as it is.
+    # Step 3: transform back to the surface.
     x, y = ax * x, ay * y
     inv_length = _1 / square_root(x * x + y * y + z * z)
     return x * inv_length, y * inv_length, z * inv_length
@@ -97,14 +97,13 @@ def visible_normal_pdf(x, y, z, vx, vy, vz, ax, ay):
     Returns
     -------
     float32
-        0 where the viewer does not see it. The direction that it mirrors the viewer's into
-        has this density divided by 4 times the cosine between normal and viewer.
+        0 where the viewer does not see it. The reflected direction has this density divided by
+        4 times the cosine between normal and viewer.
 
     Notes
     -----
-    It is Smith's part of the faces in sight, 2 vz / (vz + l), times cosine times density over
-    vz, where l is the stretched view's length: vz goes out, and grazing views are no case of
-    their own.
+    Smith's masking, 2 vz / (vz + l), times cosine times distribution over vz, where l is the
+    length of the stretched view: vz cancels, so that grazing views need no special case.
     """
     cosine = x * vx + y * vy + z * vz
     sx, sy = ax * vx, ay * vy

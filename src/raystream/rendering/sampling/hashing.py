@@ -1,6 +1,6 @@
-"""Integer hashes, from which samplers get their keys, and floats from their bits.
+"""Integer hashes for the keys of samplers, and floats from their bits.
 
-Of numbers and, lane by lane, of vectors.
+For numbers and, lane by lane, for vectors.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from raystream.jit.simd import as_float32, as_uint32
 
 __all__ = ["as_float", "mix", "stream_key"]
 
-# The multipliers and shifts were found by searching for the least bias: Wellons,
+# The multipliers and shifts come from a search for the least bias: Wellons,
 # "Prospecting for Hash Functions", 2018, and the threads that followed it.
 _FIRST, _SECOND = np.uint32(0x21F0AAAD), np.uint32(0xD35A2D97)
 _15, _16 = np.uint32(15), np.uint32(16)
 
-# Odd fractions of the golden ratio and of square roots: they keep the arguments' zeros from
-# meeting the hash's one fixed point, 0.
+# Odd fractions of the golden ratio and of a square root: they keep arguments of 0 from the hash's
+# only fixed point, 0.
 _OF_SEED, _OF_DIMENSION = np.uint32(0x9E3779B9), np.uint32(0x6A09E667)
 
 _8 = np.uint32(8)
@@ -27,7 +27,7 @@ _ULP = np.float32(2.0**-24)
 
 @device
 def mix(x):
-    """Hash an uint32 to an uint32, one to one: each bit in flips about half of those out."""
+    """Hash a uint32 bijectively: each input bit flips about half of the output bits."""
     x = as_uint32(x)
     x = as_uint32(as_uint32(x ^ (x >> _16)) * _FIRST)
     x = as_uint32(as_uint32(x ^ (x >> _15)) * _SECOND)
@@ -36,20 +36,20 @@ def mix(x):
 
 @device
 def stream_key(seed, pixel, dimension):
-    """The key of one pixel's numbers in one dimension (or group of them), uint32.
+    """The key of a pixel's numbers in a dimension or a group of them, uint32.
 
     Parameters
     ----------
     seed, pixel, dimension : int
-        Of each the lower 32 bits count. Two pixels, two dimensions, or two seeds never have
-        one key while the other two arguments agree.
+        Only the lower 32 bits count. Different pixels, dimensions or seeds never have the same
+        key if the other two arguments are equal.
     """
-    # What depends on seed and pixel alone comes first: compilers take it out of loops.
+    # Seed and pixel come first: compilers hoist their hash out of loops.
     at_pixel = mix(mix(as_uint32(seed) + _OF_SEED) ^ as_uint32(pixel))
     return mix(at_pixel ^ mix(as_uint32(dimension) + _OF_DIMENSION))
 
 
 @device
 def as_float(bits):
-    """The upper 24 bits of an uint32 as a fraction, float32: 0 to 1 - 2**-24, never 1."""
+    """The upper 24 bits of a uint32 as a fraction, float32: 0 to 1 - 2**-24, never 1."""
     return as_float32(as_uint32(as_uint32(bits) >> _8)) * _ULP

@@ -1,9 +1,9 @@
-"""Sobol numbers, scrambled after Owen by hashing: even samples that need no memory.
+"""Sobol samples with hash-based Owen scrambling.
 
-Four dimensions make a group, and each group has a sequence of its own. A group is two pairs.
-The first pair is Sobol's first two dimensions, a (0, 2)-sequence. The second pair is the same
-sequence at another index, `quad_matrix` times the first's. That only moves indices about within
-blocks of 2**k, so this pair is a (0, 2)-sequence, too; and the four are even together.
+Dimensions form groups of four, each with its own sequence. A group has two pairs. The first pair
+is Sobol's first two dimensions, a (0, 2)-sequence. The second pair is the same sequence at another
+index, `quad_matrix` times the first's. That permutes indices within blocks of 2**k, so this pair is
+a (0, 2)-sequence, too, and the four dimensions are stratified jointly.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ _256, _512, _768 = np.uint32(256), np.uint32(512), np.uint32(768)
 _1, _2, _3, _4 = np.uint32(1), np.uint32(2), np.uint32(3), np.uint32(4)
 _8, _16, _24, _BYTE = np.uint32(8), np.uint32(16), np.uint32(24), np.uint32(0xFF)
 
-#: Of each step of a bit reversal or a Pascal matrix, the lower of each two blocks of bits.
+#: The lower of each two blocks of bits, in the steps of a bit reversal or a Pascal matrix.
 _BY_8, _BY_4 = np.uint32(0x00FF00FF), np.uint32(0x0F0F0F0F)
 _BY_2, _BY_1 = np.uint32(0x33333333), np.uint32(0x55555555)
 
 #: Of a group's keys: one for the order of its samples, and one for each of its dimensions.
 _ORDER = np.uint32(0xB5297A4D)
 
-# Any even factors give a scramble, but with some the flips of a bit are alike for different
-# higher bits. With these and the keyed product the correlation of any two flips of the upper
-# nine bits is below 0.02 over 65,536 keys, which is chance; with the four factors of Laine and
-# Karras it is up to 0.6. They are Vegdahl's ("Building a Better LK Hash", 2021).
+# Any even factors give a scramble, but with some, flips of a bit correlate for different higher
+# bits. With these and the keyed product the correlation of any two flips of the upper nine bits
+# is below 0.02 over 65,536 keys, which is chance; with the four factors of Laine and Karras it is
+# up to 0.6. They are Vegdahl's ("Building a Better LK Hash", 2021).
 _LK_1, _LK_2, _LK_3 = np.uint32(0x3D20ADEA), np.uint32(0x05526C56), np.uint32(0x53A22864)
 
 
 @device
 def _reverse(x):
-    """The bits of an uint32 in reverse order."""
+    """Reverse the bits of a uint32."""
     x = as_uint32((x >> _16) | (x << _16))
     x = as_uint32(((x >> _8) & _BY_8) | ((x & _BY_8) << _8))
     x = as_uint32(((x >> _4) & _BY_4) | ((x & _BY_4) << _4))
@@ -51,8 +51,8 @@ def _reverse(x):
 def _pascal(x):
     """Sobol's second matrix, Pascal's triangle modulo 2, times a vector of bits.
 
-    Bit i of the product is the sum of those bits whose index has all the ones of i, so five
-    steps do it, one for each bit of an index.
+    Bit i of the product is the sum of the bits whose index has all the ones of i: five steps
+    suffice, one per bit of an index.
     """
     x = as_uint32(x ^ (x >> _16))
     x = as_uint32(x ^ ((x >> _8) & _BY_8))
@@ -68,7 +68,7 @@ def _flips(tables, place):
 
 @device
 def _second_pair(x):
-    """The index at which the second pair of a group has its sample: the matrix times x."""
+    """The index of a sample in a group's second pair: the matrix times x."""
     tables = address(_SECOND_PAIR)
     low = _flips(tables, x & _BYTE) ^ _flips(tables, ((x >> _8) & _BYTE) + _256)
     high = _flips(tables, ((x >> _16) & _BYTE) + _512) ^ _flips(tables, (x >> _24) + _768)
@@ -79,9 +79,9 @@ def _second_pair(x):
 def _scramble(x, key):
     """Flip each bit by a hash of the bits below it and of the key.
 
-    Of a reversed fraction that is Owen's scramble: whether a bit flips depends on those of
-    higher value. Sums, products with odd and xor with products with even numbers all carry
-    upwards only (Laine and Karras 2011).
+    On a reversed fraction this is Owen scrambling: a bit's flip depends on more significant bits.
+    Sums, products with odd numbers and xor with products with even numbers carry upwards only
+    (Laine and Karras 2011).
     """
     x = as_uint32(x ^ as_uint32(x * _LK_1))
     x = as_uint32(x + key)
@@ -92,10 +92,10 @@ def _scramble(x, key):
 
 @device
 def _index(sample, dimension, key):
-    """Where in the (0, 2)-sequence a group's pair has this sample.
+    """Index of a sample in the (0, 2)-sequence of a group's pair.
 
-    The order of samples is scrambled, too, by which groups become independent. As it is
-    scrambled from the highest bit down, the first 2**k stay one block of 2**k.
+    The order of samples is scrambled, too, which makes groups independent. It is scrambled from
+    the highest bit down, so that the first 2**k stay one block of 2**k.
     """
     index = _reverse(_scramble(_reverse(as_uint32(sample)), mix(key ^ _ORDER)))
     return _second_pair(index) if as_uint32(dimension) & _2 else index
@@ -113,8 +113,8 @@ def sample_number(seed, pixel, sample, dimension):
     Returns
     -------
     float32
-        In [0, 1). Of the numbers of the first 2**k samples, 24 at most being k, each interval
-        of length 2**-k gets one.
+        In [0, 1). Each interval of length 2**-k has one number of the first 2**k samples, for k
+        up to 24.
 
     References
     ----------
@@ -132,18 +132,18 @@ def sample_number(seed, pixel, sample, dimension):
 
 @device
 def sample_pair(seed, pixel, sample, dimension):
-    """The numbers of a dimension and of the next.
+    """The numbers of a dimension and the next.
 
     Parameters
     ----------
     seed, pixel, sample, dimension : int
-        As of `sample_number`. Let the dimension be even: only then are the two even together.
+        See `sample_number`. The dimension should be even: only then are the two stratified jointly.
 
     Returns
     -------
     x, y : float32
         In [0, 1). In an even dimension the first 2**k samples are a (0, k, 2)-net: each
-        rectangle of 2**-i by 2**-(k - i) gets one.
+        rectangle of 2**-i by 2**-(k - i) has one.
     """
     dimension = as_uint32(dimension)
     if dimension & _1:

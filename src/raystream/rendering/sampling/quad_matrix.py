@@ -1,4 +1,4 @@
-"""The matrix of bits that makes two pairs of dimensions even together, as four."""
+"""The bit matrix that stratifies two pairs of dimensions jointly, in four dimensions."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ def quad_matrix() -> NDArray[np.uint32]:
     Returns
     -------
     ndarray of shape (32,), uint32
-        The columns: what bit j of an index flips. Bits 2i and 2i + 1 are one digit of base 4.
+        The columns: the bits that bit j of an index flips. Bits 2i and 2i + 1 are a base-4 digit.
 
     Notes
     -----
     The matrices C(j, i) a**(j - i) for the four a of GF(4), which belong to the polynomials
-    x - a, generate a (0, 4)-sequence in base 4 [1]_: each block of 4**k samples is spread over
-    the boxes of volume 4**-k whose sides are powers of 1/4, one in each. Those for 0 and 1 are
-    Sobol's first two but for an order within the digits. As the matrix for a, times that for b,
-    is that for a + b, this one turns them into the other two. It is upper triangular with ones
-    on its diagonal, for w**0 is the one: blocks of 2**k indices stay together.
+    x - a, generate a (0, 4)-sequence in base 4 [1]_: each block of 4**k samples has one in every
+    box of volume 4**-k whose sides are powers of 1/4. Those for 0 and 1 are Sobol's first two,
+    up to a permutation of digits. Since the matrix for a times that for b is that for a + b,
+    this one turns them into the other two. It is upper triangular with a unit diagonal, since
+    w**0 = 1: blocks of 2**k indices stay together.
 
     References
     ----------
@@ -46,7 +46,7 @@ def quad_matrix() -> NDArray[np.uint32]:
 
 
 def byte_tables(columns: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """What each value of each byte of an index flips: four reads replace 32 columns.
+    """The bits that each value of each byte of an index flips: four lookups replace 32 columns.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Independent numbers by hashing: what the even ones are compared with."""
+"""Independent random numbers, by hashing: the baseline of the other samplers."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def sample_number(seed, pixel, sample, dimension):
     float32
         In [0, 1).
     """
-    # The sample's own hash: with the bare number, two keys that differ in low bits only would
-    # give the same numbers in another order.
+    # The sample is hashed, too: otherwise two keys that differ in low bits only would give the
+    # same numbers in another order.
     key = stream_key(seed, pixel, dimension)
     return as_float(mix(key ^ mix(as_uint32(sample) + _OF_SAMPLE)))
 
 
 @device
 def sample_pair(seed, pixel, sample, dimension):
-    """The numbers of a dimension and of the next, two float32; see `sample_number`."""
+    """The numbers of a dimension and the next, two float32; see `sample_number`."""
     following = as_uint32(as_uint32(dimension) + _1)
     return (
         sample_number(seed, pixel, sample, dimension),

@@ -1,4 +1,4 @@
-"""The choice of a sampler, small enough to hand to kernels, and numbers for NumPy."""
+"""Sampler: random numbers of samples, drawn in kernels or as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -26,40 +26,40 @@ __all__ = [
     "draw_pair_lanes",
 ]
 
-#: The kinds by name: the position is `Sampler.kind`.
+#: Names of kinds; the index is `Sampler.kind`.
 KINDS = ("sobol", "stratified", "random")
 
 _SOBOL, _STRATIFIED = 0, 1
 
-#: More samples than this would not have different numbers: a float32 below 1 has 24 bits.
+#: Most samples with different numbers: a float32 below 1 has 24 bits.
 MAX_SAMPLES = 1 << 24
 
-#: Pixels, samples, dimensions and seeds are below.
+#: Upper bound of pixels, samples, dimensions and seeds.
 _RANGE = 1 << 32
 
-#: Rows that a thread takes at a time.
+#: Rows per task of a thread.
 _CHUNK = 1 << 12
 
-#: Of vectors, and their bytes.
+# Bytes of a float32, and of 16 of them.
 _WORD = np.uint64(4)
 _ROW = 64
 
 
 class Sampler(NamedTuple):
-    """Where the numbers of a picture's samples come from.
+    """A generator of the random numbers of an image's samples.
 
     Made by `Sampler.of`; `draw` and `draw_pair` use it in kernels. A number depends only on
-    the sampler and on pixel, sample and dimension: not on threads, nor on what was drawn
-    before. So a picture can be rendered in any order, and go on later with more samples.
+    the sampler, pixel, sample and dimension, not on threads or earlier numbers. So an image can be
+    rendered in any order, and get more samples later.
 
     Attributes
     ----------
     kind : int
-        Position in `KINDS`.
+        Index into `KINDS`.
     seed : int
         0 to 2**32 - 1.
     sample_count : int
-        Samples of a pixel. The kind "stratified" needs to know; the others do not ask.
+        Samples per pixel. Used by the kind "stratified" only.
 
     Examples
     --------
@@ -81,16 +81,16 @@ class Sampler(NamedTuple):
         ----------
         name : {"sobol", "stratified", "random"}
         seed : int
-            0 to 2**32 - 1: other seeds give other numbers.
+            0 to 2**32 - 1.
         samples : int
-            1 to `MAX_SAMPLES`, of a pixel.
+            Per pixel, 1 to `MAX_SAMPLES`.
 
         Raises
         ------
         ValueError
-            If the name is none of these, or a number is outside its range.
+            If the name is unknown, or a number is out of range.
         TypeError
-            If a number is no integer.
+            If a number is not an integer.
         """
         if name not in KINDS:
             raise ValueError(f"name: expected one of {', '.join(KINDS)}, got {name!r}")
@@ -103,16 +103,16 @@ class Sampler(NamedTuple):
     def numbers(
         self, pixels: Any, samples: Any, dimension: int = 0, count: int = 1
     ) -> NDArray[np.float32]:
-        """Draw the numbers of samples, for use outside of kernels.
+        """Draw the numbers of samples, outside of kernels.
 
         Parameters
         ----------
         pixels, samples : array_like of shape (N,), or a number for all
             Integers, 0 to 2**32 - 1.
         dimension : int
-            The first of the dimensions. Even and odd, such as 0 and 1, make a pair.
+            The first dimension. An even one and the next, such as 0 and 1, form a pair.
         count : int
-            How many dimensions.
+            Number of dimensions.
 
         Returns
         -------
@@ -122,9 +122,9 @@ class Sampler(NamedTuple):
         Raises
         ------
         ValueError
-            If shapes do not agree, or a number is outside its range.
+            If shapes do not agree, or a number is out of range.
         TypeError
-            If a number is no integer.
+            If a number is not an integer.
         MemoryError
             If the numbers do not fit into memory.
         """
@@ -212,10 +212,10 @@ def draw(sampler, pixel, sample, dimension):
 
 @device
 def draw_pair(sampler, pixel, sample, dimension):
-    """The numbers of a dimension, best an even one, and of the next: two float32.
+    """The numbers of a dimension, preferably even, and the next: two float32.
 
-    They are what `draw` gives for each, for less than twice the time. Only those of an even
-    dimension and the next are spread evenly over the square.
+    The same as from `draw`, in less than twice the time. Only those of an even dimension and the
+    next are stratified over the square.
     """
     if sampler.kind == _SOBOL:
         return owen.sample_pair(sampler.seed, pixel, sample, dimension)

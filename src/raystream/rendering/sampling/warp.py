@@ -1,10 +1,9 @@
-"""Maps of the unit square to disks, triangles, and directions, each with its density.
+"""Warps of the unit square to disks, triangles and directions, with their densities.
 
-All take two numbers u and v in [0, 1), float32, such as `draw_pair` gives, and keep close
-what was close, as far as they can, so that even numbers give even points. Directions are
-about +z and of unit length; `basis` and `to_world` turn them. Densities of directions are
-per steradian, of points per unit of area. Where float32 is said, vectors of it do as well:
-lane by lane the same bits.
+All take two float32 numbers u and v in [0, 1), such as those of `draw_pair`, and have low
+distortion, to preserve stratification. Directions are around +z and of unit length; `basis` and
+`to_world` rotate them. Densities of directions are per steradian, of points per unit area.
+Vectors of float32 work as well as float32, with the same bits in each lane.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ _INV_FOUR_PI = np.float32(0.25 / math.pi)
 
 @device
 def disk(u, v):
-    """A point of the unit disk, evenly: squares around the middle become circles.
+    """A uniform point of the unit disk, by a concentric map.
 
     Returns
     -------
@@ -79,12 +78,12 @@ def disk_pdf(x, y):
 
 @device
 def cosine_hemisphere(u, v):
-    """A direction with a density in proportion to its cosine to +z.
+    """A direction with density proportional to its cosine to +z.
 
     Returns
     -------
     x, y, z : float32
-        z is at least 0: it is the cosine. The directions lie above an even disk (Malley).
+        z is the cosine, at least 0. The projection is a uniform disk (Malley).
     """
     x, y = disk(u, v)
     return x, y, square_root(maximum(_1 - x * x - y * y, _0))
@@ -98,15 +97,15 @@ def cosine_hemisphere_pdf(z):
 
 @device
 def _around(z, radius, v):
-    """The direction of this z, at v of a whole turn."""
+    """The direction with this z, at azimuth v * 2 pi."""
     x, y = sincos_turns(v)
     return radius * x, radius * y, z
 
 
 @device
 def sphere(u, v):
-    """A direction, evenly: x, y, z of float32."""
-    # The radius from u, not from 1 - z * z, which loses the digits of small ones.
+    """A uniform direction: x, y, z of float32."""
+    # The radius from u, not from 1 - z * z, which cancels for small ones.
     return _around(_1 - _2 * u, _2 * square_root(u * (_1 - u)), v)
 
 
@@ -118,14 +117,14 @@ def sphere_pdf():
 
 @device
 def cone(u, v, height):
-    """A direction of the cone around +z, evenly.
+    """A uniform direction of a cone around +z.
 
     Parameters
     ----------
     u, v : float32
     height : float32
         Of the cone's cap: 1 minus the cosine of the angle between axis and side, in (0, 2].
-        (For a narrow cone compute it as 2 * sin(angle / 2)**2: the cosine is rounded too much.)
+        (Compute it as 2 * sin(angle / 2)**2 for narrow cones, to avoid cancellation.)
 
     Returns
     -------
@@ -143,14 +142,14 @@ def cone_pdf(z, height):
 
 @device
 def _missing(x):
-    """1 - exp(x) of numbers up to 0, whose digits are not lost near 0 (Taylor's series)."""
+    """1 - exp(x) for x <= 0, accurate near 0 (Taylor series)."""
     series = -x * (_1 + x * (_HALF + x * (_SIXTH + x * (_24TH + x * _120TH))))
     return select(x > -_QUARTER, series, _1 - exponential(x))
 
 
 @device
 def power_cosine(u, v, exponent):
-    """A direction with a density in proportion to a power of its cosine to +z: Phong's lobe.
+    """A direction with density proportional to a power of its cosine to +z: Phong's lobe.
 
     Parameters
     ----------
@@ -176,7 +175,7 @@ def power_cosine_pdf(z, exponent):
 
 @device
 def triangle(u, v):
-    """A point of a triangle, evenly, by folding the square at its diagonal.
+    """A uniform point of a triangle, by folding the square along its diagonal.
 
     Returns
     -------
@@ -199,7 +198,7 @@ def triangle_pdf(area):
 
 @device
 def basis(x, y, z):
-    """Two directions across a unit direction: with it, a right-handed frame.
+    """Tangent and bitangent of a unit normal: a right-handed frame.
 
     Parameters
     ----------
@@ -209,8 +208,8 @@ def basis(x, y, z):
     Returns
     -------
     tx, ty, tz, bx, by, bz : float32
-        Tangent and bitangent: their cross product is the normal. They turn with the normal
-        without a jump, but where its z changes sign.
+        Tangent and bitangent: their cross product is the normal. They are continuous in the
+        normal, except where its z changes sign.
 
     References
     ----------
@@ -225,7 +224,7 @@ def basis(x, y, z):
 
 @device
 def to_world(x, y, z, nx, ny, nz):
-    """Turn a direction about +z into one about a unit normal.
+    """Rotate a direction around +z to one around a unit normal.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is left of light inside of a material that absorbs: the law of Beer and Lambert."""
+"""Absorption inside materials: the Beer-Lambert law."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _NULL = np.float32(0.0)
 
 @device
 def transmittance(tables, point, distance):
-    """The share of light, by colour, that is left of a ray where it meets a surface.
+    """Transmittance, by channel, of the medium that a ray crossed before its hit.
 
     Parameters
     ----------
     tables : SceneTables
     point : Point
-        Where it meets it, or 16 of them: inside is where it comes to the surface from behind.
+        The hit, or 16 of them: the ray was inside if it hits the back.
     distance : float64, or f32x16
-        What the ray has gone, in world lengths.
+        Length of the ray, world units.
     """
     red, green, blue = material_color(tables, point.material, _ABSORPTION)
     inside = select(point.is_front, _NULL, distance)

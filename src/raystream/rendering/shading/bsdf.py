@@ -1,9 +1,8 @@
-"""How a surface scatters light: matte, glossy, mirror and glass, added up.
+"""BSDFs: diffuse, glossy, mirror and transmissive lobes of a surface, and their sum.
 
-A surface may do several of these at once, as MTL and BART materials do. Matte and glossy
-reflection spread light; mirrors and glass send it one way each, and are only ever sampled.
-Directions are unit vectors that point away from the surface; `back` is to where the ray came
-from.
+A surface may have several lobes, as MTL and BART materials do. Mirror and transmissive lobes are
+delta distributions, and are only sampled. Directions are unit vectors that point away from the
+surface; `back` points to the ray's origin.
 
 References
 ----------
@@ -67,20 +66,20 @@ Vector = tuple[float, float, float]
 
 
 class Lobes(NamedTuple):
-    """What a surface does at a point.
+    """The lobes of a surface's BSDF at a point.
 
     Attributes
     ----------
     diffuse, specular, reflection, transmission : tuple of three float64
-        Shares of the light that are scattered evenly, around the mirrored direction, to it,
-        and through the surface; together at most 1 in each colour.
+        Reflectances: Lambertian, around the mirror direction, along it, and the transmittance;
+        at most 1 in total in each channel.
     shininess : float64
         Phong exponent.
     ior : float64
-        Index of refraction of what the ray enters over that of what it leaves.
+        Index of refraction of the medium that the ray enters over that of the one it leaves.
     alpha : float64
-        GGX's roughness of a surface of glTF's kind, see `microfacet`: `specular` is then what it
-        mirrors squarely. 0 for Phong's lobe.
+        GGX roughness of a glTF material, see `microfacet`: `specular` is then its reflectance at
+        normal incidence. 0 for Phong's lobe.
     """
 
     diffuse: Vector
@@ -93,17 +92,17 @@ class Lobes(NamedTuple):
 
 
 class Bounce(NamedTuple):
-    """A direction that a surface sends a ray.
+    """A sample of a BSDF: the direction of the next ray.
 
     Attributes
     ----------
     direction : tuple of three float64
     weight : tuple of three float64
-        Scattered light over the direction's probability.
+        BSDF times cosine over the density.
     pdf : float64
-        Probability density over solid angle; inf for mirrors and glass.
+        Density over solid angle; inf for mirrors and glass.
     is_valid : bool
-        Whether the ray goes on at all.
+        Whether the path continues.
     """
 
     direction: Vector
@@ -114,7 +113,7 @@ class Bounce(NamedTuple):
 
 @device
 def _looked_up(tables, point, role, values):
-    """A texture's RGB at a point; white without one."""
+    """A texture's RGB at a point; white without a texture."""
     white = point.nx * _NULL + _WHOLE
     color = white, white, white
     if tables.kinds & IS_TEXTURED:
@@ -129,13 +128,13 @@ def _looked_up(tables, point, role, values):
 
 @device
 def _tinted(color, tables, point, role):
-    """A colour of a material times its texture."""
+    """A material's colour times its texture."""
     return times(color, _looked_up(tables, point, role, tables.textures.linear))
 
 
 @device
 def _color_if(tables, kind, point, column):
-    """A colour of a material, where any material of the scene has one; else black."""
+    """A material's colour, if any material of the scene has one; else black."""
     nothing = point.nx * _NULL
     color = nothing, nothing, nothing
     if tables.kinds & kind:
@@ -145,14 +144,14 @@ def _color_if(tables, kind, point, column):
 
 @device
 def emitted(tables, point):
-    """What the front of a surface emits."""
+    """Radiance that the front of a surface emits."""
     color = _color_if(tables, EMITS, point, _EMISSION)
     return _tinted(color, tables, point, _EMISSION_TEXTURE)
 
 
 @device
 def _metal_or_plastic(tables, point, roughness, base):
-    """GGX's roughness of glTF's materials, and what they scatter evenly and mirror squarely."""
+    """GGX roughness of glTF materials, their diffuse colour and normal reflectance."""
     metallic = maximum(material_number(tables, point.material, _METALLIC), _NULL)
     numbers = _looked_up(tables, point, _ROUGHNESS_TEXTURE, tables.textures.plain)
     roughness, metallic = roughness * numbers[1], minimum(metallic * numbers[2], _WHOLE)
@@ -168,10 +167,9 @@ def _metal_or_plastic(tables, point, roughness, base):
 
 @device_call
 def lobes_at(tables, point):
-    """What a surface does at a point.
+    """Evaluate the lobes of a surface at a point.
 
-    Where a material's shares add up to more than 1, as files allow, all are made less, so
-    that no light is made.
+    Lobes that add up to more than 1, as files allow, are scaled down to conserve energy.
 
     Parameters
     ----------
@@ -221,25 +219,25 @@ def lobes_at(tables, point):
 
 @device
 def _sum(diffuse, specular, is_rough):
-    """What two lobes scatter at most; small faces take their share of what the rest would."""
+    """Largest albedo of two lobes; microfacets take their share from the diffuse lobe."""
     return select(is_rough, maximum(diffuse, specular), diffuse + specular)
 
 
 @device
 def fresnel(cosine, ior):
-    """Share of unpolarised light that a clear surface reflects.
+    """Fresnel reflectance of a dielectric for unpolarised light.
 
     Parameters
     ----------
     cosine : float64
-        Between the direction that light comes from and the normal; not negative.
+        Between the incident direction and the normal; not negative.
     ior : float64
-        Index of refraction behind the surface over that before it.
+        Index of refraction behind the surface over that in front of it.
 
     Returns
     -------
     float64
-        1 beyond the angle of total reflection.
+        1 for total internal reflection.
     """
     square = _WHOLE - (_WHOLE - cosine * cosine) / (ior * ior)
     behind = square_root(maximum(square, _NULL))
@@ -251,7 +249,7 @@ def fresnel(cosine, ior):
 
 @device
 def refracted(back, normal, ior):
-    """The direction in which a ray goes on behind a clear surface (Snell's law).
+    """The direction of the refracted ray (Snell's law).
 
     Only where `fresnel` is below 1.
     """
@@ -267,22 +265,21 @@ def refracted(back, normal, ior):
 
 @device_call
 def reflected(lobes, point, back, toward):
-    """Light that matte and glossy reflection send back, and how likely they are to look there.
+    """Evaluate diffuse and glossy reflection, with the densities of their samples.
 
     Parameters
     ----------
     lobes : Lobes
     point : Point
     back : tuple of three float64
-        To where the light goes.
+        To the ray's origin.
     toward : tuple of three float64
-        To where it comes from.
+        To the light.
 
     Returns
     -------
     color : tuple of three float64
-        Reflected radiance for an irradiance of 1 on a surface that faces the light: BRDF times
-        cosine.
+        BRDF times cosine.
     diffuse_pdf, specular_pdf : float64
         Densities over solid angle of the two lobes.
     """
@@ -302,7 +299,7 @@ def reflected(lobes, point, back, toward):
         specular_pdf = select(is_rough, pdf, specular_pdf)
     gloss = lobes.specular
     is_glossy = is_lit & (lobes.alpha <= _NULL) & (gloss[0] + gloss[1] + gloss[2] > _NULL)
-    if any_lane(is_glossy):  # a power takes as long as all the rest
+    if any_lane(is_glossy):  # a power takes as long as everything else
         highlight = power(maximum(dot(mirrored(back, normal), toward), _NULL), lobes.shininess)
         highlight = select(is_glossy, highlight * _INV_TWO_PI, _NULL)
         shining = scaled(gloss, highlight * (lobes.shininess + _TWO) * cosine)

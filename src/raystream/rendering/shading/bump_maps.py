@@ -1,7 +1,7 @@
-"""Slopes of bump maps: how a bilinear height changes across two texels.
+"""Bump maps: slopes of bilinear heights, by differences over two texels.
 
-A height one texel further is between the next two centres in the same proportion, so the four
-heights around a place have twelve texels in all, and each is looked up once.
+Heights one texel away have the same bilinear weights, so that the four heights around a point
+need twelve texels in total; each is fetched once.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ _NULL, _HALF, _WHOLE, _INF = map(np.float32, (0.0, 0.5, 1.0, np.inf))
 
 @device
 def _four(index, size, is_clamped):
-    """The texels at an index less 1 and plus 0, 1 and 2."""
+    """The texels at an index minus 1 and plus 0, 1 and 2."""
     here = wrapped(index, size, is_clamped)
     last = as_int32(size - _1)
     before = wrapped(as_int32(here - _1), size, is_clamped)
     after = wrapped(as_int32(here + _1), size, is_clamped)
     behind = wrapped(as_int32(after + _1), size, is_clamped)
-    # Of an index beyond a clamped texture, those beside it may be beyond as well.
+    # Neighbours of an index outside a clamped texture may be outside, too.
     return (
         select(is_clamped, _within(as_int32(index - _1), last), before),
         here,
@@ -52,13 +52,13 @@ def _height(tables, first, width, column, row):
 
 @device_call
 def bump_slopes(tables, texture, u, v):
-    """How much lower a bump map is one texel on than one texel back, along u and v.
+    """Central differences of a bump map along u and v, negated.
 
     Parameters
     ----------
     tables : TextureTables
     texture : int32, or i32x16
-        Its row of `places`: one that holds heights.
+        Its row of `places`: a texture of heights.
     u, v : float64, or f32x16
         Texture coordinates; v points up.
 

@@ -1,4 +1,4 @@
-"""Paths that begin at the eye, of a camera in perspective, with a pinhole or a lens."""
+"""Camera rays of perspective cameras, with a pinhole or a thin lens."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from raystream.rendering.shading.rows import put_vectors
 from raystream.rendering.shading.streams import addresses_of
 from raystream.scene.camera import Camera
 
-__all__ = ["View", "begin_block", "generate_camera_rays", "view_of"]
+__all__ = ["View", "camera_ray_block", "generate_camera_rays", "view_of"]
 
 _HALF, _WHOLE, _INF = np.float32(0.5), np.float32(1.0), np.float32(np.inf)
 
@@ -39,7 +39,7 @@ Vector = tuple[float, float, float]
 
 
 class View(NamedTuple):
-    """A camera in perspective, and its picture.
+    """A perspective camera and the size of its image.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class View(NamedTuple):
     right, up, forward : tuple of three float
         Unit vectors.
     scale : float
-        Height of a pixel, one unit ahead.
+        Height of a pixel at distance 1.
     radius, focus : float
-        Of the lens, world length, 0 of a pinhole; distance of the plane in focus.
+        Radius of the lens, world units, 0 for a pinhole; distance of the plane in focus.
     width, height : int
         Pixels.
     """
@@ -67,7 +67,7 @@ class View(NamedTuple):
 
 
 def view_of(camera: Camera, width: int, height: int) -> View:
-    """What kernels know of a camera in perspective."""
+    """The `View` of a perspective camera."""
     right, up, forward = camera.basis()
     return View(
         _vector(camera.eye),
@@ -89,19 +89,19 @@ def _vector(values: object) -> Vector:
 
 @device
 def _combined(a, x, b, y):
-    """A vector times x plus another times y."""
+    """A linear combination of two vectors."""
     return a[0] * x + b[0] * y, a[1] * x + b[1] * y, a[2] * x + b[2] * y
 
 
 @device
-def begin_block(view, first_row, row, first, sampler, sample, paths):
-    """Begin 16 paths of a row of pixels.
+def camera_ray_block(view, first_row, row, first, sampler, sample, paths):
+    """Generate the camera rays of 16 pixels of a row.
 
     Parameters
     ----------
     view : View
     first_row, row, first : int
-        First row of the band, the row in it, and the first of 16 columns.
+        First row of the band, row within the band, and first of 16 columns.
     sampler : Sampler
     sample : int
     paths : StreamAddresses
@@ -140,7 +140,7 @@ def begin_block(view, first_row, row, first, sampler, sample, paths):
 
 @kernel
 def generate_camera_rays(view, first_row, row_count, sampler, sample, paths):
-    """Begin a path at each pixel of some rows: at its centre if there is one sample, or spread.
+    """Generate a camera ray for each pixel of some rows: through its centre if there is one sample.
 
     Parameters
     ----------
@@ -149,11 +149,11 @@ def generate_camera_rays(view, first_row, row_count, sampler, sample, paths):
     sampler : Sampler
     sample : int
     paths : Paths
-        Of `row_count` times the picture's width; written.
+        `row_count` times the image's width; written.
     """
     for i in range(row_count * view.width):
         paths.weights[i, 0] = paths.weights[i, 1] = paths.weights[i, 2] = _WHOLE
         paths.pdfs[i] = _INF
     for row in range(row_count):
         for first in range(0, view.width, _LANES):
-            begin_block(view, first_row, row, first, sampler, sample, addresses_of(paths))
+            camera_ray_block(view, first_row, row, first, sampler, sample, addresses_of(paths))

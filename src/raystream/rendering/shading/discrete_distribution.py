@@ -1,4 +1,4 @@
-"""Shares of a whole: running sums, and which of them a number falls into."""
+"""Discrete distributions: cumulative probabilities, and sampling by inversion."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NULL, _MOST = np.float32(0.0), np.float32(1.0 - 2.0**-24)
 
 
 def running_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Running sums of shares; the last one that is not 0 ends at exactly 1."""
+    """Cumulative probabilities of weights; the last one that is not 0 ends at exactly 1."""
     ends = np.cumsum(values)
     if len(ends) and ends[-1] > 0.0:
         ends /= ends[-1]
@@ -38,18 +38,18 @@ def running_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @device
 def double(at, k):
-    """Number k of those at an address, float64."""
+    """Element k of float64 numbers at an address."""
     return load(np.float64, at + k * _LONG)
 
 
 @device
 def sample_discrete(ends, count, number):
-    """Which of the shares a number falls into, the share, and where it falls within.
+    """Sample an index; return its probability, and the position of the number within its interval.
 
     Parameters
     ----------
     ends : uint64
-        Address of the running sums, float64.
+        Address of the cumulative probabilities, float64.
     count : uint64
     number : float64
         In [0, 1).
@@ -58,7 +58,7 @@ def sample_discrete(ends, count, number):
     -------
     index : uint64
     share, within : float64
-        Within in [0, 1).
+        `within` is in [0, 1).
     """
     low, high = _NONE, count
     while high - low > _ONE:
@@ -80,9 +80,9 @@ def sample_discrete_lanes(ends, count, number):
     Parameters
     ----------
     ends : uint64
-        Address of running sums, float64.
+        Address of cumulative probabilities, float64.
     count : uint64
-        Of these.
+        Number of them.
     number : f64x16
         In [0, 1).
 
@@ -103,5 +103,5 @@ def sample_discrete_lanes(ends, count, number):
     start = select(low > _0, gather(np.float64, ends, maximum(low - _1, _0)), 0.0)
     share = gather(np.float64, ends, low) - start
     within = narrow(number - start) / narrow(share)
-    # Also where a share is 0, of which there is nothing to be within.
+    # Clamped also where a probability is 0.
     return low, share, minimum(maximum(within, _NULL), _MOST)

@@ -1,4 +1,4 @@
-"""What lies at the addresses of tables: kept as long as they are used, and copied to devices."""
+"""Arrays whose addresses are in tables: to be kept alive, and copied to devices."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ __all__ = ["AddressRow", "kept_arrays"]
 
 
 class AddressRow(NamedTuple):
-    """Numbers of which some are addresses themselves.
+    """An array of numbers, some of which are addresses.
 
     Attributes
     ----------
     numbers : ndarray of shape (N,), float64 or uint64
     places : tuple of int
-        Which of them; they are uint64, or 0 for nothing.
+        Indices of the addresses: uint64, or 0 for None.
     """
 
     numbers: NDArray[Any]
@@ -26,7 +26,7 @@ class AddressRow(NamedTuple):
 
 
 def kept_arrays(kept: object) -> Iterator[NDArray[Any] | AddressRow]:
-    """All arrays of what a maker of tables gives to be kept: in nested tuples, or None."""
+    """Yield all arrays in nested tuples of arrays and None."""
     if isinstance(kept, AddressRow | np.ndarray):
         yield kept
     elif isinstance(kept, tuple):

@@ -1,7 +1,7 @@
-"""A scene's lights as tables, and how often each is sampled.
+"""Lights as tables for kernels, with the probability of sampling each.
 
-Points, suns and the sky by what they bring to the scene's middle, area lights together by what
-they would bring there, and among those a triangle by its power.
+Probabilities of point lights, directional lights, the sky, and all area lights together are
+proportional to their light at the scene's centre; an emissive triangle's to its power.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ __all__ = ["LightTables", "lights_of"]
 
 
 class LightTables(NamedTuple):
-    """A scene's lights, by address; lengths and places in the local frame.
+    """A scene's lights, by address; lengths and positions in the local frame.
 
-    `lights_of` makes it, with the arrays that its caller keeps.
+    Made by `lights_of`, with the arrays to keep alive.
 
     Attributes
     ----------
     point_count, sun_count, prim_count : uint64
     points : uint64
-        Of shape (P, 7), float64: place; what a facing surface receives at a local distance of
-        1; 1 if that falls with the square of the distance, 0 if it does not.
+        Of shape (P, 7), float64: position; irradiance at normal incidence and a local distance
+        of 1; 1 for inverse-square falloff, 0 for none.
     suns : uint64
-        Of shape (S, 6), float64: unit vector to the light; what a facing surface receives.
+        Of shape (S, 6), float64: unit vector to the light; irradiance at normal incidence.
     sky : Sky
-        What rays see that miss: the environment lights and the background.
+        Seen by rays that miss: the environment lights and the background.
     sky_density : float
         Mean density over solid angle with which the sky is sampled; see `sky.sky_pdf`.
     patches : uint64
@@ -47,16 +47,16 @@ class LightTables(NamedTuple):
         to the others, unit normal, emitted radiance, density of samples over its area,
         longest side along an axis.
     prim_ends : uint64
-        Of shape (A,), float64: running sums of their shares of the area lights' power; the
+        Of shape (A,), float64: cumulative shares of the area lights' power; the
         last is 1.
     density : uint64
         Of shape (M,), float64: density of samples on an emitting triangle over its area, by
         material; 0 where none of it is an area light.
     ends : uint64
-        Of shape (P + S + 2,), float64: running sums of the shares of points, suns, sky and
+        Of shape (P + S + 2,), float64: cumulative probabilities of points, suns, sky and
         area lights; the last is 1.
     is_dark : bool
-        Whether there is no light at all.
+        Whether the scene has no light at all.
     """
 
     point_count: np.uint64
@@ -74,7 +74,7 @@ class LightTables(NamedTuple):
 
 
 def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
-    """The lights of a scene, and what must be kept; one that needs light gets a white sky.
+    """Make the tables of a scene's lights, with a white sky if it needs light.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def lights_of(scene: Scene, chosen: str = "auto") -> tuple[LightTables, object]:
             [math.pi * sky_luminance, math.pi * float(powers.sum()) / radius**2],
         ]
     )
-    # Without signs: a light may take light away, as some formats allow, but no share may.
+    # Absolute values: some formats allow negative lights, but probabilities are not negative.
     total = float(shares.sum())
     if total > 0.0:
         shares /= total
@@ -164,7 +164,7 @@ def _area_patches(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Rows of `LightTables.patches`, their powers, and the density of samples by material.
 
-    Powers without a factor, densities as if there were no other lights.
+    Powers up to a constant factor; densities as if there were no other lights.
     """
     corners = scene.triangles.corners[prims].astype(np.float64)
     emission = np.array([material.emission for material in scene.materials]).reshape(-1, 3)

@@ -1,9 +1,8 @@
-"""Samples of the light that reaches points.
+"""Sampling lights (next-event estimation).
 
-A sample chooses one light: points, suns and the sky by what they bring to the scene's middle,
-area lights together, and among those a triangle by its power. Its density is known for every
-direction, so that light found by chance, by a scattered ray, can be weighed against it (Veach
-1997, section 9.2).
+A sample chooses one light, with the probabilities of `light_tables`. Its density is known for every
+direction, so that light hit by scattered rays can be weighted by multiple importance sampling
+(Veach 1997, section 9.2).
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ Vector = tuple[float, float, float]
 
 
 class LightSample(NamedTuple):
-    """Light from one direction, for a point or for 16 of them.
+    """A sample of the lights, for a point or for 16 of them.
 
     For one, numbers are float64; for 16, vectors of float32, but `target` of float64.
 
@@ -58,15 +57,15 @@ class LightSample(NamedTuple):
     toward : tuple of three float64
         Unit vector.
     target : tuple of three float64
-        Where it comes from, local frame, off the light's own surface.
+        Where the shadow ray ends, local frame, off the light's own surface.
     is_far : bool
-        Whether it comes from beyond the scene, and `target` means nothing.
+        Whether the light is infinitely far away, and `target` meaningless.
     color : tuple of three float64
-        What a facing surface receives, over the probability of the sample.
+        Irradiance at normal incidence over the probability of the sample.
     pdf : float64
-        Density over solid angle; inf for points and suns, which no ray finds by chance.
+        Density over solid angle; inf for point and directional lights, which no ray hits.
     is_valid : bool
-        Whether there is any light.
+        Whether there is light.
     """
 
     toward: Vector
@@ -79,7 +78,7 @@ class LightSample(NamedTuple):
 
 @device
 def _doubles(row, k):
-    """Three float64 of a table from a place on."""
+    """Three float64 of a table from index k on."""
     return (
         gather(np.float64, row, k),
         gather(np.float64, row, k + _1),
@@ -89,7 +88,7 @@ def _doubles(row, k):
 
 @device
 def _floats(row, k):
-    """Three float32 of a table from a place on."""
+    """Three float32 of a table from index k on."""
     return (
         gather(np.float32, row, k),
         gather(np.float32, row, k + _1),
@@ -112,7 +111,7 @@ def _toward(x, y, z):
 
 @device
 def _from_sky(lights, is_sky, share, u, v):
-    """The sky's share of samples: directions, densities, and what comes from there."""
+    """Sample the sky: directions, densities, and radiance over density."""
     toward, pdf = sphere(u, v), narrow(share * _INV_FOUR_PI)
     if lights.sky.image != _NONE:
         toward, relative = map_sample_lanes(lights.sky, u, v, is_sky)
@@ -123,7 +122,7 @@ def _from_sky(lights, is_sky, share, u, v):
 
 @device_call
 def _from_points(lights, number, point, share, found):
-    """Point lights' share of samples."""
+    """Replace samples of lanes that chose a point light."""
     is_point = number < as_int32(lights.point_count)
     row = minimum(number, as_int32(as_int32(lights.point_count) - _1)) * _POINT
     target = _doubles(lights.points, row)
@@ -143,7 +142,7 @@ def _from_points(lights, number, point, share, found):
 
 @device_call
 def _from_suns(lights, number, share, found):
-    """Suns' share of samples."""
+    """Replace samples of lanes that chose a directional light."""
     number = number - as_int32(lights.point_count)
     is_sun = (number >= _0) & (number < as_int32(lights.sun_count))
     row = minimum(maximum(number, _0), as_int32(as_int32(lights.sun_count) - _1)) * _SUN
@@ -161,7 +160,7 @@ def _from_suns(lights, number, share, found):
 
 @device_call
 def _from_triangles(tables, lights, is_area, point, within, u, v, found):
-    """Area lights' share of samples: points spread evenly over triangles."""
+    """Replace samples of lanes that chose an area light: uniform points on triangles."""
     number, _, _ = sample_discrete_lanes(lights.prim_ends, lights.prim_count, widen(within))
     row = number * _PATCH
     corner, normal = _floats(lights.patches, row), _floats(lights.patches, row + _9)
@@ -174,8 +173,8 @@ def _from_triangles(tables, lights, is_area, point, within, u, v, found):
     cosine = -dot(toward, normal)
     density = gather(np.float32, lights.patches, row + _15)
     pdf = density * distance * distance / maximum(cosine, _TINY)
-    # Off the light's own triangle, so that it does not block its light; also when the ray's
-    # direction is rounded to float32. Twice the extent: for the edges' own rounding.
+    # Off the light's own triangle, so that it does not block its light, even when the ray's
+    # direction is rounded to float32. Twice the extent covers the rounding of edges.
     extent = widen(gather(np.float32, lights.patches, row + _16))
     reach = largest(absolute(px), absolute(py), absolute(pz))
     away = offset_at(tables, 2.0 * extent, reach) + 2.0 * UNIT * widen(distance)
@@ -198,7 +197,7 @@ def _from_triangles(tables, lights, is_area, point, within, u, v, found):
 
 @device_call
 def sample_light(tables, lights, point, choice, u, v):
-    """Light that reaches points from one of the lights each, if nothing is in its way.
+    """Sample one light for each of 16 points.
 
     Parameters
     ----------
@@ -212,7 +211,7 @@ def sample_light(tables, lights, point, choice, u, v):
     Returns
     -------
     LightSample
-        Of vectors.
+        Of vectors. Visibility is not tested.
     """
     count = lights.point_count + lights.sun_count + np.uint64(2)
     number, share, within = sample_discrete_lanes(lights.ends, count, widen(choice))
@@ -234,15 +233,15 @@ def sample_light(tables, lights, point, choice, u, v):
 
 @device
 def triangle_pdf(lights, point, distance, cosine):
-    """Density over solid angle with which points of area lights are sampled.
+    """Density over solid angle of `sample_light` for points on area lights.
 
     Parameters
     ----------
     lights : LightTables
     point : Point
-        16 on lights.
+        Of 16, on lights.
     distance : f64x16
-        From where each is seen, local.
+        From the shaded point, local frame.
     cosine : f32x16
         Between the rays and the lights' normals.
     """

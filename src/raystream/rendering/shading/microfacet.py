@@ -1,7 +1,7 @@
-"""Rough metal and plastic: glTF's metallic-roughness reflection, by small mirrors (GGX).
+"""GGX microfacets: reflection of glTF's metallic-roughness materials.
 
-A share of the light, by Fresnel (Schlick's approximation), is mirrored by small faces whose
-normals spread around the surface's; the rest is scattered evenly, but not by metals.
+Microfacets reflect a share of the light by Schlick's approximation of Fresnel's equations; the
+rest is diffuse, except on metals.
 
 References
 ----------
@@ -24,10 +24,10 @@ from raystream.rendering.shading.vectors import dot, mirrored
 
 __all__ = ["LEAST_ALPHA", "PLASTIC", "mirrored_share", "rough_direction", "rough_reflected"]
 
-#: What a surface that is no metal mirrors of light that meets it squarely (an index of 1.5).
+#: Reflectance of non-metals at normal incidence (an index of refraction of 1.5).
 PLASTIC = np.float32(0.04)
 
-#: Smoothest surface, as GGX's parameter; smoother ones would need mirrors.
+#: Least roughness; smoother surfaces would need a delta lobe.
 LEAST_ALPHA = np.float32(1e-3)
 
 _LEAST_COSINE = np.float32(1e-4)
@@ -37,7 +37,7 @@ _PI, _INV_PI = np.float32(math.pi), np.float32(1.0 / math.pi)
 
 @device
 def mirrored_share(color, cosine):
-    """What small faces mirror at an angle, by what they mirror squarely (Schlick)."""
+    """Schlick's approximation: reflectance at an angle, from that at normal incidence."""
     rest = _WHOLE - minimum(maximum(cosine, _NULL), _WHOLE)
     grazing = rest * rest * rest * rest * rest
     return (
@@ -49,14 +49,14 @@ def mirrored_share(color, cosine):
 
 @device_call
 def rough_reflected(diffuse, mirror, alpha, normal, back, toward):
-    """Light sent back, and the density of `rough_direction` there.
+    """Evaluate the reflection, with the density of `rough_direction`.
 
     Parameters
     ----------
     diffuse, mirror : tuple of three float64
-        What is scattered evenly of what is not mirrored; what is mirrored squarely.
+        Diffuse colour, and reflectance at normal incidence.
     alpha : float64
-        GGX's roughness.
+        GGX roughness.
     normal, back, toward : tuple of three float64
         Unit vectors; `toward` is on the normal's side.
 
@@ -93,7 +93,7 @@ def rough_reflected(diffuse, mirror, alpha, normal, back, toward):
 
 @device_call
 def rough_direction(alpha, normal, back, u, v):
-    """A direction into which a small face mirrors, of those that are seen from `back`."""
+    """Sample a direction, by the normals of microfacets visible from `back`."""
     tx, ty, tz, bx, by, bz = basis(
         as_float32(normal[0]), as_float32(normal[1]), as_float32(normal[2])
     )

@@ -1,13 +1,13 @@
-"""Relief of surfaces, by normal maps and bump maps: another normal for the light that they scatter.
+"""Normal mapping: shading normals perturbed by normal maps and bump maps.
 
-A bitmap tells a normal in the surface's own frame: x along the texture's u, y along its v, z
-along the smooth normal. Bump maps are heights; their slope across two texels makes the normal.
+A normal map stores normals in tangent space: x along the texture's u, y along its v, z along the
+interpolated normal. Bump maps store heights, whose slope over two texels gives the normal.
 
 References
 ----------
 Blinn, "Simulation of Wrinkled Surfaces", 1978. Khronos, "glTF 2.0 Specification", section
-3.9.3. Keller et al., "The Iray Light Transport Simulation and Rendering System", 2017 (where a
-mirror would look into the surface).
+3.9.3. Keller et al., "The Iray Light Transport Simulation and Rendering System", 2017 (for mirror
+directions below the surface).
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from raystream.rendering.shading.vertices import attribute_pair, attribute_vecto
 
 __all__ = ["LEAST_COSINE", "has_normal_map", "mapped_normal"]
 
-#: Between a normal and the view, or the triangle's normal: less would put it on the other side
-#: within float32's rounding.
+#: Between a normal and the view, or the geometric normal: smaller ones may change sign by
+#: float32 rounding.
 LEAST_COSINE = np.float32(1e-3)
 
 _NORMAL = np.int32(ROLES.index("normal"))
@@ -62,7 +62,7 @@ def _unit(a):
 
 @device
 def _is_unit(a):
-    """Whether `_unit` gave a direction: not of nothing, and not of what is too long."""
+    """Whether `_unit` returned a direction: its input was neither 0 nor overflowed."""
     return absolute(dot(a, a) - _WHOLE) < _HALF
 
 
@@ -74,7 +74,7 @@ def _scale(textures, material, column):
 
 @device_call
 def _mapped(textures, material, s, t):
-    """The normal in the surface's frame, of any length."""
+    """The normal in tangent space, of any length."""
     texture = texture_of(textures, material, _NORMAL)
     is_mapped = texture >= _0
     x, y, z = s * _NULL, s * _NULL, s * _NULL + _WHOLE
@@ -93,7 +93,7 @@ def _mapped(textures, material, s, t):
 
 @device
 def _is_mirrored(tables, vertices):
-    """Whether the texture covers the triangle's front as if seen in a mirror."""
+    """Whether texture coordinates are mirrored on the triangle's front."""
     s, t = attribute_pair(tables.texcoords, vertices[0])
     s1, t1 = attribute_pair(tables.texcoords, vertices[1])
     s2, t2 = attribute_pair(tables.texcoords, vertices[2])
@@ -102,17 +102,17 @@ def _is_mirrored(tables, vertices):
 
 @device
 def _at_least(cosine, normal, toward):
-    """Normals turned toward a direction, where their cosine to it is too small."""
+    """Turn normals toward a direction, where their cosine to it is too small."""
     turned = _unit(added(normal, toward, LEAST_COSINE - cosine))
     return chosen(cosine < LEAST_COSINE, turned, normal)
 
 
 @device
 def _turned(normal, geometric, back, is_mirror):
-    """The nearest normal that does not face away from the view, nor from the triangle.
+    """Turn a normal until it faces the view and the geometric normal.
 
-    That of mirrors and gloss is turned until what they mirror is not below the triangle: there
-    it would be lost, and the surface black.
+    Specular materials' is turned until the mirror direction is above the triangle: below it,
+    light would be lost, and the surface black.
     """
     normal = _at_least(dot(normal, geometric), normal, geometric)
     normal = _at_least(dot(normal, back), normal, back)
@@ -125,31 +125,31 @@ def _turned(normal, geometric, back, is_mirror):
 
 @device_call
 def mapped_normal(tables, prim, material, weights, texcoord, geometric, normal, is_front, back):
-    """The shading normal of a surface with relief, or of 16.
+    """The shading normal of a normal-mapped surface, or of 16.
 
     Parameters
     ----------
     tables : SceneTables
     prim, material : int32
     weights, texcoord : tuple of two float64
-        Of vertices 1 and 2; texture coordinates.
+        Barycentrics of vertices 1 and 2; texture coordinates.
     geometric, normal : tuple of three float64
-        Unit normals of the triangle and between its vertices, on the side of the view.
+        Unit geometric and interpolated normals, on the side of the view.
     is_front : bool
         Whether that is the triangle's front.
     back : tuple of three float64
-        Unit vector to where the ray came from.
+        Unit vector to the ray's origin.
 
     Returns
     -------
     tuple of three float64
-        Unit vector that faces the view, on the side of the triangle's normal. Without relief
-        where there are no texture coordinates, or none that span a surface.
+        Unit vector that faces the view, on the side of the geometric normal. Not perturbed where
+        texture coordinates are missing or degenerate.
     """
     s, t = texcoord
     vertices = vertices_of(tables, prim)
     is_mirrored = _is_mirrored(tables, vertices)
-    # Tangents of the two kinds follow each other in memory.
+    # Mirrored tangents follow the others in memory.
     count = as_int32((tables.mirrored_tangents - tables.tangents) // _TANGENT)
     first = select(is_mirrored, count, as_int32(vertices[0] * _0))
     rows = (
@@ -160,7 +160,7 @@ def mapped_normal(tables, prim, material, weights, texcoord, geometric, normal, 
     across = attribute_vector(tables.tangents, rows, weights[0], weights[1])
     across = _unit(added(across, normal, -dot(across, normal)))
     is_mapped = _is_unit(across) & (absolute(s) < _INF) & (absolute(t) < _INF)
-    # The frame is the front's; its back has the opposite normal, as bumps are dents there.
+    # The frame is the front's; the back has the opposite normal, since bumps are dents there.
     side = select(is_front, _WHOLE, s * _NULL - _WHOLE)
     hand = select(is_mirrored, -side, side)
     up = (

@@ -1,9 +1,9 @@
-"""Whether there is a surface where a ray hits a triangle: a filter for a tracer's queries.
+"""The opacity filter of queries: whether a hit of a triangle counts.
 
 References
 ----------
-Enderton, Sintorn, Shirley and Luebke, "Stochastic Transparency", 2010: of a surface that is partly
-clear, a share of the samples sees it and the rest does not.
+Enderton, Sintorn, Shirley and Luebke, "Stochastic Transparency", 2010: a partly transparent
+surface is hit by a share of the samples, and not by the others.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from raystream.rendering.shading.vertices import attribute_number, vertices_of
 
 __all__ = ["MASKED", "OPAQUE", "PARTIAL", "FilteredRays", "OpacityTables", "is_there"]
 
-#: Kinds of materials: always there, where the opacity reaches the cut-off, by chance.
+#: Kinds of materials: opaque, opaque where alpha reaches the cut-off, opaque by chance.
 OPAQUE, MASKED, PARTIAL = np.int32(0), np.int32(1), np.int32(2)
 
 _0, _1, _2, _3 = (np.int32(k) for k in range(4))
 _NONE, _WORD, _LONG, _32 = np.uint64(0), np.uint64(4), np.uint64(8), np.uint64(32)
 
-#: The sum of four texels' shares, in float32, may be so much less than 1.
+#: Rounding error of the weights of four texels in float32.
 _ROUNDING = 2.0**-22
 
-#: So that a seed of 0 is not the hash's fixed point.
+#: Keeps a seed of 0 from the hash's fixed point.
 _OF_OPACITY = np.uint32(0xBB67AE85)
 
 
 class OpacityTables(NamedTuple):
-    """What is known of a scene's opacity, by address.
+    """A scene's opacity, by address.
 
     Attributes
     ----------
     material_ids, faces, texcoords
-        See `SceneTables`; faces and texcoords are 0 if there are none.
+        See `SceneTables`; faces and texcoords are 0 if missing.
     kinds : uint64
         Of shape (M,), int32: `OPAQUE`, `MASKED` or `PARTIAL`.
     numbers : uint64
         Of shape (M, 2), float32: opacity and cut-off.
     textures : TextureTables
-        Of the role ``"opacity"``, in all colours.
+        Of the role ``"opacity"``, with equal channels.
     """
 
     material_ids: np.uint64
@@ -58,7 +58,7 @@ class OpacityTables(NamedTuple):
 
 
 class FilteredRays(NamedTuple):
-    """Constants of the filter.
+    """The filter's constants: tables and rays.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class FilteredRays(NamedTuple):
 
 
 def is_there(hit: Any, rays: Any) -> bool:
-    """Filter: whether there is a surface at a `Hit`."""
+    """Filter: whether a `Hit` counts."""
     kind = gather(np.int32, rays.tables.kinds, material_of(rays.tables, hit.prim_id))
     if kind == OPAQUE:
         return True
@@ -114,7 +114,7 @@ def _alpha(tables, prim, material, u, v):
 
 @device_call
 def _number(rays, ray, prim_id):
-    """A number from 0 to 1 that follows from the ray's bits, the triangle and the seed."""
+    """A number in [0, 1), hashed from the ray's bits, the triangle and the seed."""
     key = mix(rays.seed ^ _OF_OPACITY)
     at = rays.origins + ray * np.uint64(24)
     for k in range(np.uint64(3)):

@@ -1,4 +1,4 @@
-"""Points on surfaces, where rays hit, as shading kernels see them."""
+"""Shading points: positions, normals, texture coordinates and materials at hits."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _INF, _NAN = np.float32(np.inf), np.float32(np.nan)
 
 
 class Point(NamedTuple):
-    """A point where a ray meets a surface, or 16 of them.
+    """A shading point, or 16 of them.
 
     For one, numbers are float64. For 16 they are vectors: of float32, but `x`, `y`, `z` and
     `offset` of float64; `is_front` is then a mask.
@@ -60,18 +60,18 @@ class Point(NamedTuple):
     x, y, z : float64
         Local frame, on the triangle.
     gx, gy, gz : float64
-        Unit normal of the triangle, on the side that the ray came from.
+        Unit geometric normal, facing the ray's origin.
     nx, ny, nz : float64
-        Unit shading normal, likewise; where it would face away from the ray, the triangle's.
-        With the relief of normal and bump maps; it then always faces the ray's origin.
+        Unit shading normal, on the same side; the geometric normal where it would face away
+        from the ray. With normal and bump maps, it always faces the ray's origin.
     offset : float64
-        How far from the triangle a ray must start that leaves it, see `core.spawn`.
+        Distance from the triangle at which rays that leave it start, see `core.spawn`.
     is_front : bool
-        Whether the ray came from the side where vertices run counter-clockwise.
+        Whether the ray came from the side where vertices are counterclockwise.
     u, v : float64
-        Texture coordinates; NaN where there are none.
+        Texture coordinates; NaN if missing.
     red, green, blue : float64
-        Colour of the vertices.
+        Vertex colour.
     material : int32
     """
 
@@ -102,14 +102,14 @@ def material_of(tables, prim):
 
 @device
 def material_number(tables, material, column):
-    """A number of a material, by its place in `Column`."""
+    """A number of a material, by its index in `Column`."""
     at = as_int32(material * _COLUMN_COUNT + column)
     return widen_number(gather(np.float32, tables.materials, at))
 
 
 @device
 def material_color(tables, material, column):
-    """A colour of a material, by its place in `Column`."""
+    """A colour of a material, by its index in `Column`."""
     return (
         material_number(tables, material, column),
         material_number(tables, material, as_int32(column + _1)),
@@ -119,15 +119,15 @@ def material_color(tables, material, column):
 
 @device
 def offset_at(tables, extent, reach):
-    """How far from a triangle a ray must start or end that is not to hit it; see `core.spawn`.
+    """Distance from a triangle at which rays must start or end to miss it; see `core.spawn`.
 
     Parameters
     ----------
     tables : SceneTables
     extent : float64
-        The triangle's longest side along an axis, or more.
+        The triangle's longest side along an axis, or an upper bound.
     reach : float64
-        Largest coordinate of the point.
+        Largest absolute coordinate of the point.
     """
     offset = UNIT * minimum(
         EXTENT_UNITS * extent + REACH_UNITS * reach, MOST_UNITS * (tables.max_coordinate + reach)
@@ -142,7 +142,7 @@ def _extent(a, b, c):
 
 @device
 def _smooth_normal(tables, vertices, u, v, gx, gy, gz):
-    """The vertices' normals between them, on the side of the triangle's, or that."""
+    """The interpolated vertex normal on the side of the geometric one, or that one if invalid."""
     if tables.normals == _NONE:
         return gx, gy, gz
     x, y, z = attribute_vector(tables.normals, vertices, u, v)
@@ -157,8 +157,8 @@ def _smooth_normal(tables, vertices, u, v, gx, gy, gz):
 
 
 @device
-def _seen_point(tables, prim, u, v, dx, dy, dz):
-    """The point of a hit, or of 16, and its smooth normal, before any relief."""
+def _base_point(tables, prim, u, v, dx, dy, dz):
+    """The point of a hit, or of 16, and its interpolated normal, without normal maps."""
     ax, ay, az = corner_of(tables, prim, _0)
     bx, by, bz = corner_of(tables, prim, _1)
     cx, cy, cz = corner_of(tables, prim, _2)
@@ -169,7 +169,7 @@ def _seen_point(tables, prim, u, v, dx, dy, dz):
     y = ay + first * by + second * cy
     z = az + first * bz + second * cz
     gx, gy, gz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    # Scaled before it is measured: the square of a small area would vanish.
+    # Scaled before its length is computed: the square of a small area would underflow.
     most = largest(absolute(gx), absolute(gy), absolute(gz))
     scale = 1.0 / most
     gx, gy, gz = narrow_lanes(gx * scale), narrow_lanes(gy * scale), narrow_lanes(gz * scale)
@@ -189,7 +189,7 @@ def _seen_point(tables, prim, u, v, dx, dy, dz):
     if tables.colors != _NONE:
         red, green, blue = attribute_vector(tables.colors, vertices, u, v)
     offset = offset_at(tables, extent, largest(absolute(x), absolute(y), absolute(z)))
-    # Away from the ray, as near an outline, nothing sensible is reflected.
+    # A normal that faces away, as near silhouettes, would reflect into the surface.
     is_away = nx * dx + ny * dy + nz * dz >= _NULL
     point = Point(
         x,
@@ -255,7 +255,7 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
     Point
     """
     prim = as_int32(prim_id)
-    point, smooth = _seen_point(tables, prim, u, v, dx, dy, dz)
+    point, smooth = _base_point(tables, prim, u, v, dx, dy, dz)
     if tables.tangents == _NONE or not has_normal_map(tables, point.material):
         return point
     return _with_normal_map(tables, prim, (u, v), point, smooth, (dx, dy, dz))
@@ -263,7 +263,7 @@ def surface_point(tables, prim_id, u, v, dx, dy, dz):
 
 @device
 def _with_normal_map(tables, prim, weights, point, smooth, direction):
-    """The same points as if all had relief."""
+    """Apply normal and bump maps, as if all points had one."""
     dx, dy, dz = direction
     scale = -_WHOLE / square_root(dx * dx + dy * dy + dz * dz)
     x, y, z = mapped_normal(
@@ -288,18 +288,18 @@ def surface_points(tables, prim_ids, u, v, dx, dy, dz, is_hit):
     ----------
     tables : SceneTables
     prim_ids : i32x16
-        Triangles of the scene in all lanes, also where nothing is hit.
+        Valid triangles in all lanes, also for misses.
     u, v, dx, dy, dz : f32x16
         As of `surface_point`.
     is_hit : mask16
-        Lanes that matter.
+        Lanes in use.
 
     Returns
     -------
     Point
         Of vectors.
     """
-    point, smooth = _seen_point(tables, prim_ids, u, v, dx, dy, dz)
+    point, smooth = _base_point(tables, prim_ids, u, v, dx, dy, dz)
     if tables.tangents == _NONE:
         return point
     is_bent = has_normal_map(tables, point.material) & is_hit
@@ -323,7 +323,7 @@ def world_position(tables, x, y, z):
 
 @device
 def spawned(tables, point, toward):
-    """The origin of a ray that leaves a point in a direction, world space; see `Hits.spawn`."""
+    """The origin of a ray that leaves a point, world space; see `Hits.spawn`."""
     is_below = point.gx * toward[0] + point.gy * toward[1] + point.gz * toward[2] < _NULL
     away = select(is_below, -point.offset, point.offset)
     return world_position(

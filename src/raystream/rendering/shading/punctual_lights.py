@@ -1,6 +1,6 @@
-"""The classic lights: each sends light from one place, as the standard graphics pipeline has it.
+"""Punctual lights: each sends light from one position, as in the standard graphics pipeline.
 
-Area lights count as one place each, see `rendering.lighting`: a flat patch, or a bulb.
+An area light counts as one flat patch or bulb, see `rendering.lighting`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from raystream.scene.scene import Scene
 
 __all__ = ["PunctualLights", "incident_light", "light_rows", "punctual_lights_of"]
 
-# Kinds of lights: a point whose light falls with the square of the distance, one whose light
-# does not, a sun, a flat patch, a bulb.
+# Kinds of lights: a point with inverse-square falloff, one without falloff, a directional light, a
+# flat patch, a bulb.
 _POINT, _STEADY, _SUN, _PATCH, _BULB = range(5)
 
-# Columns of a row: place or direction, colour, kind, normal, radius of a disc of as large an
-# area, and how far the light's own triangles reach from the place.
+# Columns of a row: position or direction, colour, kind, normal, radius of a disc of equal area, and
+# the extent of the light's own triangles around the position.
 _KIND, _NORMAL, _RADIUS, _CLEARANCE = 6, 7, 10, 11
 _COLUMNS = 12
 _ROW = np.uint64(8 * _COLUMNS)
@@ -42,7 +42,7 @@ Vector = tuple[float, float, float]
 
 
 class PunctualLights(NamedTuple):
-    """Lights of a scene, by address; lengths and places in the local frame.
+    """Punctual lights of a scene, by address; lengths and positions in the local frame.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class PunctualLights(NamedTuple):
         Of shape (light_count, 12), float64.
     light_count : uint64
     ambient : tuple of three float
-        Radiance from everywhere, that nothing blocks.
+        Radiance from all directions, never blocked.
     sky : Sky
-        What rays that miss see: the background, and the image of an environment light.
+        Seen by rays that miss: the background, and the image of an environment light.
     """
 
     rows: np.uint64
@@ -64,7 +64,7 @@ class PunctualLights(NamedTuple):
 def punctual_lights_of(
     scene: Scene, camera: Camera, chosen: str = "auto"
 ) -> tuple[PunctualLights, object]:
-    """The lights of a scene, and what must be kept; see `lighting.punctual_lights`."""
+    """A scene's lights, and the arrays to keep alive; see `lighting.punctual_lights`."""
     table, ambient = light_rows(scene, camera, chosen)
     sky, kept_sky = background_of(scene)
     lights = PunctualLights(address_of(table), np.uint64(len(table)), _vector(ambient), sky)
@@ -133,7 +133,7 @@ def _three(row, k):
 
 @device
 def _lanes(of, place):
-    """A vector that is the same in all lanes of a point: numbers as `of`, float64 or f64x16."""
+    """A vector in all lanes: numbers of the type of `of`, float64 or f64x16."""
     zero = of * 0.0
     return zero + place[0], zero + place[1], zero + place[2]
 
@@ -145,7 +145,7 @@ def _narrowed(a):
 
 @device_call
 def incident_light(tables, lights, number, point):
-    """What a light sends to a point, or to 16, if nothing is in its way.
+    """Light from one light at a point, or at 16, if nothing blocks it.
 
     Parameters
     ----------
@@ -157,11 +157,11 @@ def incident_light(tables, lights, number, point):
     Returns
     -------
     LightSample
-        Its density means nothing.
+        Its density is meaningless.
     """
     row = lights.rows + number * _ROW
     kind, place, color = np.int64(_double(row, _KIND)), _three(row, 0), _three(row, 3)
-    # All lanes have the same light, so these are branches; what differs is chosen.
+    # All lanes have the same light, so these are branches; lanes differ by selects.
     x, y, z = _lanes(point.x, place)
     target = x, y, z
     factor = point.x * 0.0 + 1.0
@@ -197,17 +197,17 @@ def incident_light(tables, lights, number, point):
 
 @device
 def _of_area(tables, row, kind, place, toward, distance):
-    """The share of a patch's or a bulb's light that arrives, and where rays to it end.
+    """The share of a patch's or bulb's light that arrives, and the end of rays to it.
 
     Returns
     -------
     factor : float64
         0 behind a patch.
     away : float64
-        How far before the light's place: along a patch's normal, or along the ray.
+        Distance from the light's position: along a patch's normal, or back along the ray.
     """
     radius, clearance = _double(row, _RADIUS), _double(row, _CLEARANCE)
-    # As a disc seen from its axis, finite everywhere; a sphere shows a quarter of its area.
+    # A disc seen from its axis, finite everywhere; a sphere shows a quarter of its area.
     ratio = distance / radius
     factor = 1.0 / (ratio * ratio + 1.0)
     reach = max(abs(place[0]), abs(place[1]), abs(place[2])) + radius + clearance

@@ -1,4 +1,4 @@
-"""Rows of streams: read where 16 paths are, and written one behind the other."""
+"""Rows of streams: gathered and scattered by index, or appended without gaps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = [
 
 _1, _2, _3 = np.int32(1), np.int32(2), np.int32(3)
 
-# Bytes: of a number, of a long one, and of three.
+# Bytes of a float32, of a float64, and of three of each.
 _WORD, _LONG, _3_WORDS, _3_LONGS = np.uint64(4), np.uint64(8), np.uint64(12), np.uint64(24)
 
 _LOW, _HIGH = permutation(*range(8)), permutation(*range(8, 16))
@@ -40,7 +40,7 @@ _LOW, _HIGH = permutation(*range(8)), permutation(*range(8, 16))
 
 @device
 def vector_at(base, row):
-    """Three float32 of rows of an array of shape (N, 3), by its address."""
+    """Gather vectors of three float32 from rows of an array of shape (N, 3), by its address."""
     at = row * _3
     return (
         gather(np.float32, base, at),
@@ -51,26 +51,26 @@ def vector_at(base, row):
 
 @device
 def put_vectors(base, row, vector, mask):
-    """Write three vectors to rows of an array of shape (N, 3), where a mask is set."""
+    """Scatter vectors to rows of an array of shape (N, 3), where a mask is set."""
     at = row * _3
     scatter(base, at, vector[0], mask)
     scatter(base, at + _1, vector[1], mask)
     scatter(base, at + _2, vector[2], mask)
 
 
-# Of 16 rows those that a mask has are written one after the other, and what else is in the
-# vectors behind them: about two thirds of the time of writing each row to its place.
+# Rows of a mask are compressed and stored as whole vectors, with garbage behind them: about two
+# thirds of the time of scattering them.
 
 
 @device
 def append_numbers(base, first, number, mask):
-    """Write float32 of some rows from a row on."""
+    """Append float32 of masked lanes from a row on."""
     store(base + first * _WORD, compress(mask, number))
 
 
 @device
 def append_pixels(base, first, pixel, mask):
-    """Write int64 of some rows from a row on."""
+    """Append int64 of masked lanes from a row on."""
     low, high = _halves(mask)
     store(base + first * _LONG, compress(low, _LOW(pixel)))
     second = first + popcount(mask_bits(low))
@@ -79,16 +79,16 @@ def append_pixels(base, first, pixel, mask):
 
 @device
 def append_vectors(base, first, vector, mask):
-    """Write three float32 of some rows from a row on."""
+    """Append three float32 of masked lanes from a row on."""
     x, y, z = vector
     at = base + first * _3_WORDS
     store_triples(at, compress(mask, x), compress(mask, y), compress(mask, z))
 
 
 @device
-def append_positions(base, first, place, mask):
-    """Write three float64 of some rows from a row on."""
-    x, y, z = place
+def append_positions(base, first, position, mask):
+    """Append three float64 of masked lanes from a row on."""
+    x, y, z = position
     low, high = _halves(mask)
     at = base + first * _3_LONGS
     store_triples(at, compress(low, _LOW(x)), compress(low, _LOW(y)), compress(low, _LOW(z)))
@@ -103,7 +103,7 @@ def _halves(mask):
     return lanes_from_bits(mask8, bits), lanes_from_bits(mask8, bits >> np.uint64(8))
 
 
-# A thread that has one lane writes it to its own row, if at all.
+# A thread with one lane writes to its own row, if the lane is masked.
 
 
 @device
@@ -121,7 +121,7 @@ def _put_vector(base, first, vector, mask):
     put_vectors(base, i32x16(as_int32(first)), vector, mask)
 
 
-#: For `single_lane`: what writes one row, in place of what appends 16.
+#: For `single_lane`: functions that write one row, in place of those that append 16.
 SINGLE_ROWS = {
     append_numbers: _put_number,
     append_pixels: _put_pixel,

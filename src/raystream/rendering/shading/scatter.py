@@ -1,4 +1,4 @@
-"""Sending rays on from surfaces, in directions chosen by what each surface does: 16 at a time."""
+"""Sampling BSDFs: directions of the next rays of 16 paths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _mean(color):
 
 @device
 def _shares(lobes, back, normal):
-    """How often each lobe is chosen, and what the surface's clear part reflects (Fresnel).
+    """Probabilities of the lobes, and the Fresnel reflectance of the transmissive part.
 
     Returns
     -------
@@ -52,14 +52,14 @@ def _shares(lobes, back, normal):
 
 @device
 def reflection_pdf(lobes, point, back, diffuse_pdf, specular_pdf):
-    """Density with which `scatter` chooses a direction of which `reflected` gave the densities."""
+    """Density of `scatter` for a direction, from the densities that `reflected` returns."""
     diffuse, specular, _, _, _ = _shares(lobes, back, (point.nx, point.ny, point.nz))
     return diffuse * diffuse_pdf + specular * specular_pdf
 
 
 @device
 def _shining(toward, is_specular, lobes, normal, back, u, v):
-    """Directions of gloss, where that was chosen."""
+    """Directions with those of the glossy lobe, where that was chosen."""
     is_rough = is_specular & (lobes.alpha > _NULL)
     if any_lane(is_rough):
         toward = chosen(is_rough, rough_direction(lobes.alpha, normal, back, u, v), toward)
@@ -72,14 +72,14 @@ def _shining(toward, is_specular, lobes, normal, back, u, v):
 
 @device_call
 def scatter(lobes, point, back, choice, u, v):
-    """Choose directions in which rays go on.
+    """Sample the directions of the next rays.
 
     Parameters
     ----------
     lobes : Lobes
     point : Point
     back : tuple of three f32x16
-        Unit vectors to where the rays came from.
+        Unit vectors to the rays' origins.
     choice, u, v : f32x16
         Random numbers in [0, 1).
 
@@ -90,8 +90,8 @@ def scatter(lobes, point, back, choice, u, v):
 
     Notes
     -----
-    A ray that enters glass is narrowed with all that come along, and one that leaves it spread:
-    radiance in glass is the squared index of refraction times as large.
+    Refraction changes solid angles: radiance in glass is larger by the squared index of
+    refraction.
     """
     normal, triangle = (point.nx, point.ny, point.nz), (point.gx, point.gy, point.gz)
     diffuse, specular, mirror, through, clear = _shares(lobes, back, normal)

@@ -1,11 +1,10 @@
-"""The sky: what rays see that meet nothing, and samples of it.
+"""The sky, seen by rays that miss: radiance, samples and their density.
 
-It is one radiance, or that and an image by longitude and latitude, bilinear between texels.
-Samples of an image choose a row and then a texel in it, each by its light; within a texel they
-are even over solid angle (Pharr, Jakob and Humphreys, "Physically Based Rendering", 3rd edition,
-section 14.2.4, with rows cut at sines of latitudes). A texel's share is its radiance mixed with
-its neighbours', of which the bilinear image has light within the texel: so no direction has light
-without density.
+It is a constant radiance plus, optionally, a bilinear image by longitude and latitude. Samples of
+an image choose a row and then a texel of it, by their light; within a texel they are uniform over
+solid angle (Pharr, Jakob and Humphreys, "Physically Based Rendering", 3rd edition, section 14.2.4,
+with rows cut at sines of latitudes). A texel's probability includes its neighbours, which
+contribute to the bilinear image within it: no direction has light without density.
 """
 
 from __future__ import annotations
@@ -42,12 +41,12 @@ _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 _TWO = np.uint64(2)
 
-# Bytes: of a number, of a long one, of a texel.
+# Bytes of a float32, of a float64, of a texel.
 _WORD = np.uint64(4)
 _LONG = np.uint64(8)
 _TEXEL = np.uint64(12)
 
-# Places in `Sky.image`.
+# Indices in `Sky.image`.
 _HEIGHT, _TEXELS, _ROW_ENDS, _COLUMN_ENDS, _TINT, _RIGHT, _UP, _MIDDLE = map(
     np.uint64, (1, 2, 3, 4, 5, 8, 11, 14)
 )
@@ -55,27 +54,26 @@ _HEIGHT, _TEXELS, _ROW_ENDS, _COLUMN_ENDS, _TINT, _RIGHT, _UP, _MIDDLE = map(
 #: Those of them that are addresses.
 _ADDRESSES = (2, 3, 4)
 
-#: Shares of a texel's neighbours, along each side, in how often it is chosen. Where one texel is
-#: bright, the root of the bilinear image's mean square over texels is as 0.27 : 1 : 0.27; with
-#: 0.25 a bright texel's neighbours are chosen about as often as is best.
+#: Weight of neighbours in a texel's probability, along each axis. Around a single bright texel the
+#: root mean square of the bilinear image over texels is 0.27 : 1 : 0.27, so 0.25 is near optimal.
 _BESIDE = 0.25
 
-#: Memory that sampling takes for each texel, while it is made ready.
+#: Memory per texel for preparing sampling.
 _BYTES_PER_TEXEL = 32
 
 Vector = tuple[float, float, float]
 
 
 class Sky(NamedTuple):
-    """What is behind all surfaces; `sky_of` makes it, with the arrays that its caller keeps.
+    """The sky of a scene, made by `sky_of` with the arrays to keep alive.
 
     Attributes
     ----------
     color : tuple of three float
-        Radiance from everywhere, linear RGB.
+        Constant radiance, linear RGB.
     image : uint64
         0, or the address of 17 numbers of 8 bytes: width and height, uint64; addresses of
-        texels, shape (H, W, 3), float32, of running sums of shares of rows, (H,), float64, and
+        texels, shape (H, W, 3), float32, of cumulative sums of shares of rows, (H,), float64, and
         of texels within each row, (H, W), float64 (0 where the sky is not sampled); a factor on
         texels, three float64; directions to the right, up and to the image's middle, unit
         vectors of three float64.
@@ -88,23 +86,23 @@ class Sky(NamedTuple):
 def sky_of(
     color: ArrayLike, light: EnvironmentLight | None, is_sampled: bool = True
 ) -> tuple[Sky, float, object]:
-    """A sky, its mean luminance, and what must be kept.
+    """Make a sky; return its mean luminance and the arrays to keep alive, too.
 
     Parameters
     ----------
     color : array_like of shape (3,)
-        Radiance from everywhere.
+        Constant radiance.
     light : EnvironmentLight or None
-        One with an image, which is added.
+        A light with an image, which is added.
     is_sampled : bool
-        Whether it can be sampled; the mean luminance is else 0.
+        Whether it can be sampled; if not, the mean luminance is 0.
 
     Raises
     ------
     FileFormatError, ImportError
         See `environment.texels_of`.
     MemoryError
-        If the image's running sums do not fit into memory.
+        If the image's cumulative sums do not fit into memory.
     """
     red, green, blue = (float(value) for value in np.asarray(color))
     mean = float(np.abs([red, green, blue]) @ LUMINANCE) if is_sampled else 0.0
@@ -129,10 +127,9 @@ def sky_of(
 
 
 def background_of(scene: Scene) -> tuple[Sky, object]:
-    """What modes show behind a scene that take lights as places, and what must be kept.
+    """The sky of modes with punctual lights, and the arrays to keep alive.
 
-    It is the background, and the image of an environment light; one without an image is not
-    shown.
+    The background, and the image of an environment light; lights without an image are not seen.
     """
     sky, _, kept = sky_of(scene.background, image_light(scene.lights), is_sampled=False)
     return sky, kept
@@ -141,7 +138,7 @@ def background_of(scene: Scene) -> tuple[Sky, object]:
 def _shares(
     color: NDArray[np.float64], tint: NDArray[np.float64], texels: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Running sums of the shares of rows, and of texels in rows; mean luminance."""
+    """Cumulative probabilities of rows, and of texels in rows; mean luminance."""
     height, width = texels.shape[:2]
     check_memory(width * height * _BYTES_PER_TEXEL, f"sampling an image of {width}x{height} would")
     light = np.full((height, width), float(color @ LUMINANCE))
@@ -149,7 +146,7 @@ def _shares(
         factor = abs(float(tint[k])) * LUMINANCE[k]
         light += np.multiply(texels[:, :, k], factor, dtype=np.float64)
     mean = float(row_heights(height) @ light.mean(axis=1)) / 2.0
-    for axis in (0, 1):  # rows end at the poles, columns go round
+    for axis in (0, 1):  # rows end at the poles, columns wrap around
         before, after = np.roll(light, 1, axis), np.roll(light, -1, axis)
         if axis == 0:
             before[0], after[-1] = light[0], light[-1]
@@ -173,7 +170,7 @@ def _long(at, k):
 
 @device
 def _along(image, axis, x, y, z):
-    """The part of a vector along one of the image's axes."""
+    """The component of a vector along one of the image's axes."""
     return double(image, axis) * x + double(image, axis + _ONE) * y + double(image, axis + _TWO) * z
 
 
@@ -216,7 +213,7 @@ def map_color(sky, x, y, z):
     column, row = column - 0.5, row - 0.5
     first, top = np.int64(math.floor(column)), np.int64(math.floor(row))
     across, down = column - first, row - top
-    # Rows end at the poles, columns go round. What is no direction gets some texel.
+    # Rows end at the poles, columns wrap around. Invalid directions get some texel.
     first = min(max(first, -1), width - 1)
     left = np.uint64(first if first >= 0 else width - 1)
     right = np.uint64(first + 1 if first + 1 < width else 0)
@@ -259,7 +256,7 @@ def _share(ends, k):
 
 @device_call
 def map_sample(sky, u, v):
-    """A direction of a sky that has an image, by its light.
+    """Sample a direction of a sky that has an image, by its light.
 
     Parameters
     ----------
@@ -273,7 +270,7 @@ def map_sample(sky, u, v):
     toward : tuple of three float64
         Unit vector, world space.
     density : float64
-        Over solid angle, times 4 pi: 1 is even.
+        Over solid angle, times 4 pi: 1 is uniform.
     """
     image = sky.image
     width, height = _long(image, _NONE), _long(image, _HEIGHT)
@@ -281,7 +278,7 @@ def map_sample(sky, u, v):
     ends = _long(image, _COLUMN_ENDS) + row * width * _LONG
     column, share, across = sample_discrete(ends, width, u)
     thickness = _slice(row, height)
-    # From the nearer pole: next to it, sines do not come from differences of large numbers.
+    # From the nearer pole, to avoid cancellation next to it.
     is_upper = row + row < height
     first = np.float64(row if is_upper else height - _ONE - row)
     within = down if is_upper else 1.0 - down
@@ -300,7 +297,7 @@ def map_sample(sky, u, v):
 
 @device
 def _combined(image, k, right, up, middle):
-    """Coordinate k of a vector, from its parts along the image's axes."""
+    """Coordinate k of a vector, from its components along the image's axes."""
     return (
         double(image, _RIGHT + k) * right
         + double(image, _UP + k) * up
@@ -316,7 +313,7 @@ def sky_toward(lights, x, y, z):
     ----------
     lights : LightTables or PunctualLights
     x, y, z : float64
-        Of any length but 0.
+        Of any length above 0.
 
     Returns
     -------
@@ -329,13 +326,13 @@ def sky_toward(lights, x, y, z):
 
 @device
 def sky_pdf(lights, x, y, z):
-    """Density over solid angle with which `sample_light` finds the sky in a direction.
+    """Density over solid angle of `sample_light` for the sky in a direction.
 
     Parameters
     ----------
     lights : LightTables
     x, y, z : float64
-        Of any length but 0.
+        Of any length above 0.
     """
     if lights.sky.image == _NONE:
         return lights.sky_density

@@ -1,7 +1,7 @@
-"""The sky in 16 directions at a time.
+"""The sky in 16 directions: radiance, density and samples.
 
-An image's texels lie far from each other, and what is computed between takes no longer than to
-fetch them, so each lane is done by itself.
+Lanes are computed one by one: fetching scattered texels takes as long as the arithmetic between
+them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["map_sample_lanes", "sky_pdf_lanes", "sky_toward_lanes"]
 _NONE = np.uint64(0)
 _ONE = np.uint64(1)
 
-# Bytes: of a number, of a vector of 16, and of three.
+# Bytes of a float32, of 16 of them, and of three rows of 16.
 _WORD, _ROW, _ROWS = np.uint64(4), np.uint64(64), 192
 
 
@@ -58,7 +58,7 @@ def _rows(rows):
 
 @device
 def sky_toward_lanes(lights, toward, mask):
-    """`sky_toward` for 16 directions, of `f32x16`; where a mask is not set, any colour."""
+    """`sky_toward` for 16 directions, of `f32x16`; undefined where the mask is not set."""
     if lights.sky.image == _NONE:
         return _colors(lights.sky.color)
     return _map_colors(lights.sky, toward, mask)
@@ -77,7 +77,7 @@ def _map_colors(sky, toward, mask):
 
 @device
 def sky_pdf_lanes(lights, toward, mask):
-    """`sky_pdf` for 16 directions, of `f32x16`; where a mask is not set, any number."""
+    """`sky_pdf` for 16 directions, of `f32x16`; undefined where the mask is not set."""
     density = f32x16(np.float32(lights.sky_density))
     if lights.sky.image == _NONE:
         return density
@@ -97,7 +97,7 @@ def _relative_pdfs(sky, toward, mask):
 
 @device_call
 def map_sample_lanes(sky, u, v, mask):
-    """`map_sample` for 16 pairs of numbers, `f32x16`; where a mask is not set, anything."""
+    """`map_sample` for 16 pairs of numbers, `f32x16`; undefined where the mask is not set."""
     rows, densities, bits = scratch(_ROWS), scratch(_ROWS), mask_bits(mask)
     while bits != _NONE:
         i = count_trailing_zeros(bits)

@@ -1,4 +1,4 @@
-"""Tables: a scene's triangles, vertex attributes and materials, as shading kernels read them."""
+"""Scene tables of shading kernels: triangles, vertex attributes, materials and textures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = [
 
 
 class Column(NamedTuple):
-    """Where a material's numbers are in a row of `SceneTables.materials`."""
+    """Columns of a material's row in `SceneTables.materials`."""
 
     diffuse: int
     specular: int
@@ -50,16 +50,16 @@ COLUMNS = Column(0, 3, 6, 9, 12, 15, 16, 17, 18, 19)
 WIDTH = 22
 
 
-#: Bits of `SceneTables.kinds`: what some material does. What none does is not looked up.
+#: Bits of `SceneTables.kinds`: features that some material has. Others are skipped.
 HAS_SPECULAR, HAS_REFLECTION, HAS_TRANSMISSION, IS_ROUGH, EMITS, IS_TEXTURED, ABSORBS = (
     1 << k for k in range(7)
 )
 
 
 class SceneTables(NamedTuple):
-    """What shading reads of a scene, by address: to hand on an array costs atomic operations.
+    """A scene's data for shading, by address: passing arrays costs atomic operations.
 
-    `tables_of` makes it, with the arrays that its caller keeps.
+    Made by `tables_of`, with the arrays to keep alive.
 
     Attributes
     ----------
@@ -68,27 +68,27 @@ class SceneTables(NamedTuple):
     center : tuple of three float
         The local frame's origin, world space.
     inverse_scale : float
-        World lengths in a local length.
+        World units per local unit.
     max_coordinate, world_reach : float
-        Largest coordinate of a corner, local; of the frame's origin, in local lengths.
+        Largest absolute coordinate of a corner, and of the frame's origin, in local units.
     faces : uint64
-        Address of rows of the vertex attributes, shape (F, 3), int32; 0 if no mesh has any.
+        Address of rows of vertex attributes, shape (F, 3), int32; 0 if no mesh has any.
     normals : uint64
-        Address of shape (V, 3), float32, NaN where a mesh has none; 0 if none has any, and
-        likewise the next two.
+        Address of shape (V, 3), float32, NaN where a mesh has none; 0 if no mesh has any; the
+        next two likewise.
     texcoords : uint64
         Of shape (V, 2), float32.
     tangents, mirrored_tangents : uint64
-        Of shape (V, 3), float32, see `vertex_tangents`; 0 if no material has relief.
+        Of shape (V, 3), float32, see `vertex_tangents`; 0 without normal and bump maps.
     colors : uint64
         Of shape (V, 3), float32: linear RGB, 1 where a mesh has none.
     material_ids : uint64
         Of shape (F,), int32.
     materials : uint64
         Of shape (M, 22), float32. See `Column`; colours are three numbers. Roughness and
-        metallic are -1 where a material has none.
+        metallic are -1 if a material has none.
     kinds : int
-        Bits: what some material does.
+        Bits: features that some material has.
     textures : TextureTables
     """
 
@@ -110,7 +110,7 @@ class SceneTables(NamedTuple):
 
 
 def tables_of(scene: Scene) -> tuple[SceneTables, object]:
-    """The tables of a scene, and what must be kept as long as they are used.
+    """The tables of a scene, and the arrays to keep alive while they are used.
 
     Warns
     -----
@@ -120,7 +120,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
     Raises
     ------
     ValueError
-        If kernels cannot count the scene's triangles or vertices, see `check_rows`.
+        If the scene has too many triangles or vertices, see `check_rows`.
     """
     triangles = scene.triangles
     check_rows(len(triangles.corners), 9, "triangles")
@@ -153,7 +153,7 @@ def tables_of(scene: Scene) -> tuple[SceneTables, object]:
 
 
 def _kinds_of(materials: Sequence[Material]) -> int:
-    """Bits of what materials do."""
+    """Bits of the features that materials have."""
     return sum(
         bit
         for bit, does in (
@@ -175,13 +175,13 @@ def _tangents(
     vertices: VertexAttributes,
     material_ids: NDArray[np.int32],
 ) -> NDArray[np.float32] | None:
-    """Tangents where materials have relief; None if none has, or there is no texture."""
+    """Tangents where materials have normal or bump maps; None if they are not needed."""
     has_normal_map = np.array(
         [not {"normal", "bump"}.isdisjoint(m.textures) for m in scene.materials]
     )
     if vertices.texcoords is None or not has_normal_map[material_ids].any():
         return None
-    check_rows(len(vertices.texcoords), 6, "vertices with relief")
+    check_rows(len(vertices.texcoords), 6, "vertices with normal maps")
     return vertex_tangents(corners, vertices, has_normal_map[material_ids])
 
 

@@ -1,4 +1,4 @@
-"""Tangents of vertices: the way in which the texture coordinate u grows along the surface."""
+"""Vertex tangents: directions in which the texture coordinate u increases."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["vertex_tangents"]
 def vertex_tangents(
     corners: NDArray[np.float32], vertices: VertexAttributes, is_wanted: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Means of the triangles' tangents at each vertex, weighed by their angles there.
+    """Average the triangles' tangents at each vertex, weighted by angle.
 
     Parameters
     ----------
@@ -21,20 +21,19 @@ def vertex_tangents(
     vertices : VertexAttributes
         With texture coordinates.
     is_wanted : ndarray of shape (F,), bool
-        Triangles that count.
+        Triangles to include.
 
     Returns
     -------
     ndarray of shape (2, V, 3), float32
-        Of triangles on which the texture lies as in its bitmap, and of those that it covers
-        mirrored: the two must not mix where they meet, as in the middle of a face. About as
-        long as 1, and 0 where there is none.
+        Of triangles with unmirrored and with mirrored texture coordinates: the two must not be
+        averaged where they meet, as along a face's symmetry axis. Of length about 1; 0 for
+        vertices without tangents.
 
     Notes
     -----
-    As Mikkelsen has it, whose tangents glTF takes for granted: "Simulation of Wrinkled
-    Surfaces Revisited", 2008. But for his test of which triangles belong together: here it is
-    those that share a vertex of the file.
+    Mikkelsen's tangents, as glTF specifies: "Simulation of Wrinkled Surfaces Revisited", 2008;
+    but triangles are grouped by the vertices of the file.
     """
     texcoords = vertices.texcoords
     assert texcoords is not None

@@ -1,4 +1,4 @@
-"""Bitmaps in one piece of memory, looked up bilinearly and decoded from sRGB."""
+"""Textures in one atlas, sampled bilinearly and decoded from sRGB."""
 
 from __future__ import annotations
 
@@ -39,8 +39,7 @@ __all__ = [
     "wrapped",
 ]
 
-#: What of a material a texture may multiply, or make, in the order of
-#: `TextureTables.of_material`.
+#: Properties of materials that have textures, in the order of `TextureTables.of_material`.
 ROLES = ("diffuse", "specular", "emission", "metallic_roughness", "normal", "bump")
 
 _NORMAL, _BUMP = ROLES.index("normal"), ROLES.index("bump")
@@ -52,29 +51,29 @@ _ROLES = np.int32(len(ROLES))
 _0, _1, _2, _3, _PLACE = (np.int32(k) for k in range(5))
 _BYTE, _8, _16 = np.uint32(0xFF), np.uint32(8), np.uint32(16)
 
-#: Of all bitmaps of a scene together: kernels count them in int32.
+#: Most texels of a scene: kernels index them with int32.
 MAX_TEXELS = 2**31 - 1
 
 
 class TextureTables(NamedTuple):
-    """All bitmaps of a scene, by address.
+    """All textures of a scene, by address.
 
     Attributes
     ----------
     texels : uint64
-        Of shape (K, 4), uint8: sRGB and a byte without meaning, row after row, the top one first.
-        Of bump maps the same bytes are float32: heights.
+        Of shape (K, 4), uint8: sRGB and an unused byte, row by row, the top one first. Bump maps
+        have float32 heights in the same bytes.
     places : uint64
-        Of shape (T, 4), int32: first texel, width, height, and 1 for a texture that is clamped,
-        0 if it repeats.
+        Of shape (T, 4), int32: first texel, width, height, and 1 for a clamped texture, 0 for a
+        repeating one.
     of_material : uint64
         Of shape (M, 6), int32: each material's texture by role; -1 for none.
     normal_scales : uint64
-        Of shape (M, 3), float32: factors of normals' x and y and of heights, and 1 for
-        materials that mirror or have a gloss, 0 for matte ones.
+        Of shape (M, 3), float32: factors of normals' x and y, and of heights; 1 for specular
+        materials, 0 for diffuse ones.
     linear, plain, signed : uint64
-        Of shape (256,), float32: values of bytes, of colours, of numbers in [0, 1], and of
-        normals' components in [-1, 1]: 128 is 0, so that a flat normal map is flat.
+        Of shape (256,), float32: decoded bytes of colours, of numbers in [0, 1], and of normals'
+        components in [-1, 1], where 128 is 0, so that a flat normal map is flat.
     """
 
     texels: np.uint64
@@ -87,23 +86,23 @@ class TextureTables(NamedTuple):
 
 
 def address_of(array: NDArray[Any] | None) -> np.uint64:
-    """The address of a contiguous array's first number; 0 if it has none, or is none."""
+    """The address of a contiguous array; 0 for None or an empty array."""
     return np.uint64(0 if array is None or not array.size else array.ctypes.data)
 
 
 def pack_textures(materials: Sequence[Material]) -> tuple[TextureTables, object]:
-    """The textures of materials, and what must be kept; see `texture_arrays`."""
+    """The textures of materials, and the arrays to keep alive; see `texture_arrays`."""
     kept = texture_arrays(materials)
     return TextureTables(*map(address_of, kept)), kept
 
 
 def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
-    """Decode the textures of materials: the arrays of `TextureTables`; shared ones are kept once.
+    """Decode the textures of materials into the arrays of `TextureTables`, each texture once.
 
     Warns
     -----
     RaystreamWarning
-        For each texture that cannot be read; the plain colour is then used.
+        For each texture that cannot be read; the material's constant is then used.
     """
     of_material = np.full((len(materials), len(ROLES)), -1, np.int32)
     normal_scales = np.array([_normal_scales_of(material) for material in materials], np.float32)
@@ -117,7 +116,7 @@ def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
                 row[column] = atlas.place(texture)
             elif row[_NORMAL] < 0 and atlas.holds_normals(texture):
                 row[_NORMAL], relief[0] = atlas.place(texture), material.bump_scale
-            elif row[_NORMAL] < 0:  # a normal map says more
+            elif row[_NORMAL] < 0:  # normal maps take precedence
                 row[_BUMP] = atlas.place(texture, are_heights=True)
     bytes_ = np.arange(256, dtype=np.uint8)
     return (
@@ -131,7 +130,7 @@ def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
 
 
 def _is_seen(material: Material, role: str) -> bool:
-    """Whether it matters what a texture multiplies."""
+    """Whether a texture has an effect: its factor is not 0."""
     if role == "metallic_roughness":
         return bool(material.roughness or material.metallic)
     if role in ("normal", "bump"):
@@ -147,10 +146,10 @@ def _normal_scales_of(material: Material) -> tuple[float, float, float]:
 
 
 def _holds_normals(texels: NDArray[np.uint8]) -> bool:
-    """Whether a bitmap for bumps holds normals: MTL files of some programs name them so.
+    """Whether a bump map holds normals, as in MTL files of some programs.
 
-    Normals are unit vectors, most of them nearly upright: none of a photograph's colours, and
-    of greys only one.
+    Normals are unit vectors, most of them nearly upright: unlike a photograph's colours, and all
+    greys but one.
     """
     some = texels[:: max(1, len(texels) // 4096), :3] / 127.5 - 1.0
     is_normal = (some[:, 2] > 0.0) & (abs(np.linalg.norm(some, axis=1) - 1.0) < 0.1)
@@ -159,7 +158,7 @@ def _holds_normals(texels: NDArray[np.uint8]) -> bool:
 
 
 class _Atlas:
-    """Bitmaps one behind the other, each once."""
+    """Textures one after another, each stored once."""
 
     def __init__(self) -> None:
         self._pixels: dict[int, NDArray[np.uint8] | None] = {}
@@ -169,7 +168,7 @@ class _Atlas:
         self._count = 0
 
     def place(self, texture: Texture, are_heights: bool = False) -> int:
-        """The number of a texture, in colours or as heights; -1 if it cannot be read."""
+        """Add a texture, as colours or heights; return its number, -1 if it cannot be read."""
         key = id(texture), are_heights
         if key not in self._numbers:
             pixels = self._rgb_of(texture)
@@ -219,13 +218,13 @@ def _rgb_of(texture: Texture) -> NDArray[np.uint8] | None:
         warnings.warn(f"texture left out: {error}", RaystreamWarning, stacklevel=7)
         return None
     padded: NDArray[np.uint8] = np.zeros((*pixels.shape[:2], 4), np.uint8)
-    padded[:, :, :3] = pixels[:, :, :3]  # one channel is grey
+    padded[:, :, :3] = pixels[:, :, :3]  # one channel is greyscale
     return padded
 
 
 @device
 def texture_of(tables, material, role):
-    """A material's texture by its position in `ROLES`, int32; -1 for none."""
+    """A material's texture by its index in `ROLES`, int32; -1 for none."""
     return gather(np.int32, tables.of_material, as_int32(material * _ROLES + role))
 
 
@@ -241,7 +240,7 @@ def texture_size(tables, texture):
 
 @device
 def wrapped(index, size, is_clamped):
-    """The texel at an index of -1 to `size`, or any if the texture is clamped."""
+    """Wrap an index of -1 to `size`, or any index if the texture is clamped."""
     last = as_int32(size - _1)
     around = select(index < _0, last, select(index > last, _0, index))
     return select(is_clamped, minimum(maximum(index, _0), last), around)
@@ -265,14 +264,14 @@ def _mixed(a, b, share):
 
 @device
 def nearest_texels(tables, texture, u, v, beyond):
-    """The four texels whose centres are around a place.
+    """The four texels whose centres surround a point.
 
     Parameters
     ----------
     tables, texture, u, v
         See `texture_color`; finite.
     beyond : float32
-        How many widths beyond a clamped texture a place may be; those further are moved there.
+        Distance from a clamped texture, in widths, to which points are clamped.
 
     Returns
     -------
@@ -281,7 +280,7 @@ def nearest_texels(tables, texture, u, v, beyond):
     left, top : int32
         The texel at the upper left; from -1 on, unless the texture is clamped.
     across, down : float32
-        The place between it and the next.
+        The fraction between it and the next.
     """
     first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
     width, height = texture_size(tables, texture)
@@ -297,7 +296,7 @@ def nearest_texels(tables, texture, u, v, beyond):
 
 @device_call
 def texture_color(tables, texture, u, v, values):
-    """RGB between the four nearest texels' centres; white where u or v is NaN.
+    """Sample a texture bilinearly; white where u or v is NaN.
 
     Parameters
     ----------

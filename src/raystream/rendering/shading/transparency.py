@@ -1,4 +1,4 @@
-"""Surfaces as thin clear sheets, seen one behind the other."""
+"""Compositing all hits of a ray as thin transparent sheets, front to back."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ _ONE = np.uint64(1)
 
 @kernel
 def composite_hits(paths, splits, rows, tables, opacity, lights, first_pixel, radiance):
-    """Add what rays see through all surfaces on their way, front to back.
+    """Composite all surfaces along each ray, front to back.
 
     Parameters
     ----------
-    paths, tables, first_pixel, radiance
+    paths, first_pixel, radiance
         See `ShadingBatch`.
+    tables : SceneTables
     splits, rows : ndarray of shape (N + 1,), int64, and tuple of u, v, prim_id
         All hits of the rays, as in `MultiHits`.
     opacity : float
-        Of a sheet that is looked at squarely, 0 to 1; at a slant there is more of it.
+        Of a sheet at normal incidence, 0 to 1; it increases with the angle.
     lights : PunctualLights
-        Their sky is behind the last sheet.
+        Their sky is behind all sheets.
     """
     us, vs, prim_ids = rows
     clear, places, base = 1.0 - opacity, addresses_of(paths), address(radiance)

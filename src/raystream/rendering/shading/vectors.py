@@ -1,4 +1,4 @@
-"""Vectors and colours: tuples of three numbers, or of three vectors of 16."""
+"""Arithmetic of vectors and colours: tuples of three numbers, or of three vectors of 16 lanes."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ _TWO = np.float32(2.0)
 
 @device
 def dot(a, b):
-    """Scalar product."""
+    """Dot product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @device
 def times(a, b):
-    """Product of two colours."""
+    """Componentwise product."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @device
 def scaled(a, factor):
-    """A colour or vector times a number."""
+    """A vector times a number."""
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
 @device
 def added(a, b, factor):
-    """A colour or vector plus another times a number."""
+    """A vector plus another times a number."""
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
 @device
 def chosen(mask, a, b):
-    """A colour or vector where a mask, or a bool, is set, and another elsewhere."""
+    """Select between two vectors by a mask or a bool."""
     return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
 
 
@@ -50,7 +50,7 @@ def largest(a, b, c):
 
 @device
 def mirrored(back, normal):
-    """The direction in which a mirror sends a ray that came from `back`; unit vectors."""
+    """The mirror direction of `back`; unit vectors."""
     along = _TWO * dot(back, normal)
     return (
         along * normal[0] - back[0],

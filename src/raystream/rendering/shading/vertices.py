@@ -1,4 +1,4 @@
-"""Triangles' vertices as shading kernels read them: positions, and attributes between them.
+"""Vertices in shading kernels: positions of triangles, and interpolated attributes.
 
 Of one triangle, or of 16: an int32 number, or an `i32x16`.
 """
@@ -29,7 +29,7 @@ def corner_of(tables, prim, k):
 
 @device
 def vertices_of(tables, prim):
-    """The rows of a triangle's vertices, of whose attributes `tables` has addresses."""
+    """Rows of a triangle's vertices in the attributes of `tables`."""
     at = as_int32(as_int32(prim) * _3)
     return (
         gather(np.int32, tables.faces, at),
@@ -45,14 +45,14 @@ def _number(rows, width, column, vertex):
 
 @device
 def attribute_number(rows, width, column, vertices, u, v):
-    """A number of a triangle's vertices, between them.
+    """Interpolate a number between a triangle's vertices.
 
     Parameters
     ----------
     rows : uint64
-        Address of rows of float32, one for each vertex.
+        Address of rows of float32, one per vertex.
     width, column : int32
-        Numbers in a row, and which of them.
+        Numbers per row, and the index of this one.
     vertices : tuple of three int32
         From `vertices_of`.
     u, v : float64, or f32x16
@@ -66,7 +66,7 @@ def attribute_number(rows, width, column, vertices, u, v):
 
 @device
 def attribute_vector(rows, vertices, u, v):
-    """Three numbers of a triangle's vertices, between them; see `attribute_number`."""
+    """Interpolate three numbers between vertices; see `attribute_number`."""
     return (
         attribute_number(rows, _3, np.int32(0), vertices, u, v),
         attribute_number(rows, _3, _1, vertices, u, v),
