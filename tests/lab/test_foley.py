@@ -76,7 +76,7 @@ def test_traversals_visit_the_same_leaves_and_triangles(view, bonus):
     assert backtrack["backtrack_steps"] <= 2 * stack["steps"]
 
 
-def test_figures_are_of_foley_s_pictures():
+def test_figures_are_of_foley_s_images():
     each = {"rays": 256, "steps": 0, "backtracks": 0, "backtrack_steps": 0, "tests": 7, "leaves": 5}
     found = {
         "restart": each | {"steps": 100},
@@ -208,7 +208,7 @@ def test_experiments_run_and_resume(name, runner, monkeypatch):
     def refuse(*_):
         raise AssertionError("measured again")
 
-    monkeypatch.setattr(runner._store, "keep", refuse)
+    monkeypatch.setattr(runner._store, "save", refuse)
     assert runner.run(name, function).as_json() == result.as_json()
 
 

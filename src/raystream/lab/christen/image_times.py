@@ -1,4 +1,4 @@
-"""Times: pictures of scenes A, B and C against grid size and bounces (Christen 2005, 6.2)."""
+"""Times: images of scenes A, B and C against grid size and bounces (Christen 2005, 6.2)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raystream.lab.christen.scenes import (
     image_size,
     timed_iterations,
 )
-from raystream.lab.frame_timing import affordable_size, picture, render_context
+from raystream.lab.frame_timing import affordable_size, render_context, report_image
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
 from raystream.lab.runner import Runner
@@ -31,7 +31,7 @@ ITERATIONS = 6
 
 ROUNDS = 3
 
-#: Seconds that a picture may take; those that would take longer get smaller.
+#: Seconds that a image may take; those that would take longer get smaller.
 _LIMIT = 2.0
 
 #: The multipass machine needs a pass for each triangle that the longest ray tests. With more
@@ -42,7 +42,7 @@ _Times = dict[str, Any]
 
 
 def image_times(runner: Runner) -> Result:
-    """Seconds of pictures on every device and machine."""
+    """Seconds of images on every device and machine."""
     grids = _QUICK_GRIDS if runner.quick else GRIDS
     result = Result()
     found: dict[tuple[str, int, str], _Times] = {}
@@ -58,8 +58,8 @@ def image_times(runner: Runner) -> Result:
         title = f"Scene {letter}, {ITERATIONS} iterations"
         name = f"christen {letter}"
         bounces = {"max_bounces": ITERATIONS - 1, "min_weight": 0.0}
-        result.pictures.append(
-            picture(runner, name, title, scene, "whitted", (256, 256), samples=4, **bounces)
+        result.images.append(
+            report_image(runner, name, title, scene, "whitted", (256, 256), samples=4, **bounces)
         )
     result.tables = [_scenes(triangles), _table(runner, found)]
     result.plots = [_grid_plot(found, 1), _grid_plot(found, ITERATIONS), _bounce_plot(found)]
@@ -128,12 +128,12 @@ def _scenes(triangles: dict[str, int]) -> Table:
             (f"{letter}: `{SCENES[letter][0]}`", theirs.values[letter], count, SCENES[letter][1])
             for letter, count in triangles.items()
         ],
-        "His scenes were not published but in pictures; the column says how ours differ.",
+        "His scenes were not published but in images; the column says how ours differ.",
     )
 
 
 def _milliseconds(lab_size: int, one: _Times) -> list[float | None]:
-    """Of a whole picture, after each iteration."""
+    """Of a whole image, after each iteration."""
     if "seconds" not in one:
         return [None] * ITERATIONS
     scale = (lab_size / one["size"]) ** 2
@@ -154,12 +154,12 @@ def _table(runner: Runner, found: dict[tuple[str, int, str], _Times]) -> Table:
     ]
     return Table.of(
         "christen-times",
-        f"Milliseconds of a picture of {size} x {size} pixels, by the number of iterations",
+        f"Milliseconds of a image of {size} x {size} pixels, by the number of iterations",
         ["scene", "grid", "device", "machine", "drawn", *map(str, range(1, ITERATIONS + 1))],
         rows,
         "An iteration is a surface on a ray's way: n iterations are n - 1 bounces after the first "
         f"surface. Branching: medians of {ROUNDS} rounds; multipass: once. Where less was drawn "
-        "than a whole picture, its time is scaled by the number of pixels.",
+        "than a whole image, its time is scaled by the number of pixels.",
         *reasons,
     )
 
@@ -178,7 +178,7 @@ def _grid_plot(found: dict[tuple[str, int, str], _Times], iteration: int) -> Plo
         f"christen-grids-{iteration}",
         f"Time against grid size, {iteration} iteration{'s' if iteration > 1 else ''}",
         "cells along each axis",
-        "milliseconds a picture",
+        "milliseconds per image",
         [
             Series(label, list(line), [each[iteration - 1] for each in line.values()])
             for label, line in _labelled(found).items()
@@ -195,7 +195,7 @@ def _bounce_plot(found: dict[tuple[str, int, str], _Times]) -> Plot:
         "christen-iterations",
         f"Time against iterations, {grid}³ cells",
         "iterations",
-        "milliseconds a picture",
+        "milliseconds per image",
         [
             Series(label, list(range(1, ITERATIONS + 1)), line[grid])
             for label, line in _labelled(found).items()

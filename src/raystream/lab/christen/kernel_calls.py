@@ -12,7 +12,7 @@ from raystream.lab.christen.scenes import (
     christen_scene,
     image_size,
 )
-from raystream.lab.frame_timing import picture
+from raystream.lab.frame_timing import report_image
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
@@ -28,11 +28,11 @@ _QUICK_ITERATIONS = 5
 THRESHOLDS = (0.01, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 0.9)
 _QUICK_THRESHOLDS = (0.05, 0.2, 0.5)
 
-#: Iterations whose passes are added up in the sweep, and what share of a picture's width it has.
+#: Iterations whose passes are added up in the sweep, and what share of a image's width it has.
 _SWEPT_ITERATIONS = 3
 _SWEEP_SHARE = 2
 
-#: "Few" is no number; this is how it is read, as a share of a picture's pixels.
+#: "Few" is no number; this is how it is read, as a share of a image's pixels.
 FEW = 0.1
 
 _Passes = dict[str, Any]
@@ -48,8 +48,8 @@ def kernel_calls(runner: Runner) -> Result:
         found[letter] = _measured(runner, scene, letter)
         sweeps[letter] = _swept(runner, scene, letter)
         title = f"Scene {letter}"
-        result.pictures.append(
-            picture(runner, f"christen {letter} eye", title, scene, "raycast", (256, 256))
+        result.images.append(
+            report_image(runner, f"christen {letter} eye", title, scene, "raycast", (256, 256))
         )
     pixels = image_size(runner) ** 2
     result.tables = [
@@ -120,7 +120,7 @@ def _resolution() -> int:
 
 
 def _measured(runner: Runner, scene: Scene, letter: str) -> list[_Passes]:
-    """What each bounce of a picture takes."""
+    """What each bounce of a image takes."""
     threshold = published("christen", "scheduling").values["threshold"]
 
     def measure() -> list[_Passes]:
@@ -160,7 +160,7 @@ def _masked(one: _Passes) -> int:
 
 
 def _idle(one: _Passes, pixels: int) -> float:
-    """Share of a picture's pixels that passes ran on in vain, over all passes."""
+    """Share of a image's pixels that passes ran on in vain, over all passes."""
     return 1.0 - _runs(one) / (one["passes"] * pixels)
 
 

@@ -29,7 +29,7 @@ _ROUNDS = 3
 
 
 def on_graphics(runner: Runner) -> Result:
-    """Passes and seconds of pictures by the number of iterations, beside the CPU's renderer."""
+    """Passes and seconds of images by the number of iterations, beside the CPU's renderer."""
     size = runner.size(SIZE)
     found = {letter: _measure(runner, letter, size) for letter in SCENES}
     rows: list[list[Cell]] = [
@@ -53,7 +53,7 @@ def on_graphics(runner: Runner) -> Result:
         tables=[
             Table.of(
                 "christen-graphics",
-                f"Pictures by fragment programs, {size} x {size}, {_CELLS} cells along each axis",
+                f"Images by fragment programs, {size} x {size}, {_CELLS} cells along each axis",
                 [
                     "scene",
                     "iterations",
@@ -65,10 +65,10 @@ def on_graphics(runner: Runner) -> Result:
                 ],
                 rows,
                 adapter_note(),
-                "A pass draws the whole picture once. In an iteration rays are traced, by one "
+                "A pass draws the whole image once. In an iteration rays are traced, by one "
                 "program with loops, lit, and mirrored; colour and weight (his equation 5.1) stay "
                 "in textures, and nothing is read back before the end. The CPU: mode whitted on "
-                "the same grid, single rays. Farthest: from that picture, of linear light.",
+                "the same grid, single rays. Farthest: from that image, of linear light.",
             )
         ],
         plots=[

@@ -99,14 +99,14 @@ def christen_scene(letter: str) -> Scene:
 
 
 def image_size(runner: Runner) -> int:
-    """Width and height of his pictures, 256, or as much smaller as is wanted."""
+    """Width and height of his images, 256, or as much smaller as is wanted."""
     return runner.size(published("christen", "settings").values["size"])
 
 
 def timed_iterations(
     setting: RenderContext, tracer: Tracer, size: int, iterations: int
 ) -> tuple[list[float], float]:
-    """Draw a picture with ``whitted``, all pixels together, and read the clock at each bounce.
+    """Draw a image with ``whitted``, all pixels together, and read the clock at each bounce.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def timed_iterations(
     seconds : list of float
         From the start to the end of each iteration; the last one repeated where no ray is left.
     light : float
-        Mean radiance of the picture, to tell whether two agree.
+        Mean radiance of the image, to tell whether two agree.
     """
     renderer = RENDERERS["whitted"]
     options = renderer.check({"max_bounces": iterations - 1, "min_weight": 0.0})
@@ -142,7 +142,7 @@ def timed_iterations(
 
 
 def bounces_of(scene: Scene, size: int, iterations: int) -> list[Bounce]:
-    """The rays that ``whitted`` traces for a picture, by bounce."""
+    """The rays that ``whitted`` traces for a image, by bounce."""
     tracer = RecordingTracer(scene, keep_rays=True)
     timed_iterations(render_context(tracer, (size, size)), tracer, size, iterations)
     found: list[Bounce] = []

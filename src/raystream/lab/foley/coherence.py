@@ -20,10 +20,10 @@ from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["GROUPINGS", "coherence"]
 
-#: Pictures of so much less width and height than the paper's.
+#: Images of so much less width and height than the paper's.
 _SHARE = 2
 
-#: Rays that are looked at together: a tile of the picture, or so many at random.
+#: Rays that are looked at together: a tile of the image, or so many at random.
 _TILE = 8
 _GROUPS = 24
 

@@ -83,11 +83,11 @@ def key_kernels(runner: Runner) -> Result:
         ),
         Table.of(
             "foley-bandwidth",
-            f"{runs} runs of each kernel on the kitchen's rays, {size} x {size}, in turns with "
+            f"{runs} runs of each kernel on the kitchen's rays, {size} x {size}, in turn with "
             "versions that only fetch",
             [
                 "kernel",
-                "ns a ray",
+                "ns per ray",
                 "GB/s",
                 "published GB/s",
                 "fetch-only, GB/s",

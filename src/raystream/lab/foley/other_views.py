@@ -25,7 +25,7 @@ _FRAMES = 10
 
 _COMPARED = ("grid", "restart", "backtrack")
 
-#: By view: ``grid``, ``restart`` and ``backtrack``, kernel runs a ray; ``hits``, their share.
+#: By view: ``grid``, ``restart`` and ``backtrack``, kernel runs per ray; ``hits``, their share.
 ViewCosts = dict[str, dict[str, float]]
 
 
@@ -126,7 +126,7 @@ def other_views_table(found: Mapping[str, ViewCosts]) -> Table:
             )
     return Table.of(
         "foley-elsewhere",
-        "Other views: kernel runs a ray, where the grid stands best, in the middle, and worst",
+        "Other views: kernel runs per ray, where the grid stands best, in the middle, and worst",
         ["scene", "view", "rays that hit", *_COMPARED, "grid / better tree", "published times"]
         + ["views where the grid is ahead"],
         rows,

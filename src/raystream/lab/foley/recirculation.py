@@ -77,10 +77,10 @@ def recirculation(runner: Runner) -> Result:
                 "ended rays",
                 "steps",
                 "mean share of rays in a pass",
-                "multipass, ns a step",
-                "branching, ns a step",
+                "multipass, ns per step",
+                "branching, ns per step",
                 "ratio",
-                "passes nearly full, ns a step",
+                "passes nearly full, ns per step",
                 "time for idle rays",
                 "time that full passes would save",
             ],
@@ -96,7 +96,7 @@ def recirculation(runner: Runner) -> Result:
             "foley-occupancy",
             "Time of a step by the share of rays that take part in the pass (masked)",
             "least share of rays in the pass",
-            "ns a step",
+            "ns per step",
             [
                 Series(name, [low for low, _ in one["bins"]], [ns for _, ns in one["bins"]])
                 for (name, gone), one in found.items()

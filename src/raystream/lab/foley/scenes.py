@@ -40,7 +40,7 @@ __all__ = [
 #: The paper's ways to search a tree.
 TRAVERSALS = ("stack", "restart", "backtrack")
 
-#: Width and height of Foley's pictures, section 4.
+#: Width and height of Foley's images, section 4.
 SIZE = 512
 
 #: Seconds of all rounds together, after which a structure is not timed again.
@@ -118,7 +118,7 @@ def count_states(trees: dict[str, KdTreeStructure], origins: Any, directions: An
 
 
 def figures_of(found: States) -> dict[str, float]:
-    """The figures of Table 2, in millions for a picture of Foley's size.
+    """The figures of Table 2, in millions for a image of Foley's size.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ RATIOS = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 _RULES = ("naive", "threshold", "most-work", "double")
 _TRAVERSALS = ("restart", "backtrack")
 
-#: Pictures of so much less width and height; the longest rays decide how many passes it takes.
+#: Images of so much less width and height; the longest rays decide how many passes it takes.
 _SHARE = 2
 
 #: A schedule in figures.

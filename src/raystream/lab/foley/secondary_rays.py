@@ -20,7 +20,7 @@ _SEED = 20050731
 
 
 class RayKind(NamedTuple):
-    """Rays of a picture, a row for each pixel that has one.
+    """Rays of a image, a row for each pixel that has one.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ def ray_kinds(view: View, structure: Structure, size: int) -> list[RayKind]:
     structure : Structure
         Of the scene; finds what the camera sees.
     size : int
-        Width and height of the picture.
+        Width and height of the image.
     """
     origins, directions = (np.reshape(a, (-1, 3)) for a in np.broadcast_arrays(*view.rays(size)))
     primary = RayKind("primary", origins, directions, np.inf, False, np.arange(size**2))

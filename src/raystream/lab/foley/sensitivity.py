@@ -23,7 +23,7 @@ __all__ = ["TOLERANCE", "Trial", "distance", "explain_difference", "is_near", "n
 #: Counts within this share of the published are called equal.
 TOLERANCE = 0.25
 
-#: Pictures of the sweep: figures are means, and change little with the resolution.
+#: Images of the sweep: figures are means, and change little with the resolution.
 _SWEEP_SIZE = SIZE // 4
 
 #: Changes that a reason names.

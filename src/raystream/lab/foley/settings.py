@@ -51,7 +51,7 @@ class Setting:
     camera : callable, optional
         Makes another camera of the scene's own.
     size : tuple of int, optional
-        Width and height of the picture.
+        Width and height of the image.
     options : mapping
         Of the tree.
     """
@@ -83,7 +83,7 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
         The scene's, of `scenes.SCENES`.
     scene : Scene
     size : int
-        Of usual pictures.
+        Of usual images.
     quick : bool
         A few of them.
     """
@@ -94,7 +94,7 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
     for factor in _ANGLES[::3] if quick else _ANGLES:
         yield Setting("view angle", f"{factor:g} of the file's", camera=_widened(factor))
     wide = (round(size * 2 / 3**0.5), round(size * 3**0.5 / 2))
-    yield Setting("shape of the picture", "4:3", size=wide)
+    yield Setting("shape of the image", "4:3", size=wide)
     for other in () if quick else _SIZES:
         yield Setting("resolution", f"{other} x {other}", size=(other, other))
     for cost in _COSTS[::3] if quick else _COSTS:

@@ -45,7 +45,7 @@ States = dict[str, dict[str, int]]
 
 
 def states_of(runner: Runner, name: str, view: View) -> States:
-    """Counts of the paper's picture of a scene, of each traversal; measured once in a run."""
+    """Counts of the paper's image of a scene, of each traversal; measured once in a run."""
     size = runner.size(SIZE)
 
     def measure() -> States:

@@ -39,7 +39,7 @@ __all__ = ["structure_times"]
 #: Those of Table 1, and for orientation a stack and a BVH.
 STRUCTURES = ("brute", "grid", "restart", "backtrack", "stack", "bvh")
 
-#: Brute force takes one test of each triangle for each ray: a picture of so much less width and
+#: Brute force takes one test of each triangle for each ray: a image of so much less width and
 #: height takes so much less time.
 _BRUTE_SHARE = 8
 
@@ -116,7 +116,7 @@ class _Scene:
         return RayBatch(*self.view.rays(max(8, self.size // share)), 0.0, np.inf)
 
     def times(self) -> Found:
-        """Seconds a ray of each structure."""
+        """Seconds per ray of each structure."""
         calls = {}
         few = RayBatch(*self.view.rays(8), 0.0, np.inf)
         for name, structure in self.structures().items():
@@ -168,7 +168,7 @@ def _tracing(machine: Structure | Multipass, batch: RayBatch) -> Callable[[], ob
 
 
 def _milliseconds(each: Mapping[str, Any], kind: str = "best") -> float:
-    """Of a picture of Foley's size."""
+    """Of a image of Foley's size."""
     return float(each[kind]) / each["rays"] * SIZE**2 * 1e3
 
 
@@ -184,7 +184,7 @@ def _scene_table(triangles: Mapping[str, int], size: int) -> Table:
         f"The scenes: {published('foley', 'scenes').source}",
         rows,
         f"Grids have 2 cells along each axis of the Cornell box, and 50 elsewhere. Cameras are "
-        f"the scenes' own (BART's: the first frame), {size} x {size} rays; the paper's pictures "
+        f"the scenes' own (BART's: the first frame), {size} x {size} rays; the paper's images "
         "are not in our copy.",
     )
 

@@ -31,7 +31,7 @@ __all__ = ["COSTS", "tree_costs"]
 #: Prices of a step, where a test costs 1.
 COSTS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 
-#: Pictures of so much less width and height: each is traced dozens of times.
+#: Images of so much less width and height: each is traced dozens of times.
 _SHARE = 2
 
 #: A tree is called good if its time is within this share of the best.

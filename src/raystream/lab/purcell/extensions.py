@@ -67,14 +67,14 @@ _ROWS: Mapping[str, _Row] = MappingProxyType(
 #: Share of light that every surface mirrors.
 _SHARE = 0.25
 
-#: Pixels along a side of path-traced pictures, and samples of each; the paper has 64.
+#: Pixels along a side of path-traced images, and samples of each; the paper has 64.
 _PATH_SIZE, _PATH_SAMPLES = 256, 16
 
-#: Rounds in which modes take turns, and the share of the size of pictures that are timed: at
+#: Rounds in which modes take turns, and the share of the size of images that are timed: at
 #: full size, the forest's alone take three minutes.
 _ROUNDS, _TIMED_SHARE = 2, 2
 
-#: Pixels along a side of the pictures that compile it all before.
+#: Pixels along a side of the images that compile it all before.
 _WARM_SIZE = 32
 
 #: Rays from the eye that are counted together.
@@ -145,7 +145,7 @@ def extensions(runner: Runner) -> Result:
             "Counts a ray from the eye: the ray caster's, and ratios to them",
             ["scene", "mode", *_COUNTED, "time"],
             rows,
-            "The ray caster's time is in microseconds a ray. Times are of whole pictures, medians "
+            "The ray caster's time is in microseconds per ray. Times are of whole images, medians "
             "of rounds in which the modes take turns; instructions and words by Table 1, "
             "branching.",
         ),
@@ -219,7 +219,7 @@ def _size_of(runner: Runner, row: str) -> tuple[int, int]:
 
 
 def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
-    """Sums of both queries for a picture."""
+    """Sums of both queries for a image."""
     tracer.sums = {"first_hit": Counter(), "any_hit": Counter()}
     camera = tracer.scene.camera
     if row == "raycast":
@@ -269,7 +269,7 @@ def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
 
 
 def _times(runner: Runner, tracer: Tracer, rounds: int) -> dict[str, float]:
-    """Median seconds of each row's picture, for each ray from the eye."""
+    """Median seconds of each row's image, for each ray from the eye."""
     calls, ray_counts = {}, {}
     for row in ("raycast", *(row for row in _ROWS if row != "shadow rays")):
         mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]

@@ -96,7 +96,7 @@ def grid_resolution(runner: Runner) -> Result:
     result.tables = [
         Table.of(
             "purcell-resolution",
-            "Grids from coarse to fine; instructions a ray by Table 1 (branching)",
+            "Grids from coarse to fine; instructions per ray by Table 1 (branching)",
             ["view", "least cells", "cells", "v", "t", "traversal", "intersection", "both", ""],
             rows,
             "Least cells: along the shortest axis of the scene's box, as the paper counts.",
@@ -140,9 +140,9 @@ def _plot(name: str, sweep: Sweep, costs: dict[int, tuple[float, float]]) -> Plo
     x = sorted(sweep)
     return Plot(
         f"purcell-resolution-{name.replace(' ', '-')}",
-        f"{name}: instructions a ray, by the grid's resolution",
+        f"{name}: instructions per ray, by the grid's resolution",
         "cells along the shortest axis",
-        "instructions a ray",
+        "instructions per ray",
         [
             Series("traversal", list(x), [costs[least][0] for least in x]),
             Series("intersection", list(x), [costs[least][1] for least in x]),

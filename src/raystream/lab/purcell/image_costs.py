@@ -1,4 +1,4 @@
-"""What pictures cost on two architectures, by kernel and by kind of data (Figures 7 and 8)."""
+"""What images cost on two architectures, by kernel and by kind of data (Figures 7 and 8)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Costs = dict[tuple[str, str], Cost]
 
 
 def image_costs(runner: Runner) -> Result:
-    """Price the measured pictures by Table 1, and the published statistics beside them."""
+    """Price the measured images by Table 1, and the published statistics beside them."""
     result = Result()
     ours: Costs = {}
     theirs: Costs = {}
@@ -147,7 +147,7 @@ def _kind_table(ours: Costs, theirs: Costs, size: int) -> Table:
     return Table.of(
         "purcell-figure-8",
         f"Bytes by kind of data (Figure 8): shares; {size} x {size}",
-        ["view", "architecture", *columns, "bytes a ray"],
+        ["view", "architecture", *columns, "bytes per ray"],
         rows,
         "State: what a ray keeps between passes, and the pixel's colour. Data: grid, lists, "
         "triangles, and what shading reads.",
@@ -185,7 +185,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
     return [
         Plot(
             f"purcell-figure-7-instructions-{architecture}",
-            f"Figure 7, {architecture}: instructions of a picture",
+            f"Figure 7, {architecture}: instructions of an image",
             "",
             "billions",
             compute,
@@ -193,7 +193,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
         ),
         Plot(
             f"purcell-figure-7-bytes-{architecture}",
-            f"Figure 7, {architecture}: bytes of a picture, by kernel",
+            f"Figure 7, {architecture}: bytes of a image, by kernel",
             "",
             "GB",
             by_kernel,
@@ -201,7 +201,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
         ),
         Plot(
             f"purcell-figure-8-{architecture}",
-            f"Figure 8, {architecture}: bytes of a picture, by kind of data",
+            f"Figure 8, {architecture}: bytes of a image, by kind of data",
             "",
             "GB",
             kinds,

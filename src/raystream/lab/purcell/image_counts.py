@@ -1,4 +1,4 @@
-"""A picture of rays on the grid: what Purcell's simulators counted of it."""
+"""A image of rays on the grid: what Purcell's simulators counted of it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = [
     "scene_of",
 ]
 
-#: Width and height of Purcell's pictures, section 4.1.
+#: Width and height of Purcell's images, section 4.1.
 SIZE = 1024
 
 #: With ``quick``, grids have this share of the cells along each axis.
@@ -71,7 +71,7 @@ def grid_of(tracer: Tracer) -> GridStructure:
 
 
 def count_image(tracer: Tracer, view: View, size: int) -> ImageCounts:
-    """Trace a picture, and take its means and extremes.
+    """Trace a image, and take its means and extremes.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def count_image(tracer: Tracer, view: View, size: int) -> ImageCounts:
 
 
 def counts_of(values: ImageCounts, passes: int = 0) -> Counts:
-    """How often each kernel ran in a measured picture."""
+    """How often each kernel ran in a measured image."""
     rays = values["rays"]
     return Counts(
         int(rays),

@@ -31,7 +31,7 @@ def mailbox(runner: Runner) -> Result:
             f"Tests that a ray repeats, as shares of all tests, {size} x {size}",
             [
                 "view",
-                "tests a ray (t)",
+                "tests per ray (t)",
                 "any mailbox could save",
                 *(f"{count} entries save" for count in entries),
             ],

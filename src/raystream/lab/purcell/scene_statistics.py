@@ -16,7 +16,7 @@ from raystream.lab.purcell.image_counts import (
     grid_options,
     grid_tracer,
 )
-from raystream.lab.results import Cell, Claim, Picture, Result, Table, comparison
+from raystream.lab.results import Cell, Claim, ReportImage, Result, Table, comparison
 from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS, View
 from raystream.rendering.heatmap import heatmap
@@ -27,8 +27,8 @@ __all__ = ["STATISTICS", "camera_sweep", "image_statistics", "paper_view", "scen
 
 #: What Figure 6 gives for each view.
 STATISTICS = {
-    "v": "cells a ray (v)",
-    "t": "triangles a ray (t)",
+    "v": "cells per ray (v)",
+    "t": "triangles per ray (t)",
     "s": "share of rays that hit (s)",
 }
 
@@ -41,11 +41,11 @@ _ALONE = "bunny"
 #: Nor is what the camera was chosen by.
 _CHOSEN_BY = ("bunny on a floor", "s")
 
-#: Pictures of the cameras that are tried.
+#: Images of the cameras that are tried.
 _SWEEP_SIZE = 128
 
-#: Pictures of the report.
-_PICTURE_SIZE = 240
+#: Images of the report.
+_IMAGE_SIZE = 240
 
 
 def paper_view(view: str) -> str:
@@ -90,7 +90,7 @@ def scene_statistics(runner: Runner) -> Result:
             figure.append((f"{name}: {what}", theirs[key], ours[key], told))
         grids.append(_grid_row(runner, view))
         sweeps += _sweep_rows(name, theirs, sweep)
-        result.pictures += _pictures(runner, view)
+        result.images += _images(runner, view)
     source = published("purcell", "figure 6").source
     size = runner.size(SIZE)
     result.tables = [
@@ -165,7 +165,7 @@ def _notes(runner: Runner) -> list[str]:
     )
     notes = [about]
     if runner.quick:
-        notes.append("Quick: small scenes, grids and pictures; not to be compared.")
+        notes.append("Quick: small scenes, grids and images; not to be compared.")
     return notes
 
 
@@ -237,18 +237,18 @@ def _grid_row(runner: Runner, view: View) -> list[Cell]:
     ]
 
 
-def _pictures(runner: Runner, view: View) -> Iterator[Picture]:
+def _images(runner: Runner, view: View) -> Iterator[ReportImage]:
     """The view, and where its rays take many steps and tests."""
-    size = (_PICTURE_SIZE,) * 2
+    size = (_IMAGE_SIZE,) * 2
     path = runner.folder / f"{view.name.replace(' ', '_')}.png"
     if not path.exists():
         render(view.scene, "raycast", size=size, camera=view.camera).save(path)
-    yield Picture(f"{view.name}: {grid_text(view, runner.quick)}", path)
+    yield ReportImage(f"{view.name}: {grid_text(view, runner.quick)}", path)
     for what in () if runner.quick else ("steps", "tests"):
         path = runner.folder / f"{view.name.replace(' ', '_')}_{what}.png"
         if not path.exists():
             heatmap(grid_tracer(runner, view), what, size, camera=view.camera).save(path)
-        yield Picture(f"{view.name}: {what} of each ray", path)
+        yield ReportImage(f"{view.name}: {what} of each ray", path)
 
 
 def grid_text(view: View, quick: bool) -> str:

@@ -252,7 +252,7 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
             "passes at 20 % over the best: " + _listed(usual),
         ),
         Claim.judged(
-            "A picture takes 1000 to 3000 passes",
+            "A image takes 1000 to 3000 passes",
             "Purcell 2002, section 4.2",
             {name: 1000 <= count <= 3000 for name, count in total.items()},
             ", ".join(f"{name} {count:,}" for name, count in total.items()),

@@ -29,7 +29,7 @@ _PAGE = 4096
 #: Megabytes of the card.
 _MEGABYTES = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
 
-#: How rays come: of a picture, row by row or in tiles; and diffuse bounces of the same rays.
+#: How rays come: of a image, row by row or in tiles; and diffuse bounces of the same rays.
 _ORDERS = ("rows", "tiles", "bounces")
 
 
@@ -65,11 +65,11 @@ def small_memory(runner: Runner) -> Result:
                 "count",
                 "scene, MB",
                 "touched, MB",
-                *(f"bytes a ray, {megabytes} MB" for megabytes in shown),
+                *(f"bytes per ray, {megabytes} MB" for megabytes in shown),
             ],
             rows,
             "The scene's textures (grid, lists, corners, shading data) lie in a large memory; a "
-            "smaller one keeps the pages of 4096 bytes that were used last. Bytes a ray: what is "
+            "smaller one keeps the pages of 4096 bytes that were used last. Bytes per ray: what is "
             "loaded, first loads included. Touched: pages that any of the rays needs.",
             f"The paper's largest scenes take {least} to {most} MB, and its card has {board}.",
         )

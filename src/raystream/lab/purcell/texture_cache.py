@@ -59,7 +59,7 @@ def texture_cache(runner: Runner) -> Result:
     found: dict[str, dict[str, Any]] = {}
     curves: dict[str, dict[str, Any]] = {}
     varied: dict[str, dict[str, float]] = {}
-    for name, one in result.available(PURCELL_VIEWS, lambda name: _picture(runner, name)):
+    for name, one in result.available(PURCELL_VIEWS, lambda name: _image(runner, name)):
         found[name] = one
         curves[name] = _curve(runner, name)
         if name in _VARIED:
@@ -77,10 +77,10 @@ def paper_cache(kinds: tuple[str, ...] = KIND_NAMES) -> Cache:
     return Cache(values["bytes"], values["line"], values["ways"], kinds=kinds)
 
 
-def _picture(runner: Runner, name: str) -> dict[str, Any]:
+def _image(runner: Runner, name: str) -> dict[str, Any]:
     """Counts of Purcell's cache, for all references and for those of data alone.
 
-    By machine; and of multipass again, with rays in tiles of the picture.
+    By machine; and of multipass again, with rays in tiles of the image.
     """
     size = runner.size(SIZE)
 
@@ -135,7 +135,7 @@ def _figures(one: LineCounts) -> dict[str, float]:
     return {
         "references": one.references,
         "hit_rate": one.hit_rate,
-        "asked": one.bytes_asked,
+        "asked": one.bytes_requested,
         "fetched": one.bytes_fetched,
     }
 
@@ -230,7 +230,7 @@ def _hit_rates(found: dict[str, dict[str, Any]], size: int) -> Table:
             "references",
         ],
         rows,
-        f"{_TILED.capitalize()}: the same passes, over the picture in tiles of 8 x 8 pixels, as "
+        f"{_TILED.capitalize()}: the same passes, over the image in tiles of 8 x 8 pixels, as "
         "rasterisers go, instead of row by row. The paper does not give its order.",
     )
 
@@ -266,7 +266,7 @@ def _variants() -> list[tuple[int, int, int | None]]:
 
 
 def _walks(runner: Runner, name: str, size: int) -> Walks:
-    """Walks of a smaller picture."""
+    """Walks of a smaller image."""
     view = runner.view(name)
     return record(
         grid_tracer(runner, view), *view.rays(size), visits=True, progress=runner.progress

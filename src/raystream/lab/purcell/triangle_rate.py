@@ -1,4 +1,4 @@
-"""Triangle tests a second, of the paper's machines and of this one (Purcell 2002, section 5.2)."""
+"""Triangle tests per second, published and on this machine (Purcell 2002, section 5.2)."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def triangle_rate(runner: Runner) -> Result:
                 "structure",
                 "rays",
                 "million rays/s",
-                "tests a ray",
+                "tests per ray",
                 "million tests/s",
-                "ns a ray",
+                "ns per ray",
             ],
             rows,
-            "Tests a second: all tests of the picture's rays in the time of the picture, which "
+            "Tests per second: all tests of the image's rays in the time of the image, which "
             "contains traversal, too. Medians of rounds, without counting; the tests are "
             "counted in another run. The BVH traces rays together, and its counts are those of "
             "single rays.",
@@ -84,10 +84,10 @@ def _promised() -> Table:
         )
     return Table.of(
         "purcell-5.2",
-        f"Millions of triangle tests a second from Table 1: {speed.source}",
+        f"Millions of triangle tests per second from Table 1: {speed.source}",
         ["machine", "published", "ours", "ratio", "GB/s that they need", "within 8 GB/s"],
         rows,
-        f"{intersect.instructions} instructions and {intersect.memory} words a test. With the "
+        f"{intersect.instructions} instructions and {intersect.memory} words per test. With the "
         "faster machine the tests alone would need more than the 8 GB/s, unless the texture "
         "cache serves some of them: the paper's sentence that not all of the bandwidth would be "
         "used counts on it.",

@@ -53,7 +53,7 @@ _FAMILIES = (
 
 
 def zbuffer(runner: Runner) -> Result:
-    """Instructions of both ways to a picture, and where they cross."""
+    """Instructions of both ways to a image, and where they cross."""
     result = Result()
     size = min(runner.size(_SIZE), _SIZE)
     rows: list[list[Cell]] = []
@@ -78,7 +78,7 @@ def zbuffer(runner: Runner) -> Result:
     result.tables = [
         Table.of(
             "purcell-zbuffer",
-            f"Instructions a pixel, ray tracing and Z-buffer; {size} x {size}",
+            f"Instructions per pixel, ray tracing and Z-buffer; {size} x {size}",
             ["scenes", "triangles", "depth complexity", "v", "t", *names],
             rows,
             *(f"{one.name}: {one.about}." for one in _FAMILIES),
@@ -187,7 +187,7 @@ def _measure(runner: Runner, family: str, number: int, size: int) -> dict[str, A
 
 
 def _costs(one: dict[str, Any]) -> dict[str, float]:
-    """Instructions a pixel of each way."""
+    """Instructions per pixel of each way."""
     table = prices("branching")
     rays = one["rays"]
     traced = cost(counts_of(one), table).all_instructions / rays
@@ -229,9 +229,9 @@ def _exponent(depths: list[float], values: list[float]) -> float:
 def _plot(family: _Family, depths: list[float], lines: dict[str, list[float]]) -> Plot:
     return Plot(
         f"purcell-zbuffer-{family.name.replace(' ', '-')}",
-        f"{family.name}: instructions a pixel by depth complexity",
+        f"{family.name}: instructions per pixel by depth complexity",
         "triangles that a pixel's ray pierces",
-        "instructions a pixel",
+        "instructions per pixel",
         [Series(name, list(depths), list(values)) for name, values in lines.items()],
         log_x=True,
         log_y=True,

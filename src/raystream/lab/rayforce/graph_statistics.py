@@ -33,7 +33,7 @@ def ray_sets(view: View, size: int) -> dict[str, Rays]:
     ----------
     view : View
     size : int
-        Width and height of the picture from whose rays the others come.
+        Width and height of the image from whose rays the others come.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def _graphs(found: dict[str, dict[str, Any]]) -> Table:
         "rayforce-graph",
         "The graphs",
         ["scene", "triangles", "sectors", "empty", "lists a triangle is in", "link nodes"]
-        + ["of those without sharing", "link nodes behind a face", "bytes a triangle", "bins"],
+        + ["of those without sharing", "link nodes behind a face", "bytes per triangle", "bins"],
         rows,
         "Bytes are of sectors, link nodes, lists and bins, without the triangles' corners. Link "
         "nodes behind a face: how many a random ray passes from one sector to the next.",
@@ -180,7 +180,7 @@ def _structures(found: dict[str, dict[str, Any]]) -> Table:
     return Table.of(
         "rayforce-structures",
         "Memory and build time",
-        ["scene", "structure", "bytes a triangle", f"bytes / {REFERENCE}'s", "build, s"]
+        ["scene", "structure", "bytes per triangle", f"bytes / {REFERENCE}'s", "build, s"]
         + [f"build / {REFERENCE}'s"],
         rows,
         "Bytes include a copy of the corners, in the order in which they are tested; the grid has "

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.lab.frame_timing import picture
+from raystream.lab.frame_timing import report_image
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
@@ -107,7 +107,7 @@ def hidden_triangles(runner: Runner) -> Result:
         scene = scene_with_hidden(place, factors[-1])
         name = f"rayforce {place}"
         title = f"The view with {factors[-1]} times as many triangles {place}"
-        result.pictures.append(picture(runner, name, title, scene, "vis", (240, 240)))
+        result.images.append(report_image(runner, name, title, scene, "vis", (240, 240)))
     return result
 
 
@@ -164,7 +164,7 @@ def _table(runner: Runner, found: _Found) -> Table:
         "rayforce-hidden",
         f"What a ray meets as the scene grows where no ray comes: {VISIBLE}, {size} x {size} rays",
         ["more triangles", "times", "triangles", "structure", "steps", "tests", "price"]
-        + ["ns a ray", "pixels that changed"],
+        + ["ns per ray", "pixels that changed"],
         rows,
         "Steps and tests are counted, and decide. The price is that of a ray's sectors, link nodes "
         "and tests in the units by which the graph was built: it chooses between more steps and "

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.lab.frame_timing import picture
+from raystream.lab.frame_timing import report_image
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
@@ -93,8 +93,8 @@ def layers(runner: Runner) -> Result:
                 + "; what low means is our reading",
             )
         ],
-        pictures=[
-            picture(
+        images=[
+            report_image(
                 runner,
                 "rayforce layers",
                 "16 layers, drawn as clear sheets",
@@ -163,7 +163,7 @@ def _times(runner: Runner, found: dict[int, dict[str, dict[str, Any]]]) -> Table
     size = runner.size(SIZE)
     return Table.of(
         "rayforce-layers",
-        f"Layers: nanoseconds a ray, {size} x {size} rays",
+        f"Layers: nanoseconds per ray, {size} x {size} rays",
         ["layers", "structure", *QUERIES, "all, a hit"],
         rows,
         f"Sheets of {2 * CELLS**2} triangles, parallel and across the view; each ray meets all of "
@@ -198,7 +198,7 @@ def _plot_all(found: dict[int, dict[str, dict[str, Any]]]) -> Plot:
         "rayforce-layers",
         "All hits of a ray",
         "layers",
-        "nanoseconds a ray",
+        "nanoseconds per ray",
         [
             Series(
                 name,
@@ -221,7 +221,7 @@ def _plot_queries(found: dict[int, dict[str, dict[str, Any]]]) -> Plot:
         "rayforce-layer-queries",
         f"What a ray is asked, in the {REFERENCE}",
         "layers",
-        "nanoseconds a ray",
+        "nanoseconds per ray",
         [
             Series(
                 title,

@@ -7,7 +7,13 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
-from raystream.lab.frame_timing import Size, affordable_size, frame_seconds, picture, render_context
+from raystream.lab.frame_timing import (
+    Size,
+    affordable_size,
+    frame_seconds,
+    render_context,
+    report_image,
+)
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
 from raystream.lab.recording_tracer import RecordingTracer
@@ -30,14 +36,14 @@ MODES = {
 
 ROUNDS = 3
 
-#: Seconds that a frame may take; pictures that would take longer get smaller.
+#: Seconds that a frame may take; images that would take longer get smaller.
 _LIMIT = 1.0
 _QUICK_LIMIT = 0.2
 
 #: May be drawn smaller than the others, which share a size.
 _SLOW = "grid"
 
-_PICTURE_SIZE = (320, 240)
+_IMAGE_SIZE = (320, 240)
 
 
 #: Of a scene and mode, by structure.
@@ -86,8 +92,8 @@ def render_modes(runner: Runner) -> Result:
             found[mode][view.name] = _measured(runner, contenders, view.name, mode)
             title = f"{view.name}: {mode}, one sample a pixel"
             name = f"rayforce {view.name} {mode}"
-            result.pictures.append(
-                picture(runner, name, title, contenders.scene, mode, _PICTURE_SIZE)
+            result.images.append(
+                report_image(runner, name, title, contenders.scene, mode, _IMAGE_SIZE)
             )
     size = frame_size(runner)
     result.tables = [_table(mode, frames, size) for mode, frames in found.items()]
@@ -160,7 +166,7 @@ def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
     return Table.of(
         f"rayforce-{mode}",
         f"{mode}: {MODES[mode]}; frames of {size[0]} x {size[1]} pixels",
-        ["scene", "structure", "drawn", "rays a pixel", "ms", "frames/s"]
+        ["scene", "structure", "drawn", "rays per pixel", "ms", "frames/s"]
         + ["Mrays/s", f"time / {REFERENCE}'s"],
         rows,
         f"Whole frames without display, medians of {ROUNDS} rounds in which structures take "
@@ -184,9 +190,9 @@ def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
         series.append(Series(structure, bars, rates))
     return Plot(
         "rayforce-modes",
-        f"Rays a second in whole frames of {size[0]} x {size[1]} pixels",
+        f"Rays per second in whole frames of {size[0]} x {size[1]} pixels",
         "",
-        "million rays a second",
+        "million rays per second",
         series,
         kind="bars",
     )
