@@ -124,7 +124,7 @@ def test_the_reason_names_what_was_measured():
     assert nearest(tried, "robots") is deep
     up = theirs["up"]
     assert explain_difference("up", 0.5 * up, up, tried) == f"depth: 9 gives {0.9 * up:.3g}"
-    assert explain_difference("up", 0.5 * up, up, [as_is]) == "nothing that was tried reaches it"
+    assert explain_difference("up", 0.5 * up, up, [as_is]) == "no setting tried reaches it"
     assert explain_difference("up", 0.8 * up, up, tried) == ""
     assert not is_near(1.26, 1.0)
 

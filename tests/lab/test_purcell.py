@@ -89,7 +89,7 @@ def test_shares_of_costs_add_up(runner: Runner) -> None:
     sums: dict[tuple[object, object], list[float]] = {}
     for row in by_kernel.rows:
         view, architecture, part, instructions, _, moved, _ = row
-        if part != "all, a ray":
+        if part != "all, per ray":
             one = sums.setdefault((view, architecture), [0.0, 0.0])
             one[0] += float(instructions or 0.0)
             one[1] += float(moved or 0.0)

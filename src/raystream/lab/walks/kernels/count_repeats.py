@@ -22,7 +22,7 @@ def count_repeats(begin, end, walks, lists, roles, stamps, boxes, counts):
         ``run_splits``, ``run_kernels``, ``run_lengths``, ``visit_splits``, ``visits`` of `Walks`.
     lists : GridArrays
     roles : ndarray of shape (K,), uint8
-        See `emit_references`: 1 visits a cell, 2 tests a triangle.
+        See `emit_references`: 1 visits a cell, 2 tests per triangle.
     stamps : ndarray of shape (F,), int64
         Initially -1; the last ray that tested each triangle is written.
     boxes : tuple of ndarray, int32
