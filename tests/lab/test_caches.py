@@ -30,7 +30,7 @@ class Cramped(ReuseDistances):
 
 
 class Roomy(ReuseDistances):
-    """Has a time line of several rows of marks from the start."""
+    """Has a time line of several rows of blocks from the start."""
 
     _first_end = 1 << 20
 
@@ -70,7 +70,7 @@ def assert_same_accesses(counts, references, line_size) -> None:
     for kind, one in enumerate(counts.values()):
         lengths = [length for _, length, its in references if its == kind]
         assert one.references == len(lengths)
-        assert one.bytes_asked == sum(lengths)
+        assert one.bytes_requested == sum(lengths)
         assert one.accesses == sum(its == kind for _, its in accesses)
 
 
@@ -124,7 +124,7 @@ def test_curve_is_that_of_fully_associative_caches(references, line_size):
 
 @pytest.mark.parametrize("measure", [ReuseDistances, Cramped, Roomy])
 def test_long_trace_of_many_lines(measure, rng):
-    # Far apart in time and space: the distances reach over words, blocks and rows of marks.
+    # Far apart in time and space: the distances reach over words, blocks and rows.
     count = 400_000
     near = np.abs(np.cumsum(rng.integers(-40, 41, count)))
     far = rng.integers(0, 1 << 40, 60_000)[rng.integers(0, 60_000, count)]
@@ -214,7 +214,7 @@ WRONG = {
     "lines are more than": lambda: Cache(1 << 60, 16),
     "kinds: must be a sequence of names": lambda: Cache(64, 16, kinds="cells"),
     "kinds: must be 1 to 256 names, not 0": lambda: Cache(64, 16, kinds=()),
-    "kinds: each name must be there once": lambda: ReuseDistances(16, kinds=("a", "a")),
+    "kinds: names must be unique": lambda: ReuseDistances(16, kinds=("a", "a")),
     "line_size: must be at least 4, not 3": lambda: ReuseDistances(3),
     "addresses: must be uint64, not int64": lambda: Cache(64, 16).access(WORD.astype(np.int64)),
     "addresses: must have shape": lambda: Cache(64, 16).access(WORD[None]),
@@ -227,14 +227,14 @@ WRONG = {
         WORD, 0, np.zeros(1, np.uint8)
     ),
     "lengths: must be from 1 to 255, not 256": lambda: Cache(64, 16).access(WORD, 0, 256),
-    "reference 0, 4 bytes at 18446744073709551613, reaches beyond": lambda: Cache(64, 16).access(
+    "reference 0, 4 bytes at 18446744073709551613, extends beyond": lambda: Cache(64, 16).access(
         WORD - np.uint64(3)
     ),
     "sizes: must be integers": lambda: ReuseDistances(16).misses(0.5),
     "sizes: must not be negative": lambda: ReuseDistances(16).misses([-1]),
     "sizes: must have shape": lambda: ReuseDistances(16).curve([[1]]),
     "size: must be at least 0": lambda: ReuseDistances(16).counts(-1),
-    "do not add up": lambda: LineCounts(0, 0, 0, 0, 16) + LineCounts(0, 0, 0, 0, 32),
+    "cannot add": lambda: LineCounts(0, 0, 0, 0, 16) + LineCounts(0, 0, 0, 0, 32),
 }
 
 

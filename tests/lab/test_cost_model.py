@@ -7,7 +7,7 @@ import pytest
 from raystream.lab.cost_model import Counts, cost, prices, unrolled
 
 
-def test_a_picture_is_priced_by_hand() -> None:
+def test_an_image_is_priced_by_hand() -> None:
     # 100 rays, 80 in the box, 500 steps, 300 tests, 60 hits, 7 passes; Table 1 of the paper.
     counts = Counts(100, 80, 500, 300, 60, 7)
     found = cost(counts, prices("multipass"))

@@ -76,7 +76,7 @@ def test_traversals_visit_the_same_leaves_and_triangles(view, bonus):
     assert backtrack["backtrack_steps"] <= 2 * stack["steps"]
 
 
-def test_figures_are_of_foley_s_pictures():
+def test_figures_are_of_foley_s_images():
     each = {"rays": 256, "steps": 0, "backtracks": 0, "backtrack_steps": 0, "tests": 7, "leaves": 5}
     found = {
         "restart": each | {"steps": 100},
@@ -124,7 +124,7 @@ def test_the_reason_names_what_was_measured():
     assert nearest(tried, "robots") is deep
     up = theirs["up"]
     assert explain_difference("up", 0.5 * up, up, tried) == f"depth: 9 gives {0.9 * up:.3g}"
-    assert explain_difference("up", 0.5 * up, up, [as_is]) == "nothing that was tried reaches it"
+    assert explain_difference("up", 0.5 * up, up, [as_is]) == "no setting tried reaches it"
     assert explain_difference("up", 0.8 * up, up, tried) == ""
     assert not is_near(1.26, 1.0)
 
@@ -208,7 +208,7 @@ def test_experiments_run_and_resume(name, runner, monkeypatch):
     def refuse(*_):
         raise AssertionError("measured again")
 
-    monkeypatch.setattr(runner._store, "keep", refuse)
+    monkeypatch.setattr(runner._store, "save", refuse)
     assert runner.run(name, function).as_json() == result.as_json()
 
 

@@ -169,9 +169,9 @@ def test_what_cannot_be_read_is_refused():
         branching_references(walks_of("kdtree, stack"))
     with pytest.raises(ValueError, match="one level"):
         branching_references(walks_of("grid, two levels"))
-    with pytest.raises(ValueError, match="not one of these walks"):
+    with pytest.raises(ValueError, match="belongs to other walks"):
         multipass_references(walks, replay(walks_of("kdtree, stack")))
-    with pytest.raises(ValueError, match="not one of these walks"):
+    with pytest.raises(ValueError, match="belongs to other walks"):
         list(multipass_references(walks, replay(walks_of("grid", any_hit=True))))
     with pytest.raises(ValueError, match="state_words: expected 0 to 28"):
         multipass_references(

@@ -1,4 +1,4 @@
-"""Purcell's experiments on small pictures: what must be exact, and that all of them run."""
+"""Purcell's experiments on small images: what must be exact, and that all of them run."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def test_statistics_are_those_of_counters(runner: Runner) -> None:
     view = runner.view("forest top")
     tracer = rs.Tracer(view.scene, "grid", counters=True, **grid_options(view, quick=True))
     hits = tracer.first_hit(*view.rays(SIZE))
-    assert table["forest top: cells a ray (v)"] == tracer.counters.steps.mean()
-    assert table["forest top: triangles a ray (t)"] == tracer.counters.tests.mean()
+    assert table["forest top: cells per ray (v)"] == tracer.counters.steps.mean()
+    assert table["forest top: triangles per ray (t)"] == tracer.counters.tests.mean()
     assert table["forest top: share of rays that hit (s)"] == hits.is_hit.mean()
-    assert [one.path.stat().st_size > 1000 for one in result.pictures] == [True, True]
+    assert [one.path.stat().st_size > 1000 for one in result.images] == [True, True]
 
 
 @pytest.mark.parametrize("name", VIEWS)
@@ -89,7 +89,7 @@ def test_shares_of_costs_add_up(runner: Runner) -> None:
     sums: dict[tuple[object, object], list[float]] = {}
     for row in by_kernel.rows:
         view, architecture, part, instructions, _, moved, _ = row
-        if part != "all, a ray":
+        if part != "all, per ray":
             one = sums.setdefault((view, architecture), [0.0, 0.0])
             one[0] += float(instructions or 0.0)
             one[1] += float(moved or 0.0)

@@ -74,7 +74,7 @@ def test_hidden_counts_are_those_of_a_query(runner, monkeypatch):
     assert row["steps"] == (total["steps"] + total["link_nodes"]) / 256
     assert row["tests"] == total["tests"] / 256
     assert row["triangles"] == scene.triangle_count
-    assert len(result.pictures) == 2
+    assert len(result.images) == 2
 
 
 def test_modes_count_the_rays_of_the_poster(runner, monkeypatch):
@@ -85,13 +85,13 @@ def test_modes_count_the_rays_of_the_poster(runner, monkeypatch):
         rows = rows_of(result, f"rayforce-{mode}")
         assert [row["structure"] for row in rows] == ["graph", "bvh"]
         assert rows[0]["time / graph's"] == 1.0
-        per_pixel = {row["rays a pixel"] for row in rows}
+        per_pixel = {row["rays per pixel"] for row in rows}
         if mode in ("vis", "xray"):
             assert per_pixel == {1.0}
         if mode == "ao":
             assert all(1.0 < rays <= 33.0 for rays in per_pixel)
     assert [claim.verdict for claim in result.claims] == ["not measured"]
-    assert all(picture.path.exists() for picture in result.pictures)
+    assert all(image.path.exists() for image in result.images)
 
 
 def test_ambient_occlusion_asks_32_times_at_each_hit():
@@ -110,7 +110,7 @@ def test_ambient_occlusion_asks_32_times_at_each_hit():
     }
 
 
-def test_pictures_get_smaller_only_as_far_as_needed():
+def test_images_get_smaller_only_as_far_as_needed():
     assert affordable_size(1e-6, (1024, 768), 1.0, (256, 192)) == (1024, 768)
     assert affordable_size(3e-6, (1024, 768), 1.0, (256, 192)) == (512, 384)
     assert affordable_size(1.0, (1024, 768), 1.0, (256, 192)) == (256, 192)
@@ -123,7 +123,7 @@ def test_the_graph_is_described(runner, monkeypatch):
     (row,) = rows_of(result, "rayforce-graph")
     assert row["sectors"] == tracer.structure.quality()["sectors"]
     memory = rows_of(result, "rayforce-structures")[0]
-    assert memory["bytes a triangle"] == tracer.structure.report.byte_count / row["triangles"]
+    assert memory["bytes per triangle"] == tracer.structure.report.byte_count / row["triangles"]
     eye, *_ = rows_of(result, "rayforce-walks")
     assert eye["rays"] == "from the eye"
     assert eye["sectors left, mean"] <= eye["most"]

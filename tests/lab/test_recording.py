@@ -65,7 +65,7 @@ def test_other_structures_walk_without_places(name):
     assert walks.visits is None
     with pytest.raises(ValueError, match="visits: not recorded"):
         walks.visits_of(0)
-    with pytest.raises(ValueError, match=f"visits: {name} has no places; expected grid or kd"):
+    with pytest.raises(ValueError, match=f"visits: not supported for {name}; expected grid or kd"):
         record(tracer, **rays, visits=True)
 
 
@@ -146,7 +146,7 @@ def test_too_many_steps_are_refused_before_they_are_kept(monkeypatch):
     tracer = tracer_of("grid")
     free = iter([10**9, 100])  # enough for counts
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: next(free))
-    with pytest.raises(MemoryError, match=r"runs and .* places of 480 rays .* record fewer rays"):
+    with pytest.raises(MemoryError, match=r"runs and .* visits of 480 rays .* record fewer rays"):
         record(tracer, **rays, visits=True)
     monkeypatch.setattr("raystream.core.memory.available_memory", lambda: 100)
     with pytest.raises(MemoryError, match=r"counts of 480 rays would .* record fewer rays"):

@@ -12,7 +12,17 @@ import pytest
 from PIL import Image
 
 from extras import need
-from raystream.lab import About, Claim, Experiment, Outcome, Picture, Plot, Result, Series, Table
+from raystream.lab import (
+    About,
+    Claim,
+    Experiment,
+    Outcome,
+    Plot,
+    ReportImage,
+    Result,
+    Series,
+    Table,
+)
 from raystream.lab.report import as_html, as_markdown, write_report
 
 EVIL = '</script><b onclick="x()">&|`code`'
@@ -36,8 +46,8 @@ def about() -> About:
 
 @pytest.fixture
 def outcomes(tmp_path: Path) -> list[Outcome]:
-    picture = tmp_path / "scene.png"
-    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(picture)
+    image = tmp_path / "scene.png"
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(image)
     result = Result(
         tables=[Table.of("t-1", EVIL, ["what", "number"], [[EVIL, 1.5], ["none", None]], EVIL)],
         plots=[
@@ -46,7 +56,7 @@ def outcomes(tmp_path: Path) -> list[Outcome]:
             Plot("p-3", "Beside", "", "y", [Series("a", ["u", "v"], [1.0, 2.0])] * 2, "bars"),
         ],
         claims=[Claim.judged(EVIL, "Purcell 2002", {"a": True, "b": False}, "evidence")],
-        pictures=[Picture("scene", picture)],
+        images=[ReportImage("scene", image)],
         notes=["left out: x"],
     )
     return [Outcome(Experiment("purcell-what", "What <it> is", "nowhere.x"), result)]
@@ -87,7 +97,7 @@ def test_page_is_whole_and_safe(about: About, outcomes: list[Outcome], tmp_path:
     assert "raystream lab purcell --only what --size 64 -o out" in page
     assert "holds in part" in page
     assert "a &lt;processor&gt;" in page
-    assert "3 measurements were taken over" in page
+    assert "3 measurements were reused" in page
 
 
 def test_markdown_tables_keep_their_columns(about: About, outcomes: list[Outcome]) -> None:

@@ -114,8 +114,8 @@ def store(path: Path, **settings: Any) -> Store:
 
 def test_store_keeps_measurements(tmp_path: Path) -> None:
     first = store(tmp_path)
-    first.keep("a", {"x": [1, 2.5, None]})
-    first.keep("b", 3)
+    first.save("a", {"x": [1, 2.5, None]})
+    first.save("b", 3)
     second = store(tmp_path)
     assert second.values == {}
     second.read()
@@ -123,7 +123,7 @@ def test_store_keeps_measurements(tmp_path: Path) -> None:
     assert second.foreign_count == 0
     third = Store(second.path, {"quick": True}, "another source")
     third.read()
-    third.keep("b", 4)
+    third.save("b", 4)
     third.read()
     assert (third.foreign_count, third.values["b"]) == (1, 4)
 
@@ -135,7 +135,7 @@ def test_store_without_a_file_is_empty(tmp_path: Path) -> None:
 
 
 def test_store_refuses_other_settings(tmp_path: Path) -> None:
-    store(tmp_path, quick=True, size=None).keep("a", 1)
+    store(tmp_path, quick=True, size=None).save("a", 1)
     with pytest.raises(FileFormatError, match=r"quick True.*not with quick False"):
         store(tmp_path, quick=False, size=None).read()
 
@@ -160,18 +160,18 @@ def test_store_refuses_other_settings(tmp_path: Path) -> None:
 )
 def test_store_refuses_damaged_files(tmp_path: Path, text: str) -> None:
     (tmp_path / "measurements.json").write_text(text, encoding="utf-8")
-    with pytest.raises(FileFormatError, match="holds no measurements"):
+    with pytest.raises(FileFormatError, match="contains no measurements"):
         store(tmp_path).read()
 
 
 def test_store_refuses_what_json_cannot_hold(tmp_path: Path) -> None:
     kept = store(tmp_path)
-    kept.keep("a", 1)
+    kept.save("a", 1)
     with pytest.raises(ValueError, match="JSON"):
-        kept.keep("b", float("inf"))
+        kept.save("b", float("inf"))
     assert list(json.loads(kept.path.read_text())["measurements"]) == ["a"]
 
 
 def test_columns_have_names_of_their_own() -> None:
-    with pytest.raises(ValueError, match="speed: columns must differ"):
+    with pytest.raises(ValueError, match="speed: columns must be unique"):
         Table.of("speed", "Speed", ["scene", "rays", "rays"], [])

@@ -211,7 +211,7 @@ def test_a_bvh_puts_children_aside_the_nearest_on_top(walks):
 @pytest.mark.parametrize("key", [*PANELS, "bvh"])
 def test_a_walk_can_end_early(plan, tracers, walks, key):
     ray, longest = max(zip(RAYS, walks[key], strict=True), key=lambda pair: len(pair[1].steps))
-    short = walk(tracers[key], *plan.ray(ray.origin, ray.direction), most_steps=3)
+    short = walk(tracers[key], *plan.ray(ray.origin, ray.direction), max_steps=3)
     assert (short.is_whole, longest.is_whole) == (False, True)
     assert short.steps == longest.steps[:3]
     assert sum(short.counts.values()) <= sum(longest.counts.values())
@@ -275,8 +275,8 @@ def test_a_short_stack_forgets_and_begins_again(rng):
             assert ends == sorted(ends)
             assert len(ends) <= 4
     assert any("pop" in line for line in said)
-    assert any("forget the oldest of more than 4" in line for line in said)
-    assert any("was forgotten; begin again at" in line for line in said)
+    assert any("drop the oldest of more than 4" in line for line in said)
+    assert any("was dropped; restart at" in line for line in said)
 
 
 def test_two_levels_of_a_grid(plan):

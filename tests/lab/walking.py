@@ -20,7 +20,7 @@ PLACED = {
 
 @cache
 def scene_and_rays():
-    """A closed mesh of 320 triangles, and rays of a picture: some miss all of it."""
+    """A closed mesh of 320 triangles, and rays of a image: some miss all of it."""
     scene = rs.Scene.from_arrays(*dented_sphere(2))
     origins, directions = scene.camera_for(1.2).rays(24, 20)
     return scene, {"origins": origins, "directions": directions}

@@ -1,9 +1,9 @@
-"""The lab: the papers' experiments, re-run beside what they published."""
+"""The papers' experiments, re-run and compared with the published values."""
 
 from raystream.lab.experiments import EXPERIMENTS, PAPERS, Experiment, Outcome, choose, run_all
 from raystream.lab.published import Published, published
 from raystream.lab.report import About, write_report
-from raystream.lab.results import Claim, Picture, Plot, Result, Series, Table, comparison
+from raystream.lab.results import Claim, Plot, ReportImage, Result, Series, Table, comparison
 from raystream.lab.runner import Runner
 from raystream.lab.store import Store
 
@@ -14,9 +14,9 @@ __all__ = [
     "Claim",
     "Experiment",
     "Outcome",
-    "Picture",
     "Plot",
     "Published",
+    "ReportImage",
     "Result",
     "Runner",
     "Series",

@@ -1,4 +1,4 @@
-"""Cameras: other views of a scene, to see how much a result depends on the one that was chosen."""
+"""Alternative cameras of a scene, to test how much a result depends on the view."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def orbit(
     heights: Sequence[float],
     distances: Sequence[float],
 ) -> Iterator[tuple[str, Camera]]:
-    """Go around what a camera looks at.
+    """Orbit a camera around its target.
 
     Parameters
     ----------
@@ -29,16 +29,16 @@ def orbit(
     axis : array_like of shape (3,)
         The world's up direction.
     turns : sequence of float
-        Degrees around the axis, from where it stands.
+        Degrees around the axis, relative to the camera.
     heights : sequence of float
-        Degrees above the plane across the axis.
+        Degrees above the plane perpendicular to the axis.
     distances : sequence of float
-        Of its own distance.
+        Multiples of the camera's distance.
 
     Yields
     ------
     str, Camera
-        What was changed, and the camera.
+        A description of the change, and the camera.
     """
     target, up = np.asarray(camera.look_at, np.float64), _unit(axis)
     away = np.asarray(camera.eye, np.float64) - target
@@ -63,7 +63,7 @@ def orbit(
 def turn(
     camera: Camera, turns: Sequence[float], steps: Sequence[float]
 ) -> Iterator[tuple[str, Camera]]:
-    """Look around from where a camera stands, and from places along its way.
+    """Turn a camera at its position, and at positions along its view direction.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def turn(
     turns : sequence of float
         Degrees around its up direction.
     steps : sequence of float
-        How far ahead it goes first, as a share of the way to what it looks at.
+        How far to move ahead first, as a share of the distance to the target.
 
     Yields
     ------

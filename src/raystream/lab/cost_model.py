@@ -1,7 +1,7 @@
-"""Cost model: instructions and bytes of a picture from what its rays meet (Purcell 2002, 3.2).
+"""Cost model: instructions and bytes of an image from the counts of its rays (Purcell 2002, 3.2).
 
-``C = R (C_r + v C_v + t C_t + s C_s) + R P C_stencil``: each kernel's price, of Table 1, times how
-often it runs. On the multipass architecture every pass reads the stencil of every ray.
+``C = R (C_r + v C_v + t C_t + s C_s) + R P C_stencil``: the cost of each kernel in Table 1 times
+its number of runs. On the multipass architecture every pass reads the stencil of every ray.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ ARCHITECTURES = ("multipass", "branching")
 
 _WORD_BYTES = 4
 
-#: Kernels in the order in which the paper lists them.
+#: Kernels in the paper's order.
 KERNELS = ("generate eye ray", "set up", "step", "intersect", "color")
 
 
 class Prices(NamedTuple):
-    """What one run of a kernel costs: a row of Table 1.
+    """The cost of one run of a kernel: a row of Table 1.
 
     Attributes
     ----------
     instructions : float
     read, written : float
-        Words of 4 bytes that a ray keeps between passes.
+        Words of 4 bytes of a ray's state between passes.
     memory : float
-        Words of textures that are read at random: grid, lists, triangles, shading data.
+        Words of random texture reads: grid, lists, triangles, shading data.
     stencil_read, stencil_written : float
         Bytes.
     """
@@ -44,14 +44,14 @@ class Prices(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """How often each kernel runs in a picture.
+    """The number of runs of each kernel for an image.
 
     Attributes
     ----------
     rays : int
-        R: rays from the eye.
+        R: camera rays.
     entering : int
-        Those that meet the scene's box, and are set up.
+        Rays that hit the scene's box and are set up.
     steps, tests, shadings : int
         R v, R t and R s.
     passes : int
@@ -72,15 +72,15 @@ class Counts(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What a picture costs.
+    """The cost of an image.
 
     Attributes
     ----------
     instructions : dict of str to float
         By kernel.
     state, data, stencil : dict of str to float
-        Bytes of each ray's state, of the scene's data, and of the stencil, by kernel; the
-        stencils that passes read are under ``"passes"``.
+        Bytes of ray state, of scene data and of the stencil, by kernel; the stencil reads of passes
+        are under ``"passes"``.
     """
 
     instructions: dict[str, float]
@@ -95,19 +95,19 @@ class Cost(NamedTuple):
 
     @property
     def bytes_by_kernel(self) -> dict[str, float]:
-        """Bytes of each kernel, and ``"passes"``."""
+        """Bytes of each kernel and of ``"passes"``."""
         names = dict.fromkeys([*self.state, *self.stencil])
         parts = (self.state, self.data, self.stencil)
         return {name: sum(part.get(name, 0.0) for part in parts) for name in names}
 
     @property
     def all_bytes(self) -> float:
-        """Bytes of everything."""
+        """Total bytes."""
         return sum(sum(part.values()) for part in (self.state, self.data, self.stencil))
 
 
 def prices(architecture: str) -> dict[str, Prices]:
-    """Table 1 of an architecture.
+    """Look up Table 1 for an architecture.
 
     Parameters
     ----------
@@ -118,18 +118,18 @@ def prices(architecture: str) -> dict[str, Prices]:
 
 
 def cost(counts: Counts, table: Mapping[str, Prices]) -> Cost:
-    """Price a picture.
+    """Compute the cost of an image.
 
     Parameters
     ----------
     counts : Counts
     table : mapping of str to Prices
-        Such as `prices` gives.
+        Costs per kernel; see `prices`.
 
     Notes
     -----
-    Purcell charges the stencil of all rays in each pass, whether the kernel runs on them or
-    not; the runs' own stencil reads are among those.
+    Purcell charges the stencil of all rays in each pass, whether or not the kernel runs on them;
+    this includes the stencil reads of the runs.
     """
     runs = {kernel: counts.of(kernel) for kernel in KERNELS}
     rows = {kernel: table[kernel] for kernel in KERNELS}
@@ -146,19 +146,19 @@ def cost(counts: Counts, table: Mapping[str, Prices]) -> Cost:
 
 
 def unrolled(kernel: str, times: int) -> Prices:
-    """A kernel of the multipass architecture that does several steps in a pass.
+    """The cost of a multipass kernel that takes several steps per pass.
 
     Parameters
     ----------
     kernel : {"step", "intersect"}
     times : int
-        Steps, or triangles.
+        Steps or triangles.
 
     Notes
     -----
-    What a pass adds to a step is the difference between the two architectures in Table 1: the
-    branching kernel does the same without fetching and keeping a ray's state. An unrolled kernel
-    pays that once, and the step itself `times` times; state and stencil once.
+    The overhead of a pass is the difference between the two architectures in Table 1: the branching
+    kernel does the same without loading and storing a ray's state. An unrolled kernel pays the
+    overhead, state and stencil once, and the step itself `times` times.
     """
     whole, bare = prices("multipass")[kernel], prices("branching")[kernel]
     around = whole.instructions - bare.instructions

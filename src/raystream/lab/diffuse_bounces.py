@@ -1,4 +1,4 @@
-"""Bounces: rays that leave surfaces in all directions, as the paths of light do."""
+"""Cosine-weighted diffuse bounce rays."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["bounce_rays", "cosine_directions"]
 def bounce_rays(
     hits: Hits, directions: Any, seed: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """One ray from each hit, on the side that it was seen from, cosine-weighted.
+    """Spawn one cosine-weighted ray per hit, on the side that the incoming ray came from.
 
     Parameters
     ----------
     hits : Hits
-        Of N rays and any shape.
+        Of any shape.
     directions : array_like of the hits' shape + (3,)
-        Of the rays that found them.
+        Directions of the incoming rays.
     seed : int
 
     Returns
     -------
     origins, directions : ndarray of shape (K, 3), float64
-        Of the K hits among the rays, in their order.
+        Of the K hits, in order.
     """
     away = cosine_directions(
         np.asarray(hits.normals, np.float64), directions, np.random.default_rng(seed)
@@ -41,24 +41,24 @@ def bounce_rays(
 def cosine_directions(
     normals: NDArray[np.float64], incoming: Any, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Random directions on the side from which rays came, with a density as the cosine.
+    """Sample directions on the incoming side, with a density proportional to the cosine.
 
     Parameters
     ----------
     normals : ndarray of shape S + (3,)
-        Of unit length.
+        Unit length.
     incoming : array_like of shape S + (3,)
-        Directions of the rays that came.
+        Directions of the incoming rays.
     generator : Generator
 
     Returns
     -------
     ndarray of shape S + (3,), float64
-        Not of unit length.
+        Not normalized.
     """
     is_behind = (normals * np.asarray(incoming)).sum(axis=-1, keepdims=True) > 0.0
     around = generator.normal(size=normals.shape)
     around /= np.linalg.norm(around, axis=-1, keepdims=True)
-    # A point of the sphere around the normal's end; a little less, so that none is zero.
+    # A point on a sphere around the tip of the normal, slightly smaller to avoid zero.
     away: NDArray[np.float64] = np.where(is_behind, -normals, normals) + 0.999999 * around
     return away

@@ -1,4 +1,4 @@
-"""Experiments by paper and name, and a run of some of them."""
+"""The list of experiments, selection by paper and name, and running them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from raystream.lab.runner import Runner
 
 __all__ = ["DEVICES", "EXPERIMENTS", "PAPERS", "Experiment", "Outcome", "choose", "run_all"]
 
-#: Papers by the name that the command line knows, in the order of the report.
+#: Papers by their name on the command line, in the order of the report.
 PAPERS = ("purcell", "foley", "rayforce", "christen")
 
 #: Devices that have experiments.
@@ -23,12 +23,12 @@ DEVICES = ("cpu", "graphics")
 
 @dataclass(frozen=True)
 class Experiment:
-    """One question, put to raystream as a paper put it.
+    """One question of a paper, put to raystream.
 
     Attributes
     ----------
     name : str
-        Such as ``"purcell-statistics"``; begins with the paper's.
+        Such as ``"purcell-statistics"``; begins with the paper's name.
     title : str
     module : str
         Below `raystream.lab`; imported on first use. Its function has the same name.
@@ -54,7 +54,7 @@ class Experiment:
 
 
 class Outcome(NamedTuple):
-    """An experiment with what it found, and how many seconds its measurements took."""
+    """An experiment, its result, and the seconds that its measurements took."""
 
     experiment: Experiment
     result: Result
@@ -123,22 +123,22 @@ EXPERIMENTS = (
 def choose(
     papers: Sequence[str], only: Sequence[str] = (), device: str = "cpu"
 ) -> list[Experiment]:
-    """Find experiments.
+    """Select experiments.
 
     Parameters
     ----------
     papers : sequence of str
-        Of `PAPERS`, or ``"all"``.
+        Names in `PAPERS`, or ``"all"``.
     only : sequence of str
-        Names of experiments, or their ends without the paper; all of them if there is none.
+        Names of experiments, with or without the paper [default: all].
     device : str
-        Of `DEVICES`: what they measure.
+        One of `DEVICES`.
 
     Raises
     ------
     ValueError
-        If a name is unknown, or belongs to none of the papers or to another device; or if the
-        papers have no experiment for the device.
+        If a name is unknown, or not of these papers and this device; or if the papers have no
+        experiment for the device.
     """
     if device not in DEVICES:
         raise ValueError(f"device: expected {' or '.join(DEVICES)}, got {device!r}")
@@ -151,8 +151,8 @@ def choose(
         if ("all" in papers or one.paper in papers) and one.device == device
     ]
     if not chosen:
-        having = dict.fromkeys(one.paper for one in EXPERIMENTS if one.device == device)
-        raise ValueError(f"device {device!r}: has experiments of {', '.join(having)}")
+        available = dict.fromkeys(one.paper for one in EXPERIMENTS if one.device == device)
+        raise ValueError(f"device {device!r}: has experiments of {', '.join(available)}")
     if not only:
         return chosen
     for name in only:
@@ -171,7 +171,7 @@ def run_all(
     experiments: Sequence[Experiment],
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Outcome]:
-    """Run experiments one after another.
+    """Run experiments in sequence.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def run_all(
 
     Notes
     -----
-    One that lacks a model, or memory, says so in its notes; the others run.
+    An experiment that lacks a model or memory reports it in its notes; the others run.
     """
     outcomes = []
     for number, one in enumerate(experiments):

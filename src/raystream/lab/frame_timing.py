@@ -1,4 +1,4 @@
-"""Frames: whole pictures without display, timed; smaller ones where whole ones take too long."""
+"""Timing of whole frames without display, at a reduced size where they take too long."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from raystream.lab.results import Picture
+from raystream.lab.results import ReportImage
 from raystream.lab.runner import Runner
 from raystream.rendering.integrator import RenderContext, make_context
 from raystream.rendering.progressive import trace_sample
@@ -15,15 +15,15 @@ from raystream.rendering.sampling.sampler import Sampler
 from raystream.scene.scene import Scene
 from raystream.tracer import Tracer
 
-__all__ = ["Size", "affordable_size", "frame_seconds", "picture", "render_context"]
+__all__ = ["Size", "affordable_size", "frame_seconds", "render_context", "report_image"]
 
 Size = tuple[int, int]
 
 
 def render_context(tracer: Tracer, size: Size) -> RenderContext:
-    """What all modes need of a tracer's scene, through its own camera, for one sample a pixel.
+    """A render context for a tracer's scene and camera, with one sample per pixel.
 
-    Tables of materials and lights are made here, once for a scene and not for each frame.
+    Tables of materials and lights are made here, once per scene and not per frame.
     """
     width, height = size
     camera = tracer.scene.camera_for(width / height)
@@ -33,15 +33,15 @@ def render_context(tracer: Tracer, size: Size) -> RenderContext:
 def frame_seconds(
     context: RenderContext, tracer: Tracer, mode: str, size: Size, **options: Any
 ) -> float:
-    """Time a frame: rays from the eye, traversal, shading; not display.
+    """Time a frame: camera rays, traversal and shading, without display.
 
     Parameters
     ----------
     context : RenderContext
-        See `render_context`; of the tracer's scene, with any size.
+        Of the tracer's scene, with any size; see `render_context`.
     tracer : Tracer
     mode : str
-        A key of `RENDERERS`, whose usual options hold unless others are given.
+        A key of `RENDERERS`; its default options apply unless overridden.
     size : (int, int)
     **options
     """
@@ -54,38 +54,38 @@ def frame_seconds(
     return time.perf_counter() - started
 
 
-def affordable_size(seconds_a_pixel: float, size: Size, limit: float, least: Size) -> Size:
-    """Halve a picture's sides until it takes no more than some seconds, or would be too small.
+def affordable_size(seconds_per_pixel: float, size: Size, limit: float, least: Size) -> Size:
+    """Halve an image's sides until it takes at most `limit` seconds or reaches the minimum size.
 
     Parameters
     ----------
-    seconds_a_pixel : float
-        As measured, in a small picture.
+    seconds_per_pixel : float
+        As measured in a small image.
     size : (int, int)
-        The one that is wanted.
+        The desired size.
     limit : float
         Seconds.
     least : (int, int)
-        No side gets shorter than this picture's.
+        Minimum width and height.
     """
     width, height = size
-    while seconds_a_pixel * width * height > limit:
+    while seconds_per_pixel * width * height > limit:
         if width // 2 < least[0] or height // 2 < least[1]:
             break
         width, height = width // 2, height // 2
     return width, height
 
 
-def picture(
+def report_image(
     runner: Runner, name: str, title: str, scene: Scene, mode: str, size: Size, **options: Any
-) -> Picture:
-    """Draw a scene for the report, unless the picture is there already.
+) -> ReportImage:
+    """Render a scene for the report, unless its image exists.
 
     Parameters
     ----------
     runner : Runner
     name : str
-        Of the file, without its suffix.
+        File name without suffix.
     title : str
     scene : Scene
     mode, size, **options
@@ -94,4 +94,4 @@ def picture(
     path = runner.folder / f"{name.replace(' ', '_')}.png"
     if not path.exists():
         render(scene, mode, size, **options).save(path)
-    return Picture(title, path)
+    return ReportImage(title, path)

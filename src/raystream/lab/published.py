@@ -1,4 +1,4 @@
-"""Published values: read from one data file, and from nowhere else."""
+"""The values published in the papers, read from a single data file."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ __all__ = ["Published", "paper_name", "published"]
 
 
 class Published(NamedTuple):
-    """What a paper printed in one place.
+    """The values from one place of a paper.
 
     Attributes
     ----------
     paper : str
-        By the name under which docstrings cite it.
+        The name under which docstrings cite it.
     place : str
         Table, figure or section.
     values : Any
-        As printed; rows of tables are mappings from a column's name.
+        As printed; table rows are mappings from column names.
     """
 
     paper: str
@@ -30,7 +30,7 @@ class Published(NamedTuple):
 
     @property
     def source(self) -> str:
-        """Paper and place, for people."""
+        """Paper and place as text."""
         return f"{self.paper}, {self.place}"
 
 
@@ -41,12 +41,12 @@ def _file() -> Mapping[str, Any]:
 
 
 def paper_name(paper: str) -> str:
-    """The name under which a paper is cited."""
+    """The name by which a paper is cited."""
     return str(_file()[paper]["name"])
 
 
 def published(paper: str, place: str) -> Published:
-    """Look up what a paper printed.
+    """Look up published values.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def published(paper: str, place: str) -> Published:
     Raises
     ------
     KeyError
-        If there is no such place.
+        If the place is unknown.
     """
     entry = _file()[paper][place]
     values, columns = entry["values"], entry.get("columns")
@@ -67,7 +67,7 @@ def published(paper: str, place: str) -> Published:
 
 
 def _rows(values: Any, columns: list[str]) -> Any:
-    """Lists in the order of columns as mappings, at any depth."""
+    """Turn lists of column values into mappings, at any depth."""
     if isinstance(values, list):
         return dict(zip(columns, values, strict=True))
     return {name: _rows(inner, columns) for name, inner in values.items()}

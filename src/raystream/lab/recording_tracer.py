@@ -1,4 +1,4 @@
-"""RecordedQuery: a tracer that notes what it is queries, to learn what rays a picture takes."""
+"""A tracer that records its queries, to count or replay the rays of an image."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RecordedQuery(NamedTuple):
     query : {"first_hit", "any_hit", "multi_hit"}
     ray_count : int
     origins, directions : ndarray of shape (N, 3), or None
-        The rays, if they are kept.
+        The rays, if recorded.
     """
 
     query: str
@@ -33,21 +33,21 @@ class RecordedQuery(NamedTuple):
 
 
 class RecordingTracer(Tracer):
-    """A tracer that notes its queries.
+    """A tracer that records its queries.
 
     Parameters
     ----------
     scene : Scene
     structure : str
     keep_rays : bool
-        Whether to keep the rays themselves, not only their number.
+        Record the rays themselves, not only their number.
     **options
         As for `Tracer`.
 
     Attributes
     ----------
     queries : list of RecordedQuery
-        In the order of the queries; several threads may ask at once.
+        In the order of the calls, which may come from several threads.
     """
 
     def __init__(
@@ -59,20 +59,20 @@ class RecordingTracer(Tracer):
 
     def first_hit(self, origins: Any, directions: Any, **options: Any) -> Hits:
         """See `Tracer.first_hit`."""
-        self._note("first_hit", origins, directions)
+        self._record("first_hit", origins, directions)
         return super().first_hit(origins, directions, **options)
 
     def any_hit(self, origins: Any, directions: Any, **options: Any) -> NDArray[np.bool_]:
         """See `Tracer.any_hit`."""
-        self._note("any_hit", origins, directions)
+        self._record("any_hit", origins, directions)
         return super().any_hit(origins, directions, **options)
 
     def multi_hit(self, origins: Any, directions: Any, **options: Any) -> MultiHits:
         """See `Tracer.multi_hit`."""
-        self._note("multi_hit", origins, directions)
+        self._record("multi_hit", origins, directions)
         return super().multi_hit(origins, directions, **options)
 
-    def _note(self, query: str, origins: Any, directions: Any) -> None:
+    def _record(self, query: str, origins: Any, directions: Any) -> None:
         count = math.prod(np.broadcast_shapes(np.shape(origins), np.shape(directions))[:-1])
         rays = (np.array(origins), np.array(directions)) if self.keep_rays else (None, None)
         self.queries.append(RecordedQuery(query, count, *rays))

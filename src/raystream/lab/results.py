@@ -1,4 +1,4 @@
-"""Results: what an experiment found, as tables, plots and verdicts, before anyone lays them out."""
+"""Results of experiments: tables, plots and verdicts, independent of their layout."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ __all__ = [
     "COMPARED",
     "Cell",
     "Claim",
-    "Picture",
     "Plot",
+    "ReportImage",
     "Result",
     "Series",
     "Table",
@@ -24,10 +24,10 @@ __all__ = [
 
 Found = TypeVar("Found")
 
-#: A table's cell: text, or a number that whoever lays it out rounds; None where there is none.
+#: A table's cell: text, or a number that is rounded on output; None if there is no value.
 Cell = str | int | float | None
 
-#: Columns of a table that compares.
+#: Columns of comparison tables.
 COMPARED = ("quantity", "published", "ours", "ratio", "why they differ")
 
 Verdict = Literal["holds", "holds in part", "does not hold", "not measured"]
@@ -40,12 +40,12 @@ class Table:
     Attributes
     ----------
     name : str
-        Short and unique in a report: names its JSON, and its place in the page.
+        Short and unique in a report: names it in JSON and its anchor in the page.
     title : str
     columns : tuple of str
     rows : tuple of tuples of cells
     notes : tuple of str
-        What a reader has to know; a sentence each.
+        Explanations, a sentence each.
     """
 
     name: str
@@ -68,10 +68,10 @@ class Table:
         Raises
         ------
         ValueError
-            If a row has not as many cells as there are columns, or two columns have one name.
+            If a row has the wrong number of cells, or two columns share a name.
         """
         if len(set(columns)) != len(columns):
-            raise ValueError(f"{name}: columns must differ, got {', '.join(columns)}")
+            raise ValueError(f"{name}: columns must be unique, got {', '.join(columns)}")
         kept = tuple(tuple(row) for row in rows)
         for row in kept:
             if len(row) != len(columns):
@@ -79,7 +79,7 @@ class Table:
         return cls(name, title, tuple(columns), kept, notes)
 
     def records(self) -> list[dict[str, Cell]]:
-        """Each row as a mapping from its columns."""
+        """Rows as mappings from column names."""
         return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
 
 
@@ -89,13 +89,13 @@ def comparison(
     rows: Iterable[tuple[str, Cell, Cell, str]],
     *notes: str,
 ) -> Table:
-    """Make a table that shows ours beside what was published.
+    """Make a table that compares our values with the published ones.
 
     Parameters
     ----------
     name, title : str
     rows : iterable of tuples
-        What it is, the published value, ours, and why they differ; their ratio is added.
+        Quantity, published value, our value, and why they differ; the ratio is added.
     *notes : str
 
     Returns
@@ -120,15 +120,15 @@ def _ratio(ours: Cell, theirs: Cell) -> float | None:
 
 @dataclass(frozen=True)
 class Series:
-    """A line, or a colour of bars.
+    """A line, or a group of bars of one colour.
 
     Attributes
     ----------
     label : str
     x : list
-        Numbers, or the names of bars.
+        Numbers, or names of bars.
     y : list of float
-        None where there is no value.
+        None for missing values.
     """
 
     label: str
@@ -138,17 +138,17 @@ class Series:
 
 @dataclass(frozen=True)
 class Plot:
-    """A plot, as figures.
+    """The data of a plot.
 
     Attributes
     ----------
     name, title, x_label, y_label : str
     series : list of Series
     kind : {"lines", "bars", "stacked"}
-        Bars beside or on top of each other.
+        Bars side by side or stacked.
     log_x, log_y : bool
     marks : dict of str to float
-        Dashed lines across, at a height, with their labels.
+        Heights of horizontal dashed lines, by label.
     """
 
     name: str
@@ -164,17 +164,17 @@ class Plot:
 
 @dataclass(frozen=True)
 class Claim:
-    """What a paper says in words, and whether it is so here.
+    """A paper's verbal claim, and whether it holds here.
 
     Attributes
     ----------
     text : str
-        The claim, in our words.
+        The claim in our words.
     source : str
         Paper and place.
     verdict : Verdict
     evidence : str
-        The figures that decide.
+        The figures that decide it.
     """
 
     text: str
@@ -184,7 +184,7 @@ class Claim:
 
     @classmethod
     def judged(cls, text: str, source: str, cases: Mapping[str, bool], evidence: str) -> Claim:
-        """Give the verdict over several cases: it holds in all, in some, or in none."""
+        """Judge a claim by several cases: it holds in all, in part, or in none."""
         verdict: Verdict = "not measured"
         if cases:
             held = sum(cases.values())
@@ -195,8 +195,8 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture in the report's folder.
+class ReportImage:
+    """An image in the report's folder.
 
     Attributes
     ----------
@@ -210,31 +210,31 @@ class Picture:
 
 @dataclass
 class Result:
-    """What an experiment found.
+    """The result of an experiment.
 
     Attributes
     ----------
-    tables, plots, claims, pictures : list
+    tables, plots, claims, images : list
     notes : list of str
-        Such as why something is missing; a sentence each.
+        Such as why something is missing, a sentence each.
     """
 
     tables: list[Table] = field(default_factory=list)
     plots: list[Plot] = field(default_factory=list)
     claims: list[Claim] = field(default_factory=list)
-    pictures: list[Picture] = field(default_factory=list)
+    images: list[ReportImage] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def available(
         self, names: Iterable[str], find: Callable[[str], Found]
     ) -> Iterator[tuple[str, Found]]:
-        """Each name with what is found for it; a note instead where a model is missing.
+        """Yield each name with its result; if a model is missing, add a note instead.
 
         Parameters
         ----------
         names : iterable of str
         find : callable
-            Called with a name; a RaystreamError of it becomes the note.
+            Called with a name; a RaystreamError becomes the note.
         """
         for name in names:
             try:
@@ -245,7 +245,7 @@ class Result:
                 yield name, found
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, for a file; pictures by their names."""
+        """The result as a JSON value; images by file name."""
         return {
             "tables": [
                 {
@@ -259,6 +259,6 @@ class Result:
             ],
             "plots": [asdict(plot) for plot in self.plots],
             "claims": [asdict(claim) for claim in self.claims],
-            "pictures": [{"title": one.title, "file": one.path.name} for one in self.pictures],
+            "pictures": [{"title": one.title, "file": one.path.name} for one in self.images],
             "notes": list(self.notes),
         }

@@ -1,4 +1,4 @@
-"""Runner: what experiments share, which is settings, scenes, structures, measurements."""
+"""The context of experiments: settings, scenes, structures and measurements."""
 
 from __future__ import annotations
 
@@ -17,31 +17,32 @@ from raystream.tracer import Tracer
 
 __all__ = ["Runner", "Watch"]
 
-#: Called with what begins; its context lasts as long, and gives a callback for progress, or None.
+#: Called with the title of a measurement; returns a context that gives a progress callback, or
+#: None.
 Watch = Callable[[str], AbstractContextManager[Progress | None]]
 
 
 class Runner:
-    """Where experiments run.
+    """Runs experiments and stores their measurements.
 
     Parameters
     ----------
     folder : Path
-        For pictures.
+        Folder of the images.
     store : Store
     size : int, optional
-        Width and height of pictures, instead of each paper's own.
+        Width and height of images [default: those of each paper].
     quick : bool
-        Smaller pictures, scenes and sweeps, to see that everything works.
+        Smaller images, scenes and sweeps, as a smoke test.
     watch : Watch, optional
-        Told what is measured.
+        Notified of each measurement.
 
     Attributes
     ----------
     folder, quick
         As given.
     progress : callable or None
-        Of the measurement that is being made: give it to long queries.
+        Progress callback of the current measurement; pass it to long queries.
     """
 
     def __init__(
@@ -58,16 +59,16 @@ class Runner:
         self.progress: Progress | None = None
         self._store = store
         self._size = size
-        self._watch = watch or _nobody
+        self._watch = watch or _no_progress
         self._experiment = ""
         self._used: set[str] = set()
         self._views: dict[str, View] = {}
         self._tracers: dict[str, Tracer] = {}
 
     def run(self, name: str, experiment: Callable[[Runner], Result]) -> Result:
-        """Run an experiment; its measurements get its name.
+        """Run an experiment under its name.
 
-        Scenes and structures of the one before are forgotten.
+        Releases the scenes and structures of the previous one.
         """
         self._experiment = name
         self._used.clear()
@@ -76,7 +77,7 @@ class Runner:
         return experiment(self)
 
     def size(self, usual: int) -> int:
-        """Width and height of square pictures: the paper's, unless the user wants another.
+        """Width and height of square images: the user's size, or the paper's.
 
         Parameters
         ----------
@@ -88,16 +89,16 @@ class Runner:
         return max(usual // 8, 64) if self.quick else usual
 
     def measure(self, name: str, function: Callable[[], Any], *, shared: bool = False) -> Any:
-        """Measure something, unless it is known already.
+        """Run a measurement, unless its result is already stored.
 
         Parameters
         ----------
         name : str
-            What it is; unique within an experiment, parameters included.
+            Unique within an experiment, including parameters.
         function : callable
-            Returns numbers, texts, lists and dicts of them.
+            Returns a JSON value.
         shared : bool
-            Whether the other experiments of the paper ask for it by this name, too.
+            Share the result with the paper's other experiments under this name.
 
         Returns
         -------
@@ -110,24 +111,24 @@ class Runner:
             with self._watch(key) as self.progress:
                 value = function()
             self.progress = None
-            self._store.keep(key, value, time.perf_counter() - started)
+            self._store.save(key, value, time.perf_counter() - started)
         self._used.add(key)
         return self._store.values[key]
 
     def view(self, name: str) -> View:
-        """A scene with a camera, by the name that tables give it; see `views`.
+        """A scene with a camera, by its name in tables; see `views`.
 
         Raises
         ------
         RaystreamError
-            If it needs a model that is not here.
+            If it needs a model that is not available.
         """
         if name not in self._views:
             self._views[name] = view(name, quick=self.quick)
         return self._views[name]
 
     def tracer(self, view: View, structure: str, **options: Any) -> Tracer:
-        """A tracer for a view's scene; the latest one of each scene is kept.
+        """A tracer for a view's scene; the last one is cached.
 
         Parameters
         ----------
@@ -144,10 +145,10 @@ class Runner:
 
     @property
     def seconds(self) -> float:
-        """How long the measurements took that the latest experiment asked for, once."""
+        """Seconds that the measurements of the last experiment took."""
         return sum(self._store.seconds[key] for key in self._used)
 
 
 @contextlib.contextmanager
-def _nobody(title: str) -> Iterator[None]:  # noqa: ARG001 - as every Watch
+def _no_progress(title: str) -> Iterator[None]:  # noqa: ARG001 - as every Watch
     yield None

@@ -1,4 +1,4 @@
-"""Store: measurements on disk, each as soon as it is made, so that a long run can go on."""
+"""Measurements on disk, saved one by one so that an interrupted run can resume."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ __all__ = ["FILE_NAME", "Store", "source_hash"]
 
 FILE_NAME = "measurements.json"
 
-#: Number of the file's layout.
+#: Version of the file layout.
 _LAYOUT = 1
 
-#: A file of measurements is some hundred kilobytes; one that is larger is something else.
+#: Files of measurements have some hundred kilobytes; a larger file is something else.
 _MAX_BYTES = 1 << 28
 
 
 @cache
 def source_hash() -> str:
-    """Hash of every Python source of raystream, 16 hexadecimal digits: who made a measurement."""
+    """Hash of all Python sources of raystream, as 16 hexadecimal digits."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
@@ -36,21 +36,21 @@ def source_hash() -> str:
 
 
 class Store:
-    """Measurements by name, in a file that is replaced whole after each of them.
+    """Measurements by name, in a file that is rewritten atomically after each one.
 
     Parameters
     ----------
     path : Path
     settings : mapping
-        What all measurements have in common; those made under others are not used.
+        Settings of all measurements; those made with others are rejected.
 
     Attributes
     ----------
     values : dict of str to JSON values
     seconds : dict of str to float
-        How long each took.
+        Time taken by each.
     foreign_count : int
-        How many of the measurements read were made by another source of raystream.
+        Number of measurements read that another version of the sources made.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any], source: str) -> None:
@@ -63,12 +63,12 @@ class Store:
         self.seconds: dict[str, float] = {}
 
     def read(self) -> None:
-        """Take over what the file holds, if there is one.
+        """Load the measurements of an existing file.
 
         Raises
         ------
         FileFormatError
-            If it is no file of measurements, or was made with other settings.
+            If it is not a file of measurements, or was made with other settings.
         """
         try:
             if self.path.stat().st_size > _MAX_BYTES:
@@ -77,11 +77,11 @@ class Store:
         except FileNotFoundError:
             return
         except (ValueError, RecursionError) as error:
-            reason = "holds no measurements; remove it, or run without --resume"
+            reason = "contains no measurements; remove it, or run without --resume"
             raise FileFormatError(self.path, reason) from error
         if not _is_ours(content):
             raise FileFormatError(
-                self.path, "holds no measurements; remove it, or run without --resume"
+                self.path, "contains no measurements; remove it, or run without --resume"
             )
         if content["settings"] != self._settings:
             raise FileFormatError(
@@ -96,8 +96,8 @@ class Store:
             self._sources[name] = entry["source"]
         self.foreign_count = sum(one != self._source for one in self._sources.values())
 
-    def keep(self, name: str, value: Any, seconds: float = 0.0) -> None:
-        """Keep a measurement, in memory and in the file, and how long it took."""
+    def save(self, name: str, value: Any, seconds: float = 0.0) -> None:
+        """Save a measurement and its time, in memory and in the file."""
         self.values[name] = value
         self.seconds[name] = seconds
         self._sources[name] = self._source

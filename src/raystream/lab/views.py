@@ -1,4 +1,4 @@
-"""Views: the papers' scenes, or what stands in for them, each with a camera."""
+"""The papers' scenes or substitutes for them, each with a camera."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from raystream.scene.scene import Scene
 
 __all__ = ["PURCELL_VIEWS", "VIEWS", "View", "on_floor", "view", "without_lawn"]
 
-#: With ``quick``, generated scenes get so many triangles.
+#: Triangles of generated scenes with ``quick``.
 QUICK_TRIANGLES = 30_000
 
-#: Purcell 2002, Figure 6, in its order.
+#: Views of Purcell 2002, Figure 6, in its order.
 PURCELL_VIEWS = (
     "building outside",
     "building inside",
@@ -33,24 +33,24 @@ PURCELL_VIEWS = (
     "bunny on a floor",
 )
 
-#: Degrees; from where as many rays hit as in Purcell's Figure 6.
+#: Degrees; chosen so that as many rays hit as in Purcell's Figure 6.
 _FLOOR_FOV = 33.0
 
 
 class View(NamedTuple):
-    """A scene, seen from somewhere.
+    """A scene with a camera.
 
     Attributes
     ----------
     name : str
-        As tables show it.
+        Its name in tables.
     scene_name : str
-        The same for all views of one scene.
+        Shared by all views of one scene.
     scene : Scene
     camera : Camera
-        For square pictures.
+        For square images.
     about : str
-        What it is, and how it differs from the paper's; a sentence.
+        What it is, and how it differs from the paper's scene; a sentence.
     """
 
     name: str
@@ -60,12 +60,12 @@ class View(NamedTuple):
     about: str
 
     def rays(self, size: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Origins and directions of the rays of a square picture, of shape (size, size, 3)."""
+        """Origins and directions of a square image's rays, of shape (size, size, 3)."""
         origins, directions = self.camera.rays(size, size)
         return origins, directions
 
     def seen_from(self, camera: Camera, name: str) -> View:
-        """The same scene from elsewhere."""
+        """The same scene from another camera."""
         return self._replace(camera=camera, name=name)
 
 
@@ -75,14 +75,14 @@ def view(name: str, *, quick: bool = False) -> View:
     Parameters
     ----------
     name : str
-        A key of `VIEWS`, or a name that `load` knows: then with that scene's own camera.
+        A key of `VIEWS`, or a name for `load`, with that scene's own camera.
     quick : bool
-        Generated scenes with fewer triangles.
+        Reduce the triangles of generated scenes.
 
     Raises
     ------
     RaystreamError
-        If the model is not here and cannot be fetched.
+        If the model is missing and cannot be fetched.
     """
     if name in VIEWS:
         return VIEWS[name](name, quick)
@@ -91,12 +91,12 @@ def view(name: str, *, quick: bool = False) -> View:
 
 
 def _building_scene(quick: bool) -> Scene:
-    """The building, on its lawn."""
+    """The building with its lawn."""
     return _building.building(QUICK_TRIANGLES if quick else _building.DEFAULT_TRIANGLES)
 
 
 def without_lawn(scene: Scene) -> Scene:
-    """The building alone: Soda Hall had no lawn, or rays would not have missed its box."""
+    """Remove the lawn: Soda Hall had none, or rays would not have missed its box."""
     return Scene(
         scene.meshes[1:],
         materials=scene.materials,
@@ -110,8 +110,9 @@ def without_lawn(scene: Scene) -> Scene:
 def _building_outside(name: str, quick: bool) -> View:
     scene = _building_scene(quick)
     about = (
-        "A generated office building stands in for Soda Hall, of which no public copy is known. "
-        "Its lawn is left out: on it, 128 cells of the building's height would be a billion."
+        "A generated office building replaces Soda Hall, of which no public copy is known. Its "
+        "lawn is omitted: with it, 128 cells over the building's height would make a billion "
+        "cells."
     )
     return View(name, "building", without_lawn(scene), scene.camera_for(1.0), about)
 
@@ -123,7 +124,7 @@ def _building_inside(name: str, quick: bool) -> View:
         "building",
         without_lawn(scene),
         _building.inside_camera(scene),
-        "The same building, along a corridor.",
+        "The same building, seen along a corridor.",
     )
 
 
@@ -133,7 +134,7 @@ def _forest_scene(quick: bool) -> Scene:
 
 def _forest_top(name: str, quick: bool) -> View:
     scene = _forest_scene(quick)
-    about = "A generated forest stands in for Purcell's, which was not published; from above."
+    about = "A generated forest replaces Purcell's, which was not published; seen from above."
     return View(name, "forest", scene, _forest.top_camera(scene), about)
 
 
@@ -150,23 +151,23 @@ def _forest_inside(name: str, quick: bool) -> View:
 
 def _bunny(name: str, quick: bool) -> View:  # noqa: ARG001 - as every view
     scene = load("bunny")
-    about = "The Stanford bunny that both papers used, alone."
+    about = "The Stanford bunny that both papers used, without a floor."
     return View(name, "bunny", scene, scene.camera_for(1.0), about)
 
 
 def on_floor(scene: Scene, shape: Sequence[int]) -> Scene:
-    """Put a scene on a floor that is as wide and deep as a grid of these cells needs.
+    """Add a floor as wide and deep as a grid with these cell counts.
 
     Parameters
     ----------
     scene : Scene
     shape : sequence of three int
-        Cells of the grid along x, y and z, whose height is the scene's.
+        Cells of the grid along x, y and z; its height is the scene's.
 
     Returns
     -------
     Scene
-        With one more mesh, of two triangles, and a light.
+        With an additional mesh of two triangles, and a light.
     """
     low, high = scene.bounds
     middle, height = (low + high) / 2, float(high[1] - low[1])
@@ -186,7 +187,7 @@ def _bunny_on_floor(name: str, quick: bool) -> View:  # noqa: ARG001 - as every 
     cells = published("purcell", "grids").values["bunny"]
     about = (
         f"On a floor as wide and deep as Purcell's grid of {' x '.join(map(str, cells))} cells "
-        "says, seen from where about as many rays hit as in his figure."
+        "implies, from a camera for which about as many rays hit as in his figure."
     )
     return View(name, "bunny on a floor", on_floor(alone, cells), camera, about)
 

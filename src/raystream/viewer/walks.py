@@ -46,7 +46,7 @@ def walk_along(tracer: Tracer, ray: PixelRay) -> Message:
     if tracer.structure.name in _NO_WALK:
         reason = _NO_WALK[tracer.structure.name]
         return {"walk": None, "walk_reason": reason, "counts": counts}
-    way = walk(tracer, ray.origin, ray.direction, most_steps=MAX_STEPS)
+    way = walk(tracer, ray.origin, ray.direction, max_steps=MAX_STEPS)
     return {"walk": _walk_message(way, counts), "walk_reason": None, "counts": counts}
 
 

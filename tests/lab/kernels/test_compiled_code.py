@@ -164,7 +164,7 @@ def test_sizes(shown, size):
 
 
 def test_what_is_no_number_has_no_size():
-    with pytest.raises(ValueError, match="no number"):
+    with pytest.raises(ValueError, match="not a numeric type"):
         byte_count("{ i64, float }")
 
 

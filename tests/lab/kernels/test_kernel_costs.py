@@ -210,7 +210,7 @@ def test_what_empty_lanes_cost():
 
 
 def test_a_bvh_is_traced_otherwise():
-    with pytest.raises(ValueError, match="together"):
+    with pytest.raises(ValueError, match="packets"):
         measure_recirculation(*make("bvh", 2))
 
 

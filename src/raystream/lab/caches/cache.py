@@ -1,4 +1,4 @@
-"""Cache: one cache, simulated."""
+"""A cache simulator: direct-mapped, set-associative or fully associative, with LRU replacement."""
 
 from __future__ import annotations
 
@@ -26,51 +26,49 @@ from raystream.lab.caches.trace_chunk import (
 
 __all__ = ["Cache"]
 
-#: Slots are numbered in 32 bits.
-_MOST_LINES = 1 << 31
+#: Slots have 32-bit indices.
+_MAX_LINES = 1 << 31
 
 
 class Cache:
-    """A cache of lines that drops the least recently used line of a set, simulated.
+    """A simulated cache that evicts the least recently used line of a set.
 
-    It is empty at first. Only reads are simulated, as in a texture cache: leave what the traced
-    program writes out of the trace.
+    Starts empty. Only reads are simulated, as in a texture cache: omit writes from the trace.
 
     Parameters
     ----------
     size : int
         Bytes.
     line_size : int
-        Bytes of a line, at least 4; need not be a power of two.
+        Bytes per line, at least 4; need not be a power of two.
     ways : int or None
-        Lines that a set holds: 1 is direct-mapped; None is fully associative, one set for all.
+        Lines per set: 1 is direct-mapped, None is fully associative (one set).
     kinds : sequence of str
-        Names of the kinds of data that are counted apart, at most 256.
+        Names of the kinds of data to count separately, at most 256.
 
     Attributes
     ----------
     size, line_size, ways : int
     set_count : int
-        Sets.
+        Number of sets.
     unused_size : int
-        Bytes of `size` that hold no line: see the notes.
+        Bytes of `size` that cannot hold a line; see Notes.
     kinds : tuple of str
 
     Raises
     ------
     TypeError, ValueError
-        If an option is no integer, or out of range: a line must fit into the cache, and a set.
+        If an option is not an integer or is out of range: the cache must hold a line and a set.
     MemoryError
-        If the simulated cache has too many lines for this machine's memory.
+        If the simulated cache has too many lines for the available memory.
 
     Notes
     -----
-    Byte a is in line ``a // line_size``, and line n in set ``n % set_count``, the remainder of a
-    division whether or not the number of sets is a power of two. There are ``size // line_size``
-    lines, and as many whole sets as they make; the rest of the size holds nothing. Purcell's
-    texture cache (2002, section 4.2), 64 KB direct-mapped with lines of 48 bytes, has 1365 sets,
-    and 16 bytes are not used. Lines begin at multiples of `line_size` from address 0, so a trace
-    that wants its arrays to begin with a line must place them so.
+    Byte a is in line ``a // line_size``, and line n in set ``n % set_count``, also if the number of
+    sets is not a power of two. There are ``size // line_size`` lines, grouped into whole sets; the
+    remainder is unused. Purcell's texture cache (2002, section 4.2), 64 KB direct-mapped with lines
+    of 48 bytes, has 1365 sets, and 16 bytes are not used. Lines begin at multiples of `line_size`
+    from address 0, so a trace that wants its arrays to begin with a line must place them so.
 
     Sets of up to 32 ways are lists with the latest line first; larger ones have a hash table.
 
@@ -102,8 +100,8 @@ class Cache:
             raise ValueError(
                 f"size: {self.size} bytes are less than a line of line_size={self.line_size}"
             )
-        if line_count > _MOST_LINES:
-            raise ValueError(f"size: {line_count:,} lines are more than {_MOST_LINES:,}")
+        if line_count > _MAX_LINES:
+            raise ValueError(f"size: {line_count:,} lines are more than {_MAX_LINES:,}")
         self.ways = line_count if ways is None else as_count("ways", ways, 1)
         if self.ways > line_count:
             raise ValueError(f"ways: {self.ways} lines are more than the {line_count} of the cache")

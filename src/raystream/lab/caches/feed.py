@@ -1,4 +1,4 @@
-"""Several simulators over one trace, on a thread each."""
+"""Feed a trace to several simulators, one thread each."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ __all__ = ["feed_chunks"]
 Chunk = TypeVar("Chunk")
 
 
-def feed_chunks(trace: Iterable[Chunk], takers: Sequence[Callable[[Chunk], object]]) -> None:
-    """Give each chunk of a trace to each taker, in the trace's order.
+def feed_chunks(trace: Iterable[Chunk], consumers: Sequence[Callable[[Chunk], object]]) -> None:
+    """Pass each chunk of a trace to every consumer, in order.
 
-    Takers run side by side, while the next chunk is made: simulators run without the interpreter
-    lock. Two chunks are in memory at a time.
+    Consumers run in parallel, while the next chunk is generated: simulators release the GIL. At
+    most two chunks are in memory.
 
     Parameters
     ----------
     trace : iterable
-        Of chunks that nobody changes.
-    takers : sequence of callable
-        Such as ``lambda chunk: cache.access(chunk.addresses)``; they share nothing.
+        Chunks; they must not be modified.
+    consumers : sequence of callable
+        Such as ``lambda chunk: cache.access(chunk.addresses)``; they must not share state.
 
     Raises
     ------
     Exception
-        What a taker raises, after the others have taken the same chunk.
+        The exception of a consumer, after the others have processed the same chunk.
     """
     with ThreadPoolExecutor(max(thread_count(), 1)) as pool:
-        taken: list[Future[object]] = []
+        running: list[Future[object]] = []
         for chunk in trace:
-            _finish(taken)
-            taken = [pool.submit(taker, chunk) for taker in takers]
-        _finish(taken)
+            _finish(running)
+            running = [pool.submit(consumer, chunk) for consumer in consumers]
+        _finish(running)
 
 
-def _finish(taken: Sequence[Future[object]]) -> None:
-    wait(taken)
-    for one in taken:
+def _finish(running: Sequence[Future[object]]) -> None:
+    wait(running)
+    for one in running:
         one.result()

@@ -1,4 +1,4 @@
-"""ReuseDistances: what fully associative caches of every size would miss."""
+"""Reuse distances: the misses of fully associative caches of every size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from raystream.core.arrays import as_host_array
 from raystream.core.memory import check_memory
 from raystream.lab.caches.kernels.fast_division import divisor
 from raystream.lab.caches.kernels.hash_table import home_shift
-from raystream.lab.caches.kernels.ranked_bits import BITS, BLOCK_WORDS, ROW_BLOCKS, Marks
+from raystream.lab.caches.kernels.ranked_bits import BITS, BLOCK_WORDS, ROW_BLOCKS, RankedBits
 from raystream.lab.caches.kernels.stack_distances import (
     Clock,
     Histogram,
@@ -28,10 +28,10 @@ from raystream.lab.caches.trace_chunk import MIN_LINE_SIZE, Kinds, as_chunk, as_
 __all__ = ["MissCurve", "ReuseDistances"]
 
 #: A reference touches at most this many lines: 255 bytes, in lines of 4.
-_MOST_TOUCHED = 65
+_MAX_TOUCHED = 65
 
-#: Larger sizes are as good as this one.
-_MOST_BYTES = (1 << 63) - 1
+#: Larger cache sizes are clamped to this.
+_MAX_BYTES = (1 << 63) - 1
 
 
 class MissCurve(NamedTuple):
@@ -42,9 +42,9 @@ class MissCurve(NamedTuple):
     sizes : ndarray of shape (S,), int64
         Bytes of each cache.
     misses : ndarray of shape (S, K), int64
-        Of each cache and each kind of data.
+        Per cache and kind of data.
     accesses : ndarray of shape (K,), int64
-        Of each kind of data.
+        Per kind of data.
     """
 
     sizes: NDArray[np.int64]
@@ -53,7 +53,7 @@ class MissCurve(NamedTuple):
 
     @property
     def hit_rates(self) -> NDArray[np.float64]:
-        """Share of all accesses that hit, of shape (S,); nan without any."""
+        """Share of all accesses that hit, of shape (S,); nan without accesses."""
         count = int(self.accesses.sum())
         missed = self.misses.sum(axis=1)
         return 1.0 - missed / count if count else np.full(len(missed), np.nan)
@@ -62,18 +62,17 @@ class MissCurve(NamedTuple):
 class ReuseDistances:
     """Exact LRU stack distances of a trace.
 
-    The distance of an access is the number of other lines that were accessed since the latest
-    access to its line. A fully associative cache that drops the least recently used line misses
-    where the distance is at least its number of lines (Mattson et al. 1970 [1]_), so that the
-    distances of one run tell what every size misses.
+    The distance of an access is the number of other lines accessed since the last access to its
+    line. A fully associative LRU cache misses where the distance is at least its number of lines
+    (Mattson et al. 1970 [1]_), so the distances of one run give the misses of every size.
 
     Parameters
     ----------
     line_size : int
-        Bytes of a line, at least 4; need not be a power of two.
+        Bytes per line, at least 4; need not be a power of two.
     kinds : sequence of str
-        Names of the kinds of data that are counted apart, at most 256. An access is counted
-        for the kind of the reference that makes it.
+        Names of the kinds of data to count separately, at most 256. An access counts for the kind
+        of its reference.
 
     Attributes
     ----------
@@ -83,14 +82,13 @@ class ReuseDistances:
     Raises
     ------
     TypeError, ValueError
-        If an option is no integer or no names, or out of range.
+        If an option has the wrong type or is out of range.
 
     Notes
     -----
-    Distances are counted exactly, none is put together with its neighbours. Memory is bounded by
-    the number of distinct lines, whatever the trace's length: 34 to 68 bytes for each, and 8 to 16
-    more for each kind; half as much again while a table grows, and as much again for each kind
-    while misses are asked for.
+    Distances are counted exactly, without binning. Memory is bounded by the number of distinct
+    lines, not by the length of the trace: 34 to 68 bytes per line, and 8 to 16 more per kind; half
+    as much again while a table grows, and as much again per kind while misses are computed.
 
     References
     ----------
@@ -105,11 +103,11 @@ class ReuseDistances:
     (3, [4, 4, 3])
     """
 
-    #: Places of the first table, and the end of the first time line: powers of two.
+    #: Initial size of the table and of the time line: powers of two.
     _first_capacity = 1 << 12
     _first_end = 1 << 16
 
-    #: The time line has room for this many times the lines when it begins anew.
+    #: Minimum size of a compacted time line, in multiples of the number of lines.
     _times_per_line = 8
 
     def __init__(self, line_size: int, *, kinds: Sequence[str] = ("all",)) -> None:
@@ -119,30 +117,30 @@ class ReuseDistances:
         self.clear()
 
     def clear(self) -> None:
-        """Forget the trace, and begin to count anew."""
+        """Forget the trace and reset the counts."""
         self._counts = new_counts(len(self.kinds))
         self._clock = np.zeros(3, np.uint64)
         self._entries = np.zeros((self._first_capacity, 2), np.uint64)
         self._histogram = np.zeros((len(self.kinds), self._first_capacity // 2), np.uint64)
         self._latest = _table_of(self._entries)
-        self._begin(self._first_end, _first_marks(self._first_end, 0))
+        self._start(self._first_end, _first_bits(self._first_end, 0))
 
     @property
     def line_count(self) -> int:
-        """Distinct lines that were accessed: as many first accesses miss in every cache."""
+        """Number of distinct lines accessed, whose first accesses miss in every cache."""
         return int(self._clock[1])
 
     def access(self, addresses: NDArray[np.uint64], kinds: Kinds = 0, lengths: Kinds = 4) -> None:
-        """Take the next chunk of a trace: see `Cache.access`.
+        """Process the next chunk of a trace; see `Cache.access`.
 
         Raises
         ------
         TypeError, ValueError
-            If an array has another dtype or shape, or a value is out of range. Nothing is
-            counted then.
+            If an array has the wrong dtype or shape, or a value is out of range; nothing is
+            counted.
         MemoryError
-            If there are too many distinct lines for this machine's memory. A part of the chunk
-            has been counted then.
+            If there are too many distinct lines for the available memory; part of the chunk has
+            been counted.
         """
         chunk = as_chunk(addresses, kinds, lengths, len(self.kinds))
         start = np.uint64(0)
@@ -154,7 +152,7 @@ class ReuseDistances:
                     chunk.reference_count,
                     self._divisor,
                     self._latest,
-                    self._marks,
+                    self._bits,
                     Clock(_address(self._clock), np.uint64(self._end)),
                     Histogram(_address(self._histogram), np.uint64(self._histogram.shape[1])),
                     _address(self._counts),
@@ -165,12 +163,12 @@ class ReuseDistances:
             self._make_room()
 
     def misses(self, sizes: ArrayLike) -> NDArray[np.int64]:
-        """Count what fully associative caches of some sizes would have missed, of all kinds.
+        """Count the misses of fully associative caches, over all kinds.
 
         Parameters
         ----------
         sizes : array_like of int
-            Bytes of each cache, any shape; a cache that is smaller than a line hits nothing.
+            Bytes of each cache, any shape; a cache smaller than a line never hits.
 
         Returns
         -------
@@ -180,13 +178,12 @@ class ReuseDistances:
         return self._misses(wanted).sum(axis=-1)
 
     def curve(self, sizes: ArrayLike | None = None) -> MissCurve:
-        """What fully associative caches of some sizes would have missed, by kind.
+        """Misses of fully associative caches by kind.
 
         Parameters
         ----------
         sizes : array_like of int, of shape (S,), optional
-            Bytes of each cache; by default from one line to one that keeps all, with four sizes
-            for each doubling.
+            Bytes of each cache [default: from one line to all lines, four sizes per doubling].
 
         Returns
         -------
@@ -203,19 +200,19 @@ class ReuseDistances:
         return MissCurve(wanted, self._misses(wanted), self._counts[:, 2].astype(np.int64))
 
     def counts(self, size: int) -> MappingProxyType[str, LineCounts]:
-        """What a fully associative cache of some size would have counted, by kind of data."""
-        wanted = np.array(min(as_count("size", size, 0), _MOST_BYTES), np.int64)
+        """Counts of a fully associative cache of a given size, by kind of data."""
+        wanted = np.array(min(as_count("size", size, 0), _MAX_BYTES), np.int64)
         missed = self._misses(wanted).astype(np.uint64)
         return by_kind(self.kinds, self._counts, missed, self.line_size)
 
     def histogram(self) -> NDArray[np.int64]:
-        """How many accesses had each distance, by kind.
+        """Number of accesses at each distance, by kind.
 
         Returns
         -------
         ndarray of shape (K, D), int64
-            Of distances 0 to D - 1, where D is `line_count`. First accesses have no distance
-            and are not in it.
+            For distances 0 to D - 1, where D is `line_count`. First accesses have no distance and
+            are excluded.
         """
         return self._histogram[:, : self.line_count].astype(np.int64)
 
@@ -228,18 +225,18 @@ class ReuseDistances:
         return accesses - np.moveaxis(hits[:, lines], 0, -1)
 
     def _make_room(self) -> None:
-        """Let the table or the time line take another reference."""
-        if self.line_count + _MOST_TOUCHED > len(self._entries) // 2:
+        """Enlarge the table or compact the time line for another reference."""
+        if self.line_count + _MAX_TOUCHED > len(self._entries) // 2:
             self._grow_table()
-        if int(self._clock[0]) + _MOST_TOUCHED > self._end:
-            self._begin_anew()
+        if int(self._clock[0]) + _MAX_TOUCHED > self._end:
+            self._compact()
 
     def _grow_table(self) -> None:
         former, capacity = self._latest, 2 * len(self._entries)
-        while self.line_count + _MOST_TOUCHED > capacity // 2:
+        while self.line_count + _MAX_TOUCHED > capacity // 2:
             capacity *= 2
         check_memory(capacity * (16 + 4 * len(self.kinds)), f"{capacity // 2:,} lines would")
-        # Both before either is kept: the kernel relies on their lengths.
+        # Allocate both before replacing either: the kernel relies on their lengths.
         entries = np.zeros((capacity, 2), np.uint64)
         histogram = np.zeros((len(self.kinds), capacity // 2), np.uint64)
         histogram[:, : self.line_count] = self._histogram[:, : self.line_count]
@@ -247,22 +244,22 @@ class ReuseDistances:
         move_entries(former, latest)
         self._entries, self._latest, self._histogram = entries, latest, histogram
 
-    def _begin_anew(self) -> None:
-        """Move the marks together at the beginning of a time line that may be longer."""
+    def _compact(self) -> None:
+        """Compact the set bits to the start of the time line, and lengthen it if needed."""
         end = self._end
-        while end < self._times_per_line * self.line_count + 2 * _MOST_TOUCHED:
+        while end < self._times_per_line * self.line_count + 2 * _MAX_TOUCHED:
             end *= 2
-        parts = _first_marks(end, self.line_count)
+        parts = _first_bits(end, self.line_count)
         words = self._parts[0]
         before = np.cumsum(np.bitwise_count(words), dtype=np.uint64)
         before -= np.bitwise_count(words)
         move_times(self._latest, _address(words), _address(before))
-        self._begin(end, parts)
+        self._start(end, parts)
 
-    def _begin(self, end: int, parts: list[NDArray[np.uint64]]) -> None:
-        """Take marks of the first times into use; the clock stands behind them."""
+    def _start(self, end: int, parts: list[NDArray[np.uint64]]) -> None:
+        """Start a time line; the clock is set after the set bits."""
         self._end, self._parts = end, parts
-        self._marks = Marks(*map(_address, parts))
+        self._bits = RankedBits(*map(_address, parts))
         self._clock[0] = self.line_count
 
 
@@ -276,8 +273,8 @@ def _table_of(entries: NDArray[np.uint64]) -> Latest:
     return Latest(_address(entries), *(np.uint64(number) for number in numbers))
 
 
-def _first_marks(end: int, count: int) -> list[NDArray[np.uint64]]:
-    """Marks at the first `count` times, as words, blocks and rows; whole 64s of each."""
+def _first_bits(end: int, count: int) -> list[NDArray[np.uint64]]:
+    """A bitmap whose first `count` bits are set: words, blocks and rows, padded to 64s."""
     words = np.zeros(_in_64s(end, BITS), np.uint64)
     words[: count // BITS] = ~np.uint64(0)
     if count % BITS:
@@ -290,7 +287,7 @@ def _first_marks(end: int, count: int) -> list[NDArray[np.uint64]]:
 
 
 def _in_64s(end: int, part: int) -> int:
-    """How many parts of some length a time line has, rounded up to a multiple of 64."""
+    """Number of parts of a given length in a time line, rounded up to a multiple of 64."""
     return -(-end // (64 * part)) * 64
 
 
@@ -299,5 +296,5 @@ def _as_sizes(sizes: ArrayLike) -> NDArray[np.int64]:
     if array.dtype.kind not in "iu":
         raise TypeError(f"sizes: must be integers, not {array.dtype}")
     if array.size and int(array.min()) < 0:
-        raise ValueError(f"sizes: must not be negative, as {array.min()} is")
-    return np.minimum(array, _MOST_BYTES).astype(np.int64)
+        raise ValueError(f"sizes: must not be negative, got {array.min()}")
+    return np.minimum(array, _MAX_BYTES).astype(np.int64)

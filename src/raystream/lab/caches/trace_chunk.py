@@ -1,4 +1,4 @@
-"""Chunks of a trace: checked, and as kernels take them."""
+"""Validation of trace chunks, and their form for kernels."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from raystream.lab.caches.kernels.trace_access import Trace
 
 __all__ = ["MIN_LINE_SIZE", "Chunk", "Kinds", "as_chunk", "as_count", "as_kinds"]
 
-#: What `as_chunk` takes as kinds or lengths: one for all references, or one each.
+#: Kinds or lengths: one value for all references, or one per reference.
 Kinds = NDArray[np.uint8] | int
 
-#: Bytes of a word: lines of fewer make no sense.
+#: Bytes per word; smaller lines make no sense.
 MIN_LINE_SIZE = 4
 
 #: Kinds and lengths are uint8.
-_MOST = 255
+_MAX = 255
 
 
 class Chunk(NamedTuple):
@@ -32,9 +32,9 @@ class Chunk(NamedTuple):
     trace : Trace
         Addresses of the arrays.
     reference_count : np.uint64
-        How many references it has.
+        Number of references.
     arrays : tuple
-        The arrays, which must live as long as their addresses are in use.
+        The arrays; keep them alive while their addresses are in use.
     """
 
     trace: Trace
@@ -43,7 +43,7 @@ class Chunk(NamedTuple):
 
 
 def as_count(name: str, value: SupportsIndex, low: int) -> int:
-    """Check an option that is a whole number.
+    """Check an integer option.
 
     Raises
     ------
@@ -60,19 +60,19 @@ def as_count(name: str, value: SupportsIndex, low: int) -> int:
 
 
 def as_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
-    """Check names of kinds of data."""
+    """Check the names of the kinds of data."""
     names = tuple(kinds)
     if isinstance(kinds, str) or not all(isinstance(name, str) for name in names):
         raise TypeError(f"kinds: must be a sequence of names, not {kinds!r}")
-    if not 1 <= len(names) <= _MOST + 1:
-        raise ValueError(f"kinds: must be 1 to {_MOST + 1} names, not {len(names)}")
+    if not 1 <= len(names) <= _MAX + 1:
+        raise ValueError(f"kinds: must be 1 to {_MAX + 1} names, not {len(names)}")
     if len(set(names)) < len(names):
-        raise ValueError(f"kinds: each name must be there once, not {names!r}")
+        raise ValueError(f"kinds: names must be unique, not {names!r}")
     return names
 
 
 def as_chunk(addresses: NDArray[np.uint64], kinds: Kinds, lengths: Kinds, kind_count: int) -> Chunk:
-    """Check a chunk of a trace; see `Cache.access`."""
+    """Validate a chunk of a trace; see `Cache.access`."""
     begins = as_host_array("addresses", addresses)
     if begins.dtype != np.uint64 or not begins.dtype.isnative:
         raise TypeError(f"addresses: must be uint64, not {begins.dtype}; see ndarray.astype")
@@ -80,7 +80,7 @@ def as_chunk(addresses: NDArray[np.uint64], kinds: Kinds, lengths: Kinds, kind_c
         raise ValueError(f"addresses: must have shape (N,), not {begins.shape}")
     begins = np.ascontiguousarray(begins)
     kinds, kind_step = _each("kinds", kinds, len(begins), 0, kind_count - 1)
-    lengths, length_step = _each("lengths", lengths, len(begins), 1, _MOST)
+    lengths, length_step = _each("lengths", lengths, len(begins), 1, _MAX)
     if len(begins):
         _check_ends(begins, lengths)
     trace = Trace(
@@ -93,7 +93,7 @@ def as_chunk(addresses: NDArray[np.uint64], kinds: Kinds, lengths: Kinds, kind_c
 def _each(
     name: str, values: Kinds, count: int, low: int, high: int
 ) -> tuple[NDArray[np.uint8], int]:
-    """One number for all references or one each: the array, and the step from one to the next."""
+    """Validate one value for all references, or one each; returns the array and its stride."""
     allowed = f"must be from {low} to {high}"
     array = as_host_array(name, values)
     if array.ndim == 0:
@@ -111,7 +111,7 @@ def _each(
 
 
 def _check_ends(begins: NDArray[np.uint64], lengths: NDArray[np.uint8]) -> None:
-    """No reference may reach beyond the last address."""
+    """Check that no reference extends beyond the last address."""
     if int(begins.max()) + int(lengths.max()) <= 1 << 64:
         return
     last = begins + (lengths - np.uint8(1)).astype(np.uint64)
@@ -120,5 +120,5 @@ def _check_ends(begins: NDArray[np.uint64], lengths: NDArray[np.uint8]) -> None:
         at = wrong[0]
         raise ValueError(
             f"addresses: reference {at}, {lengths[at % len(lengths)]} bytes at {begins[at]}, "
-            "reaches beyond 2**64"
+            "extends beyond 2**64"
         )

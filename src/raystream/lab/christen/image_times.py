@@ -1,4 +1,4 @@
-"""Times: pictures of scenes A, B and C against grid size and bounces (Christen 2005, 6.2)."""
+"""Times of scenes A, B and C against grid size and bounces (Christen 2005, section 6.2)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raystream.lab.christen.scenes import (
     image_size,
     timed_iterations,
 )
-from raystream.lab.frame_timing import affordable_size, picture, render_context
+from raystream.lab.frame_timing import affordable_size, render_context, report_image
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Plot, Result, Series, Table, comparison
 from raystream.lab.runner import Runner
@@ -21,28 +21,28 @@ from raystream.tracer import Tracer
 
 __all__ = ["GRIDS", "ITERATIONS", "image_times"]
 
-#: Cells along each axis, and those with which the multipass machine runs as well.
+#: Cells along each axis, and those that also run on the multipass machine.
 GRIDS = (5, 10, 20, 50, 100)
 _MULTIPASS_GRIDS = (5, 20, 100)
 _QUICK_GRIDS = (10, 20)
 
-#: Surfaces on a ray's way: five bounces after the first one.
+#: Surfaces per path: five bounces after the first surface.
 ITERATIONS = 6
 
 ROUNDS = 3
 
-#: Seconds that a picture may take; those that would take longer get smaller.
+#: Maximum seconds per image; larger ones are reduced.
 _LIMIT = 2.0
 
-#: The multipass machine needs a pass for each triangle that the longest ray tests. With more
-#: than so many it is left out.
-_MOST_TESTS = 1500
+#: The multipass machine needs a pass per triangle test of the longest ray; above this it is
+#: skipped.
+_MAX_TESTS = 1500
 
 _Times = dict[str, Any]
 
 
 def image_times(runner: Runner) -> Result:
-    """Seconds of pictures on every device and machine."""
+    """Times of images on every device and machine."""
     grids = _QUICK_GRIDS if runner.quick else GRIDS
     result = Result()
     found: dict[tuple[str, int, str], _Times] = {}
@@ -58,19 +58,19 @@ def image_times(runner: Runner) -> Result:
         title = f"Scene {letter}, {ITERATIONS} iterations"
         name = f"christen {letter}"
         bounces = {"max_bounces": ITERATIONS - 1, "min_weight": 0.0}
-        result.pictures.append(
-            picture(runner, name, title, scene, "whitted", (256, 256), samples=4, **bounces)
+        result.images.append(
+            report_image(runner, name, title, scene, "whitted", (256, 256), samples=4, **bounces)
         )
     result.tables = [_scenes(triangles), _table(runner, found)]
     result.plots = [_grid_plot(found, 1), _grid_plot(found, ITERATIONS), _bounce_plot(found)]
     result.notes = [
         (
-            "The values of his Figures 6.8 to 6.10 are not in our copy, so that no time is called "
-            "published. They are of a GeForce 6 in 2005; CPUs are the only devices here so far."
+            "The values of his Figures 6.8 to 6.10 are not in our copy, so no published times are "
+            "given. They are from a GeForce 6 in 2005; the only devices here are CPUs so far."
         ),
         (
-            "Scene B's glass lets no light through here, and rays never end for weighing too "
-            "little, as in his renderer. Ours sends rays to lights as well, which his does not."
+            "As in his renderer, scene B's glass is opaque here, and rays are never terminated "
+            "for a small weight. Unlike his, ours also traces shadow rays."
         ),
     ]
     return result
@@ -94,14 +94,14 @@ def _branching(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
 
 
 def _multipass(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
-    """The same, once; nothing but a reason if too many passes are needed."""
+    """The same, once; only the reason if too many passes are needed."""
     size = image_size(runner)
 
     def measure() -> _Times:
         counting = Tracer(scene, "grid", resolution=grid, counters=True)
         counting.first_hit(*scene.camera_for(1.0).rays(64, 64))
         most = int(counting.counters.tests.max())
-        if most > _MOST_TESTS:
+        if most > _MAX_TESTS:
             return {"most_tests": most}
         tracer = Tracer(scene, "grid", resolution=grid, machine="multipass")
         context = render_context(tracer, (size, size))
@@ -113,7 +113,7 @@ def _multipass(runner: Runner, scene: Scene, letter: str, grid: int) -> _Times:
 
 
 def _timed(context: RenderContext, tracer: Tracer, size: int, rounds: int) -> _Times:
-    """Medians over rounds, after each iteration."""
+    """Median times after each iteration, over rounds."""
     runs = [timed_iterations(context, tracer, size, ITERATIONS) for _ in range(rounds)]
     seconds = [statistics.median(one) for one in zip(*(run[0] for run in runs), strict=True)]
     return {"size": size, "seconds": seconds, "light": runs[0][1]}
@@ -128,12 +128,12 @@ def _scenes(triangles: dict[str, int]) -> Table:
             (f"{letter}: `{SCENES[letter][0]}`", theirs.values[letter], count, SCENES[letter][1])
             for letter, count in triangles.items()
         ],
-        "His scenes were not published but in pictures; the column says how ours differ.",
+        "His scenes were published as images only; the column says how ours differ.",
     )
 
 
 def _milliseconds(lab_size: int, one: _Times) -> list[float | None]:
-    """Of a whole picture, after each iteration."""
+    """Milliseconds of a whole image after each iteration."""
     if "seconds" not in one:
         return [None] * ITERATIONS
     scale = (lab_size / one["size"]) ** 2
@@ -144,22 +144,22 @@ def _table(runner: Runner, found: dict[tuple[str, int, str], _Times]) -> Table:
     size = image_size(runner)
     rows: list[list[Cell]] = []
     for (letter, grid, machine), one in found.items():
-        drawn = f"{one['size']} x {one['size']}" if "size" in one else "not: too many passes"
+        drawn = f"{one['size']} x {one['size']}" if "size" in one else "too many passes"
         rows.append([letter, f"{grid}³", "cpu", machine, drawn, *_milliseconds(size, one)])
     reasons = [
-        f"{letter} with {grid}³ cells: its longest ray tests {one['most_tests']:,} triangles, and "
-        f"a pass tests one; above {_MOST_TESTS:,} the multipass machine is left out."
+        f"{letter} with {grid}³ cells: its longest ray tests {one['most_tests']:,} triangles, one "
+        f"per pass; above {_MAX_TESTS:,} the multipass machine is skipped."
         for (letter, grid, _), one in found.items()
         if "most_tests" in one
     ]
     return Table.of(
         "christen-times",
-        f"Milliseconds of a picture of {size} x {size} pixels, by the number of iterations",
+        f"Milliseconds of an image of {size} x {size} pixels, by the number of iterations",
         ["scene", "grid", "device", "machine", "drawn", *map(str, range(1, ITERATIONS + 1))],
         rows,
-        "An iteration is a surface on a ray's way: n iterations are n - 1 bounces after the first "
-        f"surface. Branching: medians of {ROUNDS} rounds; multipass: once. Where less was drawn "
-        "than a whole picture, its time is scaled by the number of pixels.",
+        "An iteration is a surface on a path: n iterations are n - 1 bounces after the first "
+        f"surface. Branching: medians of {ROUNDS} rounds; multipass: once. Times of reduced "
+        "images are scaled by the number of pixels.",
         *reasons,
     )
 
@@ -178,7 +178,7 @@ def _grid_plot(found: dict[tuple[str, int, str], _Times], iteration: int) -> Plo
         f"christen-grids-{iteration}",
         f"Time against grid size, {iteration} iteration{'s' if iteration > 1 else ''}",
         "cells along each axis",
-        "milliseconds a picture",
+        "milliseconds per image",
         [
             Series(label, list(line), [each[iteration - 1] for each in line.values()])
             for label, line in _labelled(found).items()
@@ -195,7 +195,7 @@ def _bounce_plot(found: dict[tuple[str, int, str], _Times]) -> Plot:
         "christen-iterations",
         f"Time against iterations, {grid}³ cells",
         "iterations",
-        "milliseconds a picture",
+        "milliseconds per image",
         [
             Series(label, list(range(1, ITERATIONS + 1)), line[grid])
             for label, line in _labelled(found).items()

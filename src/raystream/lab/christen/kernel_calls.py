@@ -1,4 +1,4 @@
-"""Calls: passes of the multipass machine for each bounce, and records masked out in them."""
+"""Passes of the multipass machine for each bounce, and the records masked out in them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from raystream.lab.christen.scenes import (
     christen_scene,
     image_size,
 )
-from raystream.lab.frame_timing import picture
+from raystream.lab.frame_timing import report_image
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
 from raystream.lab.runner import Runner
@@ -24,22 +24,22 @@ __all__ = ["ITERATIONS", "THRESHOLDS", "kernel_calls", "passes_of"]
 ITERATIONS = 8
 _QUICK_ITERATIONS = 5
 
-#: Shares of waiting rays at which triangles are tested.
+#: Shares of waiting rays at which an intersection pass starts.
 THRESHOLDS = (0.01, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 0.9)
 _QUICK_THRESHOLDS = (0.05, 0.2, 0.5)
 
-#: Iterations whose passes are added up in the sweep, and what share of a picture's width it has.
+#: Iterations summed in the sweep, and the divisor of its image's width.
 _SWEPT_ITERATIONS = 3
 _SWEEP_SHARE = 2
 
-#: "Few" is no number; this is how it is read, as a share of a picture's pixels.
+#: Our reading of "few", as a share of an image's pixels.
 FEW = 0.1
 
 _Passes = dict[str, Any]
 
 
 def kernel_calls(runner: Runner) -> Result:
-    """Passes and masked records, by kernel and bounce, and the share that asks for tests."""
+    """Passes and masked records by kernel and bounce, and a sweep of the threshold."""
     result = Result()
     found: dict[str, list[_Passes]] = {}
     sweeps: dict[str, dict[str, int]] = {}
@@ -48,8 +48,8 @@ def kernel_calls(runner: Runner) -> Result:
         found[letter] = _measured(runner, scene, letter)
         sweeps[letter] = _swept(runner, scene, letter)
         title = f"Scene {letter}"
-        result.pictures.append(
-            picture(runner, f"christen {letter} eye", title, scene, "raycast", (256, 256))
+        result.images.append(
+            report_image(runner, f"christen {letter} eye", title, scene, "raycast", (256, 256))
         )
     pixels = image_size(runner) ** 2
     result.tables = [
@@ -77,7 +77,7 @@ def passes_of(
     scene : Scene
     bounce : Bounce
     threshold : float
-        Share of active rays that has to wait for a test.
+        Share of active rays that must wait for a test.
     resolution : int
         Cells of the grid along each axis.
     progress : callable, optional
@@ -85,8 +85,8 @@ def passes_of(
     Returns
     -------
     dict
-        ``rays``, ``light_rays``; ``passes``, and the fewest possible ones, ``optimal``;
-        ``kernels``: by name the passes, records that they ran on, and records masked out.
+        ``rays``, ``light_rays``; ``passes`` and their lower bound, ``optimal``; ``kernels``: by
+        name the passes, the records that they ran on, and the records masked out.
     """
     tracer = Tracer(
         scene,
@@ -120,7 +120,7 @@ def _resolution() -> int:
 
 
 def _measured(runner: Runner, scene: Scene, letter: str) -> list[_Passes]:
-    """What each bounce of a picture takes."""
+    """Passes of each bounce of an image."""
     threshold = published("christen", "scheduling").values["threshold"]
 
     def measure() -> list[_Passes]:
@@ -135,7 +135,7 @@ def _measured(runner: Runner, scene: Scene, letter: str) -> list[_Passes]:
 
 
 def _swept(runner: Runner, scene: Scene, letter: str) -> dict[str, int]:
-    """Passes of the first bounces together, by threshold."""
+    """Total passes of the first bounces, by threshold."""
     size = image_size(runner) // _SWEEP_SHARE
     bounces: list[Bounce] = []
     sweep = {}
@@ -160,7 +160,7 @@ def _masked(one: _Passes) -> int:
 
 
 def _idle(one: _Passes, pixels: int) -> float:
-    """Share of a picture's pixels that passes ran on in vain, over all passes."""
+    """Share of an image's pixels that passes masked out, over all passes."""
     return 1.0 - _runs(one) / (one["passes"] * pixels)
 
 
@@ -188,16 +188,16 @@ def _iterations_table(found: dict[str, list[_Passes]], pixels: int) -> Table:
         ]
     return Table.of(
         "christen-iterations",
-        f"Rays that are active at each iteration, and kernel calls for them; {pixels:,} pixels, "
+        f"Active rays at each iteration, and their kernel calls; {pixels:,} pixels, "
         f"{_resolution()}³ cells",
         ["scene", "iteration", "rays", "of pixels", "passes", "at least", "of all rays"]
-        + ["of all passes", "rejected early", "lanes idle", "idle, own rays only", "to lights"],
+        + ["of all passes", "rejected early", "lanes idle", "idle, own rays only", "shadow rays"],
         rows,
-        "Passes are kernel calls. Rejected early: pixels that a pass had to mask out, as early z "
-        "does, added up over its passes; lanes idle is their share. His textures hold all "
-        "pixels throughout. Ours keep only the rays of an iteration: the column after it. "
-        "Each call needs one more pass that sets depths, which is not counted.",
-        "Rays to lights are not among the passes: his renderer has none.",
+        "Passes are kernel calls. Rejected early: pixels masked out, as by early z, summed over "
+        "passes; lanes idle is their share. His textures always hold all pixels. Ours hold only "
+        "the rays of an iteration: the next column. Each call needs another pass that sets "
+        "depths, which is not counted.",
+        "Shadow rays are not included: his renderer has none.",
     )
 
 
@@ -222,8 +222,8 @@ def _sweep_table(runner: Runner, sweeps: dict[str, dict[str, int]]) -> Table:
     names = list(next(iter(sweeps.values())))
     return Table.of(
         "christen-thresholds",
-        f"Kernel calls against the share of rays that asks for tests, {size} x {size} pixels, "
-        f"{_SWEPT_ITERATIONS} iterations",
+        f"Kernel calls against the share of waiting rays that starts an intersection pass, {size} "
+        f"x {size} pixels, {_SWEPT_ITERATIONS} iterations",
         ["scene", *names],
         [[letter, *sweep.values()] for letter, sweep in sweeps.items()],
     )
@@ -231,7 +231,7 @@ def _sweep_table(runner: Runner, sweeps: dict[str, dict[str, int]]) -> Table:
 
 def _plots(found: dict[str, list[_Passes]], pixels: int) -> list[Plot]:
     parts = {
-        "rays": ("Rays that are active", "share of pixels", lambda one: one["rays"] / pixels),
+        "rays": ("Active rays", "share of pixels", lambda one: one["rays"] / pixels),
         "passes": ("Kernel calls", "passes", lambda one: float(one["passes"])),
     }
     return [
@@ -280,12 +280,12 @@ def _few(found: dict[str, list[_Passes]], pixels: int) -> Claim:
         for letter, each in found.items()
     }
     return Claim.judged(
-        f"from iteration {depth} on only few rays are active (read as: at most {FEW:.0%} of the "
+        f"from iteration {depth}, only few rays are active (read as: at most {FEW:.0%} of the "
         "pixels)",
         source.source,
         {letter: share <= FEW for letter, share in shares.items()},
         "; ".join(f"{letter}: {share:.2%}" for letter, share in shares.items())
-        + "; in A all but the lamp mirrors, and which surfaces do in his is not known",
+        + "; in A everything but the lamp is a mirror, and his mirrors are not known",
     )
 
 
@@ -314,8 +314,8 @@ def _inefficient(found: dict[str, list[_Passes]]) -> Claim:
             for key in ("passes", "rays")
         )
     return Claim.judged(
-        f"passes for the few rays from iteration {source.values['few_rays_from_depth']} on are "
-        "inefficient: their share of all passes is larger than that of all rays",
+        f"passes for the few rays from iteration {source.values['few_rays_from_depth']} are "
+        "inefficient: their share of all passes is larger than their share of all rays",
         source.source,
         {letter: passes > rays for letter, (passes, rays) in shares.items()},
         "; ".join(

@@ -1,4 +1,4 @@
-"""Bounces in an iteration buffer on a graphics pipeline of today (Christen 2005, section 5)."""
+"""Bounces with an iteration buffer on a current graphics pipeline (Christen 2005, section 5)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from raystream.tracer import Tracer
 
 __all__ = ["SIZE", "on_graphics"]
 
-#: Width and height: half of his, because the adapter may be software.
+#: Width and height: half of his, since the adapter may be software.
 SIZE = 128
 
-#: Iterations that are measured, and cells along each axis of the grid.
+#: Numbers of iterations, and cells along each axis of the grid.
 _ITERATIONS = (1, 2, 3, 4, 5)
 _QUICK_ITERATIONS = (1, 3)
 _CELLS = 20
@@ -29,7 +29,7 @@ _ROUNDS = 3
 
 
 def on_graphics(runner: Runner) -> Result:
-    """Passes and seconds of pictures by the number of iterations, beside the CPU's renderer."""
+    """Passes and times of images by the number of iterations, compared with the CPU renderer."""
     size = runner.size(SIZE)
     found = {letter: _measure(runner, letter, size) for letter in SCENES}
     rows: list[list[Cell]] = [
@@ -53,7 +53,7 @@ def on_graphics(runner: Runner) -> Result:
         tables=[
             Table.of(
                 "christen-graphics",
-                f"Pictures by fragment programs, {size} x {size}, {_CELLS} cells along each axis",
+                f"Images by fragment programs, {size} x {size}, {_CELLS} cells along each axis",
                 [
                     "scene",
                     "iterations",
@@ -65,10 +65,11 @@ def on_graphics(runner: Runner) -> Result:
                 ],
                 rows,
                 adapter_note(),
-                "A pass draws the whole picture once. In an iteration rays are traced, by one "
-                "program with loops, lit, and mirrored; colour and weight (his equation 5.1) stay "
-                "in textures, and nothing is read back before the end. The CPU: mode whitted on "
-                "the same grid, single rays. Farthest: from that picture, of linear light.",
+                "A pass draws the whole image once. An iteration traces rays with one program "
+                "with loops, shades and reflects them; colour and weight (his equation 5.1) stay "
+                "in textures, without readback before the end. CPU: mode whitted on the same "
+                "grid, single rays. Farthest: maximum difference from that image, in linear "
+                "light.",
             )
         ],
         plots=[
@@ -84,7 +85,7 @@ def on_graphics(runner: Runner) -> Result:
 
 
 def _measure(runner: Runner, letter: str, size: int) -> list[dict[str, Any]]:
-    """For each number of iterations."""
+    """Measurements for each number of iterations."""
     iterations = _QUICK_ITERATIONS if runner.quick else _ITERATIONS
     rounds = 1 if runner.quick else _ROUNDS
 

@@ -28,35 +28,35 @@ __all__ = [
     "timed_iterations",
 ]
 
-#: His scenes: ours, and what we know of the difference.
+#: Our versions of his scenes, and the known differences.
 SCENES = {
     "A": (
         "cornell_mirrors",
         (
-            "his are three boxes; ours is the Cornell box with two blocks, whose walls mirror 0.3 "
-            "and whose blocks mirror 0.8 of the light"
+            "his has three boxes; ours is the Cornell box with two blocks, whose walls reflect "
+            "0.3 and whose blocks reflect 0.8 of the light"
         ),
     ),
     "B": (
         "spheres",
         (
-            "his are cubes in a room; ours are cubes and spheres in a room, one material of which "
-            "is a mirror and some of which mirror 0.08"
+            "his has cubes in a room; ours has cubes and spheres in a room, with one mirror "
+            "material and some that reflect 0.08"
         ),
     ),
     "C": (
         "boxes",
         (
-            "his are objects of many and of few triangles; ours are rounded boxes of 4,800 "
-            "triangles among plain ones, some of steel that mirrors 0.7"
+            "his has objects of many and of few triangles; ours has rounded boxes of 4,800 "
+            "triangles among plain ones, some of steel that reflects 0.7"
         ),
     ),
 }
 
-#: Scene A, but only its blocks mirror: what mirrors in his is not known.
+#: Scene A with mirroring blocks only: his mirrors are not known.
 MATTE_WALLS = "A, matte walls"
 
-#: Materials that mirror less are those of scene A's walls.
+#: Materials that reflect less belong to scene A's walls.
 _BLOCKS_MIRROR = 0.5
 
 
@@ -66,10 +66,10 @@ class Bounce(NamedTuple):
     Attributes
     ----------
     iteration : int
-        Christen's word: 1 for rays from the eye, 2 for those that the first surfaces mirror.
+        Christen's term: 1 for camera rays, 2 for reflections from the first surfaces.
     origins, directions : ndarray of shape (N, 3)
     light_ray_count : int
-        Rays to lights from what these meet; he has none.
+        Shadow rays from their hits; Christen has none.
     """
 
     iteration: int
@@ -79,7 +79,7 @@ class Bounce(NamedTuple):
 
 
 def christen_scene(letter: str) -> Scene:
-    """A, B, C or `MATTE_WALLS`; without refraction, since his renderer has none."""
+    """Scene A, B, C or `MATTE_WALLS`, without refraction, which his renderer lacks."""
     name, _ = SCENES["A" if letter == MATTE_WALLS else letter]
     scene = load(name)
     opaque = [replace(one, transmission=(0.0, 0.0, 0.0)) for one in scene.materials]
@@ -99,14 +99,14 @@ def christen_scene(letter: str) -> Scene:
 
 
 def image_size(runner: Runner) -> int:
-    """Width and height of his pictures, 256, or as much smaller as is wanted."""
+    """Width and height of his images, 256, or the user's size."""
     return runner.size(published("christen", "settings").values["size"])
 
 
 def timed_iterations(
     context: RenderContext, tracer: Tracer, size: int, iterations: int
 ) -> tuple[list[float], float]:
-    """Draw a picture with ``whitted``, all pixels together, and read the clock at each bounce.
+    """Render an image with ``whitted``, all pixels together, and time each bounce.
 
     Parameters
     ----------
@@ -116,14 +116,14 @@ def timed_iterations(
     size : int
         Width and height.
     iterations : int
-        Surfaces on a ray's way, at most.
+        Maximum surfaces per path.
 
     Returns
     -------
     seconds : list of float
-        From the start to the end of each iteration; the last one repeated where no ray is left.
+        From the start to the end of each iteration; the last value repeats once no ray is left.
     light : float
-        Mean radiance of the picture, to tell whether two agree.
+        Mean radiance of the image, to compare two.
     """
     renderer = RENDERERS["whitted"]
     options = renderer.check({"max_bounces": iterations - 1, "min_weight": 0.0})
@@ -142,7 +142,7 @@ def timed_iterations(
 
 
 def bounces_of(scene: Scene, size: int, iterations: int) -> list[Bounce]:
-    """The rays that ``whitted`` traces for a picture, by bounce."""
+    """The rays that ``whitted`` traces for an image, by bounce."""
     tracer = RecordingTracer(scene, keep_rays=True)
     timed_iterations(render_context(tracer, (size, size)), tracer, size, iterations)
     found: list[Bounce] = []

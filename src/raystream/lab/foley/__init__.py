@@ -1,1 +1,1 @@
-"""Foley and Sugerman's experiments: kd-trees without a stack."""
+"""Foley and Sugerman's experiments: stackless kd-trees."""

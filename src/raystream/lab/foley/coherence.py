@@ -1,4 +1,4 @@
-"""Coherence: what secondary rays meet, and whether climbing brings rays together (section 4.2)."""
+"""Coherence of secondary rays, and whether climbing makes rays converge (section 4.2)."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["GROUPINGS", "coherence"]
 
-#: Pictures of so much less width and height than the paper's.
+#: Divisor of the paper's image size.
 _SHARE = 2
 
-#: Rays that are looked at together: a tile of the picture, or so many at random.
+#: Side of a tile of rays, and number of groups, each a tile or as many random rays.
 _TILE = 8
 _GROUPS = 24
 
 GROUPINGS = ("neighbours", "at random")
 
-#: Climbs of so many steps at least are followed, and so many steps of each.
+#: Minimum length of the climbs considered, and the number of steps followed.
 _CLIMB = 6
 
-#: What is left of the distinct nodes after a step up, if it is like the levels of a tree, each
-#: of which "has roughly half as many nodes as the one beneath it"; and how much more is like it.
+#: Expected share of distinct nodes after a step up, if tree levels each have "roughly half as many
+#: nodes as the one beneath"; and the tolerance.
 _HALF, _ABOUT = 0.5, 0.25
 
 _SEED = 1
@@ -42,7 +42,7 @@ Found = dict[str, Any]
 
 
 def coherence(runner: Runner) -> Result:
-    """What kinds of rays meet, their passes, and the distinct nodes of groups of 64."""
+    """Counts and passes by kind of ray, and the distinct nodes of groups of 64 rays."""
     result = Result()
     found: dict[str, dict[str, Found]] = {}
     names = ("robots",) if runner.quick else ("robots", "kitchen")
@@ -73,7 +73,7 @@ def _scene(runner: Runner, name: str, view: View) -> dict[str, Found]:
 
 
 def _met(tree: KdTreeStructure, rays: RayKind) -> Found:
-    """Counts of a ray, and passes of all."""
+    """Counts per ray, and passes."""
     machine = MultipassBackend(tree, scheduler="double")
     counters = trace_counters(
         machine, rays.origins, rays.directions, t_max=rays.t_max, any_hit=rays.any_hit
@@ -93,7 +93,7 @@ def _met(tree: KdTreeStructure, rays: RayKind) -> Found:
 
 
 def _groups(tree: KdTreeStructure, walker: TreeWalker, rays: RayKind, size: int) -> Found:
-    """How many of a group's visits are to distinct nodes, by kind of step and of grouping."""
+    """Shares of distinct nodes among a group's visits, by kind of step and grouping."""
     generator = np.random.default_rng(_SEED)
     found: Found = {}
     compared = same = 0
@@ -122,15 +122,15 @@ def _share(groups: Sequence[Sequence[Sequence[int]]]) -> float | None:
 
 
 def _climbing(walks: Sequence[Sequence[NodeVisits]]) -> dict[str, Any]:
-    """Of the last long climb of each ray, the nodes that each of its first steps came to.
+    """Distinct nodes reached by each step of each ray's last long climb.
 
-    Not the first: all eye rays begin with the leaf that holds the eye.
+    Not the first climb: all camera rays start in the leaf that contains the camera.
     """
     long = [
         [
             next(climb for climb in reversed(one.climbs) if len(climb) >= _CLIMB)
             for one in each
-            if _climbs(one)
+            if _has_long_climb(one)
         ]
         for each in walks
     ]
@@ -140,14 +140,14 @@ def _climbing(walks: Sequence[Sequence[NodeVisits]]) -> dict[str, Any]:
     }
 
 
-def _climbs(visits: NodeVisits) -> bool:
+def _has_long_climb(visits: NodeVisits) -> bool:
     return any(len(climb) >= _CLIMB for climb in visits.climbs)
 
 
 def _chosen(
     rays: RayKind, grouping: str, size: int, generator: np.random.Generator
 ) -> list[NDArray[np.int64]]:
-    """Rows of the rays of each group."""
+    """Ray indices of each group."""
     count = len(rays.pixels)
     if grouping != "neighbours":
         each = min(_TILE * _TILE, count)
@@ -170,7 +170,7 @@ def _visits(tree: KdTreeStructure, walker: TreeWalker, rays: RayKind) -> list[No
 
 
 def _same_count(tree: KdTreeStructure, rays: RayKind, visits: Sequence[NodeVisits]) -> int:
-    """How many of the walks have as many steps as the engine's."""
+    """Count the walks with as many steps as the engine's."""
     counters = trace_counters(
         tree, rays.origins, rays.directions, t_max=rays.t_max, any_hit=rays.any_hit
     )
@@ -188,16 +188,16 @@ def _meeting_table(found: Mapping[str, Mapping[str, Found]], size: int) -> Table
     columns = ("rays", "down", "up", "leaves", "tests", "passes", "efficiency")
     return Table.of(
         "foley-secondary",
-        f"What kinds of rays meet with kd-backtrack; {size} x {size} pixels",
+        f"Work by kind of ray with kd-backtrack; {size} x {size} pixels",
         ["scene", "rays are", *columns],
         [
             [name, kind, *(one[column] for column in columns)]
             for name, each in found.items()
             for kind, one in each.items()
         ],
-        "Steps, leaves and tests of a ray; passes and efficiency of the multipass machine with "
-        "Foley's scheduler. Shadow rays go to the scene's first light, and end at any hit; "
-        "diffuse rays leave in a random direction, by Lambert's law.",
+        "Steps, leaves and tests per ray; passes and efficiency of the multipass machine with "
+        "Foley's scheduler. Shadow rays go to the scene's first light and end at any hit; "
+        "diffuse rays leave in cosine-weighted random directions.",
     )
 
 
@@ -214,18 +214,18 @@ def _distinct_table(found: Mapping[str, Mapping[str, Found]]) -> Table:
         f"Distinct nodes, in groups of {_TILE * _TILE} rays",
         ["scene", "rays are", "groups", "Down", "Up", "leaves"],
         rows,
-        f"{_GROUPS} groups of each kind: tiles of {_TILE} x {_TILE} pixels, or rays at random. "
-        "Distinct nodes of a group over those of its rays, summed: 1 means that no two rays of a "
-        "group come to the same node, and less is more coherent.",
-        f"Followed in float64, of which {least:.1%} or more have as many steps as the engine's "
-        "rays, each kind of them.",
+        f"{_GROUPS} groups of each kind: tiles of {_TILE} x {_TILE} pixels, or random rays. "
+        "Distinct nodes of a group over the sum of those of its rays: 1 means that no two rays "
+        "of a group visit the same node; less is more coherent.",
+        f"Traversed in float64; at least {least:.1%} of the rays take the engine's numbers of "
+        "steps.",
     )
 
 
 def _climb_table(found: Mapping[str, Mapping[str, Found]]) -> Table:
     return Table.of(
         "foley-climbs",
-        "Distinct nodes, by the step of a climb",
+        "Distinct nodes by the step of a climb",
         ["scene", "rays are", "groups", "climbs", *(f"step {k + 1}" for k in range(_CLIMB))],
         [
             [name, kind, grouping, one[grouping]["climbs"], *one[grouping]["steps"]]
@@ -233,9 +233,9 @@ def _climb_table(found: Mapping[str, Mapping[str, Found]]) -> Table:
             for kind, one in each.items()
             for grouping in GROUPINGS
         ],
-        f"Of each ray the last climb of {_CLIMB} steps or more; step 1 comes to the parent of "
-        "the leaf. Distinct nodes of a group over its climbs: they cannot become more, since "
-        "equal nodes have one parent; what is measured is how fast they become fewer.",
+        f"The last climb of at least {_CLIMB} steps of each ray; step 1 reaches the parent of the "
+        "leaf. Distinct nodes of a group over its climbs: the number cannot grow, since equal "
+        "nodes have one parent; the rate of decrease is measured.",
     )
 
 
@@ -243,7 +243,7 @@ def _plot(name: str, each: Mapping[str, Found]) -> Plot:
     steps = list(range(1, _CLIMB + 1))
     return Plot(
         f"foley-climbs-{name}",
-        f"{name}: how many of the nodes that climbs come to are distinct",
+        f"{name}: distinct share of the nodes reached by climbs",
         "step of a climb",
         "distinct nodes / climbs",
         [
@@ -273,14 +273,14 @@ def _claims(found: Mapping[str, Mapping[str, Found]]) -> list[Claim]:
     listed = ", ".join(f"{case} {factor:.2f}" for case, factor in factors.items())
     return [
         Claim.judged(
-            "Steps up bring rays together, even rays at random and secondary rays",
+            "Steps up make rays converge, even random and secondary rays",
             source,
             {case: factor < 1.0 for case, factor in factors.items()},
-            f"a step leaves of the distinct nodes, on the average: {listed}",
+            f"mean share of distinct nodes left by a step: {listed}",
         ),
         Claim.judged(
-            "... exponentially: a step halves the distinct nodes or better, within a quarter, as "
-            "the levels of a tree have half the nodes of the one beneath",
+            "... exponentially: a step at least halves the distinct nodes, within a quarter, as "
+            "each level of a tree has half the nodes of the one beneath",
             source,
             {case: factor <= _HALF * (1.0 + _ABOUT) for case, factor in factors.items()},
             "the same factors",

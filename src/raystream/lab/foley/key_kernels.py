@@ -38,7 +38,7 @@ _QUICK_RUNS = 20
 
 
 def key_kernels(runner: Runner) -> Result:
-    """Table 3, and which kernels wait for memory."""
+    """Table 3, and which kernels are memory-bound."""
     result = Result()
     rows: list[list[Cell]] = []
     speeds: list[list[Cell]] = []
@@ -49,7 +49,7 @@ def key_kernels(runner: Runner) -> Result:
         try:
             found = _measure(runner, structure, options, size, runs)
         except RaystreamError as error:
-            result.notes.append(f"the kitchen's kernels are left out: {error}")
+            result.notes.append(f"the kitchen's kernels are omitted: {error}")
             return result
         for kernel, one in found.items():
             name = _NAMES[structure, kernel]
@@ -73,21 +73,21 @@ def key_kernels(runner: Runner) -> Result:
     result.tables = [
         Table.of(
             "foley-table-3",
-            f"What a kernel reads and writes for a ray: {source}",
+            f"Reads and writes of a kernel per ray: {source}",
             ["quantity", "published", "ours", "ratio", "why they differ"],
             rows,
-            "Floats in: what a pass reads of the ray's record, and of the scene, each word once. "
-            "The paper gives them as one number. Dependent fetches: loads of the scene whose "
-            "address follows from what was read before; the paper counts texture fetches of up "
-            "to 4 floats.",
+            "Floats in: words that a pass reads from the ray's record and from the scene, each "
+            "once. The paper gives their sum. Dependent fetches: loads from the scene whose "
+            "address depends on an earlier read; the paper counts texture fetches of up to 4 "
+            "floats.",
         ),
         Table.of(
             "foley-bandwidth",
-            f"{runs} runs of each kernel on the kitchen's rays, {size} x {size}, in turns with "
+            f"{runs} runs of each kernel on the kitchen's rays, {size} x {size}, in turn with "
             "versions that only fetch",
             [
                 "kernel",
-                "ns a ray",
+                "ns per ray",
                 "GB/s",
                 "published GB/s",
                 "fetch-only, GB/s",
@@ -97,9 +97,9 @@ def key_kernels(runner: Runner) -> Result:
             ],
             speeds,
             f"Copying an array reaches {copying:.3g} GB/s here. Foley's rule: a kernel that takes "
-            "as long as one that only fetches the same words waits for memory. As long: up to a "
-            "quarter more, which is our number.",
-            "All rays that waited for the kernel in its busiest pass take part, none is masked.",
+            "as long as its fetch-only version waits for memory. As long: up to a quarter more, "
+            "our choice.",
+            "All rays that waited for the kernel in its busiest pass take part; none is masked.",
         ),
     ]
     result.claims = [

@@ -1,7 +1,7 @@
-"""NodeVisits: which nodes a ray goes to with kd-backtrack, one after another.
+"""The sequence of nodes that a ray visits with kd-backtrack.
 
-For samples: written in plain Python, with float64 where the engine has float32, so that a ray on
-the edge of a cell may come to another one. `foley.coherence` says how many rays do.
+For samples: in plain Python, with float64 where the engine has float32, so that a ray on the edge
+of a cell may visit another one. `foley.coherence` reports how many rays do.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["NodeVisits", "TreeWalker", "distinct_share"]
 
-#: A direction's component of zero counts as this share of the largest, as in the engine.
+#: Zero direction components are replaced by this share of the largest, as in the engine.
 _LEAST = 2.0**-40
 
 
 class NodeVisits(NamedTuple):
-    """The nodes at which a ray's steps begin, in their order.
+    """The nodes at which a ray's steps begin, in order.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class NodeVisits(NamedTuple):
         Splits.
     leaves : list of int
     climbs : list of lists of int
-        The nodes that each climb came to.
+        The nodes that each climb reached.
     """
 
     down: list[int]
@@ -37,12 +37,12 @@ class NodeVisits(NamedTuple):
 
     @property
     def up(self) -> list[int]:
-        """Those of all climbs."""
+        """The nodes of all climbs."""
         return [node for climb in self.climbs for node in climb]
 
 
 class TreeWalker:
-    """Follows rays through a tree.
+    """Traverses a tree with single rays.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class TreeWalker:
     def walk(
         self, origin: Sequence[float], direction: Sequence[float], t_max: float, t_hit: float
     ) -> NodeVisits:
-        """Follow a ray to its first hit.
+        """Traverse the tree to a ray's first hit.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class TreeWalker:
         t_max : float
             In direction lengths.
         t_hit : float
-            Where it hits; inf if it does not.
+            Distance of the hit; inf for a miss.
         """
         visits = NodeVisits([], [], [])
         start = [(o - c) * self._scale for o, c in zip(origin, self._center, strict=True)]
@@ -79,7 +79,7 @@ class TreeWalker:
         if not t_in <= t_end or not self._words:
             return visits
         t_end, t_hit = math.nextafter(t_end, math.inf), t_hit * self._scale
-        above: list[tuple[int, float]] = []  # the splits on the way from the root, and their ends
+        above: list[tuple[int, float]] = []  # the splits from the root, and their ends
         node, t_out = 0, t_end
         while True:
             while self._words[node] & 3 != LEAF_AXIS:
@@ -118,18 +118,18 @@ class TreeWalker:
 
 
 def distinct_share(groups: Iterable[Sequence[Sequence[int]]]) -> float:
-    """How much of what the rays of a group visit is not visited by others of it.
+    """Share of distinct nodes among the visits of a group's rays.
 
     Parameters
     ----------
     groups : iterable of sequences
-        For each ray of a group, the nodes that it visits; those that it visits again count once.
+        The nodes visited by each ray of a group; repeated visits count once.
 
     Returns
     -------
     float
-        Distinct nodes of groups over those of rays: 1 if no two rays of a group visit the same
-        node; for n rays 1 / n if all visit the same; nan without visits.
+        Distinct nodes of groups over the sum of those of rays: 1 if no two rays of a group share a
+        node; 1 / n if n rays visit the same nodes; nan without visits.
     """
     distinct = visits = 0
     for rays in groups:

@@ -1,4 +1,4 @@
-"""The scenes from elsewhere: how much a grid's place beside kd-trees depends on the view."""
+"""Other views of the scenes: how the comparison of grid and kd-trees depends on the view."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from raystream.scene.camera import Camera
 from raystream.scene.scene import Scene
 from raystream.structures import Structure, build_structure
 
-__all__ = ["ViewCosts", "elsewhere", "kernel_runs", "lead", "other_views_table"]
+__all__ = ["ViewCosts", "kernel_runs", "lead", "other_views", "other_views_table"]
 
 _SWEEP_SIZE = SIZE // 4
 
-#: Frames of an animation.
+#: Frames per animation.
 _FRAMES = 10
 
 _COMPARED = ("grid", "restart", "backtrack")
 
-#: By view: ``grid``, ``restart`` and ``backtrack``, kernel runs a ray; ``hits``, their share.
+#: By view: ``grid``, ``restart`` and ``backtrack``, kernel runs per ray; ``hits``, their share.
 ViewCosts = dict[str, dict[str, float]]
 
 
 def kernel_runs(structure: str, each: Mapping[str, float]) -> float:
-    """How often Foley's kernels run on a ray, but for those that begin and end it.
+    """Runs of Foley's kernels per ray, except those that begin and end it.
 
     Parameters
     ----------
     structure : str
-        ``"restart"``, ``"backtrack"`` and ``"stack"`` run Leaf and Continue for each leaf.
+        ``"restart"``, ``"backtrack"`` and ``"stack"`` run Leaf and Continue per leaf.
     each : mapping
-        ``steps``, ``leaves`` and ``tests`` of a ray.
+        ``steps``, ``leaves`` and ``tests`` per ray.
     """
     is_tree = structure in ("restart", "backtrack", "stack")
     return each["steps"] + each["tests"] + (2 * each["leaves"] if is_tree else 0.0)
@@ -48,7 +48,7 @@ def lead(each: Mapping[str, float]) -> float:
     return each["grid"] / min(each["restart"], each["backtrack"])
 
 
-def elsewhere(runner: Runner, name: str, view: View) -> ViewCosts:
+def other_views(runner: Runner, name: str, view: View) -> ViewCosts:
     """Kernel runs of grid and kd-trees in other views of a scene.
 
     Parameters
@@ -57,7 +57,7 @@ def elsewhere(runner: Runner, name: str, view: View) -> ViewCosts:
     name : str
         The scene's, of `scenes.SCENES`.
     view : View
-        Its animation's frames are looked at; without one, it from all around.
+        Frames of its animation are used; without one, cameras around the scene.
     """
     size = min(_SWEEP_SIZE, runner.size(SIZE))
     resolution = published("foley", "scenes").values[name]["resolution"]
@@ -111,7 +111,7 @@ def _runs(structures: Mapping[str, Structure], camera: Camera, size: int) -> dic
 
 
 def other_views_table(found: Mapping[str, ViewCosts]) -> Table:
-    """Of each scene the views where the grid stands best, in the middle, and worst."""
+    """The views of each scene with the best, median and worst rank of the grid."""
     rows: list[list[Cell]] = []
     for name, views in found.items():
         ordered = sorted(views, key=lambda label: lead(views[label]))
@@ -125,11 +125,11 @@ def other_views_table(found: Mapping[str, ViewCosts]) -> Table:
                 + [f"{ahead} of {len(views)}"]
             )
     return Table.of(
-        "foley-elsewhere",
-        "Other views: kernel runs a ray, where the grid stands best, in the middle, and worst",
+        "foley-other-views",
+        "Other views: kernel runs per ray, where the grid does best, median, and worst",
         ["scene", "view", "rays that hit", *_COMPARED, "grid / better tree", "published times"]
         + ["views where the grid is ahead"],
         rows,
-        "Kernel runs: steps and tests, and for a kd-tree Leaf and Continue of each leaf. The bunny "
-        "from all around; the animated scenes along their camera's way, as they move.",
+        "Kernel runs: steps and tests, and for kd-trees Leaf and Continue per leaf. The bunny "
+        "from all sides; animated scenes along their camera's path.",
     )

@@ -1,4 +1,4 @@
-"""What carrying rays from pass to pass costs, and lanes that idle (Foley 2005, section 5)."""
+"""The cost of carrying rays from pass to pass, and of idle lanes (Foley 2005, section 5)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STRUCTURES: dict[str, dict[str, Any]] = {
 
 
 def recirculation(runner: Runner) -> Result:
-    """Time the same steps on both machines, and passes by the share of rays that take part."""
+    """Time the same steps on both machines, and passes by their occupancy."""
     result = Result()
     size = runner.size(_SIZE)
     found: dict[tuple[str, bool], dict[str, Any]] = {}
@@ -77,26 +77,26 @@ def recirculation(runner: Runner) -> Result:
                 "ended rays",
                 "steps",
                 "mean share of rays in a pass",
-                "multipass, ns a step",
-                "branching, ns a step",
+                "multipass, ns per step",
+                "branching, ns per step",
                 "ratio",
-                "passes nearly full, ns a step",
+                "passes nearly full, ns per step",
                 "time for idle rays",
                 "time that full passes would save",
             ],
             rows,
             "Both machines run the same functions on the same rays. Nearly full: passes in which "
-            "three quarters of the rays take part or more; what they take beyond the branching "
-            "machine is loading and storing rays. Idle: looking at the state of rays that a "
-            "pass does not run on.",
+            "at least three quarters of the rays take part; their excess over the branching "
+            "machine is loading and storing rays. Idle: checking the state of rays that a pass "
+            "does not run on.",
         )
     ]
     result.plots = [
         Plot(
             "foley-occupancy",
-            "Time of a step by the share of rays that take part in the pass (masked)",
+            "Time per step by the share of rays that take part in the pass (masked)",
             "least share of rays in the pass",
-            "ns a step",
+            "ns per step",
             [
                 Series(name, [low for low, _ in one["bins"]], [ns for _, ns in one["bins"]])
                 for (name, gone), one in found.items()
@@ -112,14 +112,14 @@ def recirculation(runner: Runner) -> Result:
             "would leave idle",
             source,
             {name: ratio > slowdown for name, ratio in ratios.items()},
-            "rays over those that take part: "
+            "all rays / rays that take part: "
             + ", ".join(f"{name} {ratio:.1f}" for name, ratio in ratios.items())
             + "; on this machine, which skips them, full passes would be faster by "
             + ", ".join(f"{name} {ratio:.1f}" for name, ratio in lost.items()),
         ),
         Claim.judged(
-            "Carrying a ray's state from pass to pass costs much (here: full passes take twice the "
-            "branching machine's time a step, or more)",
+            "Carrying a ray's state from pass to pass is expensive (here: full passes take at "
+            "least twice the branching machine's time per step)",
             source,
             {
                 name: one["full"] >= 2.0 * one["branching"]

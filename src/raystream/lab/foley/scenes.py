@@ -1,4 +1,4 @@
-"""Foley's four scenes, and the trees and counts that the experiments share."""
+"""Foley's four scenes, and the trees and counts shared by the experiments."""
 
 from __future__ import annotations
 
@@ -37,33 +37,33 @@ __all__ = [
     "trace_counters",
 ]
 
-#: The paper's ways to search a tree.
+#: The paper's traversals, with a stack for reference.
 TRAVERSALS = ("stack", "restart", "backtrack")
 
-#: Width and height of Foley's pictures, section 4.
+#: Width and height of Foley's images, section 4.
 SIZE = 512
 
 #: Seconds of all rounds together, after which a structure is not timed again.
 PATIENCE = 8.0
 
-#: The paper's scenes by the name under which its figures are kept: what `load` calls them.
+#: Names for `load` by the names of the published figures.
 SCENES = MappingProxyType(
     {"cornell": "cornell", "bunny": "bunny", "robots": "bart_robots", "kitchen": "kitchen"}
 )
 
-#: Sums over all rays, of each traversal.
+#: Sums over all rays by traversal.
 States = dict[str, dict[str, int]]
 
 
 def available_views(
     runner: Runner, names: Sequence[str], result: Result
 ) -> Iterator[tuple[str, View]]:
-    """The scenes that are here, one after another; a note for each that is not."""
+    """Yield the available scenes; add a note for each missing one."""
     return result.available(names, lambda name: runner.view(SCENES[name]))
 
 
 def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -> KdTreeStructure:
-    """A tree as Foley 2005, section 3.2, has it: packed nodes, and a step 8 times a test's price.
+    """Build a tree as in Foley 2005, section 3.2: packed nodes, and a step 8 times a test's cost.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -
     progress : callable, optional
         Called with (triangles placed, triangles).
     **options
-        As for ``"kdtree"``, instead of Foley's or raystream's own.
+        Options of ``"kdtree"`` that replace Foley's or raystream's.
     """
     cost = float(published("foley", "claims").values["traversal_cost"])
     chosen = {"layout": "foley", "traversal": "backtrack", "traversal_cost": cost, **options}
@@ -81,7 +81,7 @@ def foley_tree(scene: Scene, progress: Progress | None = None, **options: Any) -
 def foley_trees(
     scene: Scene, progress: Progress | None = None, **options: Any
 ) -> dict[str, KdTreeStructure]:
-    """One tree, searched with a stack, by restarts, and by backtracking."""
+    """One tree with each of `TRAVERSALS`."""
     tree = foley_tree(scene, progress, **options)
     return {traversal: tree.with_traversal(traversal) for traversal in TRAVERSALS}
 
@@ -95,7 +95,7 @@ def trace_counters(
     any_hit: bool = False,
     progress: Progress | None = None,
 ) -> RayCounters:
-    """What rays meet on their way to their first hits, or to any."""
+    """Counters of a first-hit or any-hit query."""
     backend = Branching(machine) if isinstance(machine, Structure) else machine
     query = Query(Kind.ANY_HIT if any_hit else Kind.FIRST_HIT)
     batch = RayBatch(origins, directions, 0.0, t_max)
@@ -103,12 +103,12 @@ def trace_counters(
 
 
 def count_states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> States:
-    """How often rays were in each state of each traversal (Foley 2005, Table 2).
+    """Count ray states in each traversal (Foley 2005, Table 2).
 
     Returns
     -------
     dict of str to dict of str to int
-        By traversal, `RayCounters.total`; and how many ``rays``.
+        By traversal, `RayCounters.total` and the number of ``rays``.
     """
     found: States = {}
     for traversal, tree in trees.items():
@@ -118,24 +118,24 @@ def count_states(trees: dict[str, KdTreeStructure], origins: Any, directions: An
 
 
 def figures_of(found: States) -> dict[str, float]:
-    """The figures of Table 2, in millions for a picture of Foley's size.
+    """The figures of Table 2, in millions for an image of Foley's size.
 
     Parameters
     ----------
     found : dict
-        Of `states`.
+        From `count_states`.
 
     Returns
     -------
     dict of str to float
-        ``down``: of the stack, and of backtrack as Foley counts; ``up``; ``restart down``;
+        ``down``: of the stack, and of backtrack by Foley's count; ``up``; ``restart down``;
         ``intersect``; ``transitions``: leaves.
 
     Notes
     -----
-    After a climb, our backtrack runs Down once more, on the split whose far side comes next.
-    Foley's does not, or counts it as Up: his Down "is exactly the number of search steps that
-    the stack-based approach would have required". Here these runs are left out.
+    After a climb, our backtrack runs Down once more, on the split whose far side is next. Foley's
+    does not, or counts it as Up: his Down "is exactly the number of search steps that the
+    stack-based approach would have required". These runs are omitted here.
     """
     restart, backtrack = found["restart"], found["backtrack"]
     share = SIZE**2 / backtrack["rays"] / 1e6
@@ -149,7 +149,7 @@ def figures_of(found: States) -> dict[str, float]:
 
 
 def published_figures(name: str) -> dict[str, float]:
-    """The same five from Table 2, for a scene's name."""
+    """The same figures as published in Table 2, by scene name."""
     table = published("foley", "table 2").values
     restart, backtrack = table[f"{name} restart"], table[f"{name} backtrack"]
     return {

@@ -1,4 +1,4 @@
-"""Schedulers: when Foley's rule switches kernels, and how many lanes idle (sections 3.4 and 5)."""
+"""When Foley's scheduler switches kernels, and how many lanes idle (sections 3.4 and 5)."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from raystream.machines.schedulers import Scheduler, make_scheduler
 
 __all__ = ["RATIOS", "RecordingScheduler", "SwitchRatio", "schedulers"]
 
-#: Another kernel is chosen if it has so many times the rays of the latest.
+#: Switch to another kernel if it has this many times the rays of the last one.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 
 _RULES = ("naive", "threshold", "most-work", "double")
 _TRAVERSALS = ("restart", "backtrack")
 
-#: Pictures of so much less width and height; the longest rays decide how many passes it takes.
+#: Divisor of the image size; the longest rays determine the number of passes.
 _SHARE = 2
 
-#: A schedule in figures.
+#: Figures of a schedule.
 Schedule = dict[str, float]
 
 
 class SwitchRatio:
-    """Stay until another kernel has more than so many times the rays (Foley 2005, section 3.4).
+    """Switch when another kernel has more than `ratio` times the rays (Foley 2005, section 3.4).
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class SwitchRatio:
 
 
 class RecordingScheduler:
-    """A scheduler, and what it had to choose from.
+    """A scheduler that records the number of active rays.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class RecordingScheduler:
     Attributes
     ----------
     active_counts : list of int
-        In each pass, the rays whose search has not ended.
+        Rays in mid-search, per pass.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
@@ -76,7 +76,7 @@ class RecordingScheduler:
 
 
 def schedulers(runner: Runner) -> Result:
-    """Passes, switches and idle lanes of schedulers, and of other ratios than Foley's."""
+    """Passes, switches and idle lanes of schedulers, and of other switching ratios."""
     result = Result()
     rules: dict[str, dict[str, Schedule]] = {}
     ratios: dict[str, dict[str, Schedule]] = {}
@@ -98,7 +98,7 @@ def schedulers(runner: Runner) -> Result:
 
 
 class _Runs:
-    """One tree, traced by one scheduler after another."""
+    """Runs one tree with several schedulers."""
 
     def __init__(self, runner: Runner, name: str, view: View, traversal: str) -> None:
         self.runner, self.name, self.view, self.traversal = runner, name, view, traversal
@@ -106,7 +106,7 @@ class _Runs:
         self.tree: Any = None
 
     def of(self, title: str, scheduler: Scheduler) -> Schedule:
-        """The passes of a scheduler."""
+        """Figures of a scheduler's passes."""
 
         def measure() -> Schedule:
             if self.tree is None:
@@ -170,11 +170,10 @@ def _rule_table(rules: Mapping[str, Mapping[str, Schedule]], size: int) -> Table
         f"Schedulers of kd-trees on the multipass machine, {size} x {size} rays",
         ["scene and traversal", "scheduler", *_COLUMNS],
         rows,
-        "Shares of all lanes, one for each ray, in the mean over passes. Idle lanes cost: how "
-        "many times the passes would be that had no idle lane; Foley guesses "
-        f"more than {factor}, for hardware that skips blocks of idle fragments before they run, "
-        "but pays for each switch of kernels.",
-        "The bound: for each kernel the most runs on any ray, added up.",
+        "Shares of all lanes, one per ray, mean over passes. Idle lanes cost: passes over those "
+        f"of a schedule without idle lanes; Foley estimates more than {factor}, for hardware that "
+        "rejects blocks of idle fragments early, but pays for each kernel switch.",
+        "The bound: the sum over kernels of the maximum runs on any ray.",
     )
 
 
@@ -187,18 +186,18 @@ def _ratio_table(ratios: Mapping[str, Mapping[str, Schedule]], size: int) -> Tab
     ]
     return Table.of(
         "foley-switch-ratio",
-        f"Switching when another kernel has so many times the rays, {size} x {size} rays",
-        ["scene and traversal", "ratio", *_COLUMNS, "switches a pass"],
+        f"Switching when another kernel has a multiple of the rays, {size} x {size} rays",
+        ["scene and traversal", "ratio", *_COLUMNS, "switches per pass"],
         rows,
-        f"Foley's ratio is {theirs}. At 1 the fullest kernel runs, but a tie keeps the latest.",
+        f"Foley's ratio is {theirs}. At 1 the fullest kernel runs, but ties keep the last one.",
     )
 
 
 def _plot(ratios: Mapping[str, Mapping[str, Schedule]], key: str) -> Plot:
     return Plot(
         f"foley-ratio-{key}",
-        f"{key.capitalize()} against the ratio at which kernels are switched",
-        "rays of another kernel over those of the latest",
+        f"{key.capitalize()} against the switching ratio",
+        "rays of another kernel over those of the last one",
         key,
         [
             Series(case, [float(ratio) for ratio in each], [one[key] for one in each.values()])
@@ -232,13 +231,13 @@ def _claims(
             + ", ".join(f"{case} {cost:.3g}" for case, cost in idle.items()),
         ),
         Claim.judged(
-            "Foley's rule switches kernels less often than running whichever has most rays",
+            "Foley's rule switches kernels less often than running the fullest one",
             source,
             {case: double < most for case, (double, most) in fewer.items()},
             ", ".join(f"{case} {a:,.0f} and {b:,.0f}" for case, (a, b) in fewer.items()),
         ),
         Claim.judged(
-            "... while its passes still run on as many rays",
+            "... while its passes run on as many rays",
             source,
             {case: double >= most for case, (double, most) in batches.items()},
             ", ".join(f"{case} {a:.1%} and {b:.1%}" for case, (a, b) in batches.items())

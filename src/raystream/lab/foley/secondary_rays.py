@@ -1,4 +1,4 @@
-"""Secondary rays: from what a camera sees to a light, and on in any direction."""
+"""Secondary rays: shadow rays to a light, and diffuse bounces."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _SEED = 20050731
 
 
 class RayKind(NamedTuple):
-    """Rays of a picture, a row for each pixel that has one.
+    """Rays of an image, one row per pixel with a ray.
 
     Attributes
     ----------
     name : str
     origins, directions : ndarray of shape (N, 3)
-        NaN where nothing was seen.
+        NaN where the camera ray misses.
     t_max : float
     any_hit : bool
-        Whether any hit will do.
+        Whether to find any hit.
     pixels : ndarray of shape (N,), int64
-        Number of each ray's pixel, row by row.
+        Index of each ray's pixel, row by row.
     """
 
     name: str
@@ -42,22 +42,22 @@ class RayKind(NamedTuple):
     pixels: NDArray[np.int64]
 
     def part(self, rows: NDArray[np.int64]) -> RayKind:
-        """Some of the rays."""
+        """A subset of the rays."""
         return self._replace(
             origins=self.origins[rows], directions=self.directions[rows], pixels=self.pixels[rows]
         )
 
 
 def ray_kinds(view: View, structure: Structure, size: int) -> list[RayKind]:
-    """Primary rays, and of those that hit: shadow rays to the first light, and diffuse bounces.
+    """Primary rays, and from their hits shadow rays to the first light and diffuse bounces.
 
     Parameters
     ----------
     view : View
     structure : Structure
-        Of the scene; finds what the camera sees.
+        Of the scene; finds the visible surfaces.
     size : int
-        Width and height of the picture.
+        Width and height of the image.
     """
     origins, directions = (np.reshape(a, (-1, 3)) for a in np.broadcast_arrays(*view.rays(size)))
     primary = RayKind("primary", origins, directions, np.inf, False, np.arange(size**2))

@@ -1,4 +1,4 @@
-"""Sensitivity: how much Table 2 depends on what the paper does not say."""
+"""Sensitivity of Table 2 to settings that the paper leaves open."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["TOLERANCE", "Trial", "distance", "explain_difference", "is_near", "nearest", "sweep"]
 
-#: Counts within this share of the published are called equal.
+#: Maximum relative deviation of counts that are called equal.
 TOLERANCE = 0.25
 
-#: Pictures of the sweep: figures are means, and change little with the resolution.
+#: Image size of the sweep: figures are means, and depend little on the resolution.
 _SWEEP_SIZE = SIZE // 4
 
-#: Changes that a reason names.
+#: Maximum number of changes named in a reason.
 _MOST_REASONS = 3
 
 
 class Trial(NamedTuple):
-    """A setting, and the figures of Table 2 that it leads to.
+    """A setting, and its figures of Table 2.
 
     Attributes
     ----------
@@ -53,8 +53,8 @@ class Trial(NamedTuple):
         return f"{self.group}: {self.label}"
 
 
-class _Latest:
-    """The tree of the latest setting: several look at the same one."""
+class _TreeCache:
+    """Keeps the tree of the last setting, which several settings share."""
 
     def __init__(self, runner: Runner, view: View) -> None:
         self.runner, self.view = runner, view
@@ -85,12 +85,12 @@ def sweep(runner: Runner, name: str, view: View) -> list[Trial]:
     view : View
     """
     size = min(_SWEEP_SIZE, runner.size(SIZE))
-    latest = _Latest(runner, view)
+    cache = _TreeCache(runner, view)
     tried = []
     for setting in settings_of(name, view.scene, size, runner.quick):
 
         def measure(setting: Setting = setting) -> dict[str, float]:
-            return latest.figures(setting, size)
+            return cache.figures(setting, size)
 
         figures = runner.measure(f"{name}, {setting.name}, {size} x {size}", measure)
         tried.append(
@@ -100,37 +100,37 @@ def sweep(runner: Runner, name: str, view: View) -> list[Trial]:
 
 
 def is_near(ours: float, theirs: float) -> bool:
-    """Whether they are equal to within `TOLERANCE`."""
+    """Whether two values agree within `TOLERANCE`."""
     return abs(ours / theirs - 1.0) <= TOLERANCE
 
 
 def distance(figures: Mapping[str, float], theirs: Mapping[str, float]) -> float:
-    """How far figures are from the published ones: the farthest of them, as a logarithm."""
+    """Largest deviation from the published figures, as a logarithm."""
     return max(
         abs(math.log(max(figures[key], 1e-9) / theirs[key])) for key in theirs if theirs[key]
     )
 
 
 def nearest(tried: Iterable[Trial], name: str) -> Trial:
-    """The setting whose farthest figure is nearest to the published one."""
+    """The setting with the smallest largest deviation from the published figures."""
     theirs = published_figures(name)
     return min(tried, key=lambda one: distance(one.figures, theirs))
 
 
 def explain_difference(key: str, ours: float, theirs: float, tried: Iterable[Trial]) -> str:
-    """Which changes bring a figure near the published one: empty if it is there already.
+    """Name the changes that bring a figure near the published one; empty if it is near already.
 
     Parameters
     ----------
     key : str
-        Of the figure.
+        Name of the figure.
     ours, theirs : float
     tried : iterable of Trial
 
     Returns
     -------
     str
-        Of up to three groups of settings, the one that comes nearest.
+        The nearest setting of up to three groups.
     """
     if is_near(ours, theirs):
         return ""
@@ -140,6 +140,6 @@ def explain_difference(key: str, ours: float, theirs: float, tried: Iterable[Tri
         if is_near(one.figures[key], theirs):
             reaching.setdefault(one.group, one)
     if not reaching:
-        return "nothing that was tried reaches it"
+        return "no setting tried reaches it"
     chosen = list(reaching.values())[:_MOST_REASONS]
     return "; ".join(f"{one.name} gives {one.figures[key]:.3g}" for one in chosen)

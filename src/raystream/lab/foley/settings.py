@@ -1,4 +1,4 @@
-"""Settings that the paper does not give, or that another builder decides otherwise."""
+"""Settings that the paper leaves open, or that builders choose differently."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from raystream.scene.scene import Scene
 
 __all__ = ["PBRT_BONUS", "Setting", "settings_of"]
 
-#: What pbrt takes off for empty space: Foley's builder is "based on" its first edition's.
+#: pbrt's bonus for empty space: Foley's builder is "based on" its first edition's.
 PBRT_BONUS = 0.5
 
-#: ``kitchen.aff`` has a view of its own, in its block ``v``, besides its moving camera.
+#: ``kitchen.aff`` has a static view in its block ``v``, besides its moving camera.
 _STILL_VIEWS = MappingProxyType(
     {
         "kitchen": Camera(
@@ -38,22 +38,22 @@ _TIMES = 16
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to repeat Table 2.
+    """One way to reproduce Table 2.
 
     Attributes
     ----------
     group : str
         What is changed.
     label : str
-        To what.
+        The new value.
     time : float
-        Of the animation: triangles and camera.
+        Time of the animation, for triangles and camera.
     camera : callable, optional
-        Makes another camera of the scene's own.
+        Derives a camera from the scene's own.
     size : tuple of int, optional
-        Width and height of the picture.
+        Width and height of the image.
     options : mapping
-        Of the tree.
+        Options of the tree.
     """
 
     group: str
@@ -70,12 +70,12 @@ class Setting:
 
     @property
     def tree(self) -> tuple[float, str]:
-        """The same for settings that share a tree."""
+        """A key shared by settings with the same tree."""
         return self.time, str(sorted(self.options.items()))
 
 
 def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iterator[Setting]:
-    """All settings to try for a scene, one thing changed at a time; the last group changes two.
+    """Yield the settings to try for a scene, one change at a time; the last group makes two.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
         The scene's, of `scenes.SCENES`.
     scene : Scene
     size : int
-        Of usual pictures.
+        Default image size.
     quick : bool
-        A few of them.
+        Only a few settings.
     """
     yield Setting("as we have it", "first frame, costs 8:1, bonus 0.2")
     if name in _STILL_VIEWS:
@@ -94,7 +94,7 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
     for factor in _ANGLES[::3] if quick else _ANGLES:
         yield Setting("view angle", f"{factor:g} of the file's", camera=_widened(factor))
     wide = (round(size * 2 / 3**0.5), round(size * 3**0.5 / 2))
-    yield Setting("shape of the picture", "4:3", size=wide)
+    yield Setting("shape of the image", "4:3", size=wide)
     for other in () if quick else _SIZES:
         yield Setting("resolution", f"{other} x {other}", size=(other, other))
     for cost in _COSTS[::3] if quick else _COSTS:
@@ -105,7 +105,7 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
     for depth in () if quick else _DEPTHS:
         yield Setting("depth", f"{depth} at most", options={"max_depth": depth})
     for leaf_size in () if quick else _LEAF_SIZES:
-        label = f"not split from {leaf_size} triangles on"
+        label = f"at most {leaf_size} triangles not split"
         yield Setting("leaf size", label, options={"max_leaf_size": leaf_size})
     yield from _frames("frame", scene, quick, {})
     pbrt = {"empty_bonus": PBRT_BONUS}
@@ -113,7 +113,7 @@ def settings_of(name: str, scene: Scene, size: int, quick: bool = False) -> Iter
 
 
 def _frames(group: str, scene: Scene, quick: bool, options: Mapping[str, Any]) -> Iterator[Setting]:
-    """Along the camera's way; everything else that moves, moves too."""
+    """Frames along the camera's path, with all animation."""
     if scene.camera_track is None:
         return
     first, last = scene.camera_track.times

@@ -1,4 +1,4 @@
-"""Table 2: how often rays are in each state of kd-restart and kd-backtrack."""
+"""Table 2: counts of ray states in kd-restart and kd-backtrack."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["COUNTED", "state_counts", "states_of"]
 #: The scenes of Table 2.
 COUNTED = ("robots", "kitchen")
 
-#: How each figure is called, in the order of the table.
+#: Titles of the figures, in the order of the table.
 _TITLES = {
     "down": "backtrack: Down",
     "up": "backtrack: Up",
@@ -45,7 +45,7 @@ States = dict[str, dict[str, int]]
 
 
 def states_of(runner: Runner, name: str, view: View) -> States:
-    """Counts of the paper's picture of a scene, of each traversal; measured once in a run."""
+    """State counts of a scene's image for each traversal; measured once per run."""
     size = runner.size(SIZE)
 
     def measure() -> States:
@@ -56,7 +56,7 @@ def states_of(runner: Runner, name: str, view: View) -> States:
 
 
 def state_counts(runner: Runner) -> Result:
-    """Table 2, its ratios, what is equal in all three traversals, and what it depends on."""
+    """Table 2, its ratios, identities of the three traversals, and a sensitivity analysis."""
     result = Result()
     found: dict[str, States] = {}
     tried: dict[str, list[Trial]] = {}
@@ -90,14 +90,14 @@ def _table_2(found: dict[str, States], tried: dict[str, list[Trial]], size: int)
         f"Rays in each state, in millions: {published('foley', 'table 2').source}; "
         f"{size} x {size} rays",
         rows,
-        "Counts are scaled to 512 x 512 rays. Down of backtrack leaves out the run after each "
-        "climb, as Foley's does: then it is the stack's.",
+        "Counts are scaled to 512 x 512 rays. Down of backtrack omits the run after each climb, "
+        "as Foley's does, and then equals the stack's.",
         _transition_note(found),
     )
 
 
 def _transition_note(found: dict[str, States]) -> str:
-    """Whether a transition is a leaf, or half of one: the depth of a restart tells."""
+    """Whether a transition is a leaf or half of one, as the depth of restarts shows."""
     parts = []
     for name, each in found.items():
         theirs, ours = published_figures(name), figures_of(each)
@@ -108,8 +108,8 @@ def _transition_note(found: dict[str, States]) -> str:
         own = (ours["restart down"] - ours["down"]) / (ours["transitions"] - rays)
         parts.append(f"{name} {whole:.3g}, not {half:.3g}; ours {own:.3g}")
     return (
-        "Trans. counts leaves, and not Leaf and Continue together: only then a restart of "
-        f"Foley's goes down through as few known splits as one of ours ({'; '.join(parts)})."
+        "Trans. counts leaves, not Leaf and Continue together: only then does a restart of "
+        f"Foley's descend through as few known splits as ours ({'; '.join(parts)})."
     )
 
 
@@ -130,7 +130,7 @@ def _ratio_table(found: dict[str, States], tried: dict[str, list[Trial]]) -> Tab
             rows.append((f"{name}, {what}", theirs[what], value, why))
     return comparison(
         "foley-ratios",
-        f"The price of having no stack: {published('foley', 'table 2').source}",
+        f"The cost of having no stack: {published('foley', 'table 2').source}",
         rows,
         "The published ratios follow from Table 2.",
     )
@@ -156,12 +156,12 @@ def _same_table(found: dict[str, States]) -> Table:
             )
     return Table.of(
         "foley-identities",
-        "What is equal in all traversals, to the last unit",
+        "Identities of the traversals, exact",
         ["scene", "traversal", "Down", "of them after a climb", "the rest", "Up", "restarts"]
         + ["leaves", "triangles"],
         rows,
-        "Leaves and triangles are the same in each scene, and so is the rest of Down for stack "
-        "and backtrack. There are as many restarts as climbs.",
+        "In each scene, leaves and triangles are equal, and so is the rest of Down for stack and "
+        "backtrack. There are as many restarts as climbs.",
     )
 
 
@@ -183,12 +183,11 @@ def _nearest_table(tried: dict[str, list[Trial]]) -> Table:
             rows.append([name, title, *(one.figures[key] for key in theirs), near])
     return Table.of(
         "foley-nearest",
-        "Settings, and the counts that they lead to, in millions",
+        "Settings and resulting counts, in millions",
         ["scene", "setting", *_TITLES.values(), "of 5 within a quarter"],
         rows,
-        "Nearest: of the settings that were tried, the one whose farthest figure is nearest. "
-        "Foley's builder is based on pbrt's, whose bonus for empty space is 0.5; raystream's "
-        "own is 0.2.",
+        "Nearest: the setting whose largest deviation is smallest. Foley's builder is based on "
+        "pbrt's, whose bonus for empty space is 0.5; raystream's is 0.2.",
     )
 
 
@@ -206,10 +205,10 @@ def _group_table(tried: dict[str, list[Trial]]) -> Table:
             rows.append([name, group, len(members), *spans, near])
     return Table.of(
         "foley-sensitivity",
-        "What the counts depend on: least to most, in millions",
+        "Sensitivity of the counts: least to most, in millions",
         ["scene", "what is changed", "settings", *_TITLES.values(), "settings with all 5 near"],
         rows,
-        "Near: within a quarter of the published. Everything else stays as we have it: first "
+        "Near: within a quarter of the published value. All else stays at our defaults: first "
         "frame of the animation, costs 8:1, bonus 0.2.",
     )
 
@@ -225,7 +224,7 @@ def _frame_plot(name: str, tried: Sequence[Trial]) -> Plot:
     x = [one.time for one in frames]
     return Plot(
         f"foley-frames-{name}",
-        f"{name}: counts along the camera's way, over the published",
+        f"{name}: counts along the camera's path, over the published",
         "time of the animation",
         "ours / published",
         [
@@ -246,8 +245,8 @@ def _claims(found: dict[str, States], tried: dict[str, list[Trial]]) -> list[Cla
     again = {name: each["backtrack"] for name, each in found.items()}
     return [
         Claim.judged(
-            "All traversals visit the same leaves and intersect the same triangles; but for the "
-            "run after a climb, backtrack goes down as often as a stack",
+            "All traversals visit the same leaves and intersect the same triangles; except for "
+            "the run after a climb, backtrack descends as often as a stack",
             section,
             same,
             "; ".join(
@@ -271,7 +270,7 @@ def _claims(found: dict[str, States], tried: dict[str, list[Trial]]) -> list[Cla
             ),
         ),
         Claim.judged(
-            "The counts are those of Table 2 within a quarter",
+            "The counts agree with Table 2 within a quarter",
             source,
             near,
             "not: " + ", ".join(case for case, held in near.items() if not held)

@@ -1,4 +1,4 @@
-"""Table 1: milliseconds for the primary rays of four scenes, beside what rays meet."""
+"""Table 1: milliseconds for the primary rays of four scenes, and their counts."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.lab.foley.other_views import (
     ViewCosts,
-    elsewhere,
     kernel_runs,
     lead,
+    other_views,
     other_views_table,
 )
 from raystream.lab.foley.scenes import (
@@ -36,28 +36,27 @@ from raystream.structures import Structure, build_structure
 
 __all__ = ["structure_times"]
 
-#: Those of Table 1, and for orientation a stack and a BVH.
+#: The structures of Table 1; a stack and a BVH for reference.
 STRUCTURES = ("brute", "grid", "restart", "backtrack", "stack", "bvh")
 
-#: Brute force takes one test of each triangle for each ray: a picture of so much less width and
-#: height takes so much less time.
+#: Divisor of the image size for brute force, which tests every triangle for every ray.
 _BRUTE_SHARE = 8
 
-#: A few rays suffice to warm them up.
+#: Warmed up with a few rays only.
 _SLOW = ("brute", "grid")
 
-#: What the machine that runs one step at a time traces.
-_STEPWISE = ("grid", "restart", "backtrack")
+#: Structures traced by the multipass machine.
+_MULTIPASS = ("grid", "restart", "backtrack")
 
 #: Times and counts of a scene, by structure.
 Found = dict[str, dict[str, Any]]
 
 
 def structure_times(runner: Runner) -> Result:
-    """Table 1 on both machines, and the same by counts."""
+    """Table 1 on both machines, and by counts."""
     result = Result()
     times: Found = {}
-    stepwise: Found = {}
+    multipass: Found = {}
     counts: Found = {}
     triangles: dict[str, int] = {}
     views: dict[str, ViewCosts] = {}
@@ -66,13 +65,13 @@ def structure_times(runner: Runner) -> Result:
         times[name] = runner.measure(f"{name}, branching, {scene.size} x {scene.size}", scene.times)
         counts[name] = runner.measure(f"{name}, counts, {scene.size} x {scene.size}", scene.counts)
         key = f"{name}, multipass, {scene.size} x {scene.size}"
-        stepwise[name] = runner.measure(key, scene.stepwise)
+        multipass[name] = runner.measure(key, scene.multipass)
         triangles[name] = view.scene.triangle_count
         if name != "cornell":
-            views[name] = elsewhere(runner, name, view)
+            views[name] = other_views(runner, name, view)
     if not times:
         return result
-    both = {"branching": times, "multipass": stepwise}
+    both = {"branching": times, "multipass": multipass}
     result.tables = [
         _scene_table(triangles, runner.size(SIZE)),
         _table_1(both, runner.size(SIZE)),
@@ -82,14 +81,14 @@ def structure_times(runner: Runner) -> Result:
     if views:
         result.tables.append(other_views_table(views))
     if runner.quick:
-        result.notes.append("Quick: so few rays that times say nothing.")
+        result.notes.append("Quick: too few rays for meaningful times.")
     result.plots = [_plot(times, counts)]
     result.claims = time_claims(both, counts, triangles)
     return result
 
 
 class _Scene:
-    """A scene with all its structures, built when something is measured."""
+    """A scene with all its structures, built on first use."""
 
     def __init__(self, runner: Runner, name: str, view: View) -> None:
         self.runner, self.name, self.view = runner, name, view
@@ -111,12 +110,12 @@ class _Scene:
         return self._built
 
     def batch(self, structure: str) -> RayBatch:
-        """The rays that a structure traces."""
+        """The rays for a structure."""
         share = _BRUTE_SHARE if structure == "brute" else 1
         return RayBatch(*self.view.rays(max(8, self.size // share)), 0.0, np.inf)
 
     def times(self) -> Found:
-        """Seconds a ray of each structure."""
+        """Times of each structure on the branching machine."""
         calls = {}
         few = RayBatch(*self.view.rays(8), 0.0, np.inf)
         for name, structure in self.structures().items():
@@ -125,11 +124,11 @@ class _Scene:
             calls[name] = _tracing(structure, batch)
         return self._timed(calls, 2 if self.runner.quick else 5)
 
-    def stepwise(self) -> Found:
-        """Seconds that the multipass machine takes, with Foley's scheduler."""
+    def multipass(self) -> Found:
+        """Times on the multipass machine with Foley's scheduler."""
         few = RayBatch(*self.view.rays(8), 0.0, np.inf)
         calls = {}
-        for name in _STEPWISE:
+        for name in _MULTIPASS:
             machine = MultipassBackend(self.structures()[name], scheduler="double")
             _tracing(machine, few)()
             calls[name] = _tracing(machine, self.batch(name))
@@ -148,7 +147,7 @@ class _Scene:
         }
 
     def counts(self) -> dict[str, dict[str, float]]:
-        """What a ray meets on the average."""
+        """Mean counts per ray."""
         found = {}
         for name, structure in self.structures().items():
             rays = self.view.rays(max(8, self.size // (_BRUTE_SHARE if name == "brute" else 1)))
@@ -168,7 +167,7 @@ def _tracing(machine: Structure | MultipassBackend, batch: RayBatch) -> Callable
 
 
 def _milliseconds(each: Mapping[str, Any], kind: str = "best") -> float:
-    """Of a picture of Foley's size."""
+    """Milliseconds for an image of Foley's size."""
     return float(each[kind]) / each["rays"] * SIZE**2 * 1e3
 
 
@@ -183,9 +182,9 @@ def _scene_table(triangles: Mapping[str, int], size: int) -> Table:
         "foley-scenes",
         f"The scenes: {published('foley', 'scenes').source}",
         rows,
-        f"Grids have 2 cells along each axis of the Cornell box, and 50 elsewhere. Cameras are "
-        f"the scenes' own (BART's: the first frame), {size} x {size} rays; the paper's pictures "
-        "are not in our copy.",
+        "Grids have 2 cells along each axis in the Cornell box, 50 elsewhere. Cameras are the "
+        f"scenes' own (BART's: the first frame), {size} x {size} rays; the paper's images are not "
+        "in our copy.",
     )
 
 
@@ -209,12 +208,12 @@ def _table_1(both: Mapping[str, Found], size: int) -> Table:
         ["scene", "structure", "published", "ours, branching", "ratio", "median", "rounds"]
         + ["ours, multipass", "its ratio"],
         rows,
-        f"Scaled to 512 x 512 rays; {size} x {size} were traced, by brute force "
-        f"{_BRUTE_SHARE} times fewer along each side. Best of the rounds, in which "
-        "structures take turns; the multipass machine, with Foley's scheduler, has up to 3. Times "
-        "are of different hardware: compare structures with each other, in the next table.",
-        "Brute force is left out on the multipass machine: it would take as many passes as "
-        "a scene has triangles, each over all rays.",
+        f"Scaled to 512 x 512 rays; {size} x {size} were traced, by brute force {_BRUTE_SHARE} "
+        "times fewer per side. Best of rounds in which structures take turns, up to 3 on the "
+        "multipass machine with Foley's scheduler. The hardware differs: compare structures with "
+        "each other, in the next table.",
+        "Brute force is omitted on the multipass machine: it would take one pass over all rays "
+        "per triangle.",
     )
 
 
@@ -244,13 +243,13 @@ def _relative_table(
             rows.append([name, what, old, own, ratios[0], slow, ratios[1], work, ratios[2], why])
     return Table.of(
         "foley-relative",
-        "Times over kd-backtrack's: how structures compare",
+        "Comparison of structures: times over kd-backtrack's",
         ["scene", "structure", "published", "ours, branching", "ratio", "ours, multipass"]
         + ["its ratio", "ours, by counts", "their ratio", "why they differ"],
         rows,
         "By counts: cells and tests of a grid, or steps down and up and tests of a tree, over "
-        "the steps and tests of backtrack. Why: the branching machine's times are the "
-        "product. Other views: kernel runs over those of the better kd-tree, see below.",
+        "the steps and tests of backtrack. Why: the product gives the branching machine's times. "
+        "Other views: kernel runs over those of the better kd-tree, see below.",
     )
 
 
@@ -266,12 +265,12 @@ def _count_table(counts: Found) -> Table:
         for structure, one in each.items()
     ]
     return Table.of(
-        "foley-counts-a-ray",
-        "What a primary ray meets",
+        "foley-counts-per-ray",
+        "Work per primary ray",
         ["scene", "structure", "steps", "leaves", "tests", "steps and tests"] + ["kernel runs"],
         rows,
-        "Steps: cells of a grid; splits gone down at and nodes climbed to of a kd-tree; inner "
-        "nodes of a BVH. Kernel runs: Foley's kd-trees run Leaf and Continue for each leaf, too.",
+        "Steps: cells of a grid; splits descended and nodes climbed in a kd-tree; inner nodes of "
+        "a BVH. Kernel runs: Foley's kd-trees also run Leaf and Continue per leaf.",
     )
 
 

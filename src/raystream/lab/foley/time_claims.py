@@ -1,4 +1,4 @@
-"""What Foley says of Table 1, judged by our times and counts."""
+"""Foley's claims on Table 1, judged by our times and counts."""
 
 from __future__ import annotations
 
@@ -11,33 +11,32 @@ from raystream.lab.results import Claim
 
 __all__ = ["time_claims"]
 
-#: Brute force is linear if the time of a test is the same in all scenes within this share.
+#: Brute force counts as linear if the time per test agrees in all scenes within this share.
 _LINEAR = 0.25
 
-#: Of which the paper says that restart and backtrack are very similar.
+#: Scenes for which the paper calls restart and backtrack very similar.
 _COMPLEX = ("robots", "kitchen")
 
 Found = Mapping[str, Mapping[str, Any]]
 
-#: A cost of a ray, by scene and structure.
+#: Cost per ray, by scene and structure.
 Costs = Mapping[str, Mapping[str, float]]
 
 
 def time_claims(
     both: Mapping[str, Found], counts: Found, triangles: Mapping[str, int]
 ) -> list[Claim]:
-    """Judge section 4.1 by the times of both machines, and by counts.
+    """Judge section 4.1 by the times of both machines and by counts.
 
     Parameters
     ----------
     both : mapping
-        ``"branching"`` and ``"multipass"``: by scene and structure, ``best`` seconds of so many
-        ``rays``.
+        ``"branching"`` and ``"multipass"``: by scene and structure, ``best`` seconds for ``rays``.
     counts : mapping
-        By scene and structure, ``steps``, ``leaves`` and ``tests`` of a ray. Counts are steps and
-        tests; kernel runs are also those of Foley's Leaf and Continue.
+        By scene and structure, ``steps``, ``leaves`` and ``tests`` per ray. Counts are steps and
+        tests; kernel runs include Foley's Leaf and Continue.
     triangles : mapping of str to int
-        Of each scene.
+        Triangles of each scene.
     """
     ways: dict[str, Costs] = {
         way: {
@@ -67,7 +66,7 @@ def _robots(ways: Mapping[str, Costs]) -> Claim:
         way: each["robots"]["grid"] / each["robots"]["backtrack"] for way, each in ways.items()
     }
     return Claim.judged(
-        f"In the robots, a kd-tree is {least} times faster than a grid, or more",
+        f"In the robots, a kd-tree is at least {least} times faster than a grid",
         "Foley 2005, abstract and Table 1",
         {way: ratio >= least for way, ratio in ratios.items()},
         _listed(ratios),
@@ -99,7 +98,7 @@ def _even(ways: Mapping[str, Costs]) -> Claim:
 
 
 def _linear(branching: Costs, triangles: Mapping[str, int]) -> Claim:
-    """Of the large scenes: in a small one, setting a ray up counts as well."""
+    """Large scenes only: in a small one, ray set-up also takes time."""
     prices = {
         name: 1e9 * each["brute"] / triangles[name]
         for name, each in branching.items()
@@ -120,12 +119,12 @@ def _linear(branching: Costs, triangles: Mapping[str, int]) -> Claim:
         "Brute force is linear in the number of triangles",
         "Foley 2005, section 4.1",
         cases,
-        f"nanoseconds for a ray and a triangle: {_listed(prices)}; published {_listed(old)}",
+        f"nanoseconds per ray and triangle: {_listed(prices)}; published {_listed(old)}",
     )
 
 
 def _close(ways: Mapping[str, Costs]) -> Claim:
-    """No further apart than the published times of these scenes."""
+    """Restart and backtrack are no further apart than the published times of these scenes."""
     theirs = published("foley", "table 1").values
     most = max(_apart(theirs[name]) for name in _COMPLEX)
     apart = {

@@ -1,4 +1,4 @@
-"""The cost model: what a step is worth beside a test (Foley 2005, section 3.2)."""
+"""The cost of a step relative to a test in building trees (Foley 2005, section 3.2)."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from raystream.structures.kdtree.structure import KdTreeStructure
 
 __all__ = ["COSTS", "tree_costs"]
 
-#: Prices of a step, where a test costs 1.
+#: Costs of a step; a test costs 1.
 COSTS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 
-#: Pictures of so much less width and height: each is traced dozens of times.
+#: Divisor of the image size: each image is traced dozens of times.
 _SHARE = 2
 
 #: A tree is called good if its time is within this share of the best.
@@ -42,7 +42,7 @@ Found = dict[str, dict[str, Any]]
 
 
 def tree_costs(runner: Runner) -> Result:
-    """Steps, tests, passes and times of trees that were built for other costs."""
+    """Steps, tests, passes and times of trees built for other costs."""
     result = Result()
     found: dict[str, Found] = {}
     names = ("robots",) if runner.quick else ("bunny", "robots", "kitchen")
@@ -54,7 +54,7 @@ def tree_costs(runner: Runner) -> Result:
     size = runner.size(SIZE) // _SHARE
     result.tables = [_cost_table(found, size), _best_table(found)]
     if runner.quick:
-        result.notes.append("Quick: so few rays that times say nothing.")
+        result.notes.append("Quick: too few rays for meaningful times.")
     for name, each in found.items():
         result.plots += [_time_plot(name, each), _count_plot(name, each)]
     result.claims = _claims(found)
@@ -80,7 +80,7 @@ def _sweep(runner: Runner, name: str, view: View, costs: Sequence[float]) -> Fou
 
 
 def _counts(trees: Mapping[str, KdTreeStructure], rays: Any) -> dict[str, Any]:
-    """What rays meet, how many passes that takes, and how the tree is."""
+    """Counts per ray, passes, and properties of the tree."""
     sums = count_states(dict(trees), *rays)
     count = sums["stack"]["rays"]
     passes = trace_counters(MultipassBackend(trees["backtrack"], scheduler="double"), *rays).passes
@@ -100,7 +100,7 @@ def _counts(trees: Mapping[str, KdTreeStructure], rays: Any) -> dict[str, Any]:
 def _times(
     trees: Mapping[str, Mapping[str, KdTreeStructure]], batch: RayBatch, rounds: int
 ) -> dict[str, dict[str, float]]:
-    """Milliseconds, by cost and traversal; all take turns."""
+    """Milliseconds by cost and traversal, timed in turn."""
 
     def tracing(tree: KdTreeStructure) -> Callable[[], object]:
         backend = Branching(tree)
@@ -131,10 +131,9 @@ def _cost_table(found: Mapping[str, Found], size: int) -> Table:
         + ["leaves", "tests", "passes", "efficiency"]
         + [f"ms, {t}" for t in TRAVERSALS],
         rows,
-        "A test costs 1. Steps, leaves and tests of a ray; triangles in leaves that are not "
-        "empty; passes and efficiency of the multipass machine with backtrack and Foley's "
-        "scheduler; best milliseconds of rounds in which all trees take turns, on the branching "
-        "machine.",
+        "A test costs 1. Steps, leaves and tests per ray; triangles per non-empty leaf; passes "
+        "and efficiency of the multipass machine with backtrack and Foley's scheduler; best "
+        "milliseconds on the branching machine, all trees in turn.",
     )
 
 
@@ -155,11 +154,11 @@ def _best_table(found: Mapping[str, Found]) -> Table:
             )
     return Table.of(
         "foley-best-cost",
-        "Where the best time lies",
+        "The cost with the best time",
         ["scene", "traversal", "published", "ours", "ratio", "time at the published / best"],
         rows,
-        "The price of a step, in tests. Times near the best are flat, so the place of the best is "
-        "less sure than what the published cost loses.",
+        "The cost of a step, in tests. Times are flat near the optimum, so its position is less "
+        "certain than the loss at the published cost.",
     )
 
 
@@ -167,7 +166,7 @@ def _time_plot(name: str, each: Found) -> Plot:
     x = [float(cost) for cost in each]
     return Plot(
         f"foley-cost-times-{name}",
-        f"{name}: time against the cost that the tree was built for",
+        f"{name}: time against the tree's cost of a step",
         "cost of a step, in tests",
         "milliseconds",
         [Series(t, x, [one["times"][t] for one in each.values()]) for t in TRAVERSALS],
@@ -180,9 +179,9 @@ def _count_plot(name: str, each: Found) -> Plot:
     lines = [Series(f"steps, {t}", x, [e["steps"][t] for e in each.values()]) for t in TRAVERSALS]
     return Plot(
         f"foley-cost-counts-{name}",
-        f"{name}: steps and tests of a ray",
+        f"{name}: steps and tests per ray",
         "cost of a step, in tests",
-        "a ray",
+        "per ray",
         [*lines, Series("tests", x, [one["tests"] for one in each.values()])],
         log_x=True,
         log_y=True,
@@ -208,7 +207,7 @@ def _claims(found: Mapping[str, Found]) -> list[Claim]:
     source = "Foley 2005, section 3.2"
     return [
         Claim.judged(
-            f"A cost of {cost} for a step makes good trees: within a tenth of the best time",
+            f"A cost of {cost} per step makes good trees: within a tenth of the best time",
             source,
             {case: share <= _GOOD for case, share in lost.items()},
             "slower than the best by " + ", ".join(f"{k} {v:.0%}" for k, v in lost.items()),
@@ -224,7 +223,7 @@ def _claims(found: Mapping[str, Found]) -> list[Claim]:
             ),
         ),
         Claim.judged(
-            f"It makes rays more coherent: passes run on more of them than with a cost of {even}",
+            f"It makes rays more coherent: passes run on more rays than with a cost of {even}",
             source,
             {name: after > before for name, (before, after) in efficiency.items()},
             "; ".join(f"{name} {a:.1%} and {b:.1%}" for name, (a, b) in efficiency.items()),

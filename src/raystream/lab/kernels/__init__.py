@@ -1,1 +1,1 @@
-"""Kernels: what each step of a traversal costs, counted in its compiled code and measured."""
+"""The cost of each traversal kernel: counted in its compiled code, and measured."""

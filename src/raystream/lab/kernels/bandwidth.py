@@ -1,9 +1,9 @@
-"""Achieved bandwidth of the key kernels, and whether bandwidth or computing binds them.
+"""Measure the bandwidth of the key kernels, and whether they are bandwidth-bound.
 
-Foley 2005, section 4.2: each kernel is run again and again on the rays of a scene, without
-masking or scheduling, and so is a version of it that fetches and stores the same and computes
-next to nothing. "Where the fetch-only versions exhibited the same performance as the full
-versions, we concluded that the full versions were bandwidth-bound or near the crossover point."
+Foley 2005, section 4.2: each kernel runs repeatedly on the rays of a scene, without masking or
+scheduling, and so does a version of it that fetches and stores the same but computes next to
+nothing. "Where the fetch-only versions exhibited the same performance as the full versions, we
+concluded that the full versions were bandwidth-bound or near the crossover point."
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ __all__ = ["RUNS", "KernelSpeed", "copy_bandwidth", "kernel_speeds", "measure_sp
 #: Foley's number of runs.
 RUNS = 500
 
-#: Passes of brute force that are looked at: all rays take part in each.
+#: Passes of brute force to search for the busiest: all rays take part in each.
 _BRUTE_PASSES = 8
 
 
 @dataclass(frozen=True)
 class KernelSpeed:
-    """How fast a kernel and its fetch-only version run on the same rays.
+    """Times of a kernel and its fetch-only version on the same rays.
 
     Attributes
     ----------
     structure, kernel : str
     ray_count : int
-        Rays in each run: all that waited for the kernel in its busiest pass.
+        Rays per run: all that waited for the kernel in its busiest pass.
     words_in, words_fetched, words_out : int
-        Words of 4 bytes for each ray: loaded from streams, read of the structure (each word
-        once), and stored. Counted in the code of the fetch-only version, which has no
-        branches that leave any of them out.
+        Words of 4 bytes per ray: loaded from streams, read from the structure (each word once), and
+        stored. Counted in the code of the fetch-only version, which has no branches that skip any
+        of them.
     seconds, fetch_seconds : ndarray of shape (runs,)
-        Of each run of the kernel, and of its fetch-only version, taken in turns.
+        Per run of the kernel and of its fetch-only version, run in turn.
     """
 
     structure: str
@@ -59,31 +59,31 @@ class KernelSpeed:
 
     @property
     def byte_count(self) -> int:
-        """Bytes that a run reads and writes."""
+        """Bytes read and written per run."""
         return 4 * self.ray_count * (self.words_in + self.words_fetched + self.words_out)
 
     @property
     def bandwidth(self) -> float:
-        """Bytes a second, in the run of median time."""
+        """Bytes per second at the median time."""
         return self.byte_count / float(np.median(self.seconds))
 
     @property
     def fetch_bandwidth(self) -> float:
-        """The same of the fetch-only version."""
+        """The same for the fetch-only version."""
         return self.byte_count / float(np.median(self.fetch_seconds))
 
     @property
     def ratio(self) -> float:
-        """Median time of the kernel, in that of its fetch-only version."""
+        """Median time of the kernel over that of its fetch-only version."""
         return float(np.median(self.seconds) / np.median(self.fetch_seconds))
 
     def is_bandwidth_bound(self, slack: float = 0.25) -> bool:
-        """Foley's rule: whether it takes as long as its fetch-only version, but for a share.
+        """Foley's rule: whether it takes about as long as its fetch-only version.
 
         Parameters
         ----------
         slack : float
-            Ours: Foley gives no number for "the same performance".
+            Allowed excess; our value: Foley gives no number for "the same performance".
         """
         return self.ratio <= 1.0 + slack
 
@@ -91,31 +91,31 @@ class KernelSpeed:
 def kernel_speeds(
     structure: Structure, rays: LocalRays, *, runs: int = RUNS, scheduler: str = "threshold"
 ) -> list[KernelSpeed]:
-    """Measure the key kernels of a structure on rays in the middle of their search.
+    """Measure the key kernels of a structure on rays in mid-search.
 
-    The search is run to find the pass of each kernel in which most rays take part, and once
-    more to take their states there.
+    The search runs once to find the busiest pass of each kernel, and once more to capture the rays
+    of these passes.
 
     Parameters
     ----------
     structure : Structure
         Brute force, a grid of one level, or a kd-tree.
     rays : LocalRays
-        From `search.local_rays`.
+        From `snapshots.local_rays`.
     runs : int
-        Of each kernel and of its fetch-only version.
+        Of each kernel and its fetch-only version.
     scheduler : str
-        Of the search.
+        Scheduler of the search.
 
     Returns
     -------
     list of KernelSpeed
-        In the order of `FETCH_ONLY`; without kernels that did not run.
+        In the order of `FETCH_ONLY`, without kernels that did not run.
 
     Raises
     ------
     ValueError
-        If the structure has none, or is a grid of two levels.
+        If the structure has no key kernels, or is a two-level grid.
     """
     names = [kernel for name, kernel in FETCH_ONLY if name == structure.name]
     if not names:
@@ -124,14 +124,14 @@ def kernel_speeds(
     limit = _BRUTE_PASSES if structure.name == "brute" else None
     search = Search(structure, rays, scheduler)
     if getattr(search.steps.tree, "children", 0):
-        raise ValueError("structure: key kernels are measured in a grid of one level")
+        raise ValueError("structure: key kernels need a one-level grid")
     passes = busiest(search, names, limit)
     taken = snapshots(Search(structure, rays, scheduler), passes)
     return [measure_speed(structure.name, taken[name], runs) for name in names if name in taken]
 
 
 def measure_speed(structure: str, snapshot: Snapshot, runs: int = RUNS) -> KernelSpeed:
-    """Measure a kernel on the rays of a snapshot.
+    """Time a kernel and its fetch-only version on the rays of a snapshot.
 
     Parameters
     ----------
@@ -160,14 +160,14 @@ def measure_speed(structure: str, snapshot: Snapshot, runs: int = RUNS) -> Kerne
 
 
 def copy_bandwidth(byte_count: int = 1 << 26, runs: int = 20) -> float:
-    """Bytes a second that are read and written when an array is copied, on all threads.
+    """Measure bytes read and written per second when copying an array on all threads.
 
     Parameters
     ----------
     byte_count : int
-        Of the array: more than fits into caches measures the memory.
+        Size of the array; exceed the caches to measure memory.
     runs : int
-        The median counts.
+        The median is returned.
     """
     source, target = np.ones(byte_count, np.uint8), np.empty(byte_count, np.uint8)
 

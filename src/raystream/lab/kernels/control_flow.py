@@ -1,4 +1,4 @@
-"""Blocks of compiled code: which come before which on every way, and which form loops."""
+"""The control flow of compiled code: dominators and loops of basic blocks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["ControlFlow"]
 
 
 class ControlFlow:
-    """The blocks of a function; the first one is entered.
+    """The basic blocks of a function; the first one is the entry.
 
     Parameters
     ----------
@@ -19,11 +19,11 @@ class ControlFlow:
     Attributes
     ----------
     ends : list of int
-        The instruction that ends each block.
+        The terminator of each block.
     after, before : list of tuple of int
-        The blocks that may follow each, and that each may follow.
+        Successors and predecessors of each block.
     dominators : list of int
-        For each block, the nearest other one on every way to it; its own number for the first.
+        The immediate dominator of each block; the entry has itself.
     """
 
     def __init__(self, instructions: Sequence[Instruction]) -> None:
@@ -40,7 +40,7 @@ class ControlFlow:
         self.dominators = self._dominators()
 
     def dominates(self, block: int, other: int) -> bool:
-        """Whether every way to another block leads through this one."""
+        """Whether a block dominates another."""
         while other != block:
             if self.dominators[other] == other:
                 return False
@@ -48,10 +48,10 @@ class ControlFlow:
         return True
 
     def deciders(self, block: int) -> set[int]:
-        """The blocks whose ends decide from where a block is reached.
+        """The blocks whose terminators decide from which predecessor a block is reached.
 
-        None for the head of a loop: what comes there from the loop's end is the next round's,
-        however long the round before took.
+        Empty for a loop header: values from the back edge belong to the next iteration, however the
+        previous one went.
         """
         if any(self.dominates(block, one) for one in self.before[block]):
             return set()
@@ -68,7 +68,7 @@ class ControlFlow:
         return found
 
     def loops(self) -> list[set[int]]:
-        """The blocks of each loop that is in no other one."""
+        """The blocks of each outermost loop."""
         bodies: dict[int, set[int]] = {}
         for block, following in enumerate(self.after):
             for head in following:
@@ -81,7 +81,7 @@ class ControlFlow:
         return outer
 
     def _body(self, head: int, tail: int) -> set[int]:
-        """The blocks from which a jump back is reached without passing the head."""
+        """The blocks that reach a back edge without passing the header."""
         found, waiting = {head}, [tail]
         while waiting:
             one = waiting.pop()
@@ -110,7 +110,7 @@ class ControlFlow:
         return [k if one < 0 else one for k, one in enumerate(above)]
 
     def _order(self) -> list[int]:
-        """Blocks that can be reached, in reverse postorder."""
+        """Reachable blocks in reverse postorder."""
         seen, order = {0}, []
         stack = [(0, iter(self.after[0]))]
         while stack:
@@ -127,7 +127,7 @@ class ControlFlow:
 
 
 def _meet(above: list[int], rank: dict[int, int], a: int, b: int) -> int:
-    """The nearest block on every way to both."""
+    """The nearest common dominator of two blocks."""
     while a != b:
         while rank[a] > rank[b]:
             a = above[a]

@@ -1,6 +1,6 @@
-"""What one step of a kernel costs: instructions of its code, and words that it reads and writes.
+"""The cost of one kernel step: instructions of its code, and words read and written.
 
-The counts of Purcell 2002, Table 1, and Foley 2005, Table 3, for our own kernels.
+The figures of Purcell 2002, Table 1, and Foley 2005, Table 3, for our own kernels.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ _WORD = 4
 
 
 class Fetched(NamedTuple):
-    """What a kernel's code reads of one array of the structure, or of the query.
+    """The reads of a kernel's code from one array of the structure or the query.
 
     Attributes
     ----------
     loads : int
-        Loads in the code. Not all need be on one way through it.
+        Loads in the code, over all branches.
     words : int
-        Words of 4 bytes that these read.
+        Words of 4 bytes read by these.
     dependent_loads : int
-        Those whose address follows from what was read before, a ray's state included.
+        Loads whose address depends on an earlier read, including a ray's state.
     """
 
     loads: int
@@ -56,30 +56,29 @@ class Fetched(NamedTuple):
 
 @dataclass(frozen=True)
 class KernelCost:
-    """What a kernel costs for one ray in one pass.
+    """The cost of a kernel for one ray in one pass.
 
     Attributes
     ----------
     structure, kernel : str
     code : InstructionCounts
-        All instructions in the code of one step for one ray: load what is kept of it, compute,
-        store. A program without branches runs all of them; this one has branches, and a ray
-        takes one way through them. What functions do that it calls is not in it.
+        All instructions in the code of one step for one ray: load its state, compute, store. A
+        program without branches runs all of them; with branches, a ray takes one path. Called
+        functions are not included.
     loop : InstructionCounts or None
-        Of these, those that each further step in the same pass needs: the body of the loop
-        over steps, which keeps a ray's state in registers (Purcell's branching architecture).
-        None for kernels that do one step.
+        The instructions of each further step in the same pass: the body of the loop over steps,
+        which keeps a ray's state in registers (Purcell's branching architecture). None for kernels
+        with a single step.
     machine : int
         Instructions of the processor for the same code.
     words_in, words_out : dict of str to int
-        Words of 4 bytes of the records that a pass reads from and writes to streams for the ray,
-        by the stream, as `streams.Counters` counts them: whole records. Without the state,
-        of which a pass reads a word for every ray and writes one for this.
+        Words of 4 bytes of the records that a pass reads and writes for the ray, by stream, as
+        `streams.Counters` counts them: whole records, without the state word that a pass reads for
+        every ray and writes for this one.
     fetched : dict of str to Fetched
-        What it reads of the structure, by the array, such as ``"tree.corners"``;
-        ``"state"`` where a ray's state holds the address, ``"several"`` where it may be one
-        array or another. A word that two ways through the code read is here twice: the
-        fetch-only versions of `fetch_only` read each once.
+        Reads from the structure by array, such as ``"tree.corners"``; ``"state"`` where a ray's
+        state holds the address, ``"several"`` if the array is ambiguous. A word read on two paths
+        counts twice: the versions of `fetch_only` read each word once.
     """
 
     structure: str
@@ -93,44 +92,44 @@ class KernelCost:
 
     @property
     def fetched_words(self) -> int:
-        """Words in the loads of the structure."""
+        """Words loaded from the structure."""
         return sum(one.words for one in self.fetched.values())
 
     @property
     def dependent_loads(self) -> int:
-        """Loads of the structure whose address follows from what was read."""
+        """Loads from the structure whose address depends on an earlier read."""
         return sum(one.dependent_loads for one in self.fetched.values())
 
 
 def kernel_costs(structure: Structure) -> list[KernelCost]:
-    """Count what each kernel of a structure's traversal costs, in the order of a ray's way.
+    """Count the cost of each kernel of a structure's traversal, in the order of `Steps.kernels`.
 
-    Compiles each of them, for a few seconds.
+    Compiles each kernel, which takes a few seconds.
 
     Parameters
     ----------
     structure : Structure
-        Its layout and way of searching decide what is compiled. Its triangles do not matter.
+        Its layout and traversal determine the code; its triangles do not matter.
 
     Raises
     ------
     ValueError
-        If it is not given as steps.
+        If it has no steps.
     """
     steps = steps_of(structure)
     return [cost_of(structure.name, steps, number) for number in range(len(steps.kernels))]
 
 
 def cost_of(name: str, steps: Steps, number: int) -> KernelCost:
-    """Count what a kernel costs.
+    """Count the cost of one kernel.
 
     Parameters
     ----------
     name : str
-        The structure's.
+        Name of the structure.
     steps : Steps
     number : int
-        Which of its kernels.
+        Index of the kernel.
     """
     one = steps.kernels[number]
     record = compile_steps(steps, number)
@@ -153,7 +152,7 @@ def cost_of(name: str, steps: Steps, number: int) -> KernelCost:
 
 
 def words_of(steps: Steps, number: int) -> tuple[dict[str, int], dict[str, int]]:
-    """Words of the records that a kernel reads and writes for a ray; the state not counted."""
+    """Words of the records that a kernel reads and writes per ray, without the state."""
     streams = make_streams(steps, 1)
     given = declared_as(steps, first_hit_query(), number, streams, streams)
     words = {name: stream.layout.word_count for name, stream in streams.items()}
@@ -162,7 +161,7 @@ def words_of(steps: Steps, number: int) -> tuple[dict[str, int], dict[str, int]]
 
 
 def stream_words(record: RecordCode, found: Iterable[Access], opcode: str) -> dict[str, int]:
-    """Words that code loads from or stores to each stream."""
+    """Words loaded from or stored to each stream."""
     words: dict[str, int] = {}
     for one in found:
         if one.opcode == opcode and one.root.startswith(_STREAM):
@@ -172,7 +171,7 @@ def stream_words(record: RecordCode, found: Iterable[Access], opcode: str) -> di
 
 
 def words_fetched(record: RecordCode, found: Iterable[Access]) -> dict[str, Fetched]:
-    """What code reads that is neither of a stream nor its own."""
+    """Reads that are neither from a stream nor from local memory."""
     result: dict[str, Fetched] = {}
     for one in found:
         is_own = one.root.startswith(_STREAM) or one.root in ("local", "table")
@@ -189,7 +188,7 @@ def words_fetched(record: RecordCode, found: Iterable[Access]) -> dict[str, Fetc
 
 
 def _name_of(record: RecordCode, root: str) -> str:
-    """What the compiler's name of an argument stands for; a stream's array has several."""
+    """Map the compiler's name of an argument to ours; a stream's array has several."""
     if root in ("memory", "several"):
         return {"memory": "state"}.get(root, root)
     argument = root.removeprefix("%arg.")

@@ -1,10 +1,10 @@
-"""Kernels that fetch and store what the key kernels do, and compute next to nothing.
+"""Versions of the key kernels that fetch and store the same, and compute next to nothing.
 
-Foley 2005, section 4.2: "stripped down to perform the same number of fetches and writes, but
-only enough math to prevent the driver from eliminating the fetches". Each returns records like
-the kernel that it stands for. It reads all fields of a ray's records that this reads, and each
-word of the structure once; at the same addresses, but for the order of a triangle's corners,
-and for the child of a split, of which it takes the one below.
+Foley 2005, section 4.2: "stripped down to perform the same number of fetches and writes, but only
+enough math to prevent the driver from eliminating the fetches". Each returns records like the
+kernel that it replaces. It reads the same fields of a ray's records, and each word of the structure
+once, at the same addresses, except for the order of a triangle's corners and for the child of a
+split, where it takes the lower one.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _word(at):
 
 @device
 def _sum_of_corners(tree, row):
-    """A reference, and the nine numbers of its triangle."""
+    """Sum a reference's triangle: nine numbers."""
     at = tree.corners + np.uint64(load(np.int32, tree.references + row * _WORD)) * _CORNERS
     total = load(np.float32, at)
     for k in range(_ONE, np.uint64(9)):
@@ -71,14 +71,14 @@ def _sum_of_corners(tree, row):
 
 @device
 def _found(wanted, found, more):
-    """A record of hits that follows from all that was read."""
+    """A record of hits that depends on everything read."""
     count = found.count ^ np.uint32(wanted.capacity ^ wanted.first)
     return np.uint32(count), found.t_far + more
 
 
 @device
 def brute_intersect(ray, wanted, found, place, tree):
-    """For `machines.steps.brute.intersect`."""
+    """Replaces `machines.steps.brute.intersect`."""
     row = np.uint64(place.row)
     total = (_sum_of_ray(ray) + ray.t_min) + _sum_of_corners(tree, row)
     return _found(wanted, found, total), (np.uint32(row + _ONE),), _INTERSECTING
@@ -101,7 +101,7 @@ def _same_place(place, t_in, row, end):
 
 @device
 def grid_traverse(ray, found, place, tree):
-    """For `machines.steps.grid.traverse`, in a grid of one level."""
+    """Replaces `machines.steps.grid.traverse` in a one-level grid."""
     at = tree.splits + np.uint64(place.cell) * _WORD
     row = found.count ^ place.row ^ np.uint32(_word(at))
     end = place.end ^ np.uint32(_word(at + _WORD))
@@ -111,7 +111,7 @@ def grid_traverse(ray, found, place, tree):
 
 @device
 def grid_intersect(ray, wanted, found, place, tree):
-    """For `machines.steps.grid.intersect`, in a grid of one level."""
+    """Replaces `machines.steps.grid.intersect` in a one-level grid."""
     total = _sum_of_ray(ray) + _sum_of_corners(tree, np.uint64(place.row))
     place = _same_place(place, place.t_in, place.row, place.end)
     return _found(wanted, found, total), place, _INTERSECTING
@@ -124,7 +124,7 @@ def _same_search(place, node, t_in, t_out, left):
 
 @device
 def _split(leaves, tree, node):
-    """Position of a split, and what its children say."""
+    """Position of a split, and the words of its children."""
     if leaves is not None:
         at = tree.nodes + node * _RECORD
         return load(np.float32, at), _word(at + _WORD) ^ _word(at + _NODE)
@@ -135,7 +135,7 @@ def _split(leaves, tree, node):
 
 @device
 def _parent(leaves, tree, node):
-    """The node above, and its extended record."""
+    """The parent node, and its extended record."""
     if leaves is not None:
         leaf = leaves + (node & _ROW) * _RECORD + _NODE
         node = _word(leaf if node >= _LEAF else tree.extended + node * _EXTENDED + _LINK)
@@ -147,7 +147,7 @@ def _parent(leaves, tree, node):
 
 @device
 def kdtree_down(ray, place, tree):
-    """For `machines.steps.kdtree.descend`."""
+    """Replaces `machines.steps.kdtree.descend`."""
     position, node = _split(tree.leaves, tree, np.uint64(place.node))
     total = _sum_of_ray(ray) + position
     return _same_search(place, node, place.t_in, place.t_out + total, 0), _TRAVERSING
@@ -155,7 +155,7 @@ def kdtree_down(ray, place, tree):
 
 @device
 def kdtree_up(ray, place, tree):
-    """For `machines.steps.kdtree.backtrack`."""
+    """Replaces `machines.steps.kdtree.backtrack`."""
     o, d = ray.origin, ray.direction
     node, row = _parent(tree.leaves, tree, np.uint64(place.node))
     high = row + _HIGH
@@ -173,7 +173,7 @@ def _corner_lanes(at):
 
 @device
 def kdtree_intersect(ray, wanted, found, place):
-    """For `machines.steps.kdtree.intersect`; of a block, the triangles without their numbers."""
+    """Replaces `machines.steps.kdtree.intersect`; reads a block without its prim_ids."""
     block = place.block
     total = _corner_lanes(block) + _corner_lanes(block + SECOND) + _corner_lanes(block + THIRD)
     bits = np.uint32(mask_bits(total > f32x4(_ZERO)))
@@ -189,7 +189,7 @@ def kdtree_intersect(ray, wanted, found, place):
     return _found(wanted, found, _sum_of_ray(ray)), place, _INTERSECTING
 
 
-#: By the structure and the kernel that each stands for.
+#: By the structure and kernel that each replaces.
 FETCH_ONLY: dict[tuple[str, str], Callable[..., Any]] = {
     ("brute", "intersect"): brute_intersect,
     ("grid", "traverse"): grid_traverse,
@@ -206,7 +206,7 @@ def fetch_only(structure: str, steps: Steps, number: int) -> Steps:
     Raises
     ------
     KeyError
-        If there is none; see `FETCH_ONLY`.
+        If the kernel has no such version; see `FETCH_ONLY`.
     """
     kernels = list(steps.kernels)
     function = FETCH_ONLY[structure, kernels[number].name]

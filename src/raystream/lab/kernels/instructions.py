@@ -1,4 +1,4 @@
-"""Counting instructions of compiled code by what they do."""
+"""Count LLVM instructions of compiled code by class."""
 
 from __future__ import annotations
 
@@ -24,46 +24,46 @@ _CLASSES = {
 }
 _CLASS_OF = {opcode: name for name, opcodes in _CLASSES.items() for opcode in opcodes.split()}
 
-#: LLVM's functions for operations on whole numbers; its others compute with floats.
+#: LLVM's intrinsics for integers; its others compute with floats.
 _INTEGER_CALLS = (
     *("abs", "ctlz", "ctpop", "cttz", "fshl", "fshr", "sadd", "smax", "smin", "ssub"),
     *("uadd", "umax", "umin", "usub", "vector.reduce.and", "vector.reduce.or"),
 )
 
-#: They tell the compiler something and become no code.
-_REMARKS = ("assume", "lifetime", "dbg", "experimental.noalias", "invariant")
+#: Hints to the compiler, which generate no code.
+_HINTS = ("assume", "lifetime", "dbg", "experimental.noalias", "invariant")
 
-#: They count the users of arrays: once for each call of a loop, not for each record.
+#: Reference counting of arrays: once per call of a loop, not per record.
 _ARRAY_OWNERS = ("NRT_incref", "NRT_decref")
 
 
 @dataclass(frozen=True)
 class InstructionCounts:
-    """Instructions of LLVM's, after optimisation, by what they do.
+    """Optimised LLVM instructions by class.
 
-    Each stands for about one instruction of a machine. Not counted are those that become none:
-    jumps that are always taken, phis, changes of type without change of bits, remarks to the
-    compiler; and what a function does once for a whole loop over records.
+    Each corresponds to about one machine instruction. Instructions that generate no code are not
+    counted: unconditional jumps, phis, bitcasts, compiler hints; nor is work done once for a whole
+    loop over records.
 
     Attributes
     ----------
     floating : int
-        Arithmetic of floats, with minimum, absolute value and the like.
+        Float arithmetic, including minimum, absolute value and the like.
     integer : int
-        Arithmetic and bits of integers.
+        Integer arithmetic and bit operations.
     conversions : int
-        Between types of numbers.
+        Between numeric types.
     comparisons : int
-        Comparisons and selections.
+        Comparisons and selects.
     addresses : int
-        Sums that make addresses. Machines do many of them as part of a load or store.
+        Address computations. Machines fold many of them into loads and stores.
     lanes : int
-        Moves between lanes of vectors.
+        Moves between vector lanes.
     loads, stores : int
     branches : int
-        Jumps that depend on something.
+        Conditional jumps.
     calls : int
-        Calls of functions that are not copied into this one.
+        Calls that were not inlined.
     """
 
     floating: int = 0
@@ -86,7 +86,7 @@ class InstructionCounts:
 
 
 def class_of(one: Instruction) -> str | None:
-    """The field of `InstructionCounts` for an instruction; None if it is not counted."""
+    """The field of `InstructionCounts` for an instruction; None if not counted."""
     if one.opcode == "br":
         return "branches" if len(one.blocks) > 1 else None
     if one.opcode != "call":
@@ -94,7 +94,7 @@ def class_of(one: Instruction) -> str | None:
     if not one.callee.startswith("llvm."):
         return None if one.callee in _ARRAY_OWNERS else "calls"
     name = one.callee.removeprefix("llvm.")
-    if name.startswith(_REMARKS):
+    if name.startswith(_HINTS):
         return None
     if name.startswith(("masked.load", "masked.gather")):
         return "loads"
@@ -104,25 +104,25 @@ def class_of(one: Instruction) -> str | None:
 
 
 def bookkeeping(instructions: Sequence[Instruction]) -> set[int]:
-    """Instructions that serve remarks to the compiler alone; and stores of what is returned."""
+    """Instructions that only feed compiler hints, and stores of return values."""
     users: list[list[int]] = [[] for _ in instructions]
     for k, one in enumerate(instructions):
         for operand in one.operands:
             if isinstance(operand, int):
                 users[operand].append(k)
-    remarks = {
+    hints = {
         k
         for k, one in enumerate(instructions)
         if one.opcode == "call" and one.callee.startswith("llvm.assume")
     }
-    waiting = [x for k in remarks for x in instructions[k].operands if isinstance(x, int)]
+    waiting = [x for k in hints for x in instructions[k].operands if isinstance(x, int)]
     while waiting:
         k = waiting.pop()
-        if k not in remarks and remarks.issuperset(users[k]):
-            remarks.add(k)
+        if k not in hints and hints.issuperset(users[k]):
+            hints.add(k)
             waiting += [x for x in instructions[k].operands if isinstance(x, int)]
-    # What a function returns goes to %retptr. Pointers are stored for exceptions alone.
-    return remarks | {
+    # Return values go to %retptr. Pointers are stored for exceptions only.
+    return hints | {
         k
         for k, one in enumerate(instructions)
         if one.opcode == "store" and (one.type == "ptr" or one.operands[-1] == "%retptr")
@@ -138,7 +138,7 @@ def count_instructions(
     ----------
     instructions : sequence of Instruction
     among : iterable of int, optional
-        The blocks to look at; all without it.
+        Only count these blocks [default: all].
     """
     blocks = None if among is None else set(among)
     skipped = bookkeeping(instructions)
@@ -152,7 +152,7 @@ def count_instructions(
 
 
 def count_loop(instructions: Sequence[Instruction]) -> InstructionCounts | None:
-    """Count the instructions of the longest loop, of those in no other; None without loops."""
+    """Count the instructions of the longest outermost loop; None without loops."""
     loops = ControlFlow(instructions).loops()
     counts = [count_instructions(instructions, loop) for loop in loops]
     return max(counts, key=lambda one: one.total, default=None)

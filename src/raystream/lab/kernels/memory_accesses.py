@@ -1,4 +1,4 @@
-"""What compiled code reads and writes, and which addresses follow from what was read."""
+"""The loads and stores of compiled code, and which addresses depend on loaded values."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from raystream.lab.kernels.instructions import bookkeeping
 __all__ = ["Access", "accesses", "byte_count"]
 
 _VECTOR = re.compile(r"<(\d+) x (.+)>")
-#: Which operands of an instruction that makes an address may be addresses themselves. Others,
-#: such as products and shifts, make the distance from one.
+#: Operands of address computations that may be addresses themselves. Others, such as products and
+#: shifts, are offsets.
 _STEPS = {
     "getelementptr": slice(0, 1),
     "select": slice(1, None),
@@ -33,12 +33,12 @@ class Access(NamedTuple):
     opcode : str
         ``"load"`` or ``"store"``.
     root : str
-        Whose memory it is: the name of the argument with the address; ``"local"`` for the
-        function's own memory, ``"table"`` for constants, ``"memory"`` if the address was itself
-        read, ``"several"`` if it may be of one or another.
+        The origin of the address: the name of an argument; ``"local"`` for the function's own
+        memory, ``"table"`` for constants, ``"memory"`` if the address was itself loaded,
+        ``"several"`` if it is ambiguous.
     byte_count : int
     is_dependent : bool
-        Whether the address follows from anything that was read, from wherever.
+        Whether the address depends on any loaded value.
     """
 
     opcode: str
@@ -48,19 +48,19 @@ class Access(NamedTuple):
 
 
 def byte_count(shown: str) -> int:
-    """Bytes of one of LLVM's types of numbers, such as ``"<4 x float>"`` or ``"i64"``."""
+    """Size of a numeric LLVM type, such as ``"<4 x float>"`` or ``"i64"``."""
     vector = _VECTOR.fullmatch(shown)
     if vector:
         return int(vector[1]) * byte_count(vector[2])
     if shown in _BYTES:
         return _BYTES[shown]
     if not re.fullmatch(r"i\d+", shown):
-        raise ValueError(f"{shown!r} is no number")
+        raise ValueError(f"{shown!r} is not a numeric type")
     return -(-int(shown[1:]) // 8)
 
 
 def accesses(instructions: Sequence[Instruction]) -> list[Access]:
-    """The loads and stores of a function, in the order of its text.
+    """The loads and stores of a function, in textual order.
 
     Parameters
     ----------
@@ -68,18 +68,17 @@ def accesses(instructions: Sequence[Instruction]) -> list[Access]:
 
     Notes
     -----
-    An address depends on a value if it is computed from it, or if a value it is computed from
-    was chosen by a jump that depends on it. What is stored to the function's own memory passes
-    through it. Whether a load is reached at all is not an address: Foley's dependent fetches
-    are those whose "values read from one input texture are used to compute the addresses"
-    (Foley 2005, section 4.2).
+    An address depends on a value if it is computed from it, or if a value it is computed from was
+    chosen by a branch that depends on it. Values are followed through the function's own memory.
+    Whether a load is reached at all is no dependence: in Foley's dependent fetches, "values read
+    from one input texture are used to compute the addresses" (Foley 2005, section 4.2).
 
-    What functions read that are called is not seen, masked loads of LLVM's included.
+    Reads of called functions are not seen, including LLVM's masked loads.
     """
-    return _Reader(instructions).accesses()
+    return _AccessAnalysis(instructions).accesses()
 
 
-class _Reader:
+class _AccessAnalysis:
     def __init__(self, instructions: Sequence[Instruction]) -> None:
         self._code = instructions
         self._blocks = ControlFlow(instructions)
@@ -108,7 +107,7 @@ class _Reader:
         return "local" if isinstance(root, int) else root
 
     def _root(self, pointer: int | str) -> int | str:
-        """Whose memory an address is in: an alloca's number, or a name."""
+        """The origin of an address: an alloca's index, or a name."""
         found: set[int | str] = set()
         seen: set[int | str] = set()
         waiting = [pointer]
@@ -130,7 +129,7 @@ class _Reader:
         return found.pop() if len(found) == 1 else "several"
 
     def _local_writes(self) -> dict[int, list[int | str]]:
-        """What is written to each alloca: values stored, and what functions called with it got."""
+        """Values written to each alloca: by stores, and by calls that receive its address."""
         written: dict[int, list[int | str]] = {}
         for k, one in enumerate(self._code):
             root = self._roots.get(k)
@@ -144,7 +143,7 @@ class _Reader:
         return written
 
     def _loads_of(self, value: int | str) -> set[int]:
-        """The loads that a value follows from, each without those before it."""
+        """The loads that a value depends on, each without its own dependences."""
         found: set[int] = set()
         seen: set[int | str] = set()
         waiting = [value]
@@ -169,7 +168,7 @@ class _Reader:
         return found
 
     def _is_choice(self, phi: Instruction) -> bool:
-        """Whether it has different values to choose from, not one that is computed twice."""
+        """Whether a phi selects from different values, not one value computed twice."""
         values = {
             self._code[x]._replace(block=0) if isinstance(x, int) else x for x in phi.operands
         }

@@ -1,9 +1,9 @@
-"""What it costs to keep rays in memory between passes, and to pass over idle ones.
+"""Measure the cost of keeping rays in memory between passes, and of skipping idle rays.
 
-Foley 2005, section 5, sees two issues that limit a streaming ray tracer: "the inefficiency of
-load balancing and the costs of data recirculation". Both are measured here: the same rays take
-the same steps, by the same device functions, on the multipass and on the branching machine;
-and a pass takes time for rays that do not wait for it.
+Foley 2005, section 5, sees two issues that limit a streaming ray tracer: "the inefficiency of load
+balancing and the costs of data recirculation". Both are measured here: the same rays take the same
+steps, by the same device functions, on the multipass and on the branching machine; and a pass
+spends time on rays that do not wait for it.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ __all__ = [
     "measure_recirculation",
 ]
 
-#: Structures whose branching machine traces rays one by one, as `kernels.queries` does.
+#: Structures whose branching machine traces single rays, as `kernels.queries` does.
 _ONE_BY_ONE = ("brute", "grid", "kdtree", "graph")
 
-#: Timed passes without any ray in their kernel's state.
+#: Timed passes in which no ray waits for the kernel.
 _IDLE_RUNS = 20
 
 
@@ -47,9 +47,9 @@ class PassTime(NamedTuple):
     ----------
     kernel : str
     run_count : int
-        Rays that it ran on.
+        Number of rays that it ran on.
     record_count : int
-        Rays whose state it looked at.
+        Number of rays whose state it checked.
     seconds : float
     """
 
@@ -70,12 +70,12 @@ class Recirculation:
     compaction : bool
         Whether the multipass machine dropped rays that had ended.
     passes : list of PassTime
-        Without those that hand hits over before rays are dropped.
+        Without those that return hits before compaction.
     idle_seconds : dict of str to float
-        By the kernel: what a pass takes more for each ray that it looks at and does not run on,
-        measured on streams in which no ray waits. Without the first kernel, which all run.
+        By kernel: the time of a pass per ray that it checks and does not run on, measured on
+        streams in which no ray waits. Without the first kernel, which runs on all rays.
     branching_seconds : float
-        Of the same search on the branching machine: the median of three.
+        Median of three runs of the same search on the branching machine.
     """
 
     structure: str
@@ -87,27 +87,27 @@ class Recirculation:
 
     @property
     def step_count(self) -> int:
-        """Runs of kernels on rays, set-up and shading included: the same on both machines."""
+        """Kernel runs on rays, including set-up and shading: the same on both machines."""
         return sum(one.run_count for one in self.passes)
 
     @property
     def multipass_seconds(self) -> float:
-        """Of all passes, without what is between them."""
+        """Sum over all passes, without the time between them."""
         return sum(one.seconds for one in self.passes)
 
     @property
     def seconds_per_step(self) -> float:
-        """Multipass, passes alone."""
+        """Seconds per step on the multipass machine, passes only."""
         return self.multipass_seconds / self.step_count
 
     @property
     def branching_seconds_per_step(self) -> float:
-        """Branching."""
+        """Seconds per step on the branching machine."""
         return self.branching_seconds / self.step_count
 
     @property
     def idle_share(self) -> float:
-        """Share of the passes' time that goes to idle rays, at `idle_seconds` for each."""
+        """Share of the passes' time spent on idle rays, at `idle_seconds` each."""
         lost = [
             (one.record_count - one.run_count) * self.idle_seconds.get(one.kernel, 0.0)
             for one in self.passes
@@ -118,9 +118,9 @@ class Recirculation:
     def sparse_share(self) -> float:
         """Share of the passes' time that full ones would save.
 
-        What passes take longer than as many runs do at the rate of the kernel's fullest ones
-        (those at least half as full as its fullest): for idle rays, and because the others lie
-        scattered among them in memory. Can be below 0 where full passes are no faster.
+        The excess over the same runs at the rate of the kernel's fullest passes (those at least
+        half as full as the fullest): due to idle rays, and because the others are scattered in
+        memory. May be below 0 where full passes are no faster.
         """
         return 1.0 - sum(map(_full_seconds, self._by_kernel())) / self.multipass_seconds
 
@@ -140,7 +140,7 @@ class OccupancyBin(NamedTuple):
     Attributes
     ----------
     low, high : float
-        Of the share: low <= share < high; 1 is in the last one.
+        low <= share < high; 1 is in the last bin.
     pass_count, run_count : int
     seconds : float
     """
@@ -159,14 +159,14 @@ def measure_recirculation(
     scheduler: str = "threshold",
     compaction: bool = False,
 ) -> Recirculation:
-    """Time each pass of a search for first hits, and the same search on the branching machine.
+    """Time each pass of a first-hit search, and the same search on the branching machine.
 
     Parameters
     ----------
     structure : Structure
-        Not a BVH: its branching machine traces rays together, by other functions.
+        Not a BVH: its branching machine traces packets, with other functions.
     rays : LocalRays
-        From `search.local_rays`.
+        From `snapshots.local_rays`.
     scheduler : str
     compaction : bool
 
@@ -178,8 +178,8 @@ def measure_recirculation(
     if structure.name not in _ONE_BY_ONE:
         known = ", ".join(_ONE_BY_ONE)
         raise ValueError(
-            f"structure: {structure.name!r} traces rays together on the branching machine, by "
-            f"other functions than on the multipass machine; choose of {known}"
+            f"structure: {structure.name!r} traces packets on the branching machine, with other "
+            f"functions than on the multipass machine; expected one of {known}"
         )
     few = LocalRays(*(column[:1] for column in rays))
     Search(structure, few, scheduler).run()  # compiles
@@ -206,13 +206,13 @@ def measure_recirculation(
 def by_occupancy(
     passes: Sequence[PassTime], edges: Sequence[float] = (0.0, 0.01, 0.1, 0.25, 0.5, 0.75, 1.0)
 ) -> list[OccupancyBin]:
-    """Sort passes by the share of rays that they ran on.
+    """Bin passes by the share of rays that they ran on.
 
     Parameters
     ----------
     passes : sequence of PassTime
     edges : sequence of float
-        Where bins begin and end, increasing, from 0 to 1.
+        Bin edges, increasing, from 0 to 1.
     """
     shares = np.array([one.run_count / one.record_count for one in passes])
     bins = np.clip(np.searchsorted(edges, shares, side="right") - 1, 0, len(edges) - 2)
@@ -226,7 +226,7 @@ def by_occupancy(
 
 
 def _full_seconds(passes: list[PassTime]) -> float:
-    """What all runs in a kernel's passes take at the rate of its fullest ones."""
+    """Time of all runs of a kernel at the rate of its fullest passes."""
     shares = [one.run_count / one.record_count for one in passes]
     full = [p for p, share in zip(passes, shares, strict=True) if 2 * share >= max(shares)]
     rate = sum(one.seconds for one in full) / sum(one.run_count for one in full)
@@ -234,7 +234,7 @@ def _full_seconds(passes: list[PassTime]) -> float:
 
 
 def _time_idle(search: Search) -> dict[str, float]:
-    """Seconds of a pass of each kernel but the first, on rays that all wait for the first."""
+    """Seconds per pass of each kernel but the first, on rays that all wait for the first."""
     result = {}
     for kernel, one in enumerate(search.steps.kernels[1:], 1):
         seconds = repeat(partial(search.streams.run, kernel, None), _IDLE_RUNS)

@@ -1,4 +1,4 @@
-"""A kernel of a traversal, compiled for one record: state in, state out."""
+"""Compile a traversal kernel for one record: state in, state out."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from raystream.streams.declarations import declare
 
 __all__ = ["RecordCode", "compile_record", "compile_steps", "first_hit_query", "make_streams"]
 
-#: Numbers of structures that choose between ways of searching.
+#: Numbers of structures that select a traversal.
 _CHOICES = ("traversal",)
 
-#: Those of a query that do.
+#: Numbers of a query that do.
 _QUERY_CHOICES = ("surfaces", "shades", "tallies", "runs", "steps", "tests")
 
 _NOWHERE = np.uint64(0)
@@ -36,9 +36,8 @@ class RecordCode(NamedTuple):
     ----------
     code : Code
     names : dict of str to str
-        What the compiler's names of arguments stand for: ``"ray"``, ``"wanted"``, ``"found"``,
-        ``"place"`` and ``"state"`` for streams, such as ``"tree.corners"`` and ``"query.hits.t"``
-        for numbers.
+        Our names of the compiler's arguments: ``"ray"``, ``"wanted"``, ``"found"``, ``"place"`` and
+        ``"state"`` for streams, and such as ``"tree.corners"`` and ``"query.hits.t"`` for numbers.
     """
 
     code: Code
@@ -51,14 +50,14 @@ def first_hit_query(
     stacks: int = 0,
     stack_bytes: int = 0,
 ) -> StepArguments:
-    """What a multipass machine hands to kernels for first hits that nobody counts.
+    """The multipass machine's arguments to kernels for first hits without counters.
 
     Parameters
     ----------
     max_coordinate : float
-        See `kernels.ray.set_up`.
+        See `kernels.ray.prepare_ray`.
     hits : HitAddresses, optional
-        Without it, kernels can be compiled and not run.
+        Without it, kernels can be compiled but not run.
     stacks, stack_bytes : int
         See `StepArguments`.
     """
@@ -77,7 +76,7 @@ def first_hit_query(
 
 
 def make_streams(steps: Steps, count: int) -> dict[str, Stream]:
-    """Streams of zeros for what a traversal keeps of its rays."""
+    """Streams of zeros for the ray state of a traversal."""
     dtypes = {"ray": RAY, "wanted": WANTED, "found": FOUND, "place": steps.place}
     streams = {name: Stream.zeros(count, dtype, name=name) for name, dtype in dtypes.items()}
     streams["state"] = Stream.zeros(count, np.uint8, name="state")
@@ -94,26 +93,25 @@ def compile_steps(
 ) -> RecordCode:
     """Compile a kernel of a traversal for one record, for first hits.
 
-    The function, what it reads and what it writes are those of the multipass machine's kernel;
-    the loop over records and its condition are left out, as a pass of graphics hardware has
-    none in its program.
+    Function, inputs and outputs are those of the multipass machine's kernel; the loop over records
+    and its condition are omitted, as in a program of graphics hardware.
 
     Parameters
     ----------
     steps : Steps
     number : int
-        Which of its kernels.
+        Index of the kernel.
     is_looping : bool
-        Leave open how many steps it does in one pass: its code then has the loop. Otherwise
-        it is one step.
+        Keep the number of steps per pass variable, so that the code has the loop over steps; else
+        compile one step.
     is_general : bool
-        Leave open all numbers, as the machine does, which compiles a kernel once for all
-        queries and ways of searching, counted or not. Otherwise what chooses between such is a
-        constant "placed within the kernel code" (Purcell 2002, section 3.1), and the code for
-        other choices, such as that which counts, is not there.
+        Keep all numbers variable, as the machine does, which compiles a kernel once for all queries
+        and traversals, with or without counters. Else the numbers that select between these are
+        constants "placed within the kernel code" (Purcell 2002, section 3.1), and the code of other
+        choices, such as counting, is removed.
     is_in_place : bool
-        Write the streams that it reads, as the machine does: what stays as it was is then
-        neither read nor written. Otherwise other streams of the same kind.
+        Write the streams that it reads, as the machine does: unchanged fields are then neither read
+        nor written. Else write other streams of the same kind.
 
     Returns
     -------
@@ -134,7 +132,7 @@ def compile_steps(
 
 
 def _facts(steps: Steps, one: StepKernel) -> list[str]:
-    """What is known of a ray's place: in a grid of one level it is in no cell of the second."""
+    """Known facts of a ray's place: in a one-level grid it has no outer cell."""
     reads_place = "place" in inspect.signature(one.function).parameters
     has_one_level = getattr(steps.tree, "children", None) == _NOWHERE
     return ["place.outer == -1"] if reads_place and has_one_level else []
@@ -156,11 +154,10 @@ def compile_record(
     given : mapping
         ``inputs``, ``outputs`` and ``constants`` of a `streams.Kernel`.
     constants : mapping of str to tuple of str, optional
-        By the constants that are named tuples: the members that become part of the code. Of
-        addresses, it becomes part of it which are 0 and which are not. Without it all
-        are left open.
+        For constants that are named tuples, the members to compile in; of addresses, only whether
+        they are 0. Without it all stay variable.
     facts : sequence of str
-        What is known of the records that it reads, as Python expressions.
+        Known facts of its input records, as Python expressions.
     """
     declared = declare(name, function, given["inputs"], given["outputs"], None, given["constants"])
     source = declared.source()
@@ -202,7 +199,7 @@ def _frozen(
     known: dict[str, Any],
     lines: list[str],
 ) -> str:
-    """An expression for a constant whose `members`, and a tree's zeros, are numbers in the text."""
+    """An expression for a constant with `members`, and a tree's zeros, as literals."""
     if not hasattr(value, "_fields"):
         return f"uint64({int(value)})"
     known[f"Made_{key}"] = type(value)
@@ -220,7 +217,7 @@ def _frozen(
 
 
 def _members(shown: str, name: str, value: Any) -> dict[str, str]:
-    """The compiler's names of a constant's numbers, which it flattens."""
+    """The compiler's names of a flattened constant's numbers."""
     if not isinstance(value, tuple):
         return {shown: name}
     fields = getattr(value, "_fields", range(len(value)))

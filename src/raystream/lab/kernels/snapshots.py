@@ -1,4 +1,4 @@
-"""First hits on the multipass machine, a pass at a time, and its rays in the middle of it."""
+"""First hits on the multipass machine pass by pass, with snapshots of rays in mid-search."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def local_rays(structure: Structure, origins: Any, directions: Any) -> LocalRays
     ----------
     structure : Structure
     origins, directions : array_like of shape S + (3,), real
-        World space. All t from 0 on are wanted.
+        World space; t from 0 to infinity.
 
     Returns
     -------
     LocalRays
-        Of the rays that can be traced.
+        The valid rays.
     """
     batch = RayBatch(origins, directions, 0.0, np.inf)
     status = np.zeros(len(batch), np.uint8)
@@ -44,9 +44,9 @@ def local_rays(structure: Structure, origins: Any, directions: Any) -> LocalRays
 
 
 class Search:
-    """A search for the first hits of rays, on the multipass machine.
+    """A first-hit search on the multipass machine, run pass by pass.
 
-    The same streams, kernels and schedulers. Nobody counts what rays meet.
+    It has the machine's streams, kernels and schedulers, without counters.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ class Search:
     scheduler : str
         See `machines.schedulers`.
     compaction : bool
-        Whether rays that have ended are dropped from the streams.
+        Whether to drop finished rays from the streams.
 
     Attributes
     ----------
     steps : Steps
     streams : RayStreams
     hits : HitArrays
-        Row i is of ray i; a miss has t = inf.
+        Row i belongs to ray i; a miss has t = inf.
     """
 
     def __init__(
@@ -86,11 +86,11 @@ class Search:
         self.streams = RayStreams(self.steps, query, RayJob(rays, rows, one, None))
 
     def schedule(self) -> Iterator[tuple[int, list[int]]]:
-        """Choose kernels until no ray is active; see `RayStreams.schedule`."""
+        """Yield kernels until no ray is active; see `RayStreams.schedule`."""
         return self.streams.schedule(self._scheduler, self._compaction)
 
     def run(self, counters: Counters | None = None) -> int:
-        """Search to the end; returns the number of passes."""
+        """Run to the end; returns the number of passes."""
         passes = 0
         for kernel, _ in self.schedule():
             self.streams.run(kernel, counters)
@@ -98,7 +98,7 @@ class Search:
         return passes
 
     def snapshot(self, kernel: int) -> Snapshot:
-        """The rays that wait for a kernel, as they are now."""
+        """Copy the rays that wait for a kernel."""
         arrays = {name: stream.array for name, stream in self.streams.streams.items()}
         chosen = arrays["state"] == np.uint8(self.steps.kernels[kernel].state)
         return Snapshot(
@@ -112,21 +112,21 @@ class Search:
 
 
 class Snapshot(NamedTuple):
-    """Rays that wait for a kernel, in the middle of a search.
+    """Rays that wait for a kernel in mid-search.
 
     Attributes
     ----------
     steps : Steps
     number : int
-        The kernel.
+        Index of the kernel.
     arrays : dict of str to ndarray
-        The streams' records, of these rays alone.
+        The streams' records of these rays.
     hits : HitArrays
-        What all rays of the search have found.
+        Hits so far of all rays of the search.
     stacks : ndarray of shape (N, B), uint8
-        Of all of them.
+        Of all rays.
     max_coordinate : float
-        See `kernels.ray.set_up`.
+        See `kernels.ray.prepare_ray`.
     """
 
     steps: Steps
@@ -140,20 +140,20 @@ class Snapshot(NamedTuple):
         return len(self.arrays["state"])
 
     def kernel(self, steps: Steps | None = None) -> tuple[Kernel, dict[str, Stream]]:
-        """The kernel over these rays; it writes to other streams than it reads.
+        """The kernel over these rays; its outputs are other streams than its inputs.
 
         Parameters
         ----------
         steps : Steps, optional
-            Others of the same kind, with another function for the kernel.
+            Steps of the same kind with another function for the kernel.
 
         Returns
         -------
         kernel : Kernel
-            Runs on all rays, each time with the same result. What it finds it also writes to
-            `hits`, so keep the snapshot.
+            Runs on all rays, each time with the same result. It also writes to `hits`, so keep the
+            snapshot alive.
         written : dict of str to Stream
-            Where it writes, by the name of the stream that it would write to.
+            Its outputs, by the name of the original stream.
         """
         steps = self.steps if steps is None else steps
         read = {name: Stream(array, name=name) for name, array in self.arrays.items()}
@@ -165,21 +165,21 @@ class Snapshot(NamedTuple):
 
 
 def busiest(search: Search, kernels: list[str], pass_limit: int | None = None) -> dict[str, int]:
-    """Find the pass of each kernel in which most rays wait for it, by running a search.
+    """Run a search to find the pass of each kernel in which most rays wait for it.
 
     Parameters
     ----------
     search : Search
         Not yet run.
     kernels : list of str
-        Those of interest.
+        Kernels of interest.
     pass_limit : int, optional
-        Look at so many passes only.
+        Stop after this many passes.
 
     Returns
     -------
     dict of str to int
-        Number of the pass, from 0; without kernels that did not run.
+        Index of the pass, without kernels that did not run.
     """
     best: dict[str, tuple[int, int]] = {}
     for number, (kernel, waiting) in enumerate(search.schedule()):
@@ -193,12 +193,12 @@ def busiest(search: Search, kernels: list[str], pass_limit: int | None = None) -
 
 
 def snapshots(search: Search, passes: dict[str, int]) -> dict[str, Snapshot]:
-    """Run a search up to some passes, and take the rays that these run on.
+    """Run a search and copy the rays of given passes.
 
     Parameters
     ----------
     search : Search
-        Not yet run, of the same rays as the one that the passes were found in.
+        Not yet run, with the same rays as the search that found the passes.
     passes : dict of str to int
         From `busiest`.
     """
@@ -214,6 +214,6 @@ def snapshots(search: Search, passes: dict[str, int]) -> dict[str, Snapshot]:
 
 
 def query_of(max_coordinate: float, hits: HitArrays, stacks: NDArray[np.uint8]) -> Any:
-    """What kernels get for first hits that are written to some arrays, which must be kept."""
+    """Kernel arguments for first hits written to arrays, which must stay alive."""
     addresses = HitAddresses(*(np.uint64(column.ctypes.data) for column in hits))
     return first_hit_query(max_coordinate, addresses, stacks.ctypes.data, stacks.shape[1])

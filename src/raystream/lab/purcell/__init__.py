@@ -1,1 +1,1 @@
-"""Purcell 2002: ray casting as a stream computation, re-run."""
+"""Purcell 2002's experiments: ray casting as a stream computation."""

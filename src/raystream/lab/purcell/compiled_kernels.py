@@ -1,4 +1,4 @@
-"""Instructions and words of our own compiled kernels, beside Table 1 (Purcell 2002, 3.2)."""
+"""Instructions and words of our own compiled kernels, compared with Table 1 (Purcell 2002, 3.2)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COUNTED: dict[str, dict[str, Any]] = {
     "graph": {},
 }
 
-#: Our kernels, and the rows of Table 1 that do the same.
+#: Our kernels, and the corresponding rows of Table 1.
 _ROWS = {
     ("grid", "set up"): "set up",
     ("grid", "traverse"): "step",
@@ -47,7 +47,7 @@ _COLUMNS = (
 
 
 def cost_figures(runner: Runner, structure: str) -> list[dict[str, Any]]:
-    """What each kernel of a structure costs, counted in its code; compiled once in a run."""
+    """Costs of a structure's kernels, counted in their code; compiled once per run."""
 
     def measure() -> list[dict[str, Any]]:
         built = Tracer(cornell(), structure, **COUNTED[structure]).structure
@@ -82,22 +82,21 @@ def compiled_kernels(runner: Runner) -> Result:
         tables=[
             Table.of(
                 "purcell-kernels",
-                f"Our compiled kernels beside {place.source}",
+                f"Our compiled kernels and {place.source}",
                 ["kernel", *_COLUMNS],
                 rows,
                 "Instructions: of the optimised LLVM code of one step for one ray, which loads "
-                "what is kept of it, computes and stores; all branches of it, of which a ray "
-                "takes some. A further step: of those, what another step in the same pass takes; "
-                "beside it the paper's branching kernel. Processor's: of the same code. R, W and "
-                "M are the words of Table 1, multipass.",
-                "The paper's instructions work on vectors of 4 numbers; ours in grid and brute "
-                "force on one. A ray is set up anew in each pass, and the triangle test is "
-                "watertight, with a part in float64 for rays through an edge; the paper's is "
-                "Möller and Trumbore's.",
+                "its state, computes and stores, over all branches. A further step: the part "
+                "that another step in the same pass takes, and the paper's branching kernel. "
+                "Processor's: of the same code. R, W and M are the words of Table 1, multipass.",
+                "The paper's instructions work on vectors of 4 numbers, ours in grid and brute "
+                "force on scalars. A ray is set up again in each pass, and the triangle test is "
+                "watertight, with a float64 part for rays through an edge; the paper's is Möller "
+                "and Trumbore's.",
                 "Words in and out: of the whole records that a pass reads and writes. Words of "
-                "the scene: in all loads of the code; the two parts of the triangle test in grid "
-                "and brute force load the same 9 words of corners each, and trees test four "
-                "triangles at a time.",
+                "the scene: in all loads of the code; in grid and brute force, both parts of the "
+                "triangle test load the same 9 words of vertices; trees test four triangles at a "
+                "time.",
             )
         ]
     )

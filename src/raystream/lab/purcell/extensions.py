@@ -1,7 +1,7 @@
-"""What shadows, mirrors and paths cost beside the ray caster (Purcell 2002, section 4.3).
+"""The cost of shadows, mirrors and paths relative to ray casting (Purcell 2002, section 4.3).
 
-Each scene on the uniform grid and the branching machine, as Purcell's simulator had it, with one
-light, and every surface a mirror of a quarter: his shading sends a reflected ray from each hit.
+Each scene is traced on the uniform grid and the branching machine, as in Purcell's simulator, with
+one light, and every surface reflects a quarter: his shading spawns a reflected ray at each hit.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from raystream.tracer import Tracer
 
 __all__ = ["extensions"]
 
-#: Scenes, and options of their grids: Purcell's, of section 4.1, where he has the scene. In one
-#: level, all robots share a few cells, and 60,000 triangles are tested for a ray.
+#: Scenes, and options of their grids: Purcell's (section 4.1) for his scenes. In a one-level grid,
+#: all robots share a few cells, and a ray tests 60,000 triangles.
 _SCENES: Mapping[str, dict[str, Any]] = MappingProxyType(
     {
         "cornell": {},
@@ -46,7 +46,7 @@ _QUICK_SCENES = ("cornell", "bunny on a floor")
 
 
 class _Row(NamedTuple):
-    """An extension: the renderer that stands for it, and its name in the paper."""
+    """An extension: its renderer, and its name in the paper."""
 
     mode: str
     options: dict[str, Any]
@@ -64,40 +64,40 @@ _ROWS: Mapping[str, _Row] = MappingProxyType(
     }
 )
 
-#: Share of light that every surface mirrors.
+#: Share of light that every surface reflects.
 _SHARE = 0.25
 
-#: Pixels along a side of path-traced pictures, and samples of each; the paper has 64.
+#: Width and height of path-traced images, and samples per pixel; the paper has 64.
 _PATH_SIZE, _PATH_SAMPLES = 256, 16
 
-#: Rounds in which modes take turns, and the share of the size of pictures that are timed: at
-#: full size, the forest's alone take three minutes.
+#: Rounds in which modes take turns, and the divisor of the size of timed images: at full size, the
+#: forest's alone take three minutes.
 _ROUNDS, _TIMED_SHARE = 2, 2
 
-#: Pixels along a side of the pictures that compile it all before.
+#: Width and height of the images that compile the kernels.
 _WARM_SIZE = 32
 
-#: Rays from the eye that are counted together.
+#: Camera rays that are counted together.
 _BAND = 1 << 16
 
 Sums = dict[str, Counter[str]]
 
 
 class _CountingTracer(Tracer):
-    """A tracer that adds up what it was asked, for each of the two queries."""
+    """A tracer that sums the counters of both queries."""
 
     def __init__(self, scene: Scene, **options: Any) -> None:
         super().__init__(scene, "grid", counters=True, **options)
         self.sums: Sums = {"first_hit": Counter(), "any_hit": Counter()}
 
     def first_hit(self, *rays: Any, **options: Any) -> Hits:
-        """Ask, and count."""
+        """Trace and count."""
         hits = super().first_hit(*rays, **options)
         self._count("first_hit")["hits"] += int(hits.is_hit.sum())
         return hits
 
     def any_hit(self, *rays: Any, **options: Any) -> Any:
-        """Ask, and count."""
+        """Trace and count."""
         answer = super().any_hit(*rays, **options)
         self._count("any_hit")
         return answer
@@ -127,7 +127,7 @@ def extensions(runner: Runner) -> Result:
             if paper is not None and name.startswith("bunny"):
                 theirs = published("purcell", "extensions").values[paper]
                 for key, own in (("instructions", "instructions"), ("bandwidth", "words")):
-                    sent = f"{ours['rays']:.2f} rays for each from the eye"
+                    sent = f"{ours['rays']:.2f} rays per camera ray"
                     compared.append((f"{row}: {key}", theirs[key], ratios[own], sent))
                     near[f"{row}: {key}"] = abs(ratios[own] / theirs[key] - 1.0) <= 0.25
     source = published("purcell", "extensions").source
@@ -136,24 +136,24 @@ def extensions(runner: Runner) -> Result:
             "purcell-extensions",
             f"Extensions over the ray caster, the bunny on a floor: {source}",
             compared,
-            "Shadow rays: those of the paper's hybrid, which finds visible surfaces by "
-            "rasterising. Paths of two bounces find lights by chance, or by a ray to one at each "
-            "surface too; the paper does not say which.",
+            "Shadow rays: those of the paper's hybrid, which rasterises the visible surfaces. "
+            "Paths of two bounces hit lights by chance, or also sample one at each surface; the "
+            "paper does not say which.",
         ),
         Table.of(
             "purcell-extensions-all",
-            "Counts a ray from the eye: the ray caster's, and ratios to them",
+            "Counts per camera ray: the ray caster's, and ratios to them",
             ["scene", "mode", *_COUNTED, "time"],
             rows,
-            "The ray caster's time is in microseconds a ray. Times are of whole pictures, medians "
-            "of rounds in which the modes take turns; instructions and words by Table 1, "
+            "The ray caster's time is in microseconds per ray. Times are of whole images, "
+            "medians of rounds in which the modes take turns; instructions and words by Table 1, "
             "branching.",
         ),
     ]
     result.claims = [
         Claim.judged(
-            "Costs of shadows, mirrors and paths over the ray caster's are the paper's within a "
-            "quarter",
+            "Costs of shadows, mirrors and paths relative to the ray caster agree with the paper "
+            "within a quarter",
             source,
             near,
             "; ".join(f"not {case}" for case, held in near.items() if not held) or "all",
@@ -166,7 +166,7 @@ _COUNTED = ("rays", "steps", "tests", "instructions", "words")
 
 
 def _with_mirrors(view: View) -> View:
-    """One light, on surfaces that mirror."""
+    """Keep one light, and make all surfaces reflect."""
     scene = view.scene
     polished = [
         dataclasses.replace(
@@ -187,7 +187,7 @@ def _scaled(color: tuple[float, float, float], share: float) -> tuple[float, flo
 
 
 def _measure(runner: Runner, view: View, options: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Costs of each row for each ray from the eye, by name."""
+    """Costs of each row per camera ray, by name."""
     tracer: _CountingTracer | None = None
     found = {}
     for row in ("raycast", *_ROWS):
@@ -212,14 +212,14 @@ def _measure(runner: Runner, view: View, options: dict[str, Any]) -> dict[str, d
 
 
 def _size_of(runner: Runner, row: str) -> tuple[int, int]:
-    """Pixels along a side, and samples of each."""
+    """Width and height, and samples per pixel."""
     if row.startswith("path"):
         return runner.size(_PATH_SIZE), 4 if runner.quick else _PATH_SAMPLES
     return runner.size(SIZE), 1
 
 
 def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
-    """Sums of both queries for a picture."""
+    """Sums of both queries for an image."""
     tracer.sums = {"first_hit": Counter(), "any_hit": Counter()}
     camera = tracer.scene.camera
     if row == "raycast":
@@ -237,7 +237,7 @@ def _count(tracer: _CountingTracer, row: str, size: int, samples: int) -> Sums:
 
 
 def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
-    """Rays, steps, tests, instructions and words for each ray from the eye."""
+    """Rays, steps, tests, instructions and words per camera ray."""
     near, lit = sums["first_hit"], sums["any_hit"]
     traced = {key: near[key] + lit[key] for key in ("rays", "steps", "tests", "hits")}
     sent = near["rays"] - eye_count
@@ -250,7 +250,7 @@ def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
         "shadow": lit["rays"],
         "path" if row.startswith("path") else "reflected": sent,
     }
-    if row == "shadow rays":  # hits are found, and eye rays made, by rasterising
+    if row == "shadow rays":  # rasterisation replaces camera rays and their hits
         traced = {key: lit[key] for key in traced}
         runs = {
             "set up": lit["rays"],
@@ -269,7 +269,7 @@ def _cost(row: str, sums: Sums, eye_count: int) -> dict[str, float]:
 
 
 def _times(runner: Runner, tracer: Tracer, rounds: int) -> dict[str, float]:
-    """Median seconds of each row's picture, for each ray from the eye."""
+    """Median seconds of each row's image per camera ray."""
     calls, ray_counts = {}, {}
     for row in ("raycast", *(row for row in _ROWS if row != "shadow rays")):
         mode, own = ("raycast", {}) if row == "raycast" else _ROWS[row][:2]

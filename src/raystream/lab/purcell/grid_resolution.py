@@ -25,12 +25,12 @@ __all__ = ["Sweep", "grid_resolution", "resolution_sweep"]
 #: Cells along the shortest axis of the scene's box.
 RESOLUTIONS = (8, 16, 24, 32, 48, 64, 96, 128, 160)
 
-#: More cells than this are left out of the sweep: a gigabyte while building.
+#: Grids with more cells are skipped: building them takes a gigabyte.
 _MAX_CELLS = 140_000_000
 
 _SIZE = 256
 
-#: By the least cells along an axis.
+#: Counts by the minimum cells along an axis.
 Sweep = dict[int, ImageCounts]
 
 
@@ -96,10 +96,10 @@ def grid_resolution(runner: Runner) -> Result:
     result.tables = [
         Table.of(
             "purcell-resolution",
-            "Grids from coarse to fine; instructions a ray by Table 1 (branching)",
+            "Grids from coarse to fine; instructions per ray by Table 1 (branching)",
             ["view", "least cells", "cells", "v", "t", "traversal", "intersection", "both", ""],
             rows,
-            "Least cells: along the shortest axis of the scene's box, as the paper counts.",
+            "Least cells: along the shortest axis of the scene's box, as in the paper.",
         )
     ]
     result.claims = [
@@ -126,7 +126,7 @@ def _paper_resolution(runner: Runner, view: View) -> int:
 
 
 def _instructions(values: ImageCounts) -> tuple[float, float]:
-    """Instructions of a ray's steps and of its tests."""
+    """Instructions of a ray's steps and tests."""
     found = cost(counts_of(values), prices("branching")).instructions
     return found["step"] / values["rays"], found["intersect"] / values["rays"]
 
@@ -140,9 +140,9 @@ def _plot(name: str, sweep: Sweep, costs: dict[int, tuple[float, float]]) -> Plo
     x = sorted(sweep)
     return Plot(
         f"purcell-resolution-{name.replace(' ', '-')}",
-        f"{name}: instructions a ray, by the grid's resolution",
+        f"{name}: instructions per ray, by the grid's resolution",
         "cells along the shortest axis",
-        "instructions a ray",
+        "instructions per ray",
         [
             Series("traversal", list(x), [costs[least][0] for least in x]),
             Series("intersection", list(x), [costs[least][1] for least in x]),

@@ -1,4 +1,4 @@
-"""What pictures cost on two architectures, by kernel and by kind of data (Figures 7 and 8)."""
+"""The cost of images on two architectures, by kernel and by kind of data (Figures 7 and 8)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from raystream.lab.views import PURCELL_VIEWS
 
 __all__ = ["image_costs"]
 
-#: Kernels of Figure 7, and what they are made of.
+#: Parts of Figure 7, and their kernels.
 _PARTS = {
     "rays and set-up": ("generate eye ray", "set up"),
     "traversal": ("step",),
@@ -29,7 +29,7 @@ Costs = dict[tuple[str, str], Cost]
 
 
 def image_costs(runner: Runner) -> Result:
-    """Price the measured pictures by Table 1, and the published statistics beside them."""
+    """Apply Table 1 to the measured images, and to the published statistics."""
     result = Result()
     ours: Costs = {}
     theirs: Costs = {}
@@ -61,7 +61,7 @@ def image_costs(runner: Runner) -> Result:
     result.claims = _claims(names, ours)
     result.notes.append(
         "Figures 7 and 8 are bar charts whose heights are not in our copy of the paper. The "
-        "columns 'paper's counts' put its own v, t, s and passes into its own Table 1."
+        "columns 'paper's counts' apply its Table 1 to its own v, t, s and passes."
     )
     return result
 
@@ -91,7 +91,7 @@ def _kernel_table(ours: Costs, theirs: Costs, size: int) -> Table:
             [
                 name,
                 architecture,
-                "all, a ray",
+                "all, per ray",
                 found.all_instructions / rays,
                 printed.all_instructions / SIZE**2,
                 found.all_bytes / rays,
@@ -100,7 +100,7 @@ def _kernel_table(ours: Costs, theirs: Costs, size: int) -> Table:
         )
     return Table.of(
         "purcell-figure-7",
-        f"Instructions and bytes by kernel (Figure 7): shares, and a ray's sum; {size} x {size}",
+        f"Instructions and bytes by kernel (Figure 7): shares, and sums per ray; {size} x {size}",
         [
             "view",
             "architecture",
@@ -147,10 +147,10 @@ def _kind_table(ours: Costs, theirs: Costs, size: int) -> Table:
     return Table.of(
         "purcell-figure-8",
         f"Bytes by kind of data (Figure 8): shares; {size} x {size}",
-        ["view", "architecture", *columns, "bytes a ray"],
+        ["view", "architecture", *columns, "bytes per ray"],
         rows,
-        "State: what a ray keeps between passes, and the pixel's colour. Data: grid, lists, "
-        "triangles, and what shading reads.",
+        "State: of rays between passes, and the pixel's colour. Data: grid, lists, triangles, "
+        "and reads of shading.",
     )
 
 
@@ -185,7 +185,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
     return [
         Plot(
             f"purcell-figure-7-instructions-{architecture}",
-            f"Figure 7, {architecture}: instructions of a picture",
+            f"Figure 7, {architecture}: instructions of an image",
             "",
             "billions",
             compute,
@@ -193,7 +193,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
         ),
         Plot(
             f"purcell-figure-7-bytes-{architecture}",
-            f"Figure 7, {architecture}: bytes of a picture, by kernel",
+            f"Figure 7, {architecture}: bytes of an image, by kernel",
             "",
             "GB",
             by_kernel,
@@ -201,7 +201,7 @@ def _plots(names: list[str], ours: Costs, architecture: str) -> list[Plot]:
         ),
         Plot(
             f"purcell-figure-8-{architecture}",
-            f"Figure 8, {architecture}: bytes of a picture, by kind of data",
+            f"Figure 8, {architecture}: bytes of an image, by kind of data",
             "",
             "GB",
             kinds,
@@ -239,7 +239,7 @@ def _claims(names: list[str], ours: Costs) -> list[Claim]:
             f"shares from {min(shares, default=0.0):.0%} to {max(shares, default=0.0):.0%}",
         ),
         Claim.judged(
-            "Multipass spends most of its bandwidth on rays' state between passes",
+            "Multipass spends most of its bandwidth on ray state between passes",
             f"{place}.2",
             state,
             "share of state: " + ", ".join(evidence["state"]),

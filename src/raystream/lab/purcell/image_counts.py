@@ -1,4 +1,4 @@
-"""A picture of rays on the grid: what Purcell's simulators counted of it."""
+"""An image's rays on the grid, and the counts of Purcell's simulators."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ __all__ = [
     "scene_of",
 ]
 
-#: Width and height of Purcell's pictures, section 4.1.
+#: Width and height of Purcell's images, section 4.1.
 SIZE = 1024
 
-#: With ``quick``, grids have this share of the cells along each axis.
+#: Divisor of the cells along each axis with ``quick``.
 _QUICK_SHARE = 4
 
 ImageCounts = dict[str, float]
 
 
 def scene_of(view: View) -> str:
-    """Which of the paper's three scenes a view is of."""
+    """The paper's scene of a view."""
     return view.name.split()[0]
 
 
 def grid_options(view: View, quick: bool = False) -> dict[str, Any]:
-    """The grid that Purcell 2002, section 4.1, prescribes for a view.
+    """Options of the grid in Purcell 2002, section 4.1, for a view.
 
     Parameters
     ----------
     view : View
-        Of `views.PURCELL_VIEWS`.
+        One of `views.PURCELL_VIEWS`.
     quick : bool
         Fewer cells, for fewer triangles.
     """
@@ -58,7 +58,7 @@ def grid_options(view: View, quick: bool = False) -> dict[str, Any]:
 
 
 def grid_tracer(runner: Runner, view: View, **options: Any) -> Tracer:
-    """A tracer with counters, on Purcell's grid unless told otherwise."""
+    """A tracer with counters [default: on Purcell's grid]."""
     chosen = options or grid_options(view, runner.quick)
     return runner.tracer(view, "grid", counters=True, **chosen)
 
@@ -71,13 +71,13 @@ def grid_of(tracer: Tracer) -> GridStructure:
 
 
 def count_image(tracer: Tracer, view: View, size: int) -> ImageCounts:
-    """Trace a picture, and take its means and extremes.
+    """Trace an image, and return means and maxima of its counts.
 
     Returns
     -------
     dict
-        ``v``, ``t``, ``s`` as in Figure 6: a mean over all rays; ``entering``, the share that
-        meets the scene's box; the most steps and tests of a ray; ``rays``.
+        ``v``, ``t``, ``s`` as in Figure 6: means over all rays; ``entering``, the share that hits
+        the scene's box; ``most_steps`` and ``most_tests`` of a ray; ``rays``.
     """
     hits = tracer.first_hit(*view.rays(size))
     counters = tracer.counters
@@ -95,7 +95,7 @@ def count_image(tracer: Tracer, view: View, size: int) -> ImageCounts:
 
 
 def counts_of(values: ImageCounts, passes: int = 0) -> Counts:
-    """How often each kernel ran in a measured picture."""
+    """Runs of each kernel for a measured image."""
     rays = values["rays"]
     return Counts(
         int(rays),

@@ -1,4 +1,4 @@
-"""Several steps in a pass: bandwidth saved, instructions added (Purcell 2002, section 4.2)."""
+"""Several steps per pass: bandwidth saved, instructions added (Purcell 2002, section 4.2)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _KERNELS = {"traverse": "step", "intersect": "intersect"}
 
 
 def loop_unrolling(runner: Runner) -> Result:
-    """Four traversal steps and two intersections in a pass, as the paper tried."""
+    """Four traversal steps and two intersections per pass, as in the paper."""
     result = Result()
     paper = published("purcell", "unrolling")
     rows: list[list[Cell]] = []
@@ -44,20 +44,20 @@ def loop_unrolling(runner: Runner) -> Result:
     result.tables = [
         Table.of(
             "purcell-unrolling",
-            f"{steps} steps and {tests} tests in a pass: {paper.source}; {size} x {size}",
+            f"{steps} steps and {tests} tests per pass: {paper.source}; {size} x {size}",
             ["view", "passes", "unrolled", "bytes saved", "suppressed", "instructions added"],
             [printed, *rows],
-            "Bytes saved: of state, stencil and data, when a ray that ends within a pass reads "
-            "data for the steps that it does not need. Suppressed: when it does not.",
-            "The paper gives 50 % for the first and 40 % for the second. They must be the other "
-            "way round: who suppresses reads saves more, never less.",
-            "Instructions: what surrounds a step in a pass (Table 1: multipass less branching) is "
-            "paid once a pass, and each of its steps in full, needed or not.",
+            "Bytes saved: of state, stencil and data, if a ray that ends within a pass still "
+            "reads data for the remaining steps. Suppressed: if it does not.",
+            "The paper gives 50 % for the first and 40 % for the second. They must be swapped: "
+            "suppressing reads saves more, never less.",
+            "Instructions: the overhead of a pass (Table 1: multipass minus branching) is paid "
+            "once per pass, and each of its steps in full, needed or not.",
         )
     ]
     result.claims = [
         Claim.judged(
-            "Unrolling saves 40 % of the bandwidth or more",
+            "Unrolling saves at least 40 % of the bandwidth",
             paper.source,
             {name: one >= values["bandwidth_saved_suppressed"] for name, one in saved.items()},
             _percents(saved) + "; with reads suppressed " + _percents(suppressed),
@@ -73,16 +73,16 @@ def loop_unrolling(runner: Runner) -> Result:
 
 
 def compare(schedule: dict[str, Any], rays: int, options: dict[str, Any]) -> dict[str, float]:
-    """Shares of bytes saved and of instructions added in the two kernels that loop.
+    """Shares of bytes saved and instructions added in the two looping kernels.
 
     Parameters
     ----------
     schedule : dict
         See `image_schedule`.
     rays : int
-        Whose stencil each pass reads.
+        Number of rays, whose stencil each pass reads.
     options : dict
-        ``traversal_steps`` and ``intersections`` in a pass.
+        ``traversal_steps`` and ``intersections`` per pass.
     """
     once, more = schedule["unrolled"]["once"], schedule["unrolled"]["runs"]
     times = {"traverse": options["traversal_steps"], "intersect": options["intersections"]}

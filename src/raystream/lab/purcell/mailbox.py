@@ -1,4 +1,4 @@
-"""What a mailbox would save (Purcell 2002, section 3.1.3, which does without)."""
+"""The savings of a mailbox (Purcell 2002, section 3.1.3, which has none)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["mailbox"]
 
 
 def mailbox(runner: Runner) -> Result:
-    """Tests of a triangle that the same ray has tested before, in another cell."""
+    """Repeated tests of a triangle by the same ray in several cells."""
     result = Result()
     rows: list[list[Cell]] = []
     entries: list[int] = []
@@ -28,24 +28,24 @@ def mailbox(runner: Runner) -> Result:
     result.tables = [
         Table.of(
             "purcell-mailbox",
-            f"Tests that a ray repeats, as shares of all tests, {size} x {size}",
+            f"Repeated tests of a ray, as shares of all tests, {size} x {size}",
             [
                 "view",
-                "tests a ray (t)",
+                "tests per ray (t)",
                 "any mailbox could save",
                 *(f"{count} entries save" for count in entries),
             ],
             rows,
-            "A triangle in several cells is tested in each that the ray visits, unless it "
-            "remembers. Entries: of a mailbox for each ray, addressed by the triangle's number "
-            "modulo their count.",
+            "Without a mailbox, a triangle in several cells is tested in each that the ray "
+            "visits. Entries: of a mailbox per ray, addressed by the triangle's number modulo "
+            "their count.",
         )
     ]
     return result
 
 
 def _repeats(runner: Runner, name: str, size: int) -> dict[str, Any]:
-    """Tests, those that were repeated, and how many of them mailboxes would save."""
+    """Tests, repeated tests, and savings of mailboxes."""
 
     def measure() -> dict[str, Any]:
         found = repeated_tests(record_view(runner, name, visits=True))

@@ -1,6 +1,6 @@
-"""Purcell's ray tracer on a graphics pipeline of today: passes, draws and time (2002, section 3).
+"""Purcell's ray tracer on a current graphics pipeline: passes, draws and time (2002, section 3).
 
-His simulators counted what such hardware would do; this runs it, on the adapter that is here.
+His simulators counted the work of such hardware; this runs on the available adapter.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from raystream.tracer import Tracer
 
 __all__ = ["SIZE", "adapter_note", "on_graphics"]
 
-#: Width and height: a quarter of his, because the adapter may be software.
+#: Width and height: a quarter of his, since the adapter may be software.
 SIZE = 256
 
-#: Rounds in which contenders take turns; slow ones leave after so many seconds.
+#: Rounds in which contenders take turns, and the total seconds after which a slow one leaves.
 _ROUNDS, _PATIENCE = 3, 10.0
 
-#: Contenders by name: options of the tracer.
+#: Options of the tracer by contender.
 _CONTENDERS: Mapping[str, dict[str, Any]] = MappingProxyType(
     {
         "graphics, multipass": {"device": "graphics", "machine": "multipass"},
@@ -48,19 +48,19 @@ _CONTENDERS: Mapping[str, dict[str, Any]] = MappingProxyType(
     }
 )
 
-#: The contender whose hits and passes the others' are compared with.
-_ORACLE = "cpu, multipass"
+#: The reference for the hits and passes of the others.
+_REFERENCE = "cpu, multipass"
 
 
 def on_graphics(runner: Runner) -> Result:
-    """Hits, passes, draws and seconds of each machine, beside the CPU's."""
+    """Hits, passes, draws and times of each machine, compared with the CPU's."""
     result = Result()
     size = runner.size(SIZE)
     rows: list[list[Cell]] = []
     equal: dict[str, bool] = {}
     ratios: dict[str, float] = {}
     for name, found in result.available(PURCELL_VIEWS, lambda name: _measure(runner, name, size)):
-        oracle = found[_ORACLE]
+        reference = found[_REFERENCE]
         for contender, one in found.items():
             rays = size * size
             rows.append(
@@ -79,7 +79,7 @@ def on_graphics(runner: Runner) -> Result:
         near = {
             contender: abs(found[contender]["passes"] / other["passes"] - 1.0) <= 0.001
             for contender, other in (
-                ("graphics, multipass", oracle),
+                ("graphics, multipass", reference),
                 ("graphics, multipass, naive", found["cpu, multipass, naive"]),
             )
         }
@@ -103,24 +103,24 @@ def on_graphics(runner: Runner) -> Result:
             ],
             rows,
             adapter_note(),
-            "Draws: those that were encoded; where the device chooses the kernel, those of the "
-            "others draw nothing. Seconds: medians of rounds in which all take turns, rays there "
-            "and hits back included. Unrolled: steps and tests in a pass as in section 4.2.",
+            "Draws: those encoded; where the device chooses the kernel, draws of the others are "
+            "empty. Seconds: medians of rounds in which all take turns, including the transfer "
+            "of rays and hits. Unrolled: steps and tests per pass as in section 4.2.",
             "Other triangles, and t: compared with the CPU's multipass machine.",
         )
     ]
     if equal:
         result.claims = [
             Claim.judged(
-                "The graphics pipeline takes the passes that the simulated machine takes, within "
-                "one in a thousand",
+                "The graphics pipeline takes as many passes as the simulated machine, within one "
+                "in a thousand",
                 published("purcell", "table 2").source,
                 equal,
                 "; ".join(f"not {case}" for case, held in equal.items() if not held) or "all",
             ),
             Claim.judged(
-                "One program with loops is faster than passes (read as: the compute form, and "
-                "time)",
+                "One program with loops is faster than passes (read as: times of the compute "
+                "shader)",
                 published("purcell", "table 1").source,
                 {name: ratio > 1.0 for name, ratio in ratios.items()},
                 ", ".join(f"{name} {ratio:.3g} times" for name, ratio in ratios.items()),
@@ -130,23 +130,23 @@ def on_graphics(runner: Runner) -> Result:
 
 
 def adapter_note() -> str:
-    """Which adapter this is, and whether it is software."""
+    """Describe the adapter, and whether it is software."""
     adapter = open_device().adapter
-    kind = "software: its times say nothing of GPUs" if adapter.kind == "CPU" else adapter.kind
+    kind = "software: its times are not those of GPUs" if adapter.kind == "CPU" else adapter.kind
     return f"Adapter: {adapter.name}, {adapter.backend}, {adapter.description} ({kind})."
 
 
 def _measure(runner: Runner, name: str, size: int) -> dict[str, dict[str, Any]]:
-    """Each contender's passes, draws and time, and how far its hits are from the oracle's."""
+    """Each contender's passes, draws and time, and its difference from the reference."""
 
     def measure() -> dict[str, dict[str, Any]]:
         view = runner.view(name)
         rays = view.rays(size)
         answers = {one: _counted(runner, view, one, rays) for one in _CONTENDERS}
-        oracle = answers[_ORACLE][0]
+        reference = answers[_REFERENCE][0]
         seconds = _seconds(runner, view, rays)
         return {
-            one: {**figures, **_differences(hits, oracle), "seconds": seconds[one]}
+            one: {**figures, **_differences(hits, reference), "seconds": seconds[one]}
             for one, (hits, figures) in answers.items()
         }
 
@@ -164,7 +164,7 @@ def _tracer(runner: Runner, view: View, contender: str, counters: bool) -> Trace
 
 
 def _counted(runner: Runner, view: View, contender: str, rays: Any) -> tuple[Hits, dict[str, Any]]:
-    """Hits, and what it took to find them."""
+    """Hits, passes, draws and efficiency."""
     tracer = _tracer(runner, view, contender, True)
     hits = tracer.first_hit(*rays)
     passes = tracer.counters.passes
@@ -177,17 +177,17 @@ def _counted(runner: Runner, view: View, contender: str, rays: Any) -> tuple[Hit
     }
 
 
-def _differences(hits: Hits, oracle: Hits) -> dict[str, float]:
-    """Rays that hit another triangle, and how far the others' t is from the oracle's, of it."""
-    is_other = hits.prim_id != oracle.prim_id
+def _differences(hits: Hits, reference: Hits) -> dict[str, float]:
+    """Rays that hit another triangle, and the maximum relative difference in t of the others."""
+    is_other = hits.prim_id != reference.prim_id
     both = hits.is_hit & ~is_other
-    t, expected = hits.t[both].astype(np.float64), oracle.t[both].astype(np.float64)
+    t, expected = hits.t[both].astype(np.float64), reference.t[both].astype(np.float64)
     farthest = np.abs(t - expected) / np.maximum(np.abs(expected), np.finfo(np.float32).tiny)
     return {"other_hits": int(is_other.sum()), "farthest": float(farthest.max(initial=0.0))}
 
 
 def _seconds(runner: Runner, view: View, rays: Any) -> dict[str, float]:
-    """Median seconds of each contender, taking turns, without counting."""
+    """Median seconds of each contender without counters, timed in turn."""
     tracers = {one: _tracer(runner, view, one, False) for one in _CONTENDERS}
     calls = {one: partial(tracer.first_hit, *rays) for one, tracer in tracers.items()}
     return median_times(calls, 1 if runner.quick else _ROUNDS, patience=_PATIENCE)

@@ -1,4 +1,4 @@
-"""Scene statistics: v, t and s, and what they depend on (Purcell 2002, Figure 6)."""
+"""Scene statistics v, t and s, and their sensitivity (Purcell 2002, Figure 6)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from raystream.lab.purcell.image_counts import (
     grid_options,
     grid_tracer,
 )
-from raystream.lab.results import Cell, Claim, Picture, Result, Table, comparison
+from raystream.lab.results import Cell, Claim, ReportImage, Result, Table, comparison
 from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS, View
 from raystream.rendering.heatmap import heatmap
@@ -25,36 +25,36 @@ from raystream.scene.camera import Camera
 
 __all__ = ["STATISTICS", "camera_sweep", "image_statistics", "paper_view", "scene_statistics"]
 
-#: What Figure 6 gives for each view.
+#: The statistics of Figure 6.
 STATISTICS = {
-    "v": "cells a ray (v)",
-    "t": "triangles a ray (t)",
+    "v": "cells per ray (v)",
+    "t": "triangles per ray (t)",
     "s": "share of rays that hit (s)",
 }
 
-#: Published and measured values within this of each other are called equal in the text.
+#: Maximum relative deviation of values that are called equal in the text.
 TOLERANCE = 0.25
 
 #: ImageCounts, and not judged: the paper's grid shows that its bunny did not stand alone.
 _ALONE = "bunny"
 
-#: Nor is what the camera was chosen by.
+#: Not judged, since the camera was chosen by it.
 _CHOSEN_BY = ("bunny on a floor", "s")
 
-#: Pictures of the cameras that are tried.
+#: Image size for other cameras.
 _SWEEP_SIZE = 128
 
-#: Pictures of the report.
-_PICTURE_SIZE = 240
+#: Size of the report's images.
+_IMAGE_SIZE = 240
 
 
 def paper_view(view: str) -> str:
-    """The name under which the paper's figures are kept: it had one bunny."""
+    """The name of the published figures of a view: the paper has one bunny."""
     return "bunny" if view.startswith("bunny") else view
 
 
 def image_statistics(runner: Runner, name: str) -> ImageCounts:
-    """v, t, s and extremes of a view on Purcell's grid; measured once in a run."""
+    """v, t, s and maxima of a view on Purcell's grid; measured once per run."""
     size = runner.size(SIZE)
 
     def measure() -> ImageCounts:
@@ -66,62 +66,62 @@ def image_statistics(runner: Runner, name: str) -> ImageCounts:
 
 
 def scene_statistics(runner: Runner) -> Result:
-    """Figure 6, the grids of section 4.1, and how much a camera changes."""
+    """Figure 6, the grids of section 4.1, and the sensitivity to the camera."""
     result = Result()
     figure: list[tuple[str, Cell, Cell, str]] = []
     grids: list[list[Cell]] = []
     sweeps: list[list[Cell]] = []
     judged: dict[str, bool] = {}
-    told_of: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for name, view in result.available(PURCELL_VIEWS, runner.view):
         ours = image_statistics(runner, name)
         sweep, resolutions = camera_sweep(runner, view), resolution_sweep(runner, view)
         theirs = published("purcell", "figure 6").values[paper_view(name)]
         for key, what in STATISTICS.items():
             among = {
-                "camera: others see": [one[key] for one in sweep.values()],
-                "grid: others give": [one[key] for one in resolutions.values()],
+                "other cameras:": [one[key] for one in sweep.values()],
+                "other grids:": [one[key] for one in resolutions.values()],
             }
             why = _reason(ours[key], theirs[key], among)
-            told = _told(name, key, why)
+            told = _explain(name, key, why)
             if name != _ALONE and (name, key) != _CHOSEN_BY:
                 judged[f"{name}, {key}"] = why == ""
-                told_of[f"{name}, {key}"] = told
+                reasons[f"{name}, {key}"] = told
             figure.append((f"{name}: {what}", theirs[key], ours[key], told))
         grids.append(_grid_row(runner, view))
         sweeps += _sweep_rows(name, theirs, sweep)
-        result.pictures += _pictures(runner, view)
+        result.images += _images(runner, view)
     source = published("purcell", "figure 6").source
     size = runner.size(SIZE)
     result.tables = [
         comparison(
             "purcell-figure-6",
-            f"Cells, triangles and hits of a ray: {source}; {size} x {size} rays",
+            f"Cells, triangles and hits per ray: {source}; {size} x {size} rays",
             figure,
             *_notes(runner),
         ),
         Table.of(
             "purcell-grids",
             "Scenes and their grids",
-            ["view", "triangles", "published", "cells", "published cells", "filled", "what it is"],
+            ["view", "triangles", "published", "cells", "published cells", "filled", "description"],
             grids,
             _soda_hall(),
         ),
         Table.of(
             "purcell-cameras",
-            f"The same scenes from other places, {_SWEEP_SIZE} x {_SWEEP_SIZE} rays",
+            f"The same scenes from other cameras, {_SWEEP_SIZE} x {_SWEEP_SIZE} rays",
             ["view", "cameras", "figure", "published", "least", "median", "most", "nearest camera"],
             sweeps,
-            "Nearest: the camera of those tried whose v, t and s are nearest to the published "
-            "ones, by the sum of the logarithms of their ratios; its own value is in brackets.",
+            "Nearest: the camera whose v, t and s are nearest to the published ones, by the sum "
+            "of their ratios; its value is in brackets.",
         ),
     ]
     result.claims = [
         Claim.judged(
-            "v, t and s are those of Figure 6 within a quarter",
+            "v, t and s agree with Figure 6 within a quarter",
             source,
             judged,
-            "; ".join(f"not {case} ({told_of[case]})" for case, held in judged.items() if not held)
+            "; ".join(f"not {case} ({reasons[case]})" for case, held in judged.items() if not held)
             or f"all of {len(judged)}",
         )
     ]
@@ -129,7 +129,7 @@ def scene_statistics(runner: Runner) -> Result:
 
 
 def _reason(ours: float, theirs: float, among: dict[str, list[float]]) -> str | None:
-    """What explains a difference; nothing for a small one, None if no sweep reaches theirs."""
+    """The cause of a difference: empty for a small one, None if no sweep explains it."""
     if abs(ours / theirs - 1.0) <= TOLERANCE:
         return ""
     for cause, values in among.items():
@@ -138,39 +138,39 @@ def _reason(ours: float, theirs: float, among: dict[str, list[float]]) -> str | 
     return None
 
 
-def _told(name: str, key: str, why: str | None) -> str:
+def _explain(name: str, key: str, why: str | None) -> str:
     if name == _ALONE:
-        return "not the paper's scene: its grid is another"
+        return "not the paper's scene: its grid differs"
     if (name, key) == _CHOSEN_BY:
         return "the camera was chosen by it"
     return "another model: neither other cameras nor other grids reach it" if why is None else why
 
 
 def _soda_hall() -> str:
-    """Why the grid that the paper prints for Soda Hall is not its grid."""
+    """Why the paper's printed grid of Soda Hall cannot be right."""
     grids = published("purcell", "grids").values
     cells, least = grids["building"], grids["min_resolution"]["building"]
     longest = published("purcell", "table 2").values["building outside"]["most_steps"]
     return (
-        "The paper prints the bunny's grid for Soda Hall as well. It cannot be: the shortest "
-        f"axis is said to have {least} cells, and Table 2 has a ray of {longest} steps, where a "
-        f"grid of {' x '.join(map(str, cells))} lets none take more than {sum(cells) - 2}."
+        "The paper also prints the bunny's grid for Soda Hall, which cannot be right: its "
+        f"shortest axis should have {least} cells, and Table 2 has a ray of {longest} steps, while "
+        f"a grid of {' x '.join(map(str, cells))} allows at most {sum(cells) - 2}."
     )
 
 
 def _notes(runner: Runner) -> list[str]:
     about = (
-        "Soda Hall and the forest are stand-ins: their figures tell whether ours are of the same "
-        "kind, not whether they are right. The paper's cameras are not known."
+        "Soda Hall and the forest are substitutes: their figures show whether ours are of the "
+        "same kind, not whether they are right. The paper's cameras are not known."
     )
     notes = [about]
     if runner.quick:
-        notes.append("Quick: small scenes, grids and pictures; not to be compared.")
+        notes.append("Quick: small scenes, grids and images; not comparable.")
     return notes
 
 
 def _cameras(view: View) -> Iterator[tuple[str, Camera]]:
-    """Other cameras for a view: around it from outside, or elsewhere within it."""
+    """Other cameras for a view: orbiting it, or at other positions inside."""
     if "inside" in view.name:
         return turn(view.camera, range(0, 360, 45), (0.0, 0.4, 0.8))
     heights = (55.0, 70.0, 88.0) if "top" in view.name else (10.0, 35.0, 60.0)
@@ -178,7 +178,7 @@ def _cameras(view: View) -> Iterator[tuple[str, Camera]]:
 
 
 def camera_sweep(runner: Runner, view: View) -> dict[str, ImageCounts]:
-    """What other cameras see of a view's scene, on the same grid."""
+    """Counts of other cameras in a view's scene, on the same grid."""
     size = _SWEEP_SIZE // 2 if runner.quick else _SWEEP_SIZE
 
     def measure() -> dict[str, ImageCounts]:
@@ -237,20 +237,20 @@ def _grid_row(runner: Runner, view: View) -> list[Cell]:
     ]
 
 
-def _pictures(runner: Runner, view: View) -> Iterator[Picture]:
-    """The view, and where its rays take many steps and tests."""
-    size = (_PICTURE_SIZE,) * 2
+def _images(runner: Runner, view: View) -> Iterator[ReportImage]:
+    """Images of the view, and heat maps of its steps and tests."""
+    size = (_IMAGE_SIZE,) * 2
     path = runner.folder / f"{view.name.replace(' ', '_')}.png"
     if not path.exists():
         render(view.scene, "raycast", size=size, camera=view.camera).save(path)
-    yield Picture(f"{view.name}: {grid_text(view, runner.quick)}", path)
+    yield ReportImage(f"{view.name}: {grid_text(view, runner.quick)}", path)
     for what in () if runner.quick else ("steps", "tests"):
         path = runner.folder / f"{view.name.replace(' ', '_')}_{what}.png"
         if not path.exists():
             heatmap(grid_tracer(runner, view), what, size, camera=view.camera).save(path)
-        yield Picture(f"{view.name}: {what} of each ray", path)
+        yield ReportImage(f"{view.name}: {what} per ray", path)
 
 
 def grid_text(view: View, quick: bool) -> str:
-    """The options of a view's grid, for people."""
+    """The options of a view's grid as text."""
     return ", ".join(f"{name} {value}" for name, value in grid_options(view, quick).items())

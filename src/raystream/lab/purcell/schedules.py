@@ -1,4 +1,4 @@
-"""Passes of the multipass machine, whoever schedules them (Purcell 2002, Table 2)."""
+"""Passes of the multipass machine under several schedulers (Purcell 2002, Table 2)."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ _TRAVERSE, _INTERSECT = "traverse", "intersect"
 
 
 def record_view(runner: Runner, name: str, *, visits: bool = False) -> Walks:
-    """The walks of a view's rays on Purcell's grid."""
+    """Record the walks of a view's rays on Purcell's grid."""
     view = runner.view(name)
     tracer = grid_tracer(runner, view)
     return record(tracer, *view.rays(runner.size(SIZE)), visits=visits, progress=runner.progress)
 
 
 def image_schedule(runner: Runner, name: str) -> dict[str, Any]:
-    """Passes of each scheduler for a view; recorded once, replayed for each.
+    """Passes of each scheduler for a view, from one recording.
 
     Returns
     -------
     dict
-        ``passes``, ``traverse``, ``intersect``, ``other``, ``efficiency`` of the paper's
-        schedule; ``optimal``, the paper's bound; ``most_steps`` and ``most_tests``;
-        ``schedulers``, all passes by name; ``sweep``, pairs of a threshold in percent and all
-        passes; ``unrolled``, passes and runs of each kernel with several steps in a pass.
+        ``passes``, ``traverse``, ``intersect``, ``other``, ``efficiency`` of the paper's schedule;
+        ``optimal``, the paper's bound; ``most_steps`` and ``most_tests``; ``schedulers``, passes by
+        name; ``sweep``, pairs of a threshold in percent and passes; ``unrolled``, passes and runs
+        of each kernel with several steps per pass.
     """
     size = runner.size(SIZE)
 
@@ -126,7 +126,7 @@ def _table_2(runner: Runner, found: dict[str, dict[str, Any]], size: int) -> Tab
 def _reasons(
     runner: Runner, name: str, ours: dict[str, Any], theirs: dict[str, float]
 ) -> dict[str, str]:
-    """Why figures of Table 2 differ, from what was measured; by the figure."""
+    """Measured reasons why figures of Table 2 differ, by figure."""
     bounds = ours["most_steps"] + ours["most_tests"], theirs["most_steps"] + theirs["most_tests"]
     over = [
         count / bound
@@ -140,7 +140,7 @@ def _reasons(
     for key in ("most_steps", "most_tests"):
         among = sorted(int(one[key]) for one in sweep)
         if abs(ours[key] / theirs[key] - 1.0) > TOLERANCE:
-            reasons[key] = f"from other cameras {among[0]:,} to {among[-1]:,}, at fewer rays"
+            reasons[key] = f"from other cameras {among[0]:,} to {among[-1]:,}, with fewer rays"
     values, figure = image_statistics(runner, name), published("purcell", "figure 6").values
     paper = figure[paper_view(name)]
     work = values["v"] + values["t"], paper["v"] + paper["t"]
@@ -178,8 +178,8 @@ def _schedulers(found: dict[str, dict[str, Any]], size: int) -> Table:
             "fewest",
         ],
         rows,
-        "Optimal: for each kernel the most runs on any ray, added up; no schedule takes fewer, and "
-        "none may reach it. Naive intersects as soon as any ray waits for it.",
+        "Optimal: the sum over kernels of the maximum runs on any ray, a lower bound that may "
+        "not be attainable. Naive intersects as soon as any ray waits for it.",
     )
 
 
@@ -194,10 +194,10 @@ def _thresholds(found: dict[str, dict[str, Any]]) -> Table:
         rows.append([name, best_percent, best, at_usual, at_usual / best, within])
     return Table.of(
         "purcell-thresholds",
-        "The threshold that needs the fewest passes",
+        "The threshold with the fewest passes",
         ["view", "best threshold, %", "its passes", "passes at 20 %", "ratio", "within 10 %, %"],
         rows,
-        "Replays of the recorded steps of each ray, for thresholds from 1 to 90 %.",
+        "Replays of recorded walks, for thresholds from 1 to 90 %.",
     )
 
 
@@ -246,13 +246,13 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
             _listed(optimal),
         ),
         Claim.judged(
-            "A threshold of 20 % gives the fewest passes (here: within a tenth of the best one)",
+            "A threshold of 20 % gives the fewest passes (here: within a tenth of the best)",
             place,
             {name: ratio <= 1.1 for name, ratio in usual.items()},
             "passes at 20 % over the best: " + _listed(usual),
         ),
         Claim.judged(
-            "A picture takes 1000 to 3000 passes",
+            "An image takes 1000 to 3000 passes",
             "Purcell 2002, section 4.2",
             {name: 1000 <= count <= 3000 for name, count in total.items()},
             ", ".join(f"{name} {count:,}" for name, count in total.items()),

@@ -1,4 +1,4 @@
-"""Geometry in a small memory: what a cache of pages would have to load (Purcell 2002, 5.1)."""
+"""Geometry in a small memory: the loads of a page cache (Purcell 2002, section 5.1)."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _VIEWS = ("forest inside", "building inside")
 
 _SIZE = 512
 
-#: Bytes that are loaded together.
+#: Bytes per page.
 _PAGE = 4096
 
-#: Megabytes of the card.
+#: Memory of the card in megabytes.
 _MEGABYTES = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
 
-#: How rays come: of a picture, row by row or in tiles; and diffuse bounces of the same rays.
+#: Ray orders: an image by rows or in tiles, and the diffuse bounces of its rays.
 _ORDERS = ("rows", "tiles", "bounces")
 
 
 def small_memory(runner: Runner) -> Result:
-    """Pages loaded, by memory, for coherent and for secondary rays."""
+    """Pages loaded by memory size, for coherent and for secondary rays."""
     result = Result()
     rows: list[list[Cell]] = []
     size = min(runner.size(SIZE), _SIZE)
@@ -65,12 +65,12 @@ def small_memory(runner: Runner) -> Result:
                 "count",
                 "scene, MB",
                 "touched, MB",
-                *(f"bytes a ray, {megabytes} MB" for megabytes in shown),
+                *(f"bytes per ray, {megabytes} MB" for megabytes in shown),
             ],
             rows,
-            "The scene's textures (grid, lists, corners, shading data) lie in a large memory; a "
-            "smaller one keeps the pages of 4096 bytes that were used last. Bytes a ray: what is "
-            "loaded, first loads included. Touched: pages that any of the rays needs.",
+            "The scene's textures (grid, lists, vertices, shading data) are in a large memory; a "
+            "smaller one caches the most recently used pages of 4096 bytes. Bytes per ray: "
+            "loaded bytes, including first loads. Touched: pages that any ray needs.",
             f"The paper's largest scenes take {least} to {most} MB, and its card has {board}.",
         )
     ]
@@ -118,9 +118,9 @@ def _references(walks: Walks, order: str) -> Iterator[ReferenceChunk]:
 def _plot(name: str, found: dict[str, dict[str, Any]]) -> Plot:
     return Plot(
         f"purcell-memory-{name.replace(' ', '-')}",
-        f"{name}: what a memory of some size loads, pages of 4096 bytes",
+        f"{name}: bytes loaded by memory size, pages of 4096 bytes",
         "memory, MB",
-        "bytes loaded a ray",
+        "bytes loaded per ray",
         [
             Series(order, list(_MEGABYTES), [loaded / one["rays"] for loaded in one["loaded"]])
             for order, one in found.items()

@@ -1,4 +1,4 @@
-"""The texture cache over what both machines read (Purcell 2002, section 4.2, Figure 9)."""
+"""The texture cache with the references of both machines (Purcell 2002, section 4.2, Figure 9)."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ __all__ = ["KIND_NAMES", "texture_cache"]
 #: In the order of `Kind`.
 KIND_NAMES = ("grid", "lists", "triangles", "shading", "state")
 
-#: Rays whose references go through caches of every size, and their own.
+#: Image size for the curve over all cache sizes.
 _CURVE_SIZE = 512
 
-#: Other caches, for the views of most and of least coherent rays, and as many rays.
+#: Image size for other caches, and their sizes, lines and ways; for the most and least coherent
+#: view.
 _OTHERS_SIZE = 256
 _SIZES = (8, 16, 32, 64, 128, 256)
 _LINES = (16, 32, 48, 64, 128)
@@ -45,10 +46,10 @@ _WAYS: tuple[int | None, ...] = (1, 2, 4, None)
 
 _VARIED = ("bunny on a floor", "forest inside")
 
-#: Bytes, from a cache of registers' size to a card's memory.
+#: Bytes, from the size of a register file to a card's memory.
 _CURVE_BYTES = tuple(1 << k for k in range(10, 27))
 
-#: The multipass machine with rays in another order, and no state in what it reads.
+#: The multipass machine with rays in another order, without reads of state.
 _TILED = "multipass, tiles"
 _NO_STATE = StateWords(0, 0, 0, 0)
 
@@ -59,7 +60,7 @@ def texture_cache(runner: Runner) -> Result:
     found: dict[str, dict[str, Any]] = {}
     curves: dict[str, dict[str, Any]] = {}
     varied: dict[str, dict[str, float]] = {}
-    for name, one in result.available(PURCELL_VIEWS, lambda name: _picture(runner, name)):
+    for name, one in result.available(PURCELL_VIEWS, lambda name: _image(runner, name)):
         found[name] = one
         curves[name] = _curve(runner, name)
         if name in _VARIED:
@@ -72,15 +73,15 @@ def texture_cache(runner: Runner) -> Result:
 
 
 def paper_cache(kinds: tuple[str, ...] = KIND_NAMES) -> Cache:
-    """Purcell's: 64 KB, direct-mapped, lines of 48 bytes."""
+    """Purcell's cache: 64 KB, direct-mapped, lines of 48 bytes."""
     values = published("purcell", "cache").values
     return Cache(values["bytes"], values["line"], values["ways"], kinds=kinds)
 
 
-def _picture(runner: Runner, name: str) -> dict[str, Any]:
-    """Counts of Purcell's cache, for all references and for those of data alone.
+def _image(runner: Runner, name: str) -> dict[str, Any]:
+    """Counts of Purcell's cache, for all references and for data only.
 
-    By machine; and of multipass again, with rays in tiles of the picture.
+    By machine, and for multipass also with rays in tiles of the image.
     """
     size = runner.size(SIZE)
 
@@ -108,7 +109,7 @@ def _picture(runner: Runner, name: str) -> dict[str, Any]:
 
 
 def _through(trace: Iterator[ReferenceChunk], has_state: bool) -> dict[str, Any]:
-    """Counts by kind of data: all references through one cache, and data through another."""
+    """Counts by kind of data: all references in one cache, data only in another."""
     data, everything = paper_cache(), paper_cache()
 
     def without_state(chunk: ReferenceChunk) -> None:
@@ -135,7 +136,7 @@ def _figures(one: LineCounts) -> dict[str, float]:
     return {
         "references": one.references,
         "hit_rate": one.hit_rate,
-        "asked": one.bytes_asked,
+        "asked": one.bytes_requested,
         "fetched": one.bytes_fetched,
     }
 
@@ -153,13 +154,13 @@ def _figure_9(found: dict[str, dict[str, Any]], size: int) -> Table:
             "view",
             "architecture",
             *KIND_NAMES[:4],
-            "all, state beside the cache",
-            "state through the cache",
-            "all, state through it",
+            "all, state uncached",
+            "state, cached",
+            "all, state cached",
         ],
         rows,
-        "The figure's bars are not in our copy of the paper. All: data, what rays keep between "
-        "passes, and the stencil; what is written passes no cache.",
+        "The figure's bars are not in our copy of the paper. All: data, ray state between "
+        "passes, and the stencil; writes bypass the cache.",
         "Above 1 the cache reads more than it serves: a miss fetches a line of 48 bytes for a "
         "word of 4 or a texel of 12 or 16.",
         "The paper says that a line of 48 bytes holds 3 RGB texels or 4 RGBA ones. In floats "
@@ -168,7 +169,7 @@ def _figure_9(found: dict[str, dict[str, Any]], size: int) -> Table:
 
 
 def _ratios(one: dict[str, Any], architecture: str) -> list[Cell]:
-    """Traffic of each kind, and of everything."""
+    """Traffic by kind, and in total."""
     counts = one[architecture]["data"]
     ratios: list[Cell] = [
         counts[kind]["fetched"] / counts[kind]["asked"] if kind in counts else None
@@ -178,7 +179,7 @@ def _ratios(one: dict[str, Any], architecture: str) -> list[Cell]:
     fetched = sum(kind["fetched"] for kind in counts.values())
     if architecture == "branching":
         return [*ratios, fetched / asked, None, None]
-    beside = _beside(one)
+    beside = _uncached_bytes(one)
     both = one["multipass"]["all"]
     state = both["state"]
     all_fetched = sum(kind["fetched"] for kind in both.values())
@@ -191,8 +192,8 @@ def _ratios(one: dict[str, Any], architecture: str) -> list[Cell]:
     ]
 
 
-def _beside(one: dict[str, Any]) -> float:
-    """Bytes that pass no cache: what passes write, and stencils."""
+def _uncached_bytes(one: dict[str, Any]) -> float:
+    """Bytes that bypass the cache: writes of passes, and stencils."""
     table, runs = prices("multipass"), one["runs"]
     rows = {"traverse": "step", "intersect": "intersect", "set up": "set up", "shade": "color"}
     written = sum(4.0 * table[row].written * runs[kernel] for kernel, row in rows.items())
@@ -230,13 +231,13 @@ def _hit_rates(found: dict[str, dict[str, Any]], size: int) -> Table:
             "references",
         ],
         rows,
-        f"{_TILED.capitalize()}: the same passes, over the picture in tiles of 8 x 8 pixels, as "
-        "rasterisers go, instead of row by row. The paper does not give its order.",
+        f"{_TILED.capitalize()}: the same passes over the image in tiles of 8 x 8 pixels, as "
+        "rasterisers do, instead of row by row. The paper does not give its order.",
     )
 
 
 def _others(runner: Runner, name: str) -> dict[str, float]:
-    """Hit rates of triangles in other caches, branching machine."""
+    """Hit rates of triangle reads in other caches, on the branching machine."""
     size = min(runner.size(SIZE), _OTHERS_SIZE)
 
     def measure() -> dict[str, float]:
@@ -256,7 +257,7 @@ def _others(runner: Runner, name: str) -> dict[str, float]:
 
 
 def _variants() -> list[tuple[int, int, int | None]]:
-    """Bytes, line and ways: one of them changes at a time."""
+    """Bytes, line and ways of the other caches."""
     values = published("purcell", "cache").values
     line, usual = values["line"], values["bytes"]
     return [
@@ -266,7 +267,7 @@ def _variants() -> list[tuple[int, int, int | None]]:
 
 
 def _walks(runner: Runner, name: str, size: int) -> Walks:
-    """Walks of a smaller picture."""
+    """Record the walks of a smaller image."""
     view = runner.view(name)
     return record(
         grid_tracer(runner, view), *view.rays(size), visits=True, progress=runner.progress
@@ -277,14 +278,15 @@ def _varied_table(varied: dict[str, dict[str, float]]) -> Table:
     caches = list(next(iter(varied.values()), {}))
     return Table.of(
         "purcell-caches",
-        f"Hit rate of triangles in other caches (branching, up to {_OTHERS_SIZE} x {_OTHERS_SIZE})",
+        f"Hit rate of triangle reads in other caches (branching, up to {_OTHERS_SIZE} x "
+        f"{_OTHERS_SIZE})",
         ["cache", *varied],
         [[text, *(found[text] for found in varied.values())] for text in caches],
     )
 
 
 def _curve(runner: Runner, name: str) -> dict[str, Any]:
-    """Hit rates of fully associative caches of every size, exactly, from reuse distances."""
+    """Exact hit rates of fully associative caches of every size, from reuse distances."""
     size = min(runner.size(SIZE), _CURVE_SIZE)
 
     def measure() -> dict[str, Any]:
@@ -328,7 +330,7 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
     gains = ", ".join(f"{name} {m:.2f} and {b:.2f}" for name, (m, b) in totals.items())
     return [
         Claim.judged(
-            f"{low:.0%} or more of the triangle reads hit, on both architectures",
+            f"At least {low:.0%} of the triangle reads hit, on both architectures",
             paper.source,
             {case: rate >= low - 0.005 for case, rate in rates.items()},
             ", ".join(f"{case} {rate:.1%}" for case, rate in rates.items()) + "; " + _tiled(found),
@@ -337,13 +339,13 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
             "The cache helps branching much more than multipass",
             paper.source,
             {name: branching < 0.5 * multipass for name, (multipass, branching) in totals.items()},
-            "bytes left, multipass (state beside the cache) and branching: " + gains,
+            "remaining bytes, multipass (state bypasses the cache) and branching: " + gains,
         ),
     ]
 
 
 def _tiled(found: dict[str, dict[str, Any]]) -> str:
-    """What the order of rays changes on the multipass machine."""
+    """The effect of the ray order on the multipass machine."""
     rates = (
         f"{name} {one[_TILED]['data']['triangles']['hit_rate']:.1%}" for name, one in found.items()
     )

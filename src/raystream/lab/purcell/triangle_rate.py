@@ -1,4 +1,4 @@
-"""Triangle tests a second, of the paper's machines and of this one (Purcell 2002, section 5.2)."""
+"""Triangle tests per second, published and on this machine (Purcell 2002, section 5.2)."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ __all__ = ["triangle_rate"]
 
 _VIEW = "bunny on a floor"
 
-#: Each ray meets all triangles, so that few rays will do.
+#: Each ray tests all triangles, so few rays suffice.
 _BRUTE_SIZE = 128
 
 _ROUNDS = 5
 
 
 def triangle_rate(runner: Runner) -> Result:
-    """What Table 1 promises, and what our engines reach on this machine."""
-    result = Result(tables=[_promised()])
+    """Rates implied by Table 1, and rates of our engines on this machine."""
+    result = Result(tables=[_implied()])
     try:
         rows = [_engine(runner, structure) for structure in ("brute", "grid", "kdtree", "bvh")]
     except RaystreamError as error:
-        result.notes.append(f"our engines are left out: {error}")
+        result.notes.append(f"our engines are omitted: {error}")
         return result
     claims = published("foley", "claims").values
     speed = published("purcell", "speed").values
@@ -44,15 +44,14 @@ def triangle_rate(runner: Runner) -> Result:
                 "structure",
                 "rays",
                 "million rays/s",
-                "tests a ray",
+                "tests per ray",
                 "million tests/s",
-                "ns a ray",
+                "ns per ray",
             ],
             rows,
-            "Tests a second: all tests of the picture's rays in the time of the picture, which "
-            "contains traversal, too. Medians of rounds, without counting; the tests are "
-            "counted in another run. The BVH traces rays together, and its counts are those of "
-            "single rays.",
+            "Tests per second: all tests of the image's rays over the time of the image, which "
+            "includes traversal. Medians of rounds without counters; tests are counted in "
+            "another run. The BVH traces packets, and its counts are those of single rays.",
             f"Published: {speed['pentium_intersections_per_second'] / 1e6:g} million tests/s by a "
             "Pentium III of 800 MHz (Wald, after Purcell 2002, section 5.2), and nearly "
             f"{claims['brute_tests_per_second'] / 1e6:g} million by a Radeon X800 with brute "
@@ -62,7 +61,7 @@ def triangle_rate(runner: Runner) -> Result:
     return result
 
 
-def _promised() -> Table:
+def _implied() -> Table:
     speed = published("purcell", "speed")
     intersect = prices("branching")["intersect"]
     values = speed.values
@@ -84,13 +83,13 @@ def _promised() -> Table:
         )
     return Table.of(
         "purcell-5.2",
-        f"Millions of triangle tests a second from Table 1: {speed.source}",
-        ["machine", "published", "ours", "ratio", "GB/s that they need", "within 8 GB/s"],
+        f"Millions of triangle tests per second from Table 1: {speed.source}",
+        ["machine", "published", "ours", "ratio", "GB/s needed", "within 8 GB/s"],
         rows,
-        f"{intersect.instructions} instructions and {intersect.memory} words a test. With the "
+        f"{intersect.instructions} instructions and {intersect.memory} words per test. On the "
         "faster machine the tests alone would need more than the 8 GB/s, unless the texture "
-        "cache serves some of them: the paper's sentence that not all of the bandwidth would be "
-        "used counts on it.",
+        "cache serves some of them: the paper's statement that not all of the bandwidth would be "
+        "used relies on it.",
     )
 
 
@@ -124,7 +123,7 @@ def _seconds(tracer: Tracer, view: View, size: int, rounds: int) -> float:
 
 
 def _tests(runner: Runner, view: View, structure: str, size: int) -> float:
-    """Tests of a ray, counted."""
+    """Mean tests per ray, counted."""
     if structure == "brute":
         return float(view.scene.triangle_count)
     if structure == "grid":

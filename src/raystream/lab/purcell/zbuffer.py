@@ -1,4 +1,4 @@
-"""Ray tracing against the Z-buffer as depth complexity grows (Purcell 2002, section 5.3)."""
+"""Ray tracing against the Z-buffer by depth complexity (Purcell 2002, section 5.3)."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _SIZE = 512
 _TRIANGLES = (3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 _LAYERS = (1, 2, 4, 8, 16, 32, 64)
 
-#: Small triangles of each layer; they cover about half of it.
+#: Small triangles per layer; they cover about half of it.
 _LAYER_TRIANGLES = 4000
 
-#: Instructions of a vertex program that transforms and lights: the paper names no number, so the
-#: table shows both ends of what such programs took.
+#: Instructions of a vertex program that transforms and lights: the paper gives no number, so the
+#: table shows both ends of a plausible range.
 _VERTEX_INSTRUCTIONS = (4, 40)
 
 #: Instructions of a fragment that only compares its depth.
@@ -46,14 +46,14 @@ class _Family(NamedTuple):
 
 
 _FAMILIES = (
-    _Family("layers", "parallel layers of small triangles at random places, each half covered"),
+    _Family("layers", "parallel layers of small random triangles, each half covered"),
     _Family("forest inside", "the forest with more and more trees"),
     _Family("building inside", "the building with more and more rooms"),
 )
 
 
 def zbuffer(runner: Runner) -> Result:
-    """Instructions of both ways to a picture, and where they cross."""
+    """Instructions of both methods, and their crossover."""
     result = Result()
     size = min(runner.size(_SIZE), _SIZE)
     rows: list[list[Cell]] = []
@@ -78,26 +78,25 @@ def zbuffer(runner: Runner) -> Result:
     result.tables = [
         Table.of(
             "purcell-zbuffer",
-            f"Instructions a pixel, ray tracing and Z-buffer; {size} x {size}",
+            f"Instructions per pixel, ray tracing and Z-buffer; {size} x {size}",
             ["scenes", "triangles", "depth complexity", "v", "t", *names],
             rows,
             *(f"{one.name}: {one.about}." for one in _FAMILIES),
-            "Depth complexity: triangles that a pixel's ray pierces, measured by counting all "
-            "hits. Ray tracing: Table 1, branching, on the paper's grids, with as many cells a "
-            "triangle in smaller scenes. "
-            "Z-buffer: each triangle's three vertices, by programs of "
+            "Depth complexity: triangles that a pixel's ray hits, by counting all hits. Ray "
+            "tracing: Table 1, branching, on the paper's grids, with as many cells per triangle "
+            "in smaller scenes. Z-buffer: each triangle's three vertices, by programs of "
             f"{_VERTEX_INSTRUCTIONS[0]} or {_VERTEX_INSTRUCTIONS[1]} instructions, and each "
             "fragment shaded by the same colour kernel; deferred: only the nearest one is shaded.",
         ),
         Table.of(
             "purcell-crossover",
-            "The depth complexity from which on ray tracing takes fewer instructions",
+            "The depth complexity from which ray tracing takes fewer instructions",
             ["scenes", "against", "crossover", ""],
             crossings,
         ),
         Table.of(
             "purcell-growth",
-            "Growth of the instructions with depth complexity: the exponent of a power law",
+            "Growth of instructions with depth complexity: exponent of a power law",
             ["scenes", *names],
             [[name, *values.values()] for name, values in growth.items()],
             "1 is linear, 0 constant; fitted to the logarithms over all of a family's scenes.",
@@ -105,7 +104,7 @@ def zbuffer(runner: Runner) -> Result:
     ]
     result.claims = [
         Claim.judged(
-            "The Z-buffer's cost grows linearly with depth complexity, ray tracing's slower",
+            "The Z-buffer's cost grows linearly with depth complexity, ray tracing's more slowly",
             "Purcell 2002, section 5.3",
             {
                 name: values["ray tracing"] < 0.5 * values[names[1]]
@@ -122,7 +121,7 @@ def zbuffer(runner: Runner) -> Result:
             faster,
             "; ".join(
                 f"{family}, {name}: "
-                + (f"from {at:.3g} on" if isinstance(at, float) else "not within the sweep")
+                + (f"from {at:.3g}" if isinstance(at, float) else "not within the sweep")
                 for family, name, at, _ in crossings
             ),
         ),
@@ -147,11 +146,11 @@ def _view(family: str, number: int) -> View:
 
 
 def _layers(count: int) -> View:
-    """Layers behind each other, all of the same make."""
+    """Layers of random triangles, one behind the other."""
     rng = np.random.default_rng(2002)
     side = math.sqrt(1.0 / _LAYER_TRIANGLES)
     middles = rng.random((count, _LAYER_TRIANGLES, 1, 3))
-    # A triangle of half the area that there is for each, so about 40 % stays uncovered.
+    # Each triangle covers half of its share of the area, so about 40 % stays uncovered.
     corners = middles + side * np.array([[-0.6, -0.5, 0], [0.6, -0.5, 0], [0, 0.66, 0]])
     corners[..., 2] = -np.arange(count).reshape(-1, 1, 1) / max(_LAYERS)
     scene = Scene.from_arrays(
@@ -162,7 +161,7 @@ def _layers(count: int) -> View:
 
 
 def _grid(family: str, number: int) -> dict[str, Any]:
-    """Purcell's cells for a million triangles, and as many for each where there are fewer."""
+    """Purcell's cells for a million triangles, and as many per triangle in smaller scenes."""
     if family == "layers":
         return {}
     cells = published("purcell", "grids").values["min_resolution"][family.split()[0]]
@@ -187,7 +186,7 @@ def _measure(runner: Runner, family: str, number: int, size: int) -> dict[str, A
 
 
 def _costs(one: dict[str, Any]) -> dict[str, float]:
-    """Instructions a pixel of each way."""
+    """Instructions per pixel of each method."""
     table = prices("branching")
     rays = one["rays"]
     traced = cost(counts_of(one), table).all_instructions / rays
@@ -204,7 +203,7 @@ def _costs(one: dict[str, Any]) -> dict[str, float]:
 
 
 def _crossing(depths: list[float], traced: list[float], other: list[float]) -> float | None:
-    """Where ray tracing becomes cheaper for good; the first scene, if it always is."""
+    """Depth complexity beyond which ray tracing stays cheaper; the first scene's if always."""
     for k in reversed(range(len(depths))):
         if traced[k] >= other[k]:
             if k + 1 == len(depths):
@@ -229,9 +228,9 @@ def _exponent(depths: list[float], values: list[float]) -> float:
 def _plot(family: _Family, depths: list[float], lines: dict[str, list[float]]) -> Plot:
     return Plot(
         f"purcell-zbuffer-{family.name.replace(' ', '-')}",
-        f"{family.name}: instructions a pixel by depth complexity",
-        "triangles that a pixel's ray pierces",
-        "instructions a pixel",
+        f"{family.name}: instructions per pixel by depth complexity",
+        "triangles hit by a pixel's ray",
+        "instructions per pixel",
         [Series(name, list(depths), list(values)) for name, values in lines.items()],
         log_x=True,
         log_y=True,

@@ -1,1 +1,1 @@
-"""The Rayforce poster of 2013: four kinds of pictures, multi-hit, and what a ray pays for."""
+"""The experiments of the Rayforce poster of 2013: render modes, multi-hit, and cost per ray."""

@@ -1,4 +1,4 @@
-"""Sectors: what the graph is made of, and what rays meet in it."""
+"""Size and build time of the graph, and the work of rays in it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from raystream.tracer import Tracer
 
 __all__ = ["RAYS", "graph_statistics", "ray_sets"]
 
-#: Rays whose way is counted.
+#: Kinds of rays that are counted.
 RAYS = ("from the eye", "from surfaces", "at random")
 
 SIZE = 256
@@ -33,13 +33,13 @@ def ray_sets(view: View, size: int) -> dict[str, Rays]:
     ----------
     view : View
     size : int
-        Width and height of the picture from whose rays the others come.
+        Width and height of the image of camera rays.
 
     Returns
     -------
     dict
-        ``from the eye``; ``from surfaces`` that those meet, about their normals; ``at random`` in
-        the scene's box.
+        ``from the eye``; ``from surfaces``, diffuse bounces of these; ``at random`` in the scene's
+        box.
     """
     generator = np.random.default_rng(0)
     origins, directions = (np.reshape(one, (-1, 3)) for one in view.rays(size))
@@ -64,7 +64,7 @@ def ray_sets(view: View, size: int) -> dict[str, Rays]:
 
 
 def graph_statistics(runner: Runner) -> Result:
-    """Sectors, link nodes, bytes and build time; ways to the start, and steps from there."""
+    """Sectors, link nodes, bytes and build times; steps to the start sector, and from there."""
     result = Result()
     found: dict[str, dict[str, Any]] = {}
     for view in scenes(runner, result):
@@ -98,14 +98,14 @@ def _measured(runner: Runner, view: View) -> dict[str, Any]:
 
 
 def _counted(tracer: Tracer, rays: Rays) -> dict[str, float]:
-    """What a ray meets on its way to the nearest hit: means."""
+    """Mean counts per ray of a first-hit query."""
     tracer.first_hit(*rays)
     total, count = tracer.counters.total, max(tracer.counters.steps.size, 1)
     return {name: total[name] / count for name in ("steps", "link_nodes", "tests")}
 
 
 def _walk(structure: GraphStructure, rays: Rays) -> dict[str, float]:
-    """Sectors that are left on the way from a bin's sector to where a ray begins."""
+    """Sectors left between a bin's sector and the ray's start sector."""
     batch = RayBatch(*rays)
     (block,) = blocks(batch, structure.frame, np.zeros(len(batch), np.uint8), None)
     found = structure.start_sectors(block.rays)
@@ -140,25 +140,25 @@ def _graphs(found: dict[str, dict[str, Any]]) -> Table:
     return Table.of(
         "rayforce-graph",
         "The graphs",
-        ["scene", "triangles", "sectors", "empty", "lists a triangle is in", "link nodes"]
-        + ["of those without sharing", "link nodes behind a face", "bytes a triangle", "bins"],
+        ["scene", "triangles", "sectors", "empty", "lists per triangle", "link nodes"]
+        + ["of those without sharing", "link nodes behind a face", "bytes per triangle", "bins"],
         rows,
-        "Bytes are of sectors, link nodes, lists and bins, without the triangles' corners. Link "
-        "nodes behind a face: how many a random ray passes from one sector to the next.",
+        "Bytes of sectors, link nodes, lists and bins, without the triangles' vertices. Link "
+        "nodes behind a face: the number that a random ray visits from one sector to the next.",
     )
 
 
 def _walks(found: dict[str, dict[str, Any]]) -> Table:
     return Table.of(
         "rayforce-walks",
-        "From a bin's sector to the one where a ray begins",
-        ["scene", "rays", "sectors left, mean", "most", "rays that are there at once"],
+        "From a bin's sector to the ray's start sector",
+        ["scene", "rays", "sectors left, mean", "most", "rays already there"],
         [
             [name, kind, walk["mean"], walk["most"], walk["none"]]
             for name, values in found.items()
             for kind, walk in values["walks"].items()
         ],
-        "Not part of the steps below.",
+        "Not included in the steps below.",
     )
 
 
@@ -180,11 +180,11 @@ def _structures(found: dict[str, dict[str, Any]]) -> Table:
     return Table.of(
         "rayforce-structures",
         "Memory and build time",
-        ["scene", "structure", "bytes a triangle", f"bytes / {REFERENCE}'s", "build, s"]
+        ["scene", "structure", "bytes per triangle", f"bytes / {REFERENCE}'s", "build, s"]
         + [f"build / {REFERENCE}'s"],
         rows,
-        "Bytes include a copy of the corners, in the order in which they are tested; the grid has "
-        "none, and reads the scene's. Builds are the shorter of two.",
+        "Bytes include a copy of the vertices in test order; the grid has none, and reads the "
+        "scene's. Build times are the shorter of two.",
     )
 
 
@@ -199,11 +199,11 @@ def _steps(runner: Runner, found: dict[str, dict[str, Any]]) -> Table:
     size = runner.size(SIZE)
     return Table.of(
         "rayforce-steps",
-        f"What a ray meets on its way to the nearest hit, {size} x {size} rays",
+        f"Work of a ray up to the nearest hit, {size} x {size} rays",
         ["scene", "rays", "structure", "steps", "link nodes", "tests"],
         rows,
-        "A step is a sector of the graph, a cell of the grid, an inner node of the others; in the "
-        "BVH of up to eight children at once.",
+        "A step is a sector of the graph, a cell of the grid, or an inner node of the others, in "
+        "the BVH with up to eight children.",
     )
 
 
@@ -218,9 +218,9 @@ def _plot(found: dict[str, dict[str, Any]], kind: str) -> Plot:
         series.append(Series(structure, bars, heights))
     return Plot(
         f"rayforce-steps-{kind.split()[-1]}",
-        f"Rays {kind}: steps, link nodes included, and tests",
+        f"Rays {kind}: steps, including link nodes, and tests",
         "",
-        "of a ray",
+        "per ray",
         series,
         kind="bars",
         log_y=True,

@@ -1,4 +1,4 @@
-"""Hidden: whether what a ray costs depends on what it never comes near."""
+"""Whether the cost of a ray depends on hidden geometry."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.lab.frame_timing import picture
+from raystream.lab.frame_timing import report_image
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
@@ -22,39 +22,39 @@ from raystream.tracer import Tracer
 
 __all__ = ["FACTORS", "PLACES", "hidden_triangles", "scene_with_hidden"]
 
-#: Triangles that no ray meets, for each one that is there to be seen.
+#: Hidden triangles per visible triangle.
 FACTORS = (0, 1, 2, 4, 8, 16, 32, 64)
 _QUICK_FACTORS = (0, 1, 8)
 
 PLACES = ("behind a wall", "beside the view")
 
-#: What is seen.
+#: The visible scene.
 VISIBLE = "spheres"
 
 SIZE = 256
 ROUNDS = 3
 
-#: Counts that differ by less are called the same.
+#: Maximum relative change of counts that are called equal.
 TOLERANCE = 0.25
 
-#: Spread of a hidden triangle's corners, of the scene's size.
+#: Spread of a hidden triangle's vertices, relative to the scene's size.
 _SPREAD = 0.004
 
 
 def scene_with_hidden(place: str, factor: int) -> Scene:
-    """A scene before a wall, and small triangles where its camera sees none of them.
+    """A scene in front of a wall, with small triangles that its camera cannot see.
 
     Parameters
     ----------
     place : {"behind a wall", "beside the view"}
-        Behind the wall's plane, seen from the camera; or before it, to the camera's right.
+        Behind the wall's plane, seen from the camera; or in front of it, to the camera's right.
     factor : int
-        How many, for each triangle of the scene.
+        Hidden triangles per triangle of the scene.
 
     Raises
     ------
     ValueError
-        If there is no such place.
+        If the place is unknown.
     """
     if place not in PLACES:
         raise ValueError(f"place: expected one of {', '.join(PLACES)}, got {place!r}")
@@ -81,7 +81,7 @@ _SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def _axes(scene: Scene) -> tuple[Any, Any, Any]:
-    """The camera's right, the scene's up, and the way back from the scene, along axes."""
+    """The camera's right, the scene's up, and the direction towards the camera, along axes."""
     up = np.asarray(scene.up, np.float64)
     low, high = scene.bounds
     away = np.asarray(scene.camera_for(1.0).eye, np.float64) - (low + high) / 2.0
@@ -93,7 +93,7 @@ def _axes(scene: Scene) -> tuple[Any, Any, Any]:
 
 
 def hidden_triangles(runner: Runner) -> Result:
-    """The same view, with more and more that it does not show."""
+    """The same view with more and more hidden triangles."""
     factors = _QUICK_FACTORS if runner.quick else FACTORS
     found = {
         (place, factor): _measured(runner, place, factor) for place in PLACES for factor in factors
@@ -107,7 +107,7 @@ def hidden_triangles(runner: Runner) -> Result:
         scene = scene_with_hidden(place, factors[-1])
         name = f"rayforce {place}"
         title = f"The view with {factors[-1]} times as many triangles {place}"
-        result.pictures.append(picture(runner, name, title, scene, "vis", (240, 240)))
+        result.images.append(report_image(runner, name, title, scene, "vis", (240, 240)))
     return result
 
 
@@ -125,7 +125,7 @@ def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
             hits = counting.first_hit(*rays)
             total, count = counting.counters.total, size * size
             values[name] = {
-                "price": _price(counting, total, count),
+                "price": _graph_cost(counting, total, count),
                 "steps": (total["steps"] + total["link_nodes"]) / count,
                 "tests": total["tests"] / count,
                 "nanoseconds": 1e9 * seconds / count,
@@ -137,8 +137,8 @@ def _measured(runner: Runner, place: str, factor: int) -> dict[str, Any]:
     return values
 
 
-def _price(tracer: Tracer, total: Mapping[str, int], count: int) -> float | None:
-    """What a ray costs at the prices by which a graph is built."""
+def _graph_cost(tracer: Tracer, total: Mapping[str, int], count: int) -> float | None:
+    """Cost per ray by the graph's build costs."""
     if not isinstance(tracer.structure, GraphStructure):
         return None
     options = tracer.structure.options
@@ -162,14 +162,13 @@ def _table(runner: Runner, found: _Found) -> Table:
     size = runner.size(SIZE)
     return Table.of(
         "rayforce-hidden",
-        f"What a ray meets as the scene grows where no ray comes: {VISIBLE}, {size} x {size} rays",
+        f"Work per ray as hidden geometry grows: {VISIBLE}, {size} x {size} rays",
         ["more triangles", "times", "triangles", "structure", "steps", "tests", "price"]
-        + ["ns a ray", "pixels that changed"],
+        + ["ns per ray", "pixels that changed"],
         rows,
-        "Steps and tests are counted, and decide. The price is that of a ray's sectors, link nodes "
-        "and tests in the units by which the graph was built: it chooses between more steps and "
-        "more tests. Times are of the BVH's kernels for many rays "
-        "at once, and of single rays in the others.",
+        "Steps and tests are counted, and decide. The price is the cost of a ray's sectors, link "
+        "nodes and tests by the costs of the graph's builder, which trades steps for tests. "
+        "Times are of the BVH's packet kernels, and of single rays in the others.",
     )
 
 
@@ -184,7 +183,7 @@ def _claim(found: _Found, factors: tuple[int, ...]) -> Claim:
     return Claim.judged(
         "performance depends only on geometric complexity along a ray: steps, tests and price of "
         f"the graph change by less than a quarter as hidden triangles grow from {least} to {most} "
-        "times those seen",
+        "times the visible ones",
         published("rayforce", "structure").source,
         {case: abs(ratio - 1.0) < TOLERANCE for case, ratio in growth.items()},
         "; ".join(f"{case}: {ratio:.2f} times" for case, ratio in growth.items()),
@@ -195,9 +194,9 @@ def _plot(found: _Found, place: str, part: str) -> Plot:
     chosen = {factor: values for (where, factor), values in found.items() if where == place}
     return Plot(
         f"rayforce-hidden-{part}-{place.split()[0]}",
-        f"{part.capitalize()} of a ray, with more triangles {place}",
+        f"{part.capitalize()} per ray, with more triangles {place}",
         "triangles in the scene",
-        f"{part} a ray",
+        f"{part} per ray",
         [
             Series(
                 name,

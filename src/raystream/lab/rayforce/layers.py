@@ -1,4 +1,4 @@
-"""Layers: what all hits of a ray cost, against how many there are."""
+"""The cost of finding all hits of a ray, against their number."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from raystream.lab.frame_timing import picture
+from raystream.lab.frame_timing import report_image
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES
 from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
@@ -24,7 +24,7 @@ __all__ = ["LAYERS", "QUERIES", "layered_scene", "layers"]
 LAYERS = (1, 2, 4, 8, 16, 32, 64)
 _QUICK_LAYERS = (1, 8, 64)
 
-#: Squares along a side of each sheet.
+#: Squares per side of each sheet.
 CELLS = 8
 
 SIZE = 192
@@ -38,22 +38,22 @@ QUERIES: dict[str, Callable[..., object]] = {
     "multi_hit, all": lambda tracer, rays: tracer.multi_hit(*rays),
 }
 
-#: "Low overhead" is no number; this is how the claim is read.
+#: Our reading of "low overhead".
 LOW_OVERHEAD = 2.0
 
 
 def layered_scene(count: int) -> Scene:
-    """Parallel sheets, one behind the other, each of as many triangles.
+    """Parallel sheets, one behind the other, with equal numbers of triangles.
 
     Parameters
     ----------
     count : int
-        Sheets between z = 0 and z = 1, of 2 x 2 units.
+        Number of sheets of 2 x 2 units between z = 0 and z = 1.
 
     Returns
     -------
     Scene
-        With a camera that sees through all of them; its rays meet no edge exactly.
+        With a camera that looks through all of them; its rays hit no edge exactly.
     """
     side = np.linspace(-1.0, 1.0, CELLS + 1)
     x, y = np.meshgrid(side, side)
@@ -68,7 +68,7 @@ def layered_scene(count: int) -> Scene:
 
 
 def layers(runner: Runner) -> Result:
-    """Five questions about the same rays, with more and more layers in their way."""
+    """Five queries of the same rays through more and more layers."""
     counts = _QUICK_LAYERS if runner.quick else LAYERS
     found = {count: _measured(runner, count) for count in counts}
     source = published("rayforce", "structure").source
@@ -77,8 +77,8 @@ def layers(runner: Runner) -> Result:
         for count, each in found.items()
     }
     text = (
-        "first-hit, any-hit and multi-hit traversal come with low overhead: asked for one hit, "
-        f"multi-hit takes at most {LOW_OVERHEAD:g} times as long as first-hit"
+        "first-hit, any-hit and multi-hit traversal have low overhead: for one hit, multi-hit "
+        f"takes at most {LOW_OVERHEAD:g} times as long as first-hit"
     )
     return Result(
         tables=[_times(runner, found), _counts(found)],
@@ -90,11 +90,11 @@ def layers(runner: Runner) -> Result:
                 {case: ratio <= LOW_OVERHEAD for case, ratio in ratios.items()},
                 f"{REFERENCE}, times by layers: "
                 + ", ".join(f"{ratio:.2f} ({case})" for case, ratio in ratios.items())
-                + "; what low means is our reading",
+                + "; the meaning of low is our reading",
             )
         ],
-        pictures=[
-            picture(
+        images=[
+            report_image(
                 runner,
                 "rayforce layers",
                 "16 layers, drawn as clear sheets",
@@ -108,7 +108,7 @@ def layers(runner: Runner) -> Result:
 
 
 def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
-    """Seconds and counts of each structure."""
+    """Times and counts of each structure."""
 
     def measure() -> dict[str, dict[str, Any]]:
         scene = layered_scene(count)
@@ -135,7 +135,7 @@ def _measured(runner: Runner, count: int) -> dict[str, dict[str, Any]]:
 
 
 def _counted(scene: Scene, structure: str, rays: Any) -> dict[str, Any]:
-    """Steps and tests for the nearest and for all hits, and how many hits there are."""
+    """Steps and tests for the nearest and for all hits, and the number of hits."""
     tracer = Tracer(scene, structure, counters=True)
     tracer.first_hit(*rays)
     first = tracer.counters.total
@@ -163,12 +163,12 @@ def _times(runner: Runner, found: dict[int, dict[str, dict[str, Any]]]) -> Table
     size = runner.size(SIZE)
     return Table.of(
         "rayforce-layers",
-        f"Layers: nanoseconds a ray, {size} x {size} rays",
-        ["layers", "structure", *QUERIES, "all, a hit"],
+        f"Layers: nanoseconds per ray, {size} x {size} rays",
+        ["layers", "structure", *QUERIES, "all, per hit"],
         rows,
-        f"Sheets of {2 * CELLS**2} triangles, parallel and across the view; each ray meets all of "
-        "them. With `max_hits` 1 or 4 the nearest few are kept. Medians of rounds in which "
-        "structures take turns; the BVH has kernels for many rays at once, the others have not.",
+        f"Sheets of {2 * CELLS**2} triangles, parallel and facing the camera; each ray hits all "
+        "of them. With `max_hits` 1 or 4 the nearest few are kept. Medians of rounds in which "
+        "structures take turns; only the BVH has packet kernels.",
     )
 
 
@@ -185,7 +185,7 @@ def _counts(found: dict[int, dict[str, dict[str, Any]]]) -> Table:
     ]
     return Table.of(
         "rayforce-layer-counts",
-        "Layers: steps and tests of a ray",
+        "Layers: steps and tests per ray",
         ["layers", "structure", "hits", "steps, first hit", "tests, first hit"]
         + ["steps, all hits", "tests, all hits"],
         rows,
@@ -198,7 +198,7 @@ def _plot_all(found: dict[int, dict[str, dict[str, Any]]]) -> Plot:
         "rayforce-layers",
         "All hits of a ray",
         "layers",
-        "nanoseconds a ray",
+        "nanoseconds per ray",
         [
             Series(
                 name,
@@ -219,9 +219,9 @@ def _plot_queries(found: dict[int, dict[str, dict[str, Any]]]) -> Plot:
     ours = {count: each[REFERENCE] for count, each in found.items()}
     return Plot(
         "rayforce-layer-queries",
-        f"What a ray is asked, in the {REFERENCE}",
+        f"Queries in the {REFERENCE}",
         "layers",
-        "nanoseconds a ray",
+        "nanoseconds per ray",
         [
             Series(
                 title,

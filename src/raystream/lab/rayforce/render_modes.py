@@ -1,4 +1,4 @@
-"""Modes: vis, x-ray, ao and kajiya in three scenes (Rayforce 2013, Figure 3)."""
+"""Render modes vis, x-ray, ao and kajiya in three scenes (Rayforce 2013, Figure 3)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
-from raystream.lab.frame_timing import Size, affordable_size, frame_seconds, picture, render_context
+from raystream.lab.frame_timing import (
+    Size,
+    affordable_size,
+    frame_seconds,
+    render_context,
+    report_image,
+)
 from raystream.lab.published import published
 from raystream.lab.rayforce.scenes import REFERENCE, STRUCTURES, prepared, scenes
 from raystream.lab.recording_tracer import RecordingTracer
@@ -20,7 +26,7 @@ from raystream.scene.scene import Scene
 
 __all__ = ["MODES", "render_modes"]
 
-#: Mode, and what the poster has of it.
+#: Modes, and the poster's description of each.
 MODES = {
     "vis": "visible surfaces, shaded by the cosine between normal and view",
     "xray": "all surfaces along a ray as clear sheets",
@@ -30,29 +36,29 @@ MODES = {
 
 ROUNDS = 3
 
-#: Seconds that a frame may take; pictures that would take longer get smaller.
+#: Maximum seconds per frame; larger images are reduced.
 _LIMIT = 1.0
 _QUICK_LIMIT = 0.2
 
-#: May be drawn smaller than the others, which share a size.
+#: May be rendered smaller than the others, which share a size.
 _SLOW = "grid"
 
-_PICTURE_SIZE = (320, 240)
+_IMAGE_SIZE = (320, 240)
 
 
-#: Of a scene and mode, by structure.
+#: Frames of a scene and mode, by structure.
 _Frames = dict[str, dict[str, Any]]
 
 
 class _Contenders:
-    """Tracers for one scene, of all structures at once, built when the first is needed."""
+    """Tracers of all structures for one scene, built on first use."""
 
     def __init__(self, runner: Runner, view: View) -> None:
         self._runner = runner
         self._view = view
 
     def seconds(self, structure: str, mode: str, size: Size) -> float:
-        """Draw a frame."""
+        """Render and time a frame."""
         return frame_seconds(self.context, self.tracers[structure], mode, size)
 
     @cached_property
@@ -70,14 +76,14 @@ class _Contenders:
 
 
 def frame_size(runner: Runner) -> Size:
-    """The poster's 1024 x 768, or as much smaller as is wanted."""
+    """The poster's 1024 x 768, or the user's size."""
     width, height = published("rayforce", "figure 3").values["size"]
     chosen = runner.size(width)
     return chosen, max(chosen * height // width, 1)
 
 
 def render_modes(runner: Runner) -> Result:
-    """Whole frames of four modes, with every structure but brute force."""
+    """Whole frames of four modes with every structure except brute force."""
     result = Result()
     found: dict[str, dict[str, _Frames]] = {mode: {} for mode in MODES}
     for view in scenes(runner, result):
@@ -86,8 +92,8 @@ def render_modes(runner: Runner) -> Result:
             found[mode][view.name] = _measured(runner, contenders, view.name, mode)
             title = f"{view.name}: {mode}, one sample a pixel"
             name = f"rayforce {view.name} {mode}"
-            result.pictures.append(
-                picture(runner, name, title, contenders.scene, mode, _PICTURE_SIZE)
+            result.images.append(
+                report_image(runner, name, title, contenders.scene, mode, _IMAGE_SIZE)
             )
     size = frame_size(runner)
     result.tables = [_table(mode, frames, size) for mode, frames in found.items()]
@@ -98,7 +104,7 @@ def render_modes(runner: Runner) -> Result:
 
 
 def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> _Frames:
-    """Medians of rounds in which structures take turns."""
+    """Times of rounds in which structures take turns."""
     size = frame_size(runner)
     small = max(size[0] // 4, 1), max(size[1] // 4, 1)
 
@@ -114,7 +120,7 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
                 "small_pixel": pixel,
                 "seconds": [],
             }
-        # Pixels of small frames take longer: those that are compared have one size.
+        # Pixels of small frames take longer: compared frames share a size.
         common = min(frames[one]["size"] for one in STRUCTURES if one != _SLOW)
         for structure, frame in frames.items():
             frame["size"] = min(frame["size"], common) if structure == _SLOW else common
@@ -123,7 +129,7 @@ def _measured(runner: Runner, contenders: _Contenders, name: str, mode: str) -> 
                 tracer.queries.clear()
                 frame = frames[structure]
                 taken = contenders.seconds(structure, mode, frame["size"])
-                if number:  # the first one may compile: kernels depend on how many rays there are
+                if number:  # the first one may compile: kernels depend on the number of rays
                     frame["seconds"].append(taken)
                 frame["rays"] = sum(one.ray_count for one in tracer.queries)
         return frames
@@ -160,12 +166,12 @@ def _table(mode: str, found: dict[str, _Frames], size: Size) -> Table:
     return Table.of(
         f"rayforce-{mode}",
         f"{mode}: {MODES[mode]}; frames of {size[0]} x {size[1]} pixels",
-        ["scene", "structure", "drawn", "rays a pixel", "ms", "frames/s"]
+        ["scene", "structure", "drawn", "rays per pixel", "ms", "frames/s"]
         + ["Mrays/s", f"time / {REFERENCE}'s"],
         rows,
         f"Whole frames without display, medians of {ROUNDS} rounds in which structures take "
-        "turns. Tables of materials are made once for a scene. Where less was drawn than a whole "
-        "frame, its time is scaled by the number of pixels.",
+        "turns. Material tables are built once per scene. Times of reduced frames are scaled by "
+        "the number of pixels.",
     )
 
 
@@ -184,16 +190,16 @@ def _plot(found: dict[str, dict[str, _Frames]], size: Size) -> Plot:
         series.append(Series(structure, bars, rates))
     return Plot(
         "rayforce-modes",
-        f"Rays a second in whole frames of {size[0]} x {size[1]} pixels",
+        f"Rays per second in whole frames of {size[0]} x {size[1]} pixels",
         "",
-        "million rays a second",
+        "million rays per second",
         series,
         kind="bars",
     )
 
 
 def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
-    """The poster's figure had numbers for this; without them there is nothing to decide."""
+    """The poster's figure had numbers for this; without them it cannot be judged."""
     rates = {
         mode: [1.0 / (_pixel_seconds(one[REFERENCE]) * size[0] * size[1]) for one in each.values()]
         for mode, each in found.items()
@@ -202,21 +208,21 @@ def _claim(found: dict[str, dict[str, _Frames]], size: Size) -> Claim:
         f"{mode}: {min(values):.2g} to {max(values):.2g} frames/s" for mode, values in rates.items()
     )
     return Claim.judged(
-        "ambient occlusion and the other modes are drawn at interactive rates",
+        "ambient occlusion and the other modes render at interactive rates",
         published("rayforce", "figure 3").source,
         {},
-        f"the poster's values are lost, and its GeForce GTX 690 is no machine to compare a CPU "
-        f"with; the {REFERENCE} here: {evidence}",
+        "the poster's values are lost, and its GeForce GTX 690 is not comparable with a CPU; the "
+        f"{REFERENCE} here: {evidence}",
     )
 
 
 def _notes(found: dict[str, dict[str, _Frames]], size: Size) -> Iterator[str]:
     yield (
-        "The values of the poster's Figure 3 are not in our copy, nor which three scenes they are "
-        "of; so no column is called published. The scenes here are rooms seen from inside, with "
-        "different sizes of details, or small built-in ones instead. Where a scene has no light, "
-        "one is added near the eye; surfaces that are not opaque are made so. Rays of ao are "
-        f"{REACH:g} of the scene's diagonal long; the poster does not say how long."
+        "The values of the poster's Figure 3 and its three scenes are not in our copy, so no "
+        "published column is given. The scenes here are interiors with details of different "
+        "sizes, or small built-in ones instead. Scenes without lights get one near the camera, "
+        f"and all surfaces are made opaque. Rays of ao are {REACH:g} of the scene's diagonal long; "
+        "the poster does not give their length."
     )
     ratios = [
         frame["small_pixel"] / _pixel_seconds(frame)
@@ -227,8 +233,8 @@ def _notes(found: dict[str, dict[str, _Frames]], size: Size) -> Iterator[str]:
     ]
     if ratios:
         yield (
-            "How far scaling can be trusted: where more was drawn than a frame of a quarter of the "
-            f"width, a pixel of that took {min(ratios):.2g} to {max(ratios):.2g} times as long "
+            "Accuracy of scaling: where more than a quarter of the width was rendered, a pixel of "
+            f"a quarter-width frame took {min(ratios):.2g} to {max(ratios):.2g} times as long "
             f"(median {statistics.median(ratios):.2g}). Scaled times may be too long by as much; "
-            f"{', '.join(one for one in STRUCTURES if one != _SLOW)} are drawn in the same size."
+            f"{', '.join(one for one in STRUCTURES if one != _SLOW)} are rendered at the same size."
         )

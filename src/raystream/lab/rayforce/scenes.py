@@ -19,33 +19,32 @@ from raystream.tracer import Tracer
 
 __all__ = ["REFERENCE", "SCENES", "STAND_INS", "STRUCTURES", "prepared", "scenes"]
 
-#: Which scenes the poster measured is lost with its figure. These are rooms seen from inside,
-#: as usual in papers of its time: offices, a church, a kitchen with details of many sizes.
+#: The poster's scenes are lost with its figure. These are interiors, as usual in papers of its
+#: time: offices, a church, a kitchen with details of many sizes.
 SCENES = ("conference", "sibenik", "kitchen")
 
-#: Built in, for those that are not here, and smaller.
+#: Smaller built-in substitutes for missing scenes.
 STAND_INS = ("boxes", "spheres", "forest:30000")
 
 #: The poster's structure, in our reading.
 REFERENCE = "graph"
 
-#: All but brute force; the first one is what others are compared with.
+#: All except brute force; the first one is the reference.
 STRUCTURES = (REFERENCE, "bvh", "kdtree", "grid")
 
-#: Where a scene has no light: this far from the eye, of the median distance of what is seen, and
-#: at most half-way to what is there.
+#: Distance from the camera of a light added to unlit scenes, relative to the median distance of
+#: visible surfaces; at most halfway to the first surface.
 _LIGHT_SHIFT = 0.25
 
-#: Its intensity, for a distance of 1.
+#: Its intensity for a distance of 1.
 _BRIGHTNESS = 4.0
 
 
 def prepared(scene: Scene) -> Scene:
-    """The scene as it is timed: opaque, and with a light.
+    """Prepare a scene for timing: opaque, and with a light.
 
-    Where surfaces are there for some rays only, a filter would be timed and not a structure.
-    Rooms without a light are black, since nothing of the sky comes in; they get one above the
-    eye and to its right.
+    With transparent surfaces, a filter would be timed and not a structure. Rooms without a light
+    are black, since the sky is not visible; they get one above and to the right of the camera.
     """
     is_lit = scene.lights or any(max(one.emission) > 0.0 for one in scene.materials)
     return Scene(
@@ -76,9 +75,9 @@ def _light(scene: Scene) -> PointLight:
 
 
 def scenes(runner: Runner, result: Result) -> Iterator[View]:
-    """Three scenes with cameras, one after the other; notes say which are missing.
+    """Yield three scenes with cameras; notes name the missing ones.
 
-    With ``quick`` the built-in ones.
+    With ``quick``, the built-in ones.
     """
     wanted: int = published("rayforce", "figure 3").values["scenes"]
     for name, other in zip(SCENES[:wanted], STAND_INS, strict=True):
@@ -88,5 +87,5 @@ def scenes(runner: Runner, result: Result) -> Iterator[View]:
         try:
             yield runner.view(name)
         except RaystreamError as error:
-            result.notes.append(f"{other} stands in for {name}: {error}")
+            result.notes.append(f"{other} replaces {name}: {error}")
             yield runner.view(other)

@@ -1,4 +1,4 @@
-"""The report: an experiment's results as a page, as Markdown and as JSON."""
+"""Reports of results as HTML, Markdown and JSON."""
 
 from raystream.lab.report.about import About
 from raystream.lab.report.html import as_html

@@ -1,4 +1,4 @@
-"""About: on what machine, with which command and when results were measured."""
+"""The provenance of a report: command, machine, version and date."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ __all__ = ["About"]
 
 
 class About(NamedTuple):
-    """What a reader of a report has to know.
+    """The provenance of a report.
 
     Attributes
     ----------
     command : str
-        That measures everything again.
+        Repeats all measurements.
     machine : dict of str to Any
         See `bench.machine.describe_machine`.
     version, source : str
-        Of raystream; a hash of its sources.
+        Version of raystream, and hash of its sources.
     date : str
         ISO 8601.
     foreign_count : int
-        Measurements that were taken over from another source.
+        Measurements reused from another version of the sources.
     quick : bool
     """
 
@@ -34,7 +34,7 @@ class About(NamedTuple):
     quick: bool
 
     def command_for(self, experiment: str) -> str:
-        """The command that measures one experiment again."""
+        """The command that repeats one experiment."""
         paper, _, name = experiment.partition("-")
         words = self.command.split(" ")
         start = words.index("lab") + 1
@@ -44,7 +44,7 @@ class About(NamedTuple):
         return " ".join(words)
 
     def lines(self) -> list[str]:
-        """A sentence each."""
+        """The provenance as sentences."""
         machine = self.machine
         memory = machine.get("memory")
         parts = [
@@ -59,12 +59,12 @@ class About(NamedTuple):
         lines = [f"Measured by `{self.command}`, {self.date}, {made}.", ", ".join(parts) + "."]
         if self.quick:
             lines.append(
-                "Quick: small scenes, pictures and sweeps, to see that all experiments work. The "
-                "figures are not to be compared with the papers'."
+                "Quick: small scenes, images and sweeps, as a smoke test. Do not compare the "
+                "figures with the papers'."
             )
         if self.foreign_count:
             lines.append(
-                f"{self.foreign_count} measurements were taken over from a run of another source "
-                "of raystream."
+                f"{self.foreign_count} measurements were reused from another version of the "
+                "sources."
             )
         return lines

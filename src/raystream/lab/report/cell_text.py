@@ -1,4 +1,4 @@
-"""Cells: numbers as text, as precise as a reader can use."""
+"""Text of table cells, and the table of claims."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ NOTHING = "–"
 
 
 def is_number(cell: Cell) -> bool:
-    """Whether it aligns to the right."""
+    """Whether a cell is right-aligned."""
     return isinstance(cell, int | float) and not isinstance(cell, bool)
 
 
 def are_numbers(table: Table) -> list[bool]:
-    """Which columns align to the right: those that hold a number."""
+    """Whether each column is right-aligned: those with a number are."""
     return [any(is_number(row[k]) for row in table.rows) for k in range(len(table.columns))]
 
 
 def claims_table(claims: Iterable[Claim]) -> Table:
-    """Verdicts over the claims of all experiments."""
+    """The table of claims and verdicts."""
     return Table.of(
         "claims",
         "What the papers say, and what is so here",
@@ -33,7 +33,7 @@ def claims_table(claims: Iterable[Claim]) -> Table:
 
 
 def cell_text(cell: Cell) -> str:
-    """Three digits, or all of an integer's; a dash where there is nothing."""
+    """Format a cell: three significant digits, whole integers, a dash for missing values."""
     if cell is None or cell == "":
         return NOTHING if cell is None else ""
     if isinstance(cell, bool):

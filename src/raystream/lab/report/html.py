@@ -1,4 +1,4 @@
-"""The page: one HTML file with tables, plots and pictures inside."""
+"""The report as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raystream.lab.experiments import Outcome
 from raystream.lab.published import paper_name
 from raystream.lab.report.about import About
 from raystream.lab.report.cell_text import are_numbers, cell_text, claims_table, is_number
-from raystream.lab.results import Cell, Picture, Plot, Table
+from raystream.lab.results import Cell, Plot, ReportImage, Table
 
 __all__ = ["as_html"]
 
@@ -55,16 +55,16 @@ def as_html(
     plots: Mapping[str, Path],
     walk: str | None = None,
 ) -> str:
-    """Lay results out as a page that needs nothing else.
+    """Make a self-contained HTML page.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
     about : About
     plots : mapping of str to Path
-        The plots that are drawn, by name.
+        Files of the plots, by name.
     walk : str, optional
-        A page beside it that shows a ray's walk.
+        Name of a page beside it that shows a ray's walk.
 
     Returns
     -------
@@ -87,8 +87,8 @@ def as_html(
         )
         command = escape(about.command_for(experiment.name))
         body.append(f"<p><code>{command}</code> ({seconds:.0f} s)</p>")
-        if result.pictures:
-            body.append(f'<div class="pictures">{"".join(map(_picture, result.pictures))}</div>')
+        if result.images:
+            body.append(f'<div class="pictures">{"".join(map(_image, result.images))}</div>')
         body += map(_table, result.tables)
         body += [_plot(one, plots[one.name]) for one in result.plots if one.name in plots]
         body += [f'<p class="note">{_inline(note)}</p>' for note in result.notes]
@@ -102,7 +102,7 @@ def as_html(
 
 
 def _inline(text: str) -> str:
-    """Text with `code` in it."""
+    """Escape text, with `code` spans."""
     parts = escape(text).split("`")
     return "".join(
         f"<code>{part}</code>" if number % 2 else part for number, part in enumerate(parts)
@@ -153,13 +153,13 @@ def _plot(plot: Plot, path: Path) -> str:
     )
 
 
-def _picture(picture: Picture) -> str:
+def _image(image: ReportImage) -> str:
     return (
-        f'<figure><img src="{_inside(picture.path)}" alt="{escape(picture.title)}">'
-        f"<figcaption>{_inline(picture.title)}</figcaption></figure>"
+        f'<figure><img src="{_inside(image.path)}" alt="{escape(image.title)}">'
+        f"<figcaption>{_inline(image.title)}</figcaption></figure>"
     )
 
 
 def _inside(path: Path) -> str:
-    """A PNG file as text."""
+    """A PNG file as a data URL."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")

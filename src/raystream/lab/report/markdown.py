@@ -1,4 +1,4 @@
-"""Markdown: tables, verdicts and notes for people who read text."""
+"""The report as Markdown."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["as_markdown"]
 
 
 def as_markdown(outcomes: Sequence[Outcome], about: About, plots: Sequence[str] = ()) -> str:
-    """Lay results out as Markdown.
+    """Make a Markdown report.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
     about : About
     plots : sequence of str
-        Names of the plots that are drawn, as ``plots/NAME.png`` beside the file.
+        Names of the plots saved as ``plots/NAME.png`` beside the file.
     """
     parts = ["# The papers' experiments, re-run", *about.lines()]
     claims = [claim for one in outcomes for claim in one.result.claims]
@@ -28,7 +28,7 @@ def as_markdown(outcomes: Sequence[Outcome], about: About, plots: Sequence[str] 
         parts += ["## What the papers say", table_text(claims_table(claims))]
     for experiment, result, seconds in outcomes:
         parts.append(f"## {experiment.title}")
-        parts += [f"![{one.title}](pictures/{one.path.name})" for one in result.pictures]
+        parts += [f"![{one.title}](pictures/{one.path.name})" for one in result.images]
         for table in result.tables:
             parts += [f"**{table.title}**", table_text(table), *table.notes]
         parts += [_plot_text(one) for one in result.plots if one.name in plots]

@@ -1,4 +1,4 @@
-"""Plots: drawn with matplotlib, where it is installed."""
+"""Plots of the report, drawn with matplotlib if installed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from raystream.lab.results import Plot
 
 __all__ = ["can_draw", "draw"]
 
-#: Colours that people with any colour vision can tell apart (Okabe and Ito 2008).
+#: A palette for all kinds of colour vision (Okabe and Ito 2008).
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8a8a8a")
 
 _MARKERS = "os^Dv<>P"
@@ -27,7 +27,7 @@ _MANY = 30
 
 
 def can_draw() -> bool:
-    """Whether matplotlib is here."""
+    """Whether matplotlib is installed."""
     return importlib.util.find_spec("matplotlib") is not None
 
 
@@ -91,14 +91,14 @@ def draw(plot: Plot, path: Path) -> None:
         )
         axes.legend(fontsize=8, frameon=False, **where)
     canvas.draw()
-    # Few colours: a quarter of the bytes.
+    # 64 colours take a quarter of the bytes.
     drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
     with atomic_write(path) as part:
         drawn.quantize(64).save(part, format="PNG", optimize=True)
 
 
 def _plain_numbers(axis: Any) -> None:
-    """20 and 300 on a logarithmic axis, not powers of ten; only some, where it spans decades."""
+    """Label a logarithmic axis with plain numbers, only some of them if it spans decades."""
     from matplotlib.ticker import LogFormatter
 
     class Plain(LogFormatter):
@@ -125,7 +125,7 @@ def _lines(axes: Any, plot: Plot) -> None:
 
 
 def _bars(axes: Any, plot: Plot) -> None:
-    """Bars beside each other, or on top of each other; names of bars are those of the first."""
+    """Draw bars side by side or stacked, with the names of the first series."""
     names = plot.series[0].x
     places = range(len(names))
     is_stacked = plot.kind == "stacked"

@@ -1,4 +1,4 @@
-"""Writing a report: a page, Markdown, JSON, plots and pictures in one folder."""
+"""Write a report to a folder: HTML, Markdown, JSON, plots and images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["as_json", "write_report"]
 
 
 def as_json(outcomes: Sequence[Outcome], about: About) -> dict[str, Any]:
-    """Everything that was found, for programs."""
+    """All results as a JSON value."""
     return {
         "about": about._asdict(),
         "experiments": {one.experiment.name: one.result.as_json() for one in outcomes},
@@ -33,7 +33,7 @@ def write_report(
     Parameters
     ----------
     folder : Path
-        Exists.
+        An existing folder.
     outcomes : sequence of Outcome
     about : About
     walk : Path, optional
@@ -43,7 +43,7 @@ def write_report(
     -------
     list of Path
         ``report.html``, which needs nothing else; ``report.md``, beside its ``plots`` and
-        ``pictures``; ``report.json``.
+        ``images``; ``report.json``.
 
     Raises
     ------

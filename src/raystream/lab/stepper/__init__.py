@@ -1,4 +1,4 @@
-"""The stepper: one ray's walk through a structure, kernel by kernel, and a page that plays it."""
+"""Step through one ray's walk in a structure, kernel by kernel, and write a page that plays it."""
 
 from raystream.lab.stepper.flat_scene import FlatScene, Outline, prisms, teaching_scene
 from raystream.lab.stepper.page import page, write_page

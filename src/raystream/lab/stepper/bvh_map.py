@@ -1,4 +1,4 @@
-"""The map of a BVH: nodes by their rows, and leaves by their first blocks."""
+"""Interpret BVH records: nodes by row, leaves by first block."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from raystream.structures.bvh.structure import BvhStructure
 
 __all__ = ["BvhMap"]
 
-#: Bits of a leaf's link that say how many blocks it has, and of a key that say which lane.
+#: Low bits of a leaf's link with its number of blocks, and of a key with its lane.
 _BLOCK_BITS = _LANE_BITS = 7
 _BLOCK_SHIFT = 3
 
 
 class BvhMap(BlockMap):
-    """Nodes of a BVH by their rows; after them leaves, by the numbers of their first blocks."""
+    """Nodes of a BVH by row, followed by leaves by first block."""
 
     def __init__(self, bvh: BvhStructure) -> None:
         self._bvh, self._tree = bvh, bvh.tree
@@ -29,15 +29,15 @@ class BvhMap(BlockMap):
 
     @cached_property
     def _slots(self) -> NDArray[np.int64]:
-        """For each number, where in its parent it is: row times eight plus lane; -1: nowhere."""
+        """Slot of each number in its parent: row times eight plus lane; -1 if unused."""
         links = self._tree.children.ravel()
         slots = np.full(self._node_count + len(self._blocks), -1)
-        at = np.flatnonzero(links)  # a link to the root would be to nothing
+        at = np.flatnonzero(links)  # 0 is no link: the root has no parent
         slots[self._numbers(links[at])] = at
         return slots
 
     def _numbers(self, links: NDArray[np.int32]) -> NDArray[np.int64]:
-        """The numbers of children."""
+        """Numbers of children."""
         blocks = self._node_count + (~links >> _BLOCK_SHIFT)
         return np.where(links < 0, blocks, links).astype(np.int64)
 
@@ -88,7 +88,7 @@ class BvhMap(BlockMap):
         return tuple(self._local_spot(number, records) for number in waiting)
 
     def _entries(self, records: Records) -> list[int]:
-        """Numbers of what is on the stack and is still near enough, that on top first."""
+        """Numbers of the stack's entries that are still near enough, top first."""
         top, half = int(records.place["top"]), self._bvh.stack_half
         keys = records.memory[:top].view(np.int32)
         links = records.memory[half : half + top].view(np.int32)
@@ -97,7 +97,7 @@ class BvhMap(BlockMap):
         return numbers
 
     def _local_spot(self, number: int, records: Records) -> LocalSpot:
-        """The part of the ray in a box, to a rounding: an empty one, if it misses the root."""
+        """The ray's interval in a box, up to rounding; empty if it misses the root."""
         low, high = self._local_box(number)
         origin = records.ray["origin"].astype(np.float64)
         way = records.ray["direction"].astype(np.float64)

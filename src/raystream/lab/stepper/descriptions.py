@@ -1,4 +1,4 @@
-"""Sentences: what a step does, in words, and where its paper describes it."""
+"""Descriptions of steps, and the sections of the papers that define them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SOURCES = {
     },
 }
 
-#: Foley's continue-search is what the traversals, and Horn's, differ in.
+#: Sections on continue-search, which differs between Foley's traversals and Horn's.
 _CONTINUE = {
     "stack": "Foley 2005, section 2.1 (continue-search with a stack; in 3.3 Continue)",
     "restart": "Foley 2005, section 2.2 (kd-restart; in 3.3 Continue)",
@@ -55,7 +55,7 @@ def source(walked: Walk, step: Step) -> str:
 
 
 def sentence(walked: Walk, step: Step, chart: StructureMap) -> str:
-    """Say what a step does.
+    """Describe a step.
 
     Parameters
     ----------
@@ -63,38 +63,38 @@ def sentence(walked: Walk, step: Step, chart: StructureMap) -> str:
     step : Step
         One of its steps.
     chart : StructureMap
-        Of the structure that was walked through.
+        Of the traversed structure.
 
     Returns
     -------
     str
     """
     if step.kernel == "shade":
-        return f"Hand the hit over: triangle {step.prim_id} at t = {_number(step.t)}."
+        return f"Return the hit: triangle {step.prim_id} at t = {_number(step.t)}."
     if step.at is None:
         return _begin(step, chart)
     if isinstance(chart, KdMap):
         return _in_tree(walked, step, chart)
     if step.kernel == "intersect":
         return f"{_test(step)} {_after_tests(step, chart)}"
-    return _look(step, chart)
+    return _visit(step, chart)
 
 
 def _begin(step: Step, chart: StructureMap) -> str:
-    """Set-up, in any structure."""
+    """Describe the set-up in any structure."""
     spot = step.to
     if spot is None:
         return "The ray misses the scene's box: there is nothing to search."
-    enters = f"The ray comes into the scene's box at t = {_number(spot.t_in)}"
+    enters = f"The ray enters the scene's box at t = {_number(spot.t_in)}"
     if isinstance(chart, KdMap):
-        return f"{enters} and leaves it at t = {_number(spot.t_out)}: begin at the root."
+        return f"{enters} and leaves it at t = {_number(spot.t_out)}: start at the root."
     if isinstance(chart, GridMap):
         return f"{enters}, in {chart.label(spot.number)}."
     return f"{enters}. From the bin of that point the search finds {chart.label(spot.number)}."
 
 
-def _look(step: Step, chart: StructureMap) -> str:
-    """A cell or sector that is looked at."""
+def _visit(step: Step, chart: StructureMap) -> str:
+    """Describe the visit of a cell or sector."""
     assert step.at is not None
     assert step.to is not None
     name = _capital(chart.label(step.at.number))
@@ -104,21 +104,21 @@ def _look(step: Step, chart: StructureMap) -> str:
         return f"{name} {verb} {count}: the ray waits for the intersection kernel."
     if step.to.number == step.at.number:
         if step.after is RayState.TRAVERSING:
-            return f"{name} is divided into finer cells: walk through these."
-        return f"{name} is empty and the last one on the way: the search ends."
+            return f"{name} is divided into finer cells: traverse these."
+        return f"{name} is empty and the last one: the search ends."
     return f"{name} is empty: {_onward(step, chart)}"
 
 
 def _after_tests(step: Step, chart: StructureMap) -> str:
-    """What follows the test of a triangle in a grid, or of a block in a graph."""
+    """Describe the state after testing a triangle in a grid or a block in a graph."""
     assert step.at is not None
     assert step.to is not None
     if step.after is RayState.INTERSECTING:
-        return "The list goes on."
+        return "The list continues."
     if step.after is RayState.TRAVERSING:
         return f"The list ends: {_onward(step, chart)}"
     if step.prim_id < 0:
-        return "The list ends, and so does the ray's way: a miss."
+        return "The list ends, and so does the ray: a miss."
     where = "cell" if isinstance(chart, GridMap) else "sector"
     return f"The list ends with a hit in this {where}: nothing behind it can be nearer."
 
@@ -127,14 +127,14 @@ def _onward(step: Step, chart: StructureMap) -> str:
     assert step.to is not None
     label = chart.label(step.to.number)
     if not isinstance(chart, GraphMap):
-        return f"step to {label}, into which the ray goes at t = {_number(step.to.t_in)}."
+        return f"step to {label}, which the ray enters at t = {_number(step.to.t_in)}."
     count = step.counts.get("link_nodes", 0)
     planes = "" if not count else f", past {count} separation plane{'s' if count > 1 else ''},"
     return f"the link of its {step.face} face leads{planes} to {label}."
 
 
 def _in_tree(walked: Walk, step: Step, chart: KdMap) -> str:
-    """A kd-tree's kernels, but for the first one."""
+    """Describe a step of a kd-tree's kernels, except the first one."""
     assert step.at is not None
     assert step.to is not None
     at, to = step.at, step.to
@@ -147,13 +147,12 @@ def _in_tree(walked: Walk, step: Step, chart: KdMap) -> str:
             return f"{name} is empty."
         return f"{name} lists {_triangles(count)}: the ray waits for the intersection kernel."
     if step.kernel == "intersect":
-        return f"{_test(step)} {'The list goes on.' if step.after is step.before else 'Done here.'}"
+        rest = "The list continues." if step.after is step.before else "Done here."
+        return f"{_test(step)} {rest}"
     if step.kernel == "up":
         if step.after is RayState.BACKTRACKING:
-            return f"Climb to {target}: the ray has left its box by t = {_number(to.t_in)}; go on."
-        return (
-            f"Climb to {target}: its box still holds the ray at t = {_number(to.t_in)}. Down again."
-        )
+            return f"Climb to {target}: the ray left its box before t = {_number(to.t_in)}."
+        return f"Climb to {target}: its box still holds the ray at t = {_number(to.t_in)}. Descend."
     if step.after in (RayState.DONE, RayState.SHADING):
         if step.prim_id < 0:
             return f"No hit in {chart.label(at.number)}, and nothing is left of the ray: a miss."
@@ -164,18 +163,18 @@ def _in_tree(walked: Walk, step: Step, chart: KdMap) -> str:
     missed = f"No hit in {chart.label(at.number)}:"
     if step.counts.get("restarts") and walked.traversal == "short-stack":
         return (
-            f"{missed} what comes next was forgotten; begin again at {target}, which holds all "
-            f"that is left, with t from {_number(to.t_in)}."
+            f"{missed} the next entry was dropped; restart at {target}, which contains all that is "
+            f"left, with t from {_number(to.t_in)}."
         )
     if walked.traversal in ("stack", "short-stack"):
         return f"{missed} pop {target}, with t from {_number(to.t_in)} to {_number(to.t_out)}."
     if walked.traversal == "restart":
-        return f"{missed} begin again at the root, with t from {_number(to.t_in)}."
+        return f"{missed} restart at the root, with t from {_number(to.t_in)}."
     return f"{missed} move the start to t = {_number(to.t_in)}, and climb."
 
 
 def _choice(walked: Walk, step: Step, chart: KdMap) -> str:
-    """Which child a step down takes."""
+    """Describe which child a descent visits."""
     assert step.at is not None
     assert step.to is not None
     at, to = step.at, step.to
@@ -185,16 +184,16 @@ def _choice(walked: Walk, step: Step, chart: KdMap) -> str:
     target = chart.label(to.number)
     if to.t_out < at.t_out:
         other = chart.label(int(2 * first + 1 - to.number))
-        kept = {
+        deferred = {
             "stack": f"push {other}",
-            "restart": f"forget {other} until a restart",
+            "restart": f"drop {other} until a restart",
             "backtrack": f"leave {other} to be found by climbing",
-            "short-stack": f"push {other}, and forget the oldest of more than {PLACES}",
+            "short-stack": f"push {other}, and drop the oldest of more than {PLACES}",
         }[walked.traversal or "stack"]
         cut = f"its plane cuts the interval at t = {_number(to.t_out)}"
-        return f"{cut}. Near child {target} first; {kept}."
+        return f"{cut}. Near child {target} first; {deferred}."
     where = "ahead of" if to.number == near else "behind"
-    return f"its plane lies {where} the interval, so {target} holds all of it."
+    return f"its plane lies {where} the interval, so {target} contains all of it."
 
 
 def _plane(chart: KdMap, number: int) -> str:
@@ -202,7 +201,7 @@ def _plane(chart: KdMap, number: int) -> str:
 
 
 def _test(step: Step) -> str:
-    """The triangles that were tested, and what came of it."""
+    """Describe the tested triangles and the result."""
     assert step.at is not None
     numbers = ", ".join(map(str, step.tested))
     plural = "s" if len(step.tested) > 1 else ""

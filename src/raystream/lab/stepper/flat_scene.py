@@ -1,4 +1,4 @@
-"""Flat scenes: walls that stand on a plane, so that a ray in the plane walks in two dimensions."""
+"""Scenes of vertical walls, in which rays of a horizontal plane walk in two dimensions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from raystream.scene.scene import Scene
 
 __all__ = ["HEIGHT", "FlatScene", "Outline", "prisms", "teaching_scene"]
 
-#: How tall walls are, against the longer side of the plan. Tall ones make the surface of a box
-#: about its outline in the plan times the height, so that trees are built as in two dimensions.
+#: Height of walls relative to the longer side of the plan. With tall walls, a box's surface area is
+#: about its perimeter in the plan times the height, so that trees are built as in two dimensions.
 HEIGHT = 4.0
 
-#: The plan of the teaching scene: its size, and the width of the stands around it.
+#: Size of the teaching scene's plan, and width of the stands around it.
 _SIZE = (16.0, 12.0)
 _STANDS = 0.7
 
@@ -29,7 +29,7 @@ class Outline(NamedTuple):
     ----------
     name : str
     points : ndarray of shape (K, 2), float64
-        Its corners, at least three; the last one is joined to the first.
+        At least three corners; the last one connects to the first.
     """
 
     name: str
@@ -42,15 +42,15 @@ class FlatScene(NamedTuple):
     Attributes
     ----------
     scene : Scene
-        Two triangles for each wall: those of wall i are 2 i and 2 i + 1.
+        Two triangles per wall: wall i has 2 i and 2 i + 1.
     walls : ndarray of shape (W, 2, 2), float64
         Both ends of each wall in the plan: (x, y).
     owners : ndarray of shape (W,), int64
-        The outline that each wall is of.
+        The outline of each wall.
     names : tuple of str
-        Of the outlines.
+        Names of the outlines.
     z : float
-        The plane in which rays run: half way up.
+        The plane of the rays, at half height.
     """
 
     scene: Scene
@@ -68,12 +68,12 @@ class FlatScene(NamedTuple):
 
 
 def prisms(outlines: Iterable[Outline]) -> FlatScene:
-    """Make walls over the sides of polygons.
+    """Extrude polygons to walls.
 
     Parameters
     ----------
     outlines : iterable of Outline
-        In the order in which their walls are numbered.
+        In the order of their walls.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def prisms(outlines: Iterable[Outline]) -> FlatScene:
     Raises
     ------
     ValueError
-        If there is no outline, or one has too few corners or none that are finite.
+        If there is no outline, or one has too few or non-finite corners.
     """
     chosen = tuple(outlines)
     if not chosen:
@@ -111,10 +111,10 @@ def prisms(outlines: Iterable[Outline]) -> FlatScene:
 
 
 def teaching_scene() -> FlatScene:
-    """A teapot in a stadium: long walls, wide empty space, and one crowded corner.
+    """A teapot in a stadium: long walls, large empty space, and one crowded corner.
 
-    The proverbial case against uniform cells: most of a grid is empty, and one of its cells
-    holds most of the teapot (Purcell 2002, section 5.1).
+    The classic worst case of uniform grids: most cells are empty, and one cell holds most of the
+    teapot (Purcell 2002, section 5.1).
     """
     return prisms(
         [
@@ -153,14 +153,14 @@ def _ring(center: Sequence[float], width: float, height: float, count: int) -> N
 def _box(
     center: Sequence[float], width: float, height: float, degrees: float
 ) -> NDArray[np.float64]:
-    """A rectangle that is turned."""
+    """A rotated rectangle."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2.0, height / 2.0)
     turn = math.radians(degrees)
     cos, sin = math.cos(turn), math.sin(turn)
     return corners @ np.array([[cos, sin], [-sin, cos]]) + center
 
 
-#: A teapot seen from its side, in units of its body's radius: all of it but the handle's hole.
+#: A teapot in profile, in units of its body's radius, without the hole of the handle.
 _POT = (
     (-0.62, -0.8), (-0.2, -0.92), (0.25, -0.92), (0.66, -0.78), (0.92, -0.45), (1.12, -0.18),
     (1.42, 0.2), (1.6, 0.52), (1.86, 0.62), (1.8, 0.76), (1.5, 0.7), (1.24, 0.5), (0.98, 0.22),

@@ -1,4 +1,4 @@
-"""Heat maps of a plan: what rays cost, by direction from a point, and by where they begin."""
+"""Heat maps of a plan: cost of rays by direction from a point, and by origin."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["FanCost", "PlaceCost", "fan_cost", "place_cost"]
 
 
 class FanCost(NamedTuple):
-    """What each direction from a point costs.
+    """The cost of each direction from a point.
 
     Attributes
     ----------
     t : ndarray of shape (D,), float32
-        Distance of the hit of direction 2 pi k / D; inf for a miss.
+        Distance of the hit in direction 2 pi k / D; inf for a miss.
     steps, tests : ndarray of shape (D,), uint32
-        Steps, down and back up, and triangles tested; see `RayCounters`.
+        Steps, including backtracking, and triangle tests; see `RayCounters`.
     """
 
     t: NDArray[np.float32]
@@ -31,7 +31,7 @@ class FanCost(NamedTuple):
 
 
 class PlaceCost(NamedTuple):
-    """What a ray costs from each place, on average over all directions.
+    """The mean cost over all directions of rays from each position.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class PlaceCost(NamedTuple):
 
 
 def fan_cost(tracer: Tracer, plan: FlatScene, origin: tuple[float, float], count: int) -> FanCost:
-    """Count what rays in all directions from a point meet.
+    """Count the work of rays in all directions from a point.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def fan_cost(tracer: Tracer, plan: FlatScene, origin: tuple[float, float], count
     plan : FlatScene
     origin : tuple of two float
     count : int
-        Directions.
+        Number of directions.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def fan_cost(tracer: Tracer, plan: FlatScene, origin: tuple[float, float], count
 def place_cost(
     tracer: Tracer, plan: FlatScene, shape: tuple[int, int], directions: int
 ) -> PlaceCost:
-    """Count what rays meet that begin in each pixel of a small image of the plan.
+    """Count the work of rays from each pixel of a small image of the plan.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ def place_cost(
         Of the plan's scene, with ``counters=True``.
     plan : FlatScene
     shape : tuple of two int
-        Rows and columns of the image, which covers the box of all walls.
+        Rows and columns of the image, which covers the bounds of all walls.
     directions : int
-        Rays from the middle of each pixel.
+        Rays from the centre of each pixel.
 
     Returns
     -------

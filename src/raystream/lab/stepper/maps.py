@@ -1,4 +1,4 @@
-"""Maps of structures: what a machine's records say, as cells, nodes and sectors in the world."""
+"""Interpret a machine's records of grids, kd-trees and graphs as cells, nodes and sectors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def map_of(structure: Structure) -> StructureMap:
     Raises
     ------
     ValueError
-        If there is none.
+        If the structure has none.
     """
     kinds = (
         (GridStructure, GridMap),
@@ -46,13 +46,13 @@ def map_of(structure: Structure) -> StructureMap:
 
 
 class GridMap(StructureMap):
-    """Cells of a grid, and after them those of its second level."""
+    """Cells of a grid, followed by those of its second level."""
 
     def __init__(self, grid: GridStructure) -> None:
         self._grid = grid
         lattice, fine = grid.lattice, grid.fine
         self.counts = lattice.counts
-        # Where the cells of each fine lattice begin.
+        # The first cell of each fine lattice.
         sizes = np.prod(fine.counts, axis=1, dtype=np.int64)
         self._firsts = lattice.cell_count + np.cumsum(sizes) - sizes
         self._row_of = {cell: row for row, cell in enumerate(fine.cells.tolist())}
@@ -132,8 +132,8 @@ class KdMap(BlockMap):
     Attributes
     ----------
     axes, children : ndarray of shape (M,), int32
-        Axis of each split, 3 for a leaf; row of its child below the plane, the other one being
-        next to it, or number of a leaf's triangles.
+        Axis of each split, 3 for a leaf; row of its lower child, followed by the upper one, or
+        number of a leaf's triangles.
     """
 
     def __init__(self, tree: KdTreeStructure) -> None:
@@ -142,7 +142,7 @@ class KdMap(BlockMap):
         self._traversal = tree.options.traversal
         self.axes, self.children = nodes[:, 1] & 3, nodes[:, 1] >> 2
         is_leaf = self.axes == LEAF_AXIS
-        # The rows of nodes by the numbers that a search has for them.
+        # Maps node numbers of a search to rows.
         packed = tree.options.layout == "foley"
         every = np.arange(len(nodes))
         self._splits = np.flatnonzero(~is_leaf) if packed else every
@@ -167,7 +167,7 @@ class KdMap(BlockMap):
 
     @cached_property
     def planes(self) -> NDArray[np.float64]:
-        """Where splits are, of shape (M,), float64, world space; leaves have 0."""
+        """Positions of splits, of shape (M,), float64, world space; 0 for leaves."""
         centers = np.append(self._tree.triangles.center, 0.0)[self.axes]
         world = self._planes / self._tree.triangles.scale + centers
         return np.where(self.axes == LEAF_AXIS, 0.0, world)
@@ -176,7 +176,7 @@ class KdMap(BlockMap):
         """See `StructureMap.box`."""
         box: NDArray[np.float64] = self._tree.triangles.bounds.astype(np.float64)
         is_cut = np.zeros((2, 3), np.bool_)
-        while number != 0:  # upward: the first plane met on a side is the one that counts
+        while number != 0:  # upward: the first plane of each side counts
             parent = int(self._parents[number])
             axis, side = int(self.axes[parent]), int(number == self.children[parent])
             if not is_cut[side, axis]:
@@ -219,7 +219,7 @@ class KdMap(BlockMap):
             return ()
         nodes, ends = entries[:, 0], entries.view(np.float32)[:, 1]
         spots = []
-        # What lies on top begins where the ray is to leave the node that it is in.
+        # The top entry begins where the ray leaves its current node.
         t_in = float(place["t_out"])
         for node, t_out in zip(nodes[::-1].tolist(), ends[::-1].tolist(), strict=True):
             spots.append(LocalSpot(self._row(node), t_in, t_out))
@@ -246,7 +246,7 @@ class GraphMap(BlockMap):
 
     @cached_property
     def neighbors(self) -> list[list[list[int]]]:
-        """For each sector and each of its faces, in the order of `FACES`, the sectors behind."""
+        """The sectors behind each face of each sector, faces in the order of `FACES`."""
         return [[self._behind(link) for link in row] for row in self._links.tolist()]
 
     def box(self, number: int) -> NDArray[np.float64]:
@@ -285,8 +285,8 @@ class GraphMap(BlockMap):
         """See `StructureMap.spot`."""
         ray, place = records.ray, records.place
         number = (int(place["sector"]) - self._row_at) // (16 * SECTOR_ROWS)
-        # A place does not keep where its sector ends: it follows from the planes, as kernels
-        # find it, here to a rounding.
+        # The end of a sector is not stored: it is computed from the planes, as in kernels, here up
+        # to rounding.
         t_out = float(place["t_end"])
         for axis in range(3):
             way = float(ray["direction"][axis])

@@ -1,4 +1,4 @@
-"""page: a page of HTML that plays walks, complete in one file."""
+"""A self-contained HTML page that plays walks."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from raystream.rendering.false_colors import color_ramp
 
 __all__ = ["page", "write_page"]
 
-#: Parts of the page, in the order in which the browser gets them.
+#: Styles and scripts of the page, in order.
 _STYLES = ("page.css",)
 _SCRIPTS = ("plan.js", "sidebar.js", "player.js")
 
-#: Colours of heat maps, which the page mixes.
+#: Colours of heat maps, which the page interpolates.
 _COLORS = 33
 
-#: Directions of the fan's heat map; rows, columns and directions of that of places.
+#: Directions of the fan's heat map; rows, columns and directions of the map of places.
 _FAN = 180
 _PLACES = (36, 48)
 _PLACE_DIRECTIONS = 32
@@ -42,25 +42,24 @@ def page(
     *,
     fan_origin: tuple[float, float] | None = None,
 ) -> str:
-    """Make the page: the plan, five structures, and the walk of each ray through each.
+    """Make the page: the plan, five structures, and each ray's walk through each of them.
 
     Parameters
     ----------
     plan : FlatScene, optional
-        Without it `teaching_scene`.
+        [default: `teaching_scene`]
     rays : sequence of NamedRay, optional
-        Without them those of the teaching scene, or for another plan a fan.
+        [default: those of the teaching scene, or a fan for another plan]
     fan_origin : tuple of two float, optional
-        Where the heat map of directions begins; without it, in the middle of another plan.
+        Origin of the heat map of directions [default: the middle of another plan].
 
     Returns
     -------
     str
-        HTML that needs nothing else: no network, no other file. ``#ray=3&step=12`` after its
-        address opens a ray at a step; ``structure`` (``grid``, ``kdtree-stack``,
-        ``kdtree-restart``, ``kdtree-backtrack``, ``graph``), ``heat`` (``fan``, ``places``),
-        ``measure`` (``steps``, ``tests``), ``zoom=1`` and ``theme`` (``light``, ``dark``) can
-        follow.
+        HTML without external resources. Appending ``#ray=3&step=12`` to its address opens a ray at
+        a step; more parameters are ``structure`` (``grid``, ``kdtree-stack``, ``kdtree-restart``,
+        ``kdtree-backtrack``, ``graph``), ``heat`` (``fan``, ``places``), ``measure`` (``steps``,
+        ``tests``), ``zoom=1`` and ``theme`` (``light``, ``dark``).
 
     Raises
     ------
@@ -88,7 +87,7 @@ def write_page(
     *,
     fan_origin: tuple[float, float] | None = None,
 ) -> None:
-    """Write the page to a file, replaced as a whole when writing succeeded; see `page`."""
+    """Write the page to a file atomically; see `page`."""
     text = page(plan, rays, fan_origin=fan_origin)
     with atomic_write(path) as file:
         file.write_text(text, encoding="utf-8", newline="\n")
@@ -101,7 +100,7 @@ def _assemble(content: dict[str, Any]) -> str:
         "data": _json(content),
         "script": "\n".join(map(_part, _SCRIPTS)),
     }
-    # One cut for each: what is put in is not looked through for the next.
+    # Split once per part: inserted text is not searched for the next placeholder.
     rest, made = _part("page.html"), []
     for name, text in parts.items():
         before, rest = rest.split(f"<!-- {name} -->")
@@ -114,7 +113,7 @@ def _part(name: str) -> str:
 
 
 def _json(content: dict[str, Any]) -> str:
-    """JSON that cannot end the element it stands in, whatever names there are."""
+    """JSON that cannot terminate its HTML element, whatever the names."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
@@ -144,7 +143,7 @@ def _content(
 
 
 class _Strings:
-    """Strings by number, each once."""
+    """A table of unique strings."""
 
     def __init__(self) -> None:
         self.strings: list[str] = []
@@ -170,7 +169,7 @@ def _ray_content(
 
 
 def _walk_content(plan: FlatScene, ray: NamedRay, panel: Panel, table: _Strings) -> list[Any]:
-    """Each step as an object of what is not usual; the keys are explained in player.js."""
+    """Each step as an object without default values; player.js explains the keys."""
     walked = walk(panel.tracer, *plan.ray(ray.origin, ray.direction))
     made = []
     for step in walked.steps:

@@ -1,4 +1,4 @@
-"""Panels: the structures that the page shows, with what it draws of each."""
+"""The structures that the page shows, and their drawings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raystream.tracer import Tracer
 
 __all__ = ["Panel", "make_panels"]
 
-#: Prices that give small plans trees that are worth a look: cells down to a wall or two.
+#: Costs for detailed trees of small plans, with cells of one or two walls.
 _TREE = {"traversal_cost": 2.0, "max_depth": 11, "max_leaf_size": 2}
 _GRAPH = {"crossing_cost": 2.0, "link_cost": 1.0, "max_depth": 11, "max_leaf_size": 2}
 
@@ -25,7 +25,7 @@ class Panel(NamedTuple):
     Attributes
     ----------
     key : str
-        In links to the page.
+        Its name in links to the page.
     title : str
     tracer : Tracer
         With ``counters=True``.
@@ -38,7 +38,7 @@ class Panel(NamedTuple):
     chart: GridMap | KdMap | GraphMap
 
     def drawing(self) -> dict[str, Any]:
-        """What the page draws of the structure, in the plan."""
+        """The structure's drawing in the plan."""
         chart = self.chart
         boxes = [[_short(n) for n in box[:, :2].ravel().tolist()] for box in chart.boxes]
         sizes = [chart.list_size(number) for number in range(len(boxes))]
@@ -61,7 +61,7 @@ class Panel(NamedTuple):
 
 
 def make_panels(plan: FlatScene) -> list[Panel]:
-    """Build the five of the page: the grid, the kd-tree in three traversals, the graph."""
+    """Build the five panels: the grid, the kd-tree with three traversals, the graph."""
     width, depth = (plan.walls.max(axis=(0, 1)) - plan.walls.min(axis=(0, 1))).tolist()
     side = max(width, depth) / _CELLS
     counts = max(1, round(width / side)), max(1, round(depth / side)), 1

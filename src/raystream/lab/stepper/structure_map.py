@@ -1,4 +1,4 @@
-"""What a map of any structure tells: where a ray is, what is there, and what it tests."""
+"""The interface that interprets a machine's records: where a ray is, and what it tests."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["BlockMap", "LocalSpot", "Records", "StructureMap", "to_world"]
 
 
 class LocalSpot(NamedTuple):
-    """A place in a structure, and the part of a ray in it in local direction lengths."""
+    """A cell, node or sector, and the ray's interval in it in local direction lengths."""
 
     number: int
     t_in: float
@@ -23,16 +23,16 @@ class LocalSpot(NamedTuple):
 
 
 class Records(NamedTuple):
-    """What a machine keeps of one ray between two passes; see `machines.PassSnapshot`.
+    """A machine's records of one ray between two passes; see `machines.PassSnapshot`.
 
     Attributes
     ----------
     ray, place : void
         Its records in the streams of these names.
     t_far : float
-        Beyond which no hit is wanted any more, local direction lengths.
+        Distance beyond which hits are ignored, in local direction lengths.
     memory : ndarray of shape (B,), uint8
-        Its own.
+        Its stack memory.
     """
 
     ray: Any
@@ -42,7 +42,7 @@ class Records(NamedTuple):
 
 
 class StructureMap(ABC):
-    """Reads what a ray's records say of one structure."""
+    """Interprets a ray's records for one structure."""
 
     @abstractmethod
     def box(self, number: int) -> NDArray[np.float64]:
@@ -54,40 +54,40 @@ class StructureMap(ABC):
 
     @abstractmethod
     def label(self, number: int) -> str:
-        """What to call it in a sentence."""
+        """Its name in a sentence."""
 
     @abstractmethod
     def list_size(self, number: int) -> int:
-        """How many triangles it lists."""
+        """Number of triangles that it lists."""
 
     @abstractmethod
     def spot(self, records: Records) -> LocalSpot | None:
-        """Where a ray is; None for one that has nothing left to search."""
+        """The position of a ray; None if it has nothing left to search."""
 
     @abstractmethod
     def tested(self, place: Any, count: int) -> tuple[int, ...]:
         """The prim_ids of the next `count` triangles that a ray tests."""
 
     def stack(self, records: Records) -> tuple[LocalSpot, ...]:
-        """What a ray has put aside, that which is next first."""
+        """The ray's stack, next entry first."""
         del records
         return ()
 
     def way(self, origin: int, target: int, direction: NDArray[np.float64]) -> str | None:
-        """How a ray went from one place to another: a face, or None if that says nothing."""
+        """The face through which a ray moved from one place to another; None if not applicable."""
         del origin, target, direction
         return None
 
 
 def to_world(structure: Structure, local: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places of a structure's local frame in world space."""
+    """Transform positions from a structure's local frame to world space."""
     triangles = structure.triangles
     world: NDArray[np.float64] = local / triangles.scale + triangles.center
     return world
 
 
 class BlockMap(StructureMap):
-    """What lists triangles in blocks of four."""
+    """A map of a structure that lists triangles in blocks of four."""
 
     _block_rows: NDArray[np.int32]
     _blocks: NDArray[np.float32]

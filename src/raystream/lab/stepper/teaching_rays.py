@@ -1,4 +1,4 @@
-"""Rays for the teaching scene: a fan, and some with a story."""
+"""Rays for the teaching scene: a fan, and instructive cases."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 __all__ = ["FAN_ORIGIN", "NamedRay", "fan", "teaching_rays"]
 
-#: Where the fan of the teaching scene begins: in the empty middle.
+#: Origin of the teaching scene's fan, in the empty middle.
 FAN_ORIGIN = (9.3, 6.4)
 
 
@@ -30,7 +30,7 @@ class NamedRay(NamedTuple):
 
 
 def fan(origin: tuple[float, float], count: int) -> list[NamedRay]:
-    """Rays from one point in directions that are evenly spread."""
+    """Rays from one point in evenly spaced directions."""
     return [
         NamedRay(
             f"Fan, {round(360 * k / count)} degrees",
@@ -55,37 +55,38 @@ def teaching_rays() -> Sequence[NamedRay]:
     return [
         _towards(
             "Across the field to the teapot",
-            "Empty space first, then the crowded corner: the grid tests what the tree never sees.",
+            "Empty space first, then the crowded corner: the grid tests what the tree never "
+            "visits.",
             (2.2, 5.1),
             (12.05, 4.25),
         ),
         _towards(
-            "Long way through empty space",
-            "In at one gate and out at the other: how much does nothing cost?",
+            "A long path through empty space",
+            "In at one gate and out at the other: what is the cost of empty space?",
             (-0.6, 5.9),
             (16.6, 6.1),
         ),
         _towards(
-            "Past the teapot by a hair",
-            "Through crowded cells without a hit, and on to the wall behind them.",
+            "A near miss of the teapot",
+            "Through crowded cells without a hit, then to the wall behind them.",
             (7.9, 5.41),
             (12.05, 4.73),
         ),
         _towards(
             "Out of the teapot's handle",
-            "The hit is close by; the grid tests the whole teapot all the same.",
+            "The hit is close; the grid tests the whole teapot anyway.",
             (11.36, 4.06),
             (11.6, 4.2),
         ),
         _towards(
             "The hit lies behind the cell",
-            "A long wall is listed in all cells that it passes, its hit counts in one of them.",
+            "A long wall is listed in every cell that it crosses; its hit counts in one of them.",
             (3.2, 8.35),
             (6.79, 9.34),
         ),
         _towards(
             "Straight along an axis",
-            "One component is zero: the ray meets no plane of that axis.",
+            "One component is zero: the ray crosses no plane of that axis.",
             (12.3, 9.4),
             (12.3, 1.0),
         ),

@@ -1,4 +1,4 @@
-"""walk: what the multipass machine does with one ray, kernel by kernel."""
+"""Record one ray's walk on the multipass machine, kernel by kernel."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ __all__ = ["Spot", "Step", "Walk", "walk"]
 
 
 class Spot(NamedTuple):
-    """A cell, node or sector, and the part of the ray in it.
+    """A cell, node or sector, and the ray's interval in it.
 
     Attributes
     ----------
     number : int
-        In a grid the cell's number (those of a second level come after all of the first); in a
-        kd-tree the node's row; in a graph the sector's number; in a BVH the node's row, or
-        for a leaf the number of nodes and its first block.
+        In a grid the cell's number (the second level follows the first); in a kd-tree the node's
+        row; in a graph the sector's number; in a BVH the node's row, or for a leaf the number of
+        nodes plus its first block.
     kind : str
         ``"cell"``, ``"split"``, ``"node"``, ``"leaf"`` or ``"sector"``.
     low, high : tuple of three float
         Its box, world space.
     t_in, t_out : float
-        In direction lengths. A ray that backtracks, or begins anew at the root, has an interval
-        that ends where its search does. The last cell of a grid along an axis reaches on without
-        end: its t_out may lie far behind its box, and be inf. A BVH's root is looked at by rays
-        that miss it, too: t_out is then below t_in.
+        In direction lengths. The interval of a ray that backtracks or restarts at the root ends
+        where its search ends. The last cell of a grid along an axis is unbounded: its t_out may lie
+        far behind its box, or be inf. Rays that miss a BVH's root also visit it: t_out is then
+        below t_in.
     """
 
     number: int
@@ -58,22 +58,22 @@ class Step(NamedTuple):
     kernel : str
         Its name; see `raystream.machines`.
     before, after : RayState
-        What the ray waited for, and waits for now.
+        State of the ray before and after the step.
     at : Spot or None
-        Where it was: what the kernel looked at. None for the kernel that sets a ray up.
+        Where the ray was: what the kernel visited. None for set-up.
     to : Spot or None
-        Where it is now. None where a ray that misses the scene's box has ended.
+        Where the ray is now. None if it ended by missing the scene's box.
     face : str or None
-        In a graph, the face through which it left its sector by a link.
+        In a graph, the face through which it left its sector.
     tested : tuple of int
-        The triangles that were tested.
+        The tested triangles.
     t : float
     prim_id : int
-        The nearest hit so far: inf and -1 before there is one.
+        The nearest hit so far; inf and -1 if there is none.
     stack : tuple of Spot
-        What has been put aside, the next one first.
+        The stack, next entry first.
     counts : dict of str to int
-        What this step added to the ray's counts, by the names of `RayCounters`.
+        Increments of the ray's counts by the names of `RayCounters`.
     """
 
     kernel: str
@@ -90,7 +90,7 @@ class Step(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """A ray's way through a structure.
+    """A ray's walk through a structure.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Walk(NamedTuple):
     prim_id : int
         The hit; inf and -1 for a miss.
     is_whole : bool
-        Whether this is all; else hit and counts are those so far.
+        Whether the walk is complete; else hit and counts are those so far.
     """
 
     structure: str
@@ -122,28 +122,28 @@ class Walk(NamedTuple):
 
     @property
     def cells(self) -> list[int]:
-        """The cells, leaves or sectors that the ray looked at, in order."""
-        looks = "leaf" if self.structure == "kdtree" else "traverse"
-        spots = [step.at for step in self.steps if step.kernel == looks and step.at is not None]
+        """The cells, leaves or sectors that the ray visited, in order."""
+        visit = "leaf" if self.structure == "kdtree" else "traverse"
+        spots = [step.at for step in self.steps if step.kernel == visit and step.at is not None]
         return [at.number for at in spots if self.structure != "bvh" or at.kind == "leaf"]
 
 
 def walk(
-    tracer: Tracer, origin: ArrayLike, direction: ArrayLike, *, most_steps: int | None = None
+    tracer: Tracer, origin: ArrayLike, direction: ArrayLike, *, max_steps: int | None = None
 ) -> Walk:
     """Follow one ray to its nearest hit.
 
-    The ray is traced by the multipass machine, a step in each pass, and its streams are read
-    after each: what is recorded is what the machine does.
+    The multipass machine traces the ray with one step per pass, and its streams are read after each
+    pass: the walk is what the machine does.
 
     Parameters
     ----------
     tracer : Tracer
-        Of a grid, a kd-tree, a graph or a BVH, on the CPU; its machine does not matter.
+        Of a grid, kd-tree, graph or BVH on the CPU, with any machine.
     origin, direction : array_like of shape (3,), real
         World space, scene units.
-    most_steps : int, optional
-        Stop after so many: a cell of a grid can list a large part of a scene.
+    max_steps : int, optional
+        Maximum number of steps: a grid cell can list a large part of a scene [default: unlimited].
 
     Returns
     -------
@@ -152,8 +152,8 @@ def walk(
     Raises
     ------
     ValueError
-        If the structure is another one, there is more than one ray, or it is invalid: a
-        direction of zero, or a number that is not finite.
+        If the structure is not supported, there is more than one ray, or it is invalid: a zero
+        direction or a non-finite number.
 
     Examples
     --------
@@ -176,11 +176,11 @@ def walk(
     (block,) = blocks(batch, structure.frame, sink.status, None)
     if sink.status[0]:
         raise ValueError(f"walk: the ray from {origin!r} in direction {direction!r} is invalid")
-    recorder = _Recorder(chart, block, math.inf if most_steps is None else most_steps)
+    recorder = _Recorder(chart, block, math.inf if max_steps is None else max_steps)
     is_whole = True
     try:
-        MultipassBackend(structure).observed_by(recorder.note).run_local(query, block.rays, sink)
-    except _EnoughError:
+        MultipassBackend(structure).observed_by(recorder.record).run_local(query, block.rays, sink)
+    except _MaxStepsError:
         is_whole = False
     hits, tallies = sink.hits, sink.tallies
     assert tallies is not None
@@ -198,16 +198,16 @@ def walk(
     )
 
 
-class _EnoughError(Exception):
-    """Ends a walk that has as many steps as are wanted."""
+class _MaxStepsError(Exception):
+    """Ends a walk at the maximum number of steps."""
 
 
 class _Recorder:
-    """Turns what a machine shows of one ray into steps."""
+    """Converts a machine's snapshots of one ray to steps."""
 
-    def __init__(self, chart: StructureMap, block: RayBlock, most_steps: float) -> None:
+    def __init__(self, chart: StructureMap, block: RayBlock, max_steps: float) -> None:
         self.steps: list[Step] = []
-        self._chart, self._most_steps = chart, most_steps
+        self._chart, self._max_steps = chart, max_steps
         self._block = block
         self._direction = block.rays.directions[0].astype(np.float64)
         self._place: Any = None
@@ -215,8 +215,8 @@ class _Recorder:
         self._spot: Spot | None = None
         self._counts = dict.fromkeys(COLUMNS, 0)
 
-    def note(self, shown: PassSnapshot) -> None:
-        """Take down a pass, as a `machines.Observer`."""
+    def record(self, shown: PassSnapshot) -> None:
+        """Record a pass."""
         assert shown.hits is not None
         assert shown.tallies is not None
         ray, place, state = (shown.streams[name][0].copy() for name in ("ray", "place", "state"))
@@ -226,9 +226,9 @@ class _Recorder:
         if shown.kernel is not None:
             added = {name: n - self._counts[name] for name, n in counts.items()}
             after, at = RayState(int(state)), self._spot
-            if len(self.steps) >= self._most_steps:
-                raise _EnoughError
-            # A ray that never entered is nowhere, and one that has ended stays where it was.
+            if len(self.steps) >= self._max_steps:
+                raise _MaxStepsError
+            # A ray that never entered has no position, and a finished ray keeps its position.
             is_over = at is None and after in (RayState.DONE, RayState.SHADING)
             spot = None if is_over else self._chart.spot(records)
             to = None if spot is None else self._world(spot)
@@ -255,7 +255,7 @@ class _Recorder:
         self._place, self._counts = place, counts
 
     def world_t(self, t: float) -> float:
-        """A local distance in world direction lengths, as a query reports it."""
+        """Convert a local distance to world direction lengths, as a query reports it."""
         if not math.isfinite(t):
             return t
         array = np.array([t], np.float32)

@@ -1,4 +1,4 @@
-"""Walks of rays: recorded once, replayed under any schedule, and read as memory references."""
+"""Walks of rays: recorded once, replayed under any schedule, and turned into memory references."""
 
 from raystream.lab.walks.mailboxes import RepeatedTests, repeated_tests
 from raystream.lab.walks.memory_references import (

@@ -1,4 +1,4 @@
-"""Distinct walks: many rays of a picture walk alike, and a schedule treats them alike."""
+"""Deduplication of walks: many rays of an image take the same steps."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["DistinctWalks", "distinct_walks"]
 
 
 class DistinctWalks(NamedTuple):
-    """Each walk once.
+    """The distinct walks.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class DistinctWalks(NamedTuple):
     run_kernels : ndarray of shape (M,), uint8
     run_lengths : ndarray of shape (M,), uint32
     weights : ndarray of shape (D,), uint32
-        How many rays walk like this.
+        Number of rays that take each walk.
     """
 
     run_splits: NDArray[np.int64]
@@ -37,12 +37,12 @@ def distinct_walks(
     run_kernels: NDArray[np.uint8],
     run_lengths: NDArray[np.uint32],
 ) -> DistinctWalks:
-    """Find them among the runs of N rays, exactly; see `Walks`.
+    """Find the distinct walks among the runs of N rays, exactly; see `Walks`.
 
     Raises
     ------
     MemoryError
-        If they do not fit into the memory that is free.
+        If they do not fit into the free memory.
     """
     count = len(run_splits) - 1
     if count >= FREE:

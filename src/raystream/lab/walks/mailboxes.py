@@ -1,4 +1,4 @@
-"""What a mailbox would save: tests of a triangle that the same ray has tested before."""
+"""Savings of mailboxes: repeated tests of a triangle by the same ray."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from raystream.lab.walks.walks import Walks
 
 __all__ = ["RepeatedTests", "repeated_tests"]
 
-#: Rays that a thread takes at a time.
+#: Rays per task of a thread.
 _CHUNK = 1 << 16
 
-#: Most entries of a mailbox.
+#: Maximum entries of a mailbox.
 _MAX_ENTRIES = 1 << 20
 
 
 @dataclass(frozen=True)
 class RepeatedTests:
-    """Tests of all rays.
+    """Tests of all rays, and the repeated ones.
 
     Attributes
     ----------
     tests : int
     repeats : int
-        Of a triangle that the same ray had tested before: all that any mailbox can save.
+        Tests of a triangle that the same ray had tested before: the most that a mailbox can save.
     saved : mapping of int to int
-        Tests that a mailbox of so many entries for each ray saves.
+        Tests saved per ray by mailboxes, by their number of entries.
     """
 
     tests: int
@@ -44,15 +44,15 @@ class RepeatedTests:
 def repeated_tests(
     walks: Walks, *, entries: Sequence[int] = (1, 4, 16, 64), progress: Progress | None = None
 ) -> RepeatedTests:
-    """Count the tests that a mailbox for each ray would save.
+    """Count the tests that a mailbox per ray would save.
 
     Parameters
     ----------
     walks : Walks
-        Through a grid of one level, with visits.
+        Through a one-level grid, recorded with visits.
     entries : sequence of int
-        Sizes of mailboxes, powers of two. A triangle's result is kept in the entry of its
-        prim_id modulo the size, and lost when another one comes there.
+        Sizes of mailboxes, powers of two. A triangle's result is stored in the entry prim_id modulo
+        the size, and lost when another triangle overwrites it.
     progress : callable, optional
         Called with (rays done, rays).
 
@@ -63,12 +63,12 @@ def repeated_tests(
     Raises
     ------
     ValueError
-        If the walks are others, or a size is no power of two, up to 2**20.
+        If the walks are unsuitable, or a size is not a power of two up to 2**20.
 
     References
     ----------
     Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987;
-    Purcell 2002, section 3.1.3, which does without.
+    Purcell 2002, section 3.1.3, which has no mailbox.
     """
     grid = grid_of(walks)
     sizes = [operator.index(size) for size in entries]

@@ -1,4 +1,4 @@
-"""Memory references of recorded walks through a grid, for a simulator of a cache."""
+"""Memory references of recorded walks through a grid, as input for cache simulators."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ __all__ = [
     "multipass_references",
 ]
 
-#: References in a chunk, of 10 MB: of one that takes 40, the system clears the pages each time,
-#: which was a tenth of a simulator's time.
+#: References per chunk of 10 MB: with 40 MB, the system clears new pages for each chunk, which took
+#: a tenth of a simulator's time.
 CHUNK = 1 << 20
 
 _ROLES = {RayState.TRAVERSING: STEP, RayState.INTERSECTING: TEST, RayState.SHADING: SHADE}
@@ -49,16 +49,16 @@ _NOT_BEGUN = np.uint64(2**64 - 1)
 
 
 class ReferenceChunk(NamedTuple):
-    """Some references of a trace, in their order.
+    """Consecutive references of a trace.
 
     Attributes
     ----------
     addresses : ndarray of shape (R,), uint64
-        Of the first byte of each texel.
+        Address of the first byte of each texel.
     kinds : ndarray of shape (R,), uint8
-        A `Kind` for each.
+        The `Kind` of each.
     words : ndarray of shape (R,), uint8
-        Words of 4 bytes that are read from there.
+        Words of 4 bytes read from there.
     """
 
     addresses: NDArray[np.uint64]
@@ -67,27 +67,27 @@ class ReferenceChunk(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> ReferenceChunk:
-        """Make room for so many."""
+        """Allocate a chunk."""
         return cls(np.empty(count, np.uint64), np.empty(count, np.uint8), np.empty(count, np.uint8))
 
     def part(self, count: int) -> ReferenceChunk:
-        """The first of them."""
+        """The first `count` references."""
         return ReferenceChunk(self.addresses[:count], self.kinds[:count], self.words[:count])
 
 
 def branching_references(
     walks: Walks, *, order: str | Any = "rows", chunk: int = CHUNK
 ) -> Iterator[ReferenceChunk]:
-    """What a machine with branches reads: all of a ray, then all of the next.
+    """The reads of a machine with branches: all of a ray, then all of the next.
 
     Parameters
     ----------
     walks : Walks
-        Through a grid of one level, with visits.
+        Through a one-level grid, recorded with visits.
     order : {"rows", "tiles", "morton"} or array_like of int
-        In which rays are traced; see `orders.ray_order`.
+        Tracing order of the rays; see `ray_order`.
     chunk : int
-        Most references at a time.
+        Maximum references per chunk.
 
     Returns
     -------
@@ -96,13 +96,13 @@ def branching_references(
     Raises
     ------
     ValueError
-        If the walks are others, or the order is none.
+        If the walks or the order are unsuitable.
 
     Notes
     -----
-    A step reads a cell. A test reads an entry of the cell's list, and three corners: 10 words, as
+    A step reads a cell. A test reads an entry of the cell's list, and three vertices: 10 words, as
     in Table 1 of Purcell 2002; the null pointer that ends a list is not read. Shading a first hit
-    reads 21 words, and an any hit none. `Textures` says where these are.
+    reads 21 words, an any hit none. `Textures` gives the addresses.
     """
     grid = grid_of(walks)
     rays = ray_order(order, walks.shape)
@@ -123,35 +123,35 @@ def multipass_references(
     chunk: int = CHUNK,
     state_words: StateWords | None = None,
 ) -> Iterator[ReferenceChunk]:
-    """What a machine without branches reads: in each pass, of every ray that it runs on.
+    """The reads of a machine without branches: in each pass, of every ray that it runs on.
 
     Parameters
     ----------
     walks, order, chunk
         See `branching_references`.
     schedule : Replay
-        Of the same walks.
+        A schedule of the same walks.
     state_words : StateWords, optional
-        Words of state that each kernel reads for each ray; without it, Purcell's.
+        Words of state that each kernel reads per ray [default: Purcell's].
 
     Returns
     -------
     iterator of ReferenceChunk
-        Of a ray in a pass first its state, then what its steps read.
+        For each ray of a pass, first its state, then the reads of its steps.
 
     Raises
     ------
     ValueError
-        If the walks are others, the schedule is not theirs, or the order is none.
+        If the walks, the schedule or the order do not match.
 
     Notes
     -----
     Each pass that runs on a ray reads its state from the first textures of `Textures.state`, four
-    words a texel. The stencil buffer, and what passes write, are not among the references.
+    words per texel. The stencil buffer and the writes of passes are not among the references.
     """
     grid = grid_of(walks)
     if schedule.names != walks.names or schedule.ray_count != len(walks):
-        raise ValueError("schedule: not one of these walks")
+        raise ValueError("schedule: belongs to other walks")
     given = StateWords.of_purcell() if state_words is None else state_words
     words = np.array(_in_order(walks, given), np.uint8)
     rays = ray_order(order, walks.shape)
@@ -166,14 +166,14 @@ def multipass_references(
     def fill(out: OutAddresses, room: int) -> int:
         count = fetch_multipass(rays, tables.addresses, plan, places, cursor, out, room)
         if count < 0 or (count == 0 and (places.kernels != DONE).any()):
-            raise ValueError("schedule: not one of these walks")
+            raise ValueError("schedule: belongs to other walks")
         return count
 
     return _chunks(fill, max(chunk, STEP_ROOM * (int(at_once.max()) + 1)))
 
 
 def _chunks(fill: Callable[[OutAddresses, int], int], room: int) -> Iterator[ReferenceChunk]:
-    """Chunks as long as there are references."""
+    """Yield chunks until there are no more references."""
     while True:
         chunk = ReferenceChunk.empty(room)
         count = fill(OutAddresses(*(_address(array) for array in chunk)), room)
@@ -183,23 +183,23 @@ def _chunks(fill: Callable[[OutAddresses, int], int], room: int) -> Iterator[Ref
 
 
 def grid_of(walks: Walks) -> GridStructure:
-    """The grid of walks with cells; ValueError for others."""
+    """The grid of walks with visits; ValueError for others."""
     if not isinstance(walks.structure, GridStructure):
         raise ValueError(f"walks: expected walks through a grid, got {walks.structure.name}")
     if len(walks.structure.fine.cells):
         raise ValueError("walks: expected a grid of one level; build it with levels=1")
     if walks.visits is None:
-        raise ValueError("walks: expected their cells, too; record with visits=True")
+        raise ValueError("walks: expected visits; record with visits=True")
     return walks.structure
 
 
 def roles_of(walks: Walks) -> NDArray[np.uint8]:
-    """What each kernel reads; see `kernels.fetches`."""
+    """The role of each kernel; see `kernels.emit_references`."""
     return np.array([_ROLES.get(one.state, NOTHING) for one in walks.kernels], np.uint8)
 
 
 def _in_order(walks: Walks, words: StateWords) -> list[int]:
-    """Words by the position of the kernel."""
+    """Words of state by kernel index."""
     by_state = {
         RayState.STARTING: words.set_up,
         RayState.TRAVERSING: words.traverse,
@@ -213,7 +213,7 @@ def _in_order(walks: Walks, words: StateWords) -> list[int]:
 
 
 class _Tables(NamedTuple):
-    """Addresses, and the arrays that must stay there."""
+    """Addresses, and the arrays that must stay alive."""
 
     addresses: FetchTables
     arrays: tuple[NDArray[Any] | None, ...]
@@ -233,7 +233,7 @@ def _tables(walks: Walks, grid: GridStructure, layout: Textures) -> _Tables:
 
 
 def _first_and_pitch(begins: tuple[int, ...]) -> list[int]:
-    """Where the first of several textures of one size begins, and how far it is to the next."""
+    """The address of the first of several equal textures, and the distance to the next."""
     if not begins:
         return [0, 0]
     return [begins[0], begins[1] - begins[0] if len(begins) > 1 else 0]

@@ -1,4 +1,4 @@
-"""The order in which the rays of a picture are traced."""
+"""Orders in which the rays of an image are traced."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 
 __all__ = ["ORDERS", "ray_order"]
 
-#: Orders by name: row after row, tiles of 8 x 8 pixels row after row, and along Morton's curve.
+#: Row by row, in tiles of 8 x 8 pixels, and along a Morton curve.
 ORDERS = ("rows", "tiles", "morton")
 
-#: Bits of a tile's side, in pixels.
+#: log2 of a tile's side, in pixels.
 _TILE_BITS = 3
 
 
 def ray_order(order: str | Any, shape: tuple[int, ...]) -> NDArray[np.uint32]:
-    """Numbers of rays in the order in which they are traced.
+    """Ray indices in tracing order.
 
     Parameters
     ----------
     order : {"rows", "tiles", "morton"} or array_like of shape (N,), int
-        A name, or the numbers themselves.
+        A name, or the indices themselves.
     shape : tuple of int
-        Of the rays; all orders but ``"rows"`` need two axes, rows of pixels and pixels in a row.
+        Shape of the rays; all orders except ``"rows"`` need two axes, rows and columns.
 
     Returns
     -------
@@ -33,7 +33,7 @@ def ray_order(order: str | Any, shape: tuple[int, ...]) -> NDArray[np.uint32]:
     Raises
     ------
     ValueError
-        If there is no such order for this shape, or a ray is missing.
+        If the order is unknown, does not fit the shape, or misses a ray.
     """
     count = int(np.prod(shape, dtype=np.int64))
     if not isinstance(order, str):
@@ -55,7 +55,7 @@ def ray_order(order: str | Any, shape: tuple[int, ...]) -> NDArray[np.uint32]:
 
 
 def _tiled(x: NDArray[np.uint64], y: NDArray[np.uint64], width: int) -> NDArray[np.uint64]:
-    """Tile by tile, and row by row within a tile."""
+    """Sort keys for tile by tile, and row by row within a tile."""
     bits = np.uint64(_TILE_BITS)
     tile = (y >> bits) * np.uint64((width >> _TILE_BITS) + 1) + (x >> bits)
     inner = np.uint64((1 << _TILE_BITS) - 1)
@@ -63,7 +63,7 @@ def _tiled(x: NDArray[np.uint64], y: NDArray[np.uint64], width: int) -> NDArray[
 
 
 def _spread(number: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Move bit k to place 2 k (Morton 1966)."""
+    """Move bit k to bit 2 k (Morton 1966)."""
     for shift, mask in (
         (16, 0x0000FFFF0000FFFF),
         (8, 0x00FF00FF00FF00FF),

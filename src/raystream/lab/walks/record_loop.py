@@ -1,4 +1,4 @@
-"""The loop that walks rays: the multipass machine's kernels, on one ray from start to end."""
+"""The generated loop that records walks: the multipass kernels on one ray from start to end."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["VisitedPlaces", "search_loop", "visits_of"]
 
 
 class VisitedPlaces(NamedTuple):
-    """What of a structure can be recorded as places.
+    """The visits to a structure that can be recorded.
 
     Attributes
     ----------
     place_of : device function
-        (tree, place) to the number of a place, uint32.
+        Maps (tree, place) to the number of a cell or node, uint32.
     states : frozenset of RayState
-        Of the kernels whose steps look at one.
+        States of the kernels whose steps visit one.
     """
 
     place_of: Callable[..., Any]
@@ -42,28 +42,28 @@ _VISITS = {
 
 
 def visits_of(structure: str) -> VisitedPlaces | None:
-    """What steps through a structure look at, if that can be recorded."""
+    """The visits of steps through a structure; None if they cannot be recorded."""
     return _VISITS.get(structure)
 
 
 def search_loop(structure: str, steps: Steps) -> Loop:
-    """Make the loop over rays for a structure; the compiler is asked once for each.
+    """Generate the loop over rays for a structure, compiled once per structure.
 
     Parameters
     ----------
     structure : str
-        Name.
+        Its name.
     steps : Steps
 
     Returns
     -------
     Loop
-        ``loop(begin, end, rays, tree, query, found, place, is_kept, has_visits, run_splits,
-        run_kernels, run_lengths, visit_splits, visits)``. `found` and `place` are records of
-        the streams of these names, one of each. Without `is_kept`, the number of runs of ray i
-        is written to run_splits[i + 1]. With it, its runs are written from row run_splits[i] on,
-        and with `has_visits` also its places, from row visit_splits[i] on: a pass must then be
-        one step (``query.steps``).
+        ``loop(begin, end, rays, tree, query, found, place, is_recording, has_visits, run_splits,
+        run_kernels, run_lengths, visit_splits, visits)``. `found` and `place` are records of the
+        streams of these names, one of each. Without `is_recording`, the number of runs of ray i is
+        written to run_splits[i + 1]. With it, its runs are written from row run_splits[i], and with
+        `has_visits` also its visits, from row visit_splits[i]: a pass must then be one step
+        (``query.steps``).
     """
     own = visits_of(structure)
     states = own.states if own else frozenset()
@@ -84,7 +84,7 @@ def search_loop(structure: str, steps: Steps) -> Loop:
 
 
 def _lines(structure: str, steps: Steps, states: frozenset[RayState]) -> list[str]:
-    """The loop."""
+    """The lines of the loop."""
     body = []
     for number, one in enumerate(steps.kernels):
         body += [
@@ -93,8 +93,8 @@ def _lines(structure: str, steps: Steps, states: frozenset[RayState]) -> list[st
         ]
     return [
         f"# {structure}: {[(one.name, int(one.state), one.outputs) for one in steps.kernels]}",
-        "def loop(begin, end, rays, tree, query, found, place, is_kept, has_visits, run_splits,",
-        "         run_kernels, run_lengths, visit_splits, visits):",
+        "def loop(begin, end, rays, tree, query, found, place, is_recording, has_visits,",
+        "         run_splits, run_kernels, run_lengths, visit_splits, visits):",
         "    o, d = rays.origins, rays.directions",
         "    for i in range(u64(begin), u64(end)):",
         "        ray = Ray((o[i, 0], o[i, 1], o[i, 2]), (d[i, 0], d[i, 1], d[i, 2]),",
@@ -102,7 +102,7 @@ def _lines(structure: str, steps: Steps, states: frozenset[RayState]) -> list[st
         "        wanted = Wanted(i, u64(1), u32(i))",
         "        counted = query.runs + i * ROW",
         "        row, visit = u64(0), u64(0)",
-        "        if is_kept:",
+        "        if is_recording:",
         "            row, visit = u64(run_splits[i]), u64(visit_splits[i])",
         f"        state, latest = u8({int(RayState.STARTING)}), u8(255)",
         "        while True:",
@@ -110,19 +110,19 @@ def _lines(structure: str, steps: Steps, states: frozenset[RayState]) -> list[st
         "            else:",
         "                break",
         "            if kernel != latest:",
-        "                if is_kept:",
+        "                if is_recording:",
         "                    run_kernels[row], run_lengths[row] = kernel, u32(0)",
         "                row += u64(1)",
         "                latest = kernel",
-        "            if is_kept:",
+        "            if is_recording:",
         "                run_lengths[row - u64(1)] += u32(ticks)",
-        "        if not is_kept:",
+        "        if not is_recording:",
         "            run_splits[i + u64(1)] = row",
     ]
 
 
 def _step(number: int, one: StepKernel, steps: Steps, has_places: bool) -> list[str]:
-    """One kernel on a ray, and how many steps that were."""
+    """Code that runs one kernel on a ray and counts its steps."""
     layouts = {"found": Layout(FOUND), "place": Layout(steps.place)}
     place = layouts["place"].load("place", ["0"], "Place")
     known = {

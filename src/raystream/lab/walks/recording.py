@@ -1,4 +1,4 @@
-"""Recording: rays walk once through a structure, and every step is written down."""
+"""Record every step of rays through a structure."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from raystream.tracer import Tracer
 
 __all__ = ["record"]
 
-#: Rays that a thread takes at a time.
+#: Rays per task of a thread.
 _CHUNK = 1 << 12
 
-#: Bytes of a ray for counts, before anything of its steps is kept.
+#: Bytes per ray for counts, without its steps.
 _RAY_BYTES = 2 * 32 + 2 * 8 + 4
 
 #: More steps than any ray takes.
@@ -44,21 +44,21 @@ def record(
     visits: bool = False,
     progress: Progress | None = None,
 ) -> Walks:
-    """Trace rays, and keep which kernel of the multipass machine ran on each, and how often.
+    """Trace rays and record which kernels of the multipass machine run on each, and how often.
 
     Parameters
     ----------
     structure : Structure or Tracer
-        Any that has kernels.
+        Any structure with kernels.
     origins, directions : array_like of shape S + (3,), real
     t_min, t_max : float or array_like that broadcasts to S
         Closed search interval, in direction lengths.
     any_hit : bool
-        Look for any hit, as shadow rays do, instead of the first.
+        Find any hit, as shadow rays do, instead of the first.
     visits : bool
-        Keep the cells that each step looks at, or the nodes, too: 4 bytes a step.
+        Also record the cell or node that each step visits: 4 bytes per step.
     progress : callable, optional
-        Called with (rays done, rays), where each counts once for either search.
+        Called with (rays done, rays); each ray counts in both searches.
 
     Returns
     -------
@@ -67,30 +67,31 @@ def record(
     Raises
     ------
     ValueError
-        If the structure is not given as kernels, or places in it cannot be recorded.
+        If the structure has no kernels, or its visits cannot be recorded.
     MemoryError
-        If the steps do not fit into the memory that is free: known before they are kept.
+        If the steps do not fit into the free memory; checked before recording them.
 
     Notes
     -----
-    The machine's own functions run, on one ray from start to end; twice, so that the room is
-    known. A kernel does as many steps on end as it can, or one where places are recorded.
+    The machine's own kernels run on one ray from start to end, twice, since the first search
+    determines the memory needed. A kernel takes as many steps in a row as it can, or one if visits
+    are recorded.
     """
     if isinstance(structure, Tracer):
         structure = structure.structure
     if visits and visits_of(structure.name) is None:
-        raise ValueError(f"visits: {structure.name} has no places; expected grid or kdtree")
+        raise ValueError(f"visits: not supported for {structure.name}; expected grid or kdtree")
     batch = RayBatch(origins, directions, t_min, t_max)
     recording = _Recording(structure, batch, any_hit)
     count = len(batch)
     recording.run(part_of(progress, 0, 2 * count))
-    recording.make_room(visits)
+    recording.allocate(visits)
     recording.run(part_of(progress, count, 2 * count))
     return recording.walks()
 
 
 class _Recording:
-    """Rays that are searched twice: to count what they do, and to keep it."""
+    """Rays that are searched twice: to count their steps, and to record them."""
 
     def __init__(self, structure: Structure, batch: RayBatch, any_hit: bool) -> None:
         count = len(batch)
@@ -98,7 +99,7 @@ class _Recording:
         self.structure, self.batch, self.any_hit = structure, batch, any_hit
         self.steps = steps_of(structure)
         self.loop = search_loop(structure.name, self.steps)
-        self.is_kept = self.has_visits = False
+        self.is_recording = self.has_visits = False
         self.run_splits = np.zeros(count + 1, np.int64)
         self.visit_splits = np.zeros(count + 1, np.int64)
         self.tallies, self.runs = new_tallies(count), new_tallies(count)
@@ -107,29 +108,29 @@ class _Recording:
         self.visits = np.empty(0, np.uint32)
 
     def run(self, progress: Progress | None) -> None:
-        """Search all rays, a block at a time."""
+        """Search all rays, block by block."""
         status = np.zeros(len(self.batch), np.uint8)
         for block in blocks(self.batch, self.structure.frame, status, progress):
             self._run_block(block)
 
-    def make_room(self, has_visits: bool) -> None:
-        """Room for what the first search counted."""
+    def allocate(self, has_visits: bool) -> None:
+        """Allocate memory for the steps counted by the first search."""
         np.cumsum(self.run_splits, out=self.run_splits)
         if has_visits:
             np.cumsum(self._visit_counts(), out=self.visit_splits[1:])
         run_count, visit_count = int(self.run_splits[-1]), int(self.visit_splits[-1])
         check_memory(
             5 * run_count + 4 * visit_count,
-            f"{run_count:,} runs and {visit_count:,} places of {len(self.batch):,} rays would",
+            f"{run_count:,} runs and {visit_count:,} visits of {len(self.batch):,} rays would",
             "record fewer rays at a time",
         )
         self.run_kernels = np.empty(run_count, np.uint8)
         self.run_lengths = np.empty(run_count, np.uint32)
         self.visits = np.empty(visit_count, np.uint32)
-        self.is_kept, self.has_visits = True, has_visits
+        self.is_recording, self.has_visits = True, has_visits
 
     def _visit_counts(self) -> NDArray[np.int64]:
-        """Steps of each ray that look at a place."""
+        """Steps of each ray that visit a cell or node."""
         own = visits_of(self.structure.name)
         states = own.states if own else ()
         columns = [k for k, one in enumerate(self.steps.kernels) if one.state in states]
@@ -142,9 +143,9 @@ class _Recording:
         hits = None if self.any_hit else HitArrays.empty(count)
         if hits is not None:
             hits.prim_id.fill(-1)
-        # Counts were taken in the first search: the second one's are not looked at.
-        runs = new_tallies(count) if self.is_kept else self.runs[block.rows]
-        tallies = None if self.is_kept else self.tallies[block.rows]
+        # The first search took the counts: those of the second are ignored.
+        runs = new_tallies(count) if self.is_recording else self.runs[block.rows]
+        tallies = None if self.is_recording else self.tallies[block.rows]
 
         def search(begin: int, end: int) -> None:
             stack = np.empty(max(8, self.steps.stack_bytes), np.uint8)
@@ -156,7 +157,7 @@ class _Recording:
                 self._query(hits, tallies, runs, stack),
                 np.zeros(1, FOUND),
                 np.zeros(1, self.steps.place),
-                self.is_kept,
+                self.is_recording,
                 self.has_visits,
                 self.run_splits[rows],
                 self.run_kernels,
@@ -166,7 +167,7 @@ class _Recording:
             )
 
         parallel_for(search, count, _CHUNK, block.progress)
-        if hits is not None and self.is_kept:
+        if hits is not None and self.is_recording:
             self.prim_ids[block.rows] = hits.prim_id
 
     def _query(
@@ -176,7 +177,7 @@ class _Recording:
         runs: NDArray[np.uint32],
         stack: NDArray[np.uint8],
     ) -> StepArguments:
-        """What the kernels get: one stack, for one ray after another."""
+        """Arguments of the kernels, with one stack for one ray after another."""
         nowhere = np.uint64(0)
         return StepArguments(
             max_coordinate=np.float32(self.structure.triangles.max_coordinate),
@@ -192,7 +193,7 @@ class _Recording:
         )
 
     def walks(self) -> Walks:
-        """What was kept."""
+        """The recorded walks."""
         kernels = self.steps.kernels
         counters = RayCounters.of(self.tallies, self.batch.shape, self.structure.name, None)
         return Walks(

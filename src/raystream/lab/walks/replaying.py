@@ -1,4 +1,4 @@
-"""Replaying: the passes that any schedule takes for recorded walks, without tracing again."""
+"""Replay recorded walks: the passes of any schedule, without tracing again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from raystream.lab.walks.kernels.replay_passes import (
     MOST_WORK,
     NAIVE,
     THRESHOLD,
-    Queued,
+    QueueState,
     run_passes,
 )
 from raystream.lab.walks.walks import Walks
@@ -36,7 +36,7 @@ from raystream.machines.schedulers import (
 
 __all__ = ["Replay", "ReplayedPass", "replay", "sweep"]
 
-#: Room for the passes of one call of the compiled loop.
+#: Maximum passes per call of the compiled loop.
 _PASSES_PER_CALL = 1 << 14
 
 _RULES: dict[type, int] = {
@@ -54,7 +54,7 @@ class ReplayedPass(NamedTuple):
     ----------
     kernel : str
     run_count : int
-        Rays that it ran on.
+        Number of rays that it ran on.
     """
 
     kernel: str
@@ -63,22 +63,22 @@ class ReplayedPass(NamedTuple):
 
 @dataclass(frozen=True)
 class Replay:
-    """The passes of a schedule, in their order.
+    """The passes of a schedule, in order.
 
     Attributes
     ----------
     names : tuple of str
-        The kernels, in the order of a ray's way.
+        The kernels, in the order in which a ray reaches them.
     at_once : tuple of int
-        Steps of each in a pass.
+        Maximum steps of each per pass.
     ray_count : int
-        Rays that are there in each pass.
+        Number of rays.
     kernels : ndarray of shape (P,), uint8
-        Position in `names` of each pass's kernel.
+        Index into `names` of each pass's kernel.
     run_counts : ndarray of shape (P,), uint32
-        Rays that it ran on.
+        Number of rays that it ran on.
     optimal_count : int
-        No schedule has fewer passes; see `machines.Passes`.
+        Lower bound on the passes of any schedule; see `machines.Passes`.
     """
 
     names: tuple[str, ...]
@@ -103,14 +103,14 @@ class Replay:
 
     @property
     def runs(self) -> dict[str, int]:
-        """How many rays each kernel ran on, in all of its passes together."""
+        """Number of rays that each kernel ran on, summed over its passes."""
         sums = np.zeros(len(self.names), np.int64)
         np.add.at(sums, self.kernels, self.run_counts.astype(np.int64))
         return dict(zip(self.names, sums.tolist(), strict=True))
 
     @property
     def efficiency(self) -> float:
-        """SIMD efficiency: the mean share of all rays that a pass ran on; nan without passes."""
+        """SIMD efficiency: mean share of all rays that a pass ran on; nan without passes."""
         if not len(self):
             return float("nan")
         return float(self.run_counts.mean(dtype=np.float64) / self.ray_count)
@@ -124,7 +124,7 @@ def replay(
     traversal_steps: int = 1,
     intersections: int = 1,
 ) -> Replay:
-    """Find the passes that a multipass machine takes for these rays, all traced together.
+    """Compute the passes of a multipass machine for these rays, all traced together.
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def replay(
     Notes
     -----
     A ray that begins a run of n steps leaves its kernel after n passes of that kernel, or n / k if
-    a pass has k steps. So rays are kept in buckets by that pass, and those that walk alike are
-    one: time is proportional to the runs of distinct walks, and to the passes.
+    a pass has k steps. Rays are kept in buckets by that pass, and rays with equal walks are one:
+    time is proportional to the runs of distinct walks, and to the passes.
     """
     machine = MultipassBackend(
         walks.structure,
@@ -156,7 +156,7 @@ def replay(
     )
     limits = {"steps": machine.traversal_steps, "tests": machine.intersections, "": 1}
     at_once = tuple(limits[one.limit] for one in walks.kernels)
-    kernels, counts = _Replaying(walks, at_once).run(machine.scheduler)
+    kernels, counts = _ReplayState(walks, at_once).run(machine.scheduler)
     return Replay(
         names=walks.names,
         at_once=at_once,
@@ -176,7 +176,7 @@ def sweep(
     progress: Progress | None = None,
 ) -> list[Replay]:
     """Replay one schedule for each threshold, on all threads; see `replay`."""
-    _ = walks.distinct, walks.most_runs  # found once, and not on several threads
+    _ = walks.distinct, walks.most_runs  # compute once, before threads start
     replays: list[Replay | None] = [None] * len(thresholds)
 
     def fill(begin: int, end: int) -> None:
@@ -192,8 +192,8 @@ def sweep(
     return [one for one in replays if one is not None]
 
 
-class _Replaying:
-    """Rays on their way through a schedule."""
+class _ReplayState:
+    """The state of rays in a replayed schedule."""
 
     def __init__(self, walks: Walks, at_once: Sequence[int]) -> None:
         check_memory(28 * len(walks), f"queues of {len(walks):,} rays would", "replay fewer rays")
@@ -203,18 +203,18 @@ class _Replaying:
         self.queued = _queued(walks, self.at_once)
 
     def run(self, scheduler: Scheduler) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
-        """Kernel and rays of each pass."""
+        """Kernel and number of rays of each pass."""
         rule = _RULES.get(type(scheduler), CHOSEN)
         if rule == CHOSEN:
-            return self._ask(scheduler)
+            return self._run_custom(scheduler)
         share = scheduler.share if isinstance(scheduler, Threshold) else 0.0
         parts = [self._run(rule, share, -1, _PASSES_PER_CALL)]
         while len(parts[-1][0]) == _PASSES_PER_CALL:
             parts.append(self._run(rule, share, -1, _PASSES_PER_CALL))
-        return _joined(parts)
+        return _concatenate(parts)
 
-    def _ask(self, scheduler: Scheduler) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
-        """The same, as somebody's own scheduler chooses."""
+    def _run_custom(self, scheduler: Scheduler) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
+        """Run passes chosen by a custom scheduler."""
         kernels = self.walks.kernels
         parts = [self._run(CHOSEN, 0.0, -1, 0)]
         latest: int | None = None
@@ -223,7 +223,7 @@ class _Replaying:
             if latest not in range(len(kernels)) or not waiting[latest]:
                 raise ValueError(f"scheduler: {scheduler!r} chose {latest}, for which no ray waits")
             parts.append(self._run(CHOSEN, 0.0, latest, 1))
-        return _joined(parts)
+        return _concatenate(parts)
 
     def _run(
         self, rule: int, share: float, chosen: int, room: int
@@ -242,15 +242,15 @@ class _Replaying:
         return out[0][:count], out[1][:count]
 
 
-def _joined(
+def _concatenate(
     parts: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint32]]],
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint32]]:
     kernels, counts = zip(*parts, strict=True)
     return np.concatenate(kernels), np.concatenate(counts)
 
 
-def _queued(walks: Walks, at_once: NDArray[np.uint32]) -> Queued:
-    """All rays, those that walk alike as one, about to begin their first runs."""
+def _queued(walks: Walks, at_once: NDArray[np.uint32]) -> QueueState:
+    """The initial queues: all rays wait for their first runs."""
     splits, kernel_count = walks.distinct.run_splits, len(walks.kernels)
     count = len(splits) - 1
     # No run is longer than all steps of its kernel on its ray.
@@ -258,7 +258,7 @@ def _queued(walks: Walks, at_once: NDArray[np.uint32]) -> Queued:
     sizes = [1 << n.bit_length() for n in longest]
     links = np.arange(1, count + 1, dtype=np.uint32)
     links[-1:] = END
-    return Queued(
+    return QueueState(
         waiting=np.zeros(kernel_count, np.int64),
         clocks=np.zeros(kernel_count, np.uint64),
         offsets=(np.cumsum(sizes) - sizes).astype(np.uint64),

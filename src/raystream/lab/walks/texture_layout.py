@@ -1,4 +1,4 @@
-"""Where a grid, its triangles and the state of rays are in texture memory."""
+"""The layout of a grid, its triangles and the state of rays in texture memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SHADING_TEXTURES = 7
 
 
 class Kind(IntEnum):
-    """What a reference reads.
+    """The kind of data that a reference reads.
 
     Attributes
     ----------
@@ -35,11 +35,11 @@ class Kind(IntEnum):
     LISTS
         An entry of a cell's list.
     TRIANGLES
-        A corner.
+        A vertex.
     SHADING
-        A normal, a colour or what else shading needs of a triangle.
+        A normal, a colour or other shading data of a triangle.
     STATE
-        What a ray kept between two passes.
+        The state of a ray between two passes.
     """
 
     GRID = 0
@@ -50,7 +50,7 @@ class Kind(IntEnum):
 
 
 class StateWords(NamedTuple):
-    """Words of state that each kernel reads for a ray, of 4 bytes."""
+    """Words of 4 bytes of state that each kernel reads per ray."""
 
     set_up: int
     traverse: int
@@ -59,7 +59,7 @@ class StateWords(NamedTuple):
 
     @classmethod
     def of_purcell(cls) -> StateWords:
-        """Those of Purcell 2002, Table 1: columns R of the multipass architecture.
+        """The words of Purcell 2002, Table 1: columns R of the multipass architecture.
 
         `set_up` is the first of the paper's two passes.
         """
@@ -69,24 +69,24 @@ class StateWords(NamedTuple):
 
 @dataclass(frozen=True)
 class Textures:
-    """Purcell's textures, one after another (2002, section 3.1.3 and Figure 4).
+    """Purcell's textures in sequence (2002, section 3.1.3 and Figure 4).
 
-    A texel of the grid is one word: where the cell's list begins. One of the lists is a triangle's
-    number, and a list that is not empty ends with one more, the null pointer. Corners are RGB
-    texels in three textures by triangle. Shading reads 21 words (Table 1), which the paper does
-    not name: seven RGB texels by triangle here, of three normals, three colours, and one more.
-    State is RGBA texels by ray, in as many textures as it takes.
+    A texel of the grid is one word: the start of the cell's list. A texel of the lists is a
+    triangle's number, and a non-empty list ends with a null pointer. Vertices are RGB texels in
+    three textures, by triangle. Shading reads 21 words (Table 1), which the paper does not name:
+    here seven RGB texels by triangle, for three normals, three colours, and one more. State is RGBA
+    texels by ray, in as many textures as needed.
 
     Attributes
     ----------
     grid, lists : int
         Addresses of the textures, in bytes.
     corners, shading, state : tuple of int
-        The same, of several each.
+        The same, several each.
     byte_count : int
-        Of all, with what lies between them.
+        Of all textures, including padding.
     entries : ndarray of shape (C,), uint32
-        Where each cell's list begins in the texture of lists.
+        Start of each cell's list in the texture of lists.
     """
 
     grid: int
@@ -101,14 +101,14 @@ class Textures:
     def of(
         cls, grid: GridStructure, ray_count: int, state_words: StateWords | None = None
     ) -> Textures:
-        """Lay out a grid of one level, and rays.
+        """Lay out a one-level grid and the state of rays.
 
         Parameters
         ----------
         grid : GridStructure
         ray_count : int
         state_words : StateWords, optional
-            None if there are no passes.
+            None without passes.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Walks: what rays did, step by step, kept to be looked at again."""
+"""Recorded walks: the kernel runs of each ray."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["Run", "Walks"]
 
 
 class Run(NamedTuple):
-    """A kernel that runs on a ray several times on end.
+    """Consecutive steps of one kernel on a ray.
 
     Attributes
     ----------
     kernel : str
     length : int
-        Steps: of one pass each, unless several are done in one.
+        Number of steps, one pass each unless a pass takes several.
     """
 
     kernel: str
@@ -34,36 +34,36 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Walks:
-    """The kernel runs of each ray, in their order: those of the multipass machine.
+    """The runs of the multipass machine's kernels on each ray, in order.
 
     Attributes
     ----------
     structure : Structure
-        Kept, as places are numbers of its parts.
+        The structure that visits refer to.
     kernels : tuple of StepKernel
-        Of the structure; the one that begins first, shading last.
+        Of the structure: set-up first, shading last.
     shape : tuple of int
-        Of the rays: S, with N of them.
+        Shape S of the N rays.
     is_any_hit : bool
-        Whether rays look for any hit; else for the first.
+        Whether rays find any hit instead of the first.
     run_splits : ndarray of shape (N + 1,), int64
         Ray i has runs run_splits[i] to run_splits[i + 1].
     run_kernels : ndarray of shape (M,), uint8
-        Position in `kernels`. Neighbours on a ray differ.
+        Index into `kernels`; consecutive runs of a ray differ.
     run_lengths : ndarray of shape (M,), uint32
-        How many steps.
+        Number of steps.
     runs : ndarray of shape (N, K), uint32
         Steps of each kernel on each ray.
     prim_ids : ndarray of shape (N,), int32
-        First hits; -1 for a miss, and throughout for any hits.
+        First hits; -1 for a miss, and always for any hits.
     counters : RayCounters
-        What each ray met.
+        Counters of each ray.
     visit_splits : ndarray of shape (N + 1,), int64, or None
-        Ray i looked at the places visit_splits[i] to visit_splits[i + 1].
+        Ray i made the visits visit_splits[i] to visit_splits[i + 1].
     visits : ndarray of shape (V,), uint32, or None
-        In a grid, the cell of each step of `traverse`: cell (i, j, k) is i + nx (j + ny k), and
-        cells within cells follow, as in `FineArrays.lists`. In a kd-tree, the node at which
-        each step of `down`, `leaf` and `up` began. None if they were not asked for.
+        In a grid, the cell of each step of `traverse`: cell (i, j, k) is i + nx (j + ny k),
+        followed by inner cells, as in `FineArrays.lists`. In a kd-tree, the node at which each step
+        of `down`, `leaf` and `up` began. None if not recorded.
     """
 
     structure: Structure
@@ -89,35 +89,35 @@ class Walks:
 
     @property
     def byte_count(self) -> int:
-        """Memory of all arrays but the counters."""
+        """Memory of all arrays except the counters."""
         arrays = (self.run_splits, self.run_kernels, self.run_lengths, self.runs, self.prim_ids)
         own = sum(array.nbytes for array in arrays)
         return own + sum(a.nbytes for a in (self.visit_splits, self.visits) if a is not None)
 
     @cached_property
     def distinct(self) -> DistinctWalks:
-        """Each walk once, and how many rays walk like it."""
+        """The distinct walks, and the number of rays of each."""
         return distinct_walks(self.run_splits, self.run_kernels, self.run_lengths)
 
     @cached_property
     def most_runs(self) -> tuple[int, ...]:
-        """For each kernel, the most steps on any ray."""
+        """Maximum steps of each kernel on any ray."""
         return tuple(self.runs.max(axis=0, initial=0).tolist())
 
     def runs_of(self, ray: int) -> Iterator[Run]:
-        """The runs of one ray, in their order."""
+        """The runs of one ray, in order."""
         rows = slice(*self.run_splits[ray : ray + 2].tolist())
         names = self.names
         for k, n in zip(self.run_kernels[rows], self.run_lengths[rows], strict=True):
             yield Run(names[k], int(n))
 
     def visits_of(self, ray: int) -> NDArray[np.uint32]:
-        """The places that one ray looked at.
+        """The cells or nodes that one ray visited.
 
         Raises
         ------
         ValueError
-            If places were not recorded.
+            If visits were not recorded.
         """
         if self.visits is None or self.visit_splits is None:
             raise ValueError("visits: not recorded; record with visits=True")

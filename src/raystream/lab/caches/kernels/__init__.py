@@ -1,1 +1,1 @@
-"""Kernels that take a trace through a cache, one reference after the other."""
+"""Kernels that simulate caches, one reference after another."""

@@ -1,4 +1,4 @@
-"""Division by a number that stays the same, as one multiplication and two shifts."""
+"""Exact uint64 division by a fixed divisor: one multiplication and two shifts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Divisor", "divisor", "quotient"]
 
 
 class Divisor(NamedTuple):
-    """A divisor of uint64 numbers, as `quotient` takes it; all are uint64.
+    """A prepared divisor for `quotient`; all are uint64.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Divisor(NamedTuple):
 
 
 def divisor(number: int) -> Divisor:
-    """Prepare division by a number from 1 to 2**64 - 1.
+    """Prepare a divisor from 1 to 2**64 - 1.
 
     References
     ----------
@@ -45,6 +45,6 @@ def divisor(number: int) -> Divisor:
 
 @device
 def quotient(dividend, by):
-    """Divide a uint64 by a `Divisor`, rounded down: exact for every dividend."""
+    """Divide a uint64 by a `Divisor`, rounding down; exact for every dividend."""
     high = high_product(dividend, by.factor)
     return (high + ((dividend - high) >> by.first_shift)) >> by.second_shift

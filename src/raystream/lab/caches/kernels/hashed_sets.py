@@ -1,8 +1,7 @@
-"""Caches of many ways: a hash table finds a line, a ring for each set keeps their order.
+"""Simulate caches of many ways: a hash table finds lines, and a ring per set keeps LRU order.
 
-Each set owns as many slots as it has ways. Its slots are linked in a ring, from the latest used
-to the least recently used, which is before the latest: a new line takes its slot, and the ring
-turns by one.
+Each set owns one slot per way. Its slots form a ring from the most to the least recently used,
+which precedes the most recent: a new line takes that slot, and the ring rotates by one.
 """
 
 from __future__ import annotations
@@ -15,15 +14,15 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 from raystream.lab.caches.kernels.fast_division import quotient
 from raystream.lab.caches.kernels.hash_table import home_of
-from raystream.lab.caches.kernels.trace_access import lines_of, note_misses, note_reference
+from raystream.lab.caches.kernels.trace_access import count_misses, count_reference, lines_of
 
 __all__ = ["Rings", "run_linked"]
 
 _NONE = np.uint32(0)
 _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
-_NUMBER = np.uint64(3)  # eight bytes, as a shift
-_SLOT = np.uint64(2)  # four bytes, as a shift
+_NUMBER = np.uint64(3)  # log2 of 8 bytes
+_SLOT = np.uint64(2)  # log2 of 4 bytes
 
 
 class Rings(NamedTuple):
@@ -32,16 +31,15 @@ class Rings(NamedTuple):
     Attributes
     ----------
     table
-        Address of the hash table: in each place the number of a slot plus one, uint32, or 0.
-        At least half of the places are empty.
+        Address of the hash table, uint32: slot numbers plus one, or 0. At least half empty.
     shift, mask
-        See `home_of`; places of the table, less one.
+        See `home_of`; size of the table minus one.
     keys
-        Address of the line in each slot, plus one, uint64; 0 for none.
+        Address of the line in each slot plus one, uint64; 0 if empty.
     older, newer
         Addresses of each slot's neighbours in its ring, uint32.
     latest
-        Address of each set's latest slot, uint32.
+        Address of each set's most recently used slot, uint32.
     """
 
     table: np.uint64
@@ -71,7 +69,7 @@ def _key(rings, slot):
 
 @device
 def _place_of(rings, key):
-    """The place in the table that has a key, or the empty place where it belongs."""
+    """The table entry of a key, or the empty entry where it belongs."""
     place = home_of(key, rings.shift)
     while True:
         slot = _at(rings.table, place)
@@ -81,8 +79,8 @@ def _place_of(rings, key):
 
 
 @device
-def _take_out(rings, place):
-    """Empty a place, and move up what was put behind it for want of room."""
+def _remove(rings, place):
+    """Empty an entry, and move displaced entries back."""
     other = place
     while True:
         other = (other + _ONE) & rings.mask
@@ -111,17 +109,17 @@ def _refresh(rings, slot, latest):
 
 @device
 def _replace(rings, slot, key):
-    """Put a new key into a slot, whatever is there goes."""
+    """Replace the key of a slot."""
     former = _key(rings, slot)
     if former != _ZERO:
-        _take_out(rings, _place_of(rings, former))
+        _remove(rings, _place_of(rings, former))
     store(rings.keys + (slot << _NUMBER), key)
     _put(rings.table, _place_of(rings, key), slot + _ONE)
 
 
 @device
 def _touch(rings, ring, key):
-    """Make a key the latest of its ring; 1 if it is new."""
+    """Make a key the most recent of its ring; returns 1 if it is new."""
     latest = _at(rings.latest, ring)
     if _key(rings, latest) == key:
         return _ZERO
@@ -140,7 +138,7 @@ def _touch(rings, ring, key):
 
 @kernel
 def run_linked(trace, count, line_size, set_count, rings, counts):
-    """Take a chunk through a cache that drops the least recently used line of a set.
+    """Simulate a chunk of a trace in a set-associative LRU cache.
 
     Parameters
     ----------
@@ -149,14 +147,14 @@ def run_linked(trace, count, line_size, set_count, rings, counts):
         References in the chunk.
     line_size, set_count : Divisor
     rings : Rings
-        Its arrays are read and written.
+        Its arrays are updated.
     counts : uint64
-        Address of a row for each kind, see `trace.COLUMNS`. Read and written.
+        Address of a row per kind; see `trace_access.COLUMNS`. Updated.
     """
     for i in range(count):
         line, last, length, kind = lines_of(trace, np.uint64(i), line_size)
-        note_reference(counts, kind, length, last - line + _ONE)
+        count_reference(counts, kind, length, last - line + _ONE)
         while line <= last:
             ring = line - quotient(line, set_count) * set_count.number
             line += _ONE
-            note_misses(counts, kind, _touch(rings, ring, line))
+            count_misses(counts, kind, _touch(rings, ring, line))

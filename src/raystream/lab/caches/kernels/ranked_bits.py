@@ -1,4 +1,4 @@
-"""Marks on a time line: bits, and how many of them each block and each row of blocks has."""
+"""A bitmap with counts per block and per row of blocks, for fast ranks."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ __all__ = [
     "BITS",
     "BLOCK_WORDS",
     "ROW_BLOCKS",
-    "Marks",
-    "mark",
-    "marks_after",
-    "marks_before",
-    "unmark",
+    "RankedBits",
+    "clear_bit",
+    "count_after",
+    "count_before",
+    "set_bit",
 ]
 
-#: Bits of a word; words of a block; blocks of a row.
+#: Bits per word, words per block, blocks per row.
 BITS = BLOCK_WORDS = ROW_BLOCKS = 64
 
 _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
 _LAST = np.uint64(63)
-_NUMBER = np.uint64(3)  # eight bytes, as a shift
-# From a time to its word, block and row, as shifts.
+_NUMBER = np.uint64(3)  # log2 of 8 bytes
+# Shifts from a time to its word, block and row.
 _WORD, _BLOCK, _ROW = (np.uint64(k) for k in (6, 12, 18))
-_NEAR = np.uint64(4)  # words that are looked at one by one
+_NEAR = np.uint64(4)  # words that are counted one by one
 
 
-class Marks(NamedTuple):
-    """Marks; all are addresses of uint64.
+class RankedBits(NamedTuple):
+    """A bitmap over times; all are addresses of uint64.
 
     Attributes
     ----------
     words
-        64 marks each, the earliest in the lowest bit.
+        64 bits each, the earliest in the lowest bit.
     blocks
-        Marks of 64 words each.
+        Bits set in 64 words each.
     rows
-        Marks of 64 blocks each.
+        Bits set in 64 blocks each.
     """
 
     words: np.uint64
@@ -58,53 +58,52 @@ def _add(numbers, i, more):
 
 
 @device
-def mark(marks, time):
-    """Set the mark at a time that has none."""
-    _add(marks.words, time >> _WORD, _ONE << (time & _LAST))
-    _add(marks.blocks, time >> _BLOCK, _ONE)
-    _add(marks.rows, time >> _ROW, _ONE)
+def set_bit(bits, time):
+    """Set the bit of a time that is clear."""
+    _add(bits.words, time >> _WORD, _ONE << (time & _LAST))
+    _add(bits.blocks, time >> _BLOCK, _ONE)
+    _add(bits.rows, time >> _ROW, _ONE)
 
 
 @device
-def unmark(marks, time):
-    """Remove the mark at a time that has one."""
-    _add(marks.words, time >> _WORD, _ZERO - (_ONE << (time & _LAST)))
-    _add(marks.blocks, time >> _BLOCK, _ZERO - _ONE)
-    _add(marks.rows, time >> _ROW, _ZERO - _ONE)
+def clear_bit(bits, time):
+    """Clear the bit of a time that is set."""
+    _add(bits.words, time >> _WORD, _ZERO - (_ONE << (time & _LAST)))
+    _add(bits.blocks, time >> _BLOCK, _ZERO - _ONE)
+    _add(bits.rows, time >> _ROW, _ZERO - _ONE)
 
 
 @device
 def _part(numbers, i):
-    """Address of the 64 numbers among which number i is."""
+    """Address of the group of 64 numbers that contains number i."""
     return numbers + ((i & ~_LAST) << _NUMBER)
 
 
 @device
-def marks_before(word, time):
-    """How many marks of a time's word are before it."""
+def count_before(word, time):
+    """Count the bits set before a time in its word."""
     return popcount(word & ((_ONE << (time & _LAST)) - _ONE))
 
 
 @device
-def marks_after(marks, time, now):
-    """How many marks are after a time that has one, given that none is after `now`.
+def count_after(bits, time, now):
+    """Count the bits set after a time whose bit is set, given that none is set after `now`.
 
-    The nearest are counted by their bits, so that they cost little; what is far is counted by
-    the block or by the row.
+    Near bits are counted per word, distant ones per block or row.
     """
     word, last_word = time >> _WORD, now >> _WORD
-    count = popcount(load(np.uint64, marks.words + (word << _NUMBER)) >> (time & _LAST)) - _ONE
+    count = popcount(load(np.uint64, bits.words + (word << _NUMBER)) >> (time & _LAST)) - _ONE
     if last_word - word <= _NEAR:
         while word < last_word:
             word += _ONE
-            count += popcount(load(np.uint64, marks.words + (word << _NUMBER)))
+            count += popcount(load(np.uint64, bits.words + (word << _NUMBER)))
         return count
-    count += bits_above(_part(marks.words, word), word & _LAST)
+    count += bits_above(_part(bits.words, word), word & _LAST)
     block, last_block = time >> _BLOCK, now >> _BLOCK
     if block != last_block:
-        count += sum_above(_part(marks.blocks, block), block & _LAST)
+        count += sum_above(_part(bits.blocks, block), block & _LAST)
         row, last_row = time >> _ROW, now >> _ROW
         while row < last_row:
             row += _ONE
-            count += load(np.uint64, marks.rows + (row << _NUMBER))
+            count += load(np.uint64, bits.rows + (row << _NUMBER))
     return count

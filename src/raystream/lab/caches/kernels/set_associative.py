@@ -1,4 +1,4 @@
-"""Set-associative caches of few ways: a set is a short list, the latest line first."""
+"""Simulate set-associative caches of few ways: each set is a short list in LRU order."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, store
 from raystream.lab.caches.kernels.fast_division import quotient
-from raystream.lab.caches.kernels.trace_access import lines_of, note_misses, note_reference
+from raystream.lab.caches.kernels.trace_access import count_misses, count_reference, lines_of
 
 __all__ = ["run_sets"]
 
 _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
-_NUMBER = np.uint64(3)  # eight bytes, as a shift
+_NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
 @device
 def _to_front(begin, end, key):
-    """Move a key to the front of a set, the last one out if it is new; 1 if it is new."""
+    """Move a key to the front of a set; if it is new, evict the last one and return 1."""
     at = begin
     carried = key
     while at != end:
@@ -33,7 +33,7 @@ def _to_front(begin, end, key):
 
 @kernel
 def run_sets(trace, count, line_size, set_count, ways, held, counts):
-    """Take a chunk through a set-associative cache that drops the least recently used line.
+    """Simulate a chunk of a trace in a set-associative LRU cache.
 
     Parameters
     ----------
@@ -43,17 +43,16 @@ def run_sets(trace, count, line_size, set_count, ways, held, counts):
     line_size, set_count : Divisor
     ways : uint64
     held : uint64
-        Address of the cache: the lines of each set by latest use, plus one; 0 for none. Read
-        and written.
+        Address of the cache: the lines of each set in LRU order, plus one; 0 if empty. Updated.
     counts : uint64
-        Address of a row for each kind, see `trace.COLUMNS`. Read and written.
+        Address of a row per kind; see `trace_access.COLUMNS`. Updated.
     """
     row = ways << _NUMBER
     for i in range(count):
         line, last, length, kind = lines_of(trace, np.uint64(i), line_size)
-        note_reference(counts, kind, length, last - line + _ONE)
+        count_reference(counts, kind, length, last - line + _ONE)
         while line <= last:
             place = line - quotient(line, set_count) * set_count.number
             begin = held + place * row
             line += _ONE
-            note_misses(counts, kind, _to_front(begin, begin + row, line))
+            count_misses(counts, kind, _to_front(begin, begin + row, line))

@@ -1,15 +1,15 @@
-"""Exact LRU stack distances of a trace.
+"""Compute exact LRU stack distances of a trace.
 
-The distance of an access is the number of other lines that were accessed since the latest access
-to its line. Each line's latest access has a mark on a time line: the distance is the number of
-marks after it. A hash table finds that access. When the time line ends, the marks are moved
-together at its beginning; lines that are accessed again and again take no time.
+The distance of an access is the number of other lines accessed since the last access to its line.
+Each line's last access sets a bit on a time line: the distance is the number of bits set after it.
+A hash table finds the last access. When the time line is full, the set bits are compacted to its
+start; repeated accesses to one line take no time.
 
 References
 ----------
 Mattson, Gecsei, Slutz and Traiger, "Evaluation techniques for storage hierarchies", IBM Systems
 Journal 9(2), 1970. Bennett and Kruskal, "LRU stack processing", IBM Journal of Research and
-Development 19(4), 1975, have the time line and its sums.
+Development 19(4), 1975, introduced the time line and its sums.
 """
 
 from __future__ import annotations
@@ -21,35 +21,35 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import load, prefetch, store
 from raystream.lab.caches.kernels.hash_table import home_of
-from raystream.lab.caches.kernels.ranked_bits import mark, marks_after, marks_before, unmark
+from raystream.lab.caches.kernels.ranked_bits import clear_bit, count_after, count_before, set_bit
 from raystream.lab.caches.kernels.trace_access import (
+    count_misses,
+    count_reference,
     first_line,
     lines_of,
-    note_misses,
-    note_reference,
 )
 
 __all__ = ["Clock", "Histogram", "Latest", "move_entries", "move_times", "run_distances"]
 
 _ZERO = np.uint64(0)
 _ONE = np.uint64(1)
-_NUMBER = np.uint64(3)  # eight bytes, as a shift
-_ENTRY = np.uint64(4)  # sixteen bytes, as a shift
-_AHEAD = np.uint64(12)  # references that it takes for an entry to come from memory
-_TIME = np.uint64(8)  # where in an entry the time is
+_NUMBER = np.uint64(3)  # log2 of 8 bytes
+_ENTRY = np.uint64(4)  # log2 of 16 bytes
+_AHEAD = np.uint64(12)  # prefetch distance, in references
+_TIME = np.uint64(8)  # offset of the time in an entry
 
 
 class Latest(NamedTuple):
-    """The hash table of each line's latest access; all are uint64.
+    """The hash table of each line's last access; all are uint64.
 
     Attributes
     ----------
     entries
-        Address of pairs of uint64: a line plus one, or 0 for none; and when it was accessed.
+        Address of pairs of uint64: a line plus one (0 if empty), and its last access time.
     shift, mask
-        See `home_of`; places of the table, less one.
+        See `home_of`; size of the table minus one.
     limit
-        Lines that it may hold: no more than half of its places.
+        Maximum number of lines: half of its size.
     """
 
     entries: np.uint64
@@ -59,12 +59,12 @@ class Latest(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """Where the kernel keeps what it must know in the next chunk; all are uint64.
+    """The state that is kept between chunks; all are uint64.
 
     Attributes
     ----------
     state
-        Address of three uint64: the time; lines in the table; the latest line, plus one.
+        Address of three uint64: the time; the number of lines in the table; the last line plus one.
     end
         The end of the time line.
     """
@@ -90,7 +90,7 @@ class Histogram(NamedTuple):
 
 @device
 def _entry_of(latest, key):
-    """Address of a key's entry, or of the empty one where it belongs."""
+    """Address of a key's entry, or of the empty entry where it belongs."""
     place = home_of(key, latest.shift)
     while True:
         entry = latest.entries + (place << _ENTRY)
@@ -107,16 +107,16 @@ def _count_distance(histogram, kind, distance):
 
 
 @device
-def _look_ahead(trace, i, count, line_size, latest):
-    """Ask for the entry of a reference's first line: it takes long to come from memory."""
+def _prefetch(trace, i, count, line_size, latest):
+    """Prefetch the table entry of a reference's first line."""
     if i < count:
         key = first_line(trace, i, line_size) + _ONE
         prefetch(latest.entries + (home_of(key, latest.shift) << _ENTRY))
 
 
 @kernel
-def run_distances(trace, start, count, line_size, latest, marks, clock, histogram, counts):
-    """Count the distances of a chunk from reference `start` on.
+def run_distances(trace, start, count, line_size, latest, bits, clock, histogram, counts):
+    """Count the distances of a chunk, starting at reference `start`.
 
     Parameters
     ----------
@@ -124,29 +124,29 @@ def run_distances(trace, start, count, line_size, latest, marks, clock, histogra
     start, count : uint64
     line_size : Divisor
     latest : Latest
-    marks : Marks
+    bits : RankedBits
     clock : Clock
-        The arrays of all three are read and written.
+        The arrays of all three are updated.
     histogram : Histogram
     counts : uint64
-        Address of a row for each kind, see `trace.COLUMNS`. Misses are first accesses.
+        Address of a row per kind; see `trace_access.COLUMNS`. Misses are first accesses.
 
     Returns
     -------
     int
-        `count`, or the reference that has to wait until there is more room.
+        `count`, or the first reference that needs a larger table or time line.
     """
     now = load(np.uint64, clock.state)
     known = load(np.uint64, clock.state + np.uint64(8))
     former = load(np.uint64, clock.state + np.uint64(16))
     i = start
     while i < count:
-        _look_ahead(trace, i + _AHEAD, count, line_size, latest)
+        _prefetch(trace, i + _AHEAD, count, line_size, latest)
         line, last, length, kind = lines_of(trace, i, line_size)
         touched = last - line + _ONE
         if now + touched > clock.end or known + touched > latest.limit:
             break
-        note_reference(counts, kind, length, touched)
+        count_reference(counts, kind, length, touched)
         while line <= last:
             line += _ONE
             if line == former:
@@ -156,13 +156,13 @@ def run_distances(trace, start, count, line_size, latest, marks, clock, histogra
             entry = _entry_of(latest, line)
             if load(np.uint64, entry) == line:
                 time = load(np.uint64, entry + _TIME)
-                _count_distance(histogram, kind, marks_after(marks, time, now))
-                unmark(marks, time)
+                _count_distance(histogram, kind, count_after(bits, time, now))
+                clear_bit(bits, time)
             else:
                 store(entry, line)
                 known += _ONE
-                note_misses(counts, kind, _ONE)
-            mark(marks, now)
+                count_misses(counts, kind, _ONE)
+            set_bit(bits, now)
             store(entry + _TIME, now)
             now += _ONE
         i += _ONE
@@ -174,27 +174,27 @@ def run_distances(trace, start, count, line_size, latest, marks, clock, histogra
 
 @kernel
 def move_times(latest, words, before):
-    """Give each line the rank of its time among the marks instead of the time.
+    """Replace each line's time by its rank among the set bits.
 
     Parameters
     ----------
     latest : Latest
-        Its times are read and written.
+        Its times are updated.
     words, before : uint64
-        Addresses of the marks' words, and of how many marks are before each word.
+        Addresses of the bitmap's words, and of the number of bits set before each word.
     """
     for place in range(latest.mask + _ONE):
         entry = latest.entries + (np.uint64(place) << _ENTRY)
         if load(np.uint64, entry) != _ZERO:
             time = load(np.uint64, entry + _TIME)
             at = (time >> np.uint64(6)) << _NUMBER
-            rank = load(np.uint64, before + at) + marks_before(load(np.uint64, words + at), time)
+            rank = load(np.uint64, before + at) + count_before(load(np.uint64, words + at), time)
             store(entry + _TIME, rank)
 
 
 @kernel
 def move_entries(former, latest):
-    """Copy the entries of a table into a larger, empty one.
+    """Rehash a table's entries into a larger, empty table.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What kernels see of a trace, and what they count of it."""
+"""Trace access and counting in kernels."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.lab.caches.kernels.fast_division import quotient
 
-__all__ = ["COLUMNS", "Trace", "first_line", "lines_of", "note_misses", "note_reference"]
+__all__ = ["COLUMNS", "Trace", "count_misses", "count_reference", "first_line", "lines_of"]
 
-#: What is counted for each kind of data, in the order of a row of uint64.
+#: The counts per kind of data, in the order of a row of uint64.
 COLUMNS = ("references", "byte_count", "accesses", "misses")
 
 _BYTES, _ACCESSES, _MISSES = (np.uint64(8 * k) for k in range(1, 4))
-_ROW = np.uint64(5)  # its 32 bytes, as a shift
+_ROW = np.uint64(5)  # log2 of 32 bytes
 _ONE = np.uint64(1)
-_NUMBER = np.uint64(3)  # eight bytes, as a shift
+_NUMBER = np.uint64(3)  # log2 of 8 bytes
 
 
 class Trace(NamedTuple):
@@ -27,11 +27,11 @@ class Trace(NamedTuple):
     Attributes
     ----------
     addresses
-        Where the references' addresses are, uint64.
+        Address of the references' addresses, uint64.
     kinds, lengths
-        Where their kinds and lengths are, uint8.
+        Addresses of their kinds and lengths, uint8.
     kind_step, length_step
-        1, or 0 where all references have the same.
+        1, or 0 if all references share one value.
     """
 
     addresses: np.uint64
@@ -43,7 +43,7 @@ class Trace(NamedTuple):
 
 @device
 def lines_of(trace, i, line_size):
-    """Reference i: the first and last line that it touches, its length, its kind."""
+    """Load reference i: the first and last line that it touches, its length, its kind."""
     begin = load(np.uint64, trace.addresses + (i << _NUMBER))
     length = np.uint64(load(np.uint8, trace.lengths + i * trace.length_step))
     kind = np.uint64(load(np.uint8, trace.kinds + i * trace.kind_step))
@@ -58,8 +58,8 @@ def first_line(trace, i, line_size):
 
 
 @device
-def note_reference(counts, kind, length, accesses):
-    """Count a reference that touches some lines."""
+def count_reference(counts, kind, length, accesses):
+    """Count a reference and its line accesses."""
     row = counts + (kind << _ROW)
     store(row, load(np.uint64, row) + _ONE)
     store(row + _BYTES, load(np.uint64, row + _BYTES) + length)
@@ -67,7 +67,7 @@ def note_reference(counts, kind, length, accesses):
 
 
 @device
-def note_misses(counts, kind, misses):
+def count_misses(counts, kind, misses):
     """Count misses."""
     at = counts + (kind << _ROW) + _MISSES
     store(at, load(np.uint64, at) + misses)

@@ -1,1 +1,1 @@
-"""Compiled parts of recorded walks."""
+"""Kernels that record, deduplicate and replay walks."""

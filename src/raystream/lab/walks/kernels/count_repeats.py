@@ -1,4 +1,4 @@
-"""Tests that a ray did before."""
+"""Count a ray's repeated triangle tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _EMPTY = np.int32(-1)
 
 @kernel
 def count_repeats(begin, end, walks, lists, roles, stamps, boxes, counts):
-    """Count the tests of the rays begin to end, and those that repeat one.
+    """Count the tests of the rays begin to end, and the repeated ones.
 
     Parameters
     ----------
@@ -22,14 +22,13 @@ def count_repeats(begin, end, walks, lists, roles, stamps, boxes, counts):
         ``run_splits``, ``run_kernels``, ``run_lengths``, ``visit_splits``, ``visits`` of `Walks`.
     lists : GridArrays
     roles : ndarray of shape (K,), uint8
-        See `fetches`: 1 looks at a cell, 2 tests a triangle.
+        See `emit_references`: 1 visits a cell, 2 tests per triangle.
     stamps : ndarray of shape (F,), int64
-        -1, for each triangle; the ray that tested it last is written.
+        Initially -1; the last ray that tested each triangle is written.
     boxes : tuple of ndarray, int32
-        Mailboxes of a ray, each of a power of two of entries.
+        Mailboxes of a ray; their sizes are powers of two.
     counts : ndarray of shape (2 + B,), int64
-        Tests, those of a triangle that the ray had tested, and those that each mailbox knew,
-        are added.
+        Added to: tests, tests repeated by the same ray, and hits in each mailbox.
     """
     run_splits, run_kernels, run_lengths, visit_splits, visits = walks
     splits, references = lists.splits, lists.references

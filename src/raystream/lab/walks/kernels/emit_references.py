@@ -1,4 +1,4 @@
-"""Memory references of recorded walks, written ray by ray or pass by pass."""
+"""Write the memory references of recorded walks, ray by ray or pass by pass."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ __all__ = [
     "fetch_multipass",
 ]
 
-#: What a kernel reads.
+#: Roles of kernels, which decide what they read.
 NOTHING, STEP, TEST, SHADE = (np.uint8(k) for k in range(4))
 
-#: Most references of one step.
+#: Maximum references per step.
 STEP_ROOM = 8
 
-#: The kernel of a ray that has ended.
+#: The kernel of a finished ray.
 DONE = np.uint8(255)
 
 _GRID, _LISTS, _TRIANGLES, _SHADING, _STATE = (np.uint8(k) for k in range(5))
 _ZERO, _ONE, _THREE, _FOUR, _SEVEN = (np.uint64(k) for k in (0, 1, 3, 4, 7))
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
+_WORD = np.uint64(2)  # log2 of 4 bytes
 _LONG = np.uint64(3)
 _RGB = np.uint64(12)
-_RGBA = np.uint64(4)  # a texel's 16 bytes, as a shift
+_RGBA = np.uint64(4)  # log2 of 16 bytes
 _NO_HIT = np.int32(-1)
 
 
 class FetchTables(NamedTuple):
-    """What references follow from: addresses of arrays, and of textures in texture memory.
+    """The inputs of references: addresses of arrays, and of textures in texture memory.
 
     Attributes
     ----------
@@ -54,9 +54,9 @@ class FetchTables(NamedTuple):
     splits, references, entries : uint64
         See `GridArrays` and `Textures`.
     roles : uint64
-        What each kernel reads, uint8.
+        The role of each kernel, uint8.
     grid, lists, corners, corner_pitch, shading, shading_pitch, state, state_pitch : uint64
-        First of the textures of each kind, and how far it is to the next one.
+        The first texture of each kind, and the distance to the next one.
     """
 
     run_splits: np.uint64
@@ -80,7 +80,7 @@ class FetchTables(NamedTuple):
 
 
 class OutAddresses(NamedTuple):
-    """Where references go: addresses of uint64, uint8 and uint8."""
+    """Output addresses of references: uint64, uint8 and uint8."""
 
     addresses: np.uint64
     kinds: np.uint64
@@ -131,7 +131,7 @@ class RayProgress(NamedTuple):
 
 @device
 def _put(out, at, address, kind, words):
-    """Write a reference; returns the place of the next one."""
+    """Write a reference; returns the index of the next one."""
     store(out.addresses + (at << _LONG), address)
     store(out.kinds + at, kind)
     store(out.words + at, np.uint8(words))
@@ -156,9 +156,9 @@ def _kernel_of(tables, run):
 
 @device
 def _fetch(tables, out, at, role, ray, visit, done):
-    """The references of one step of a ray, after `visit` cells and `done` steps of its run.
+    """Write the references of one step of a ray, after `visit` cells and `done` steps of its run.
 
-    Returns the place of the next reference, and how many cells were looked at.
+    Returns the index of the next reference, and the number of cells visited.
     """
     if role == STEP:
         address = tables.grid + (_word(tables.visits, visit) << _WORD)
@@ -184,23 +184,23 @@ def _fetch(tables, out, at, role, ray, visit, done):
 
 @kernel
 def fetch_branching(order, tables, cursor, out, room):
-    """Write references ray by ray, until there is no room for a step.
+    """Write references ray by ray, until the output is full.
 
     Parameters
     ----------
     order : ndarray of shape (N,), uint32
     tables : FetchTables
     cursor : ndarray of shape (4,), uint64
-        How many rays have ended; and of the next one, its run, the steps of it that were
-        done, and the row of its next cell; if the run is `2**64 - 1`, it has not begun. Changed.
+        Number of finished rays; and of the next one, its run (`2**64 - 1` if not started), the
+        finished steps of the run, and the row of its next cell. Updated.
     out : OutAddresses
     room : int
-        References that `out` takes.
+        Capacity of `out` in references.
 
     Returns
     -------
     int
-        How many were written.
+        Number of references written.
     """
     at, last = _ZERO, np.uint64(room) - np.uint64(STEP_ROOM)
     place, run, done, visit = cursor[0], cursor[1], cursor[2], cursor[3]
@@ -227,7 +227,7 @@ def fetch_branching(order, tables, cursor, out, room):
 
 @kernel
 def begin_rays(tables, rays):
-    """Put all rays at their first runs; see `fetch_multipass`."""
+    """Start all rays at their first runs; see `fetch_multipass`."""
     for ray in range(np.uint64(len(rays.kernels))):
         run = _long(tables.run_splits, ray)
         rays.runs[ray], rays.done[ray] = run, 0
@@ -238,7 +238,7 @@ def begin_rays(tables, rays):
 
 @kernel
 def fetch_multipass(order, tables, plan, rays, cursor, out, room):
-    """Write references pass by pass, until there is no room for a ray.
+    """Write references pass by pass, until the output is full.
 
     Parameters
     ----------
@@ -248,13 +248,13 @@ def fetch_multipass(order, tables, plan, rays, cursor, out, room):
     rays : RayProgress
         Updated.
     cursor : ndarray of shape (3,), uint64
-        Passes that are over; rays that were looked at in the next one, and how many of these it
-        ran on. Changed.
+        Finished passes; rays visited in the next pass, and the number of them that it ran on.
+        Updated.
 
     Returns
     -------
     int
-        How many were written; -1 if a pass did not run on as many rays as it should.
+        Number of references written; -1 if a pass ran on another number of rays than planned.
     """
     at = _ZERO
     passes, counts, at_once, words = plan
@@ -270,14 +270,14 @@ def fetch_multipass(order, tables, plan, rays, cursor, out, room):
             if np.uint64(rays.kernels[ray]) != kernel_number:
                 continue
             ran += _ONE
-            # Step 1: its state, four words a texel.
+            # Step 1: its state, four words per texel.
             address, left = tables.state + (ray << _RGBA), state_words
             while left != _ZERO:
                 read = min(left, _FOUR)
                 at = _put(out, at, address, _STATE, read)
                 address += tables.state_pitch
                 left -= read
-            # Step 2: what its steps read.
+            # Step 2: the reads of its steps.
             run, done, visit = rays.runs[ray], np.uint64(rays.done[ray]), rays.visits[ray]
             length = _word(tables.run_lengths, run)
             for _ in range(min(most, length - done)):

@@ -1,4 +1,4 @@
-"""Finding rays whose walks are the same."""
+"""Find rays whose walks are equal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from raystream.jit.cpu import device, kernel
 
 __all__ = ["FREE", "find_distinct"]
 
-#: A free place of the table.
+#: A free entry of the table.
 FREE = np.uint32(2**32 - 1)
 
 _ONE = np.uint64(1)
@@ -40,21 +40,21 @@ def _are_same(kernels, lengths, a, b, count):
 
 @kernel
 def find_distinct(splits, kernels, lengths, table, firsts, weights):
-    """Find the first ray of each walk, and how many rays walk like it.
+    """Find the first ray of each distinct walk, and the number of rays that take it.
 
     Parameters
     ----------
     splits, kernels, lengths : ndarray
         The runs of N rays; see `Walks`.
     table : ndarray of shape (T,), uint32
-        Full of `FREE`; T is a power of two above N.
+        Filled with `FREE`; T is a power of two above N.
     firsts, weights : ndarray of shape (N,), uint32
-        Written for each walk, in the order of the first rays.
+        Written per distinct walk, in the order of the first rays.
 
     Returns
     -------
     int
-        How many walks there are.
+        Number of distinct walks.
     """
     found = _ZERO
     mask = np.uint64(len(table)) - _ONE

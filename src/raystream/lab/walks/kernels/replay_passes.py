@@ -1,4 +1,4 @@
-"""Replaying passes: rays wait in buckets by the pass in which they leave their kernel."""
+"""Replay passes: rays wait in buckets by the pass in which they leave their kernel."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
 
-__all__ = ["CHOSEN", "DOUBLE", "END", "MOST_WORK", "NAIVE", "THRESHOLD", "Queued", "run_passes"]
+__all__ = ["CHOSEN", "DOUBLE", "END", "MOST_WORK", "NAIVE", "THRESHOLD", "QueueState", "run_passes"]
 
-#: The rules of `machines.schedulers`, and a kernel that somebody else chose.
+#: The rules of `machines.schedulers`, and a kernel chosen by the caller.
 NAIVE, THRESHOLD, MOST_WORK, DOUBLE, CHOSEN = range(5)
 
 #: No ray.
@@ -20,28 +20,28 @@ END = np.uint32(2**32 - 1)
 _ONE = np.uint64(1)
 
 
-class Queued(NamedTuple):
-    """Rays that wait for K kernels; those that walk alike are one.
+class QueueState(NamedTuple):
+    """Rays that wait for K kernels; rays with equal walks are one.
 
     Attributes
     ----------
     waiting : ndarray of shape (K,), int64
-        How many rays wait for each.
+        Number of rays that wait for each.
     clocks : ndarray of shape (K,), uint64
-        Passes that each has run.
+        Number of passes that each has run.
     offsets, masks : ndarray of shape (K,), uint64
-        The buckets of kernel k begin at offsets[k]; a ray that leaves in pass c of it is in
-        bucket ``c & masks[k]``. There are more buckets than passes of the longest run.
+        The buckets of kernel k begin at offsets[k]; a ray that leaves in its pass c is in bucket
+        ``c & masks[k]``. There are more buckets than passes of the longest run.
     heads : ndarray of shape (B,), uint32
         The first ray in each bucket, or `END`.
     links : ndarray of shape (N,), uint32
         The next ray in the same bucket.
     cursors : ndarray of shape (N,), int64
-        The run after the one that each ray is in.
+        The run after each ray's current run.
     latest : ndarray of shape (1,), int64
         The kernel that ran last; -1 before the first pass.
     leaving : ndarray of shape (1,), uint32
-        First of the rays whose run is over.
+        First of the rays whose run has ended.
     """
 
     waiting: NDArray[np.int64]
@@ -57,11 +57,11 @@ class Queued(NamedTuple):
 
 @device
 def _fullest(waiting, is_tests, tests_too, end):
-    """The first kernel before `end` with the most rays; -1 if none has any."""
+    """The first kernel before `end` with the most rays; -1 if no ray waits."""
     best = -1
     for k in range(end):
-        is_asked = waiting[k] and (tests_too or not is_tests[k])
-        if is_asked and (best < 0 or waiting[k] > waiting[best]):
+        is_candidate = waiting[k] and (tests_too or not is_tests[k])
+        if is_candidate and (best < 0 or waiting[k] > waiting[best]):
             best = k
     return best
 
@@ -76,7 +76,7 @@ def _first_test(waiting, is_tests):
 
 @device
 def _choose(rule, share, waiting, is_tests, latest):
-    """The number of the next kernel: see the classes of `machines.schedulers`."""
+    """Choose the next kernel; see the classes of `machines.schedulers`."""
     shading = len(waiting) - 1
     if rule in (MOST_WORK, DOUBLE):
         best = _fullest(waiting, is_tests, True, shading + 1)
@@ -101,29 +101,29 @@ def _choose(rule, share, waiting, is_tests, latest):
 
 @kernel
 def run_passes(walks, at_once, is_tests, rule, share, chosen, queued, out):
-    """Run passes until no ray is active, or there is no room for more.
+    """Run passes until no ray is active or the output is full.
 
     Parameters
     ----------
     walks : DistinctWalks
     at_once : ndarray of shape (K,), uint32
-        Steps of each kernel in a pass.
+        Maximum steps of each kernel per pass.
     is_tests : ndarray of shape (K,), bool
-        The kernels that intersect.
+        Whether each kernel intersects.
     rule : int
     share : float
         For `THRESHOLD`.
     chosen : int
         For `CHOSEN`.
-    queued : Queued
-        Changed.
+    queued : QueueState
+        Updated.
     out : tuple of two ndarray of shape (P,), uint8 and uint32
-        Kernel and rays of each pass.
+        Kernel and number of rays of each pass.
 
     Returns
     -------
     int
-        How many passes were run.
+        Number of passes run.
     """
     waiting, clocks, heads, links = queued.waiting, queued.clocks, queued.heads, queued.links
     splits, walk_kernels, lengths, weights = walks
@@ -131,7 +131,7 @@ def run_passes(walks, at_once, is_tests, rule, share, chosen, queued, out):
     latest, leaving = queued.latest[0], queued.leaving[0]
     pass_count = 0
     while True:
-        # Step 1: rays that leave a kernel go to their next run.
+        # Step 1: move rays that leave a kernel to their next run.
         while leaving != END:
             ray = np.uint64(leaving)
             leaving = links[ray]
@@ -147,7 +147,7 @@ def run_passes(walks, at_once, is_tests, rule, share, chosen, queued, out):
                 heads[bucket] = np.uint32(ray)
                 waiting[k] += np.int64(weights[ray])
                 queued.cursors[ray] = run + _ONE
-        # Step 2: a pass.
+        # Step 2: run a pass.
         is_over = True
         for k in range(len(waiting)):
             is_over = is_over and waiting[k] == 0

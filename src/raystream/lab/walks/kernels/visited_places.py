@@ -1,4 +1,4 @@
-"""Where a ray's step looks in memory, as a number."""
+"""The number of the cell or node that a ray's step visits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RECORD = np.uint64(32)
 
 @device
 def cell_of(tree, place):
-    """The cell that a step through a grid looks at: those within cells follow the others."""
+    """The cell that a step through a grid visits; inner cells follow the others."""
     if place.outer == _COARSE:
         return np.uint32(place.cell)
     child = np.uint64(child_of(tree, place.outer))
@@ -27,5 +27,5 @@ def cell_of(tree, place):
 
 @device
 def node_of(tree, place):  # noqa: ARG001 - as `cell_of`
-    """The node of a kd-tree that a step begins at."""
+    """The kd-tree node at which a step begins."""
     return np.uint32(place.node)
