@@ -76,7 +76,7 @@ class GrownTriangles(NamedTuple):
 
 
 class References(NamedTuple):
-    """The references of a cell, in the first `count` of R rows; the others are free.
+    """The references of a cell, in the first `size` of R rows; the others are free.
 
     Attributes
     ----------
@@ -84,13 +84,13 @@ class References(NamedTuple):
         Low x, y, z, high x, y, z.
     ids : ndarray of shape (R,), int32
         Their triangles.
-    count : int
+    size : int
         N; kernels do nothing if it is 0.
     """
 
     boxes: NDArray[np.float32]
     ids: NDArray[np.int32]
-    count: int
+    size: int
 
 
 class Cell(NamedTuple):
@@ -242,9 +242,9 @@ def split_range(references, cell, triangles, costs, result):
         The position of the plane.
     """
     position = np.float32(0.0)
-    if references.count == 0:
+    if references.size == 0:
         return position
-    boxes, end = address(references.boxes), np.uint64(references.count)
+    boxes, end = address(references.boxes), np.uint64(references.size)
     axis, position, bad = choose_split(
         boxes,
         _NONE,
@@ -308,13 +308,13 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
     result : ndarray of shape (2,), int64
         Written: numbers of nodes and of blocks.
     """
-    if references.count == 0:
+    if references.size == 0:
         return
     box_at, id_at = address(references.boxes), address(references.ids)
     node_at, leaf_at = address(tree.nodes), address(tree.prim_ids)
     corners, bound, node_limit = address(triangles.corners), triangles.bound, len(tree.nodes)
     pending, work = scratch(_PENDING_BYTES), scratch(WORK_BYTES)
-    count, room = np.uint64(references.count), np.uint64(cell.room)
+    count, room = np.uint64(references.size), np.uint64(cell.room)
     depth, bad_splits = np.uint64(cell.depth), np.uint64(cell.bad_splits)
     _put_pending(pending, _NONE, count, _NONE, depth, bad_splits, room)
     copy_box(pending + _CELL_AT, address(cell.box))
