@@ -1,7 +1,7 @@
 """Acceleration structures, one folder each, and the registry of their names.
 
-A folder's ``options.py`` says all that others know of the structure, and registers it. They are
-all imported here, and are light; what builds and traces is imported when it is needed.
+A folder's ``options.py`` describes the structure to the rest of the package, and registers it. All
+of these are imported here and are cheap; builders and traversals are imported on demand.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ for _found in pkgutil.iter_modules(__path__):
     if _found.ispkg:
         importlib.import_module(f"{__name__}.{_found.name}.options")
 
-# The default first, then by name, whichever has imported another one.
+# The default first, then by name, in whatever order they were imported.
 for _name in sorted(STRUCTURES, key=lambda name: (name != "bvh", name)):
     STRUCTURES[_name] = STRUCTURES.pop(_name)
 

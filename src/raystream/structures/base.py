@@ -1,4 +1,4 @@
-"""Structure: what every acceleration structure offers."""
+"""Structure: the base class of acceleration structures."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from raystream.structures.registry import StructureOptions
 
 __all__ = ["BuildReport", "Structure", "UpdateReport"]
 
-#: Rays that one call of a compiled loop gets at most: long enough to hide the call's cost
-#: (about 20 microseconds), short enough to balance the threads and to notice Ctrl-C.
+#: Most rays per call of a compiled loop: enough to amortise the call (about 20 microseconds), few
+#: enough to balance the threads and to notice Ctrl-C.
 RAYS_PER_CALL = 4096
 
 
 @dataclass(frozen=True)
 class BuildReport:
-    """Figures about a built structure.
+    """Build time and memory of a structure.
 
     Attributes
     ----------
@@ -46,20 +46,19 @@ class BuildReport:
 
 @dataclass(frozen=True)
 class UpdateReport:
-    """What `Tracer.update` did.
+    """The result of `Tracer.update`.
 
     Attributes
     ----------
     rebuilt : bool
-        Whether the structure was built anew, else it was adjusted.
+        Whether the structure was rebuilt rather than adjusted.
     seconds : float
         Wall-clock time.
     cost : float
-        Cost of tracing the structure as it is now, by the surface area heuristic: the
-        expected price of a random ray that meets the scene's bounds. nan for structures
-        that do not say.
+        Current cost of tracing by the surface area heuristic: the expected cost of a random
+        ray that hits the scene's bounds. nan for structures without one.
     cost_when_built : float
-        The same when it was last built.
+        The same right after the last build.
     """
 
     rebuilt: bool
@@ -71,18 +70,18 @@ class UpdateReport:
 class Structure(ABC):
     """Triangles arranged for tracing.
 
-    A subclass gives its `traverse` (see `kernels.queries.ray_queries`) and the `stack_bytes` that
+    A subclass provides `traverse` (see `kernels.queries.ray_queries`) and the `stack_bytes` that
     it needs, the `arrays` that the traversal reads, `saved_arrays` for a file, and `from_arrays`,
-    which checks what comes back from one. Every structure returns the same bits as brute force.
+    which validates arrays from a file. Every structure returns the same bits as brute force.
 
     Attributes
     ----------
     can_have_duplicates : bool
-        Whether `has_duplicates` may be true of one; of the class.
+        Class attribute: whether `has_duplicates` may be true.
     triangles : Triangles
     report : BuildReport
     options : StructureOptions
-        How it was built and is traced.
+        Build and traversal options.
     """
 
     traverse: ClassVar[Callable[..., Any]]
@@ -108,72 +107,72 @@ class Structure(ABC):
 
     @property
     def name(self) -> str:
-        """What `Tracer` calls it."""
+        """Its name in `Tracer`."""
         return self.options.name
 
     @property
     @abstractmethod
     def arrays(self) -> NamedTuple:
-        """What the traversal is given: numbers, and addresses of arrays."""
+        """The view that the traversal reads: numbers, and addresses of arrays."""
 
     @property
     @abstractmethod
     def memory(self) -> dict[str, NDArray[Any]]:
-        """The arrays at these addresses, by the names that they have in `arrays`.
+        """The arrays at these addresses, by field name of `arrays`.
 
-        Where one is empty, the address may be 0; kernels are then never told to read it.
+        The address of an empty one may be 0; kernels never read it.
         """
 
     @abstractmethod
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """What a file must hold, besides the triangles, so that nothing is built again."""
+        """The arrays to save besides the triangles, so that loading builds nothing."""
 
     @classmethod
     @abstractmethod
     def from_arrays(
         cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Any
     ) -> Structure:
-        """Make a structure of arrays that were saved, and its options.
+        """Make a structure from saved arrays and options.
 
         Raises
         ------
         ValueError
             If an array is missing, or its shape, dtype or content could make a traversal
-            read out of bounds or not end.
+            read out of bounds or never end.
         """
 
     def quality(self) -> dict[str, float]:
-        """The structure's own figures, such as node counts and expected traversal cost."""
+        """Figures such as node counts and the expected traversal cost."""
         return {}
 
     def rays_per_call(self) -> int:
-        """Most rays that one call of a compiled loop gets."""
+        """Most rays per call of a compiled loop."""
         return RAYS_PER_CALL
 
     @cached_property
     def frame(self) -> SceneFrame:
-        """The triangles' local frame, as kernels take it."""
+        """The triangles' local frame, as passed to kernels."""
         return SceneFrame.of(self.triangles)
 
     @property
     def has_duplicates(self) -> bool:
-        """Whether its traversal may meet a triangle more than once."""
+        """Whether its traversal may test a triangle more than once."""
         return False
 
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
     ) -> tuple[Structure, UpdateReport]:
-        """Make the structure of moved triangles; this one is not to be used any more.
+        """Make the structure of moved triangles; this one must not be used afterwards.
 
         Parameters
         ----------
         triangles : Triangles
-            As many as before, in the same local frame.
+            The same number, in the same local frame.
         max_cost_growth : float
-            A structure that can be adjusted is built anew if that made it more than so many
-            times as expensive to trace.
+            A structure that can be adjusted is rebuilt if adjusting increased its cost by more
+            than this factor.
         progress : callable, optional
-            Called with (triangles placed, triangles) if it is built anew.
+            Called with (triangles placed, triangles) if it is rebuilt.
 
         Returns
         -------
@@ -192,7 +191,7 @@ class Structure(ABC):
         sink: Sink,
         progress: Progress | None = None,
     ) -> bool:
-        """Answer a query with kernels that trace many rays at a time, where they suit it.
+        """Run a query with kernels that trace many rays at a time, if there are suitable ones.
 
         Parameters
         ----------

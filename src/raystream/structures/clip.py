@@ -1,12 +1,12 @@
-"""Where in a cell a triangle's hits can lie: the cut of a cell with the triangle's plane.
+"""Clipping the box of a triangle in a cell to the triangle's plane.
 
 A reference is a triangle in a cell, with a box around the part of it that is there. For the
 same bits as `brute`, a cell must list every triangle whose hit may have its t in the cell; and
-hits do not lie only *in* the triangle. A ray that passes its edge within rounding, almost in
-its plane, is accepted, and meets the plane far away; the clamp then leaves the hit in the
-triangle's own box, on or near its plane, but outside its edges by any distance. So what is
-clipped to cells is not the triangle but its plane inside its box, both grown by `BOUND`: that
-holds every hit, proved by the bounds below, and is as tight wherever the box is small.
+hits do not lie only *in* the triangle. A ray almost in its plane that passes its edge within
+rounding is accepted, and intersects the plane far away; the clamp then leaves the hit in the
+triangle's own box, on or near its plane, but outside its edges by any distance. So cells are
+not clipped to the triangle but to its plane inside its box, both grown by `BOUND`: that
+contains every hit, proved by the bounds below, and is as tight wherever the box is small.
 
 References
 ----------
@@ -24,14 +24,14 @@ from raystream.jit.simd import load, store
 __all__ = ["BOUND", "BOX_BYTES", "HIGH", "WORD", "tighten"]
 
 #: How far triangles' boxes and planes are grown, in units of the scene's largest coordinate E.
-#: Origins have coordinates of up to 5 E (`kernels.ray.FAR`), so lengths that round are up to 6 E.
+#: Origins have coordinates of up to 5 E (`kernels.ray.FAR`), so rounded lengths are up to 6 E.
 #: A hit lies outside its triangle's box by at most the padding, 6 E * 2**-20 (`ray.PAD`), and
 #: off its plane by the rounding of images, 12 * 6 E * 2**-24; its t, and the t of a split
 #: plane, are rounded, 5 * 6 E * 2**-24 together. That is less than 8 E * 2**-20 for both.
 BOUND = 2.0**-17
 
 #: Below this sine of the angle between two sides a triangle's plane is too uncertain, even in
-#: float64, and its box alone counts.
+#: float64, and only its box is used.
 _SLIVER = 2.0**-28
 
 #: Bytes of a box (low x, y, z, high x, y, z: float32), of its low corner, and of a number.
@@ -56,7 +56,7 @@ def _corner(at):
 
 @device
 def _extent(box, axis, start, slope):
-    """Least and greatest of slope * (x - start) over one axis of a box."""
+    """Minimum and maximum of slope * (x - start) over one axis of a box."""
     at_low = slope * (np.float64(load(np.float32, box + axis)) - start)
     at_high = slope * (np.float64(load(np.float32, box + axis + HIGH)) - start)
     return min(at_low, at_high), max(at_low, at_high)
@@ -64,7 +64,7 @@ def _extent(box, axis, start, slope):
 
 @device
 def _shrink(box, axis, start, slope, least, most):
-    """Keep of one axis of a box where slope * (x - start) is from least to most."""
+    """Clip one axis of a box to where slope * (x - start) is from least to most."""
     if slope == 0.0:
         return
     one, other = start + least / slope, start + most / slope
@@ -78,7 +78,7 @@ def _shrink(box, axis, start, slope, least, most):
 
 @device_call
 def tighten(triangle, bound, box):
-    """Shrink a reference's box to where it meets the triangle's plane.
+    """Shrink a reference's box to its overlap with the triangle's plane.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def tighten(triangle, bound, box):
     Returns
     -------
     bool
-        Whether they meet.
+        Whether they overlap.
     """
     ax, ay, az = _corner(triangle)
     bx, by, bz = _corner(triangle + _SECOND)

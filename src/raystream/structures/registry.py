@@ -1,6 +1,6 @@
-"""The registry of structures: each by the class of its options, which says where its parts are.
+"""The registry of structures: the classes of their options, which locate their parts.
 
-Light to import: what a structure is made of is imported when it is built.
+Cheap to import: structures are imported when they are built.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class StructureOptions(Options):
-    """An acceleration structure with its build options; `register_structure` makes one known.
+    """The options of an acceleration structure; `register_structure` registers the class.
 
     Attributes
     ----------
     name : str
-        What ``Tracer(structure=...)`` calls it.
+        Its name in ``Tracer(structure=...)``.
     structure : type of Structure, or str
-        What it is built as; or ``"module:name"`` of that, to be imported when it is needed.
+        The class of the built structure, or its ``"module:name"``, imported on demand.
     cell_counter : {"leaves", "steps"}
-        Which of `raystream.machines.RayCounters` counts the cells of space that a ray visits.
+        The column of `raystream.machines.RayCounters` that counts the cells a ray visits.
     forms : mapping of str to callable or str
-        What else traces or builds it, each as an object or as ``"module:name"``:
+        Other ways to trace or build it, each an object or its ``"module:name"``:
         ``"multipass"``, its steps (`raystream.machines.steps.base.Steps`); ``"graphics"`` and
         ``"graphics multipass"``, its shaders; ``"cuda build"``, its builder on the device; and
-        ``"cuda kernels"``, a module of other layouts with kernels of their own. Without
+        ``"cuda kernels"``, a module of layouts with kernels for CUDA alone. Without
         ``"cuda kernels"``, CUDA runs the CPU's traversal.
     """
 
@@ -63,17 +63,17 @@ _Kind = TypeVar("_Kind", bound=StructureOptions)
 
 
 def register_structure(options: type[_Kind]) -> type[_Kind]:
-    """Make a structure known by its name, everywhere that names are taken.
+    """Register a structure under its name.
 
     Parameters
     ----------
     options : type of StructureOptions
-        A frozen dataclass; see there for what it says of the structure.
+        A frozen dataclass.
 
     Returns
     -------
     type of StructureOptions
-        The same, so that this can be a decorator.
+        The same, so that this works as a decorator.
 
     Raises
     ------
@@ -89,27 +89,27 @@ def register_structure(options: type[_Kind]) -> type[_Kind]:
 def options_of(
     structure: str | StructureOptions, options: Mapping[str, Any] = MappingProxyType({})
 ) -> StructureOptions:
-    """Options by the name of a structure; those of a class stay as they are.
+    """Make options from the name of a structure; an options object is returned as it is.
 
     Parameters
     ----------
     structure : str or StructureOptions
     options : mapping
-        Of the structure of that name.
+        Options of the structure of that name.
 
     Raises
     ------
     ValueError
         If the name is unknown, or an option's value is out of range.
     TypeError
-        If the structure has no such option, or they are given beside a class.
+        If the structure has no such option, or if options are given beside an options object.
     """
     if isinstance(structure, StructureOptions):
         if options:
             kind, name = type(structure).__name__, next(iter(options))
             raise TypeError(f"{structure.name}: give {name!r} as an argument of {kind}")
         return structure
-    if structure not in list(STRUCTURES):  # which may be anything
+    if structure not in list(STRUCTURES):  # it may be unhashable
         known = ", ".join(map(repr, STRUCTURES))
         raise ValueError(f"structure: expected one of {known}, got {structure!r}")
     made = STRUCTURES[structure]
@@ -121,18 +121,18 @@ def options_of(
 
 
 def structure_class(name: str) -> type[Structure]:
-    """What a structure is built as."""
+    """The class of a built structure."""
     made: type[Structure] = _imported(STRUCTURES[name].structure)
     return made
 
 
 def form_of(name: str, form: str) -> Any:
-    """What else traces or builds a structure; None if there is nothing.
+    """Another way to trace or build a structure, or None.
 
     Parameters
     ----------
     name : str
-        Of the structure; it may be one that is not registered.
+        Of the structure, which need not be registered.
     form : str
         A key of `StructureOptions.forms`.
     """
@@ -157,7 +157,7 @@ def build_structure(
     Parameters
     ----------
     structure : str or StructureOptions
-        A key of `STRUCTURES`, or the options themselves.
+        A key of `STRUCTURES`, or an options object.
     triangles : Triangles
     progress : callable, optional
         Called with (triangles placed, triangles).
@@ -175,7 +175,7 @@ def build_structure(
 
 
 def _imported(place: Any) -> Any:
-    """What ``"module:name"`` names, or a module by its name; anything else as it is."""
+    """The object named ``"module:name"``, or a module; anything else as it is."""
     if not isinstance(place, str):
         return place
     module, _, name = place.partition(":")

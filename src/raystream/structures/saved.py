@@ -1,4 +1,4 @@
-"""Arrays from a file: each is taken by name, dtype and shape."""
+"""Taking arrays from a file, checked by name, dtype and shape."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def take(
     name : str
     dtype : dtype
     shape : tuple of int or None
-        Its lengths; None where any will do.
+        Expected lengths; None for any.
 
     Returns
     -------
@@ -43,4 +43,4 @@ def take(
     )
     if array.dtype != dtype or not fits:
         raise ValueError(f"array {name!r} has dtype {array.dtype} and shape {array.shape}")
-    return np.ascontiguousarray(array).reshape(array.shape)  # which has made one axis of none
+    return np.ascontiguousarray(array).reshape(array.shape)  # a scalar has become 1D

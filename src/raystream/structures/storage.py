@@ -1,4 +1,4 @@
-"""Saving a built structure with its triangles, and loading it again."""
+"""Saving a built structure with its triangles, and loading it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from raystream.structures.saved import take
 
 __all__ = ["FORMAT_VERSION", "load_structure", "save_structure"]
 
-#: Raised by every change after which older files cannot be read.
+#: Increased by every change that makes older files unreadable.
 FORMAT_VERSION = 3
 
 _FORMAT = "raystream structure"
@@ -66,7 +66,7 @@ def load_structure(path: str | PathLike[str], triangles: Triangles | None = None
     ----------
     path : str or path
     triangles : Triangles, optional
-        If given, the file must hold the same ones.
+        If given, the file must contain the same ones.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def load_structure(path: str | PathLike[str], triangles: Triangles | None = None
     Raises
     ------
     FileFormatError
-        If the file is damaged, foreign, of another version, or of other triangles.
+        If the file is damaged, not a structure file, of another version, or of other triangles.
     """
     arrays = read_npz(path)
     made, options = _header(path, arrays)
@@ -83,7 +83,7 @@ def load_structure(path: str | PathLike[str], triangles: Triangles | None = None
         stored = _triangles(arrays)
         if triangles is not None:
             if not _same(stored, triangles):
-                raise ValueError("was built of other triangles than the scene's; rebuild it")
+                raise ValueError("was built from other triangles than the scene's; rebuild it")
             stored = triangles
         own = {
             name.removeprefix("structure."): array
@@ -99,7 +99,7 @@ def load_structure(path: str | PathLike[str], triangles: Triangles | None = None
 def _header(
     path: str | PathLike[str], arrays: dict[str, NDArray[Any]]
 ) -> tuple[type[StructureOptions], Any]:
-    """The class of the structure's options, and what the file has of them."""
+    """The class of the structure's options, and the saved options."""
     foreign = FileFormatError(path, "was not written by Tracer.save")
     try:
         header = json.loads(arrays["header"].tobytes())

@@ -18,7 +18,7 @@ from raystream.structures.grid.structure import GridStructure
 from raystream.structures.kdtree.foley_layout import LEAF_BIT
 from raystream.structures.kdtree.layout import LEAF_AXIS
 from raystream.structures.kdtree.structure import KdTreeStructure
-from raystream.structures.kdtree.traversals.short_stack import kept_entries
+from raystream.structures.kdtree.traversals.short_stack import stack_entries
 
 __all__ = ["GraphMap", "GridMap", "KdMap", "map_of"]
 
@@ -214,7 +214,7 @@ class KdMap(BlockMap):
         if self._traversal == "stack":
             entries = memory[:top].view(np.uint32).reshape(-1, 2)
         elif self._traversal == "short-stack":
-            entries = kept_entries(memory, top)
+            entries = stack_entries(memory, top)
         else:
             return ()
         nodes, ends = entries[:, 0], entries.view(np.float32)[:, 1]

@@ -31,11 +31,11 @@ from raystream.structures.grid.cells import (
 )
 from raystream.structures.grid.dda import (
     WalkState,
+    begin_walk,
     cell_end,
-    set_up_walk,
+    prepare_walk,
+    state_at,
     step_walk,
-    walk_from,
-    walk_through,
 )
 from raystream.structures.grid.structure import GridStructure
 from raystream.structures.grid.traversal import clip_to_grid
@@ -126,13 +126,13 @@ def _next_cell(tree, ray, place):
     """The next cell along a ray."""
     t_out = min(cell_end(place.walk), place.t_end)
     if t_out < place.t_end or place.outer == _COARSE:
-        walk = walk_through(_lattice(tree, place.outer), ray)
+        walk = prepare_walk(_lattice(tree, place.outer), ray)
         return _Place(step_walk(walk, place.walk), place.outer, t_out, place.t_end, _NONE, _NONE)
     # Leave the lattice of a coarse cell for the next coarse cell.
     coarse = coarse_cells(tree)
-    walk = walk_through(coarse, ray)
+    walk = prepare_walk(coarse, ray)
     i, j, k = cell_numbers(tree, place.outer)
-    state = step_walk(walk, walk_from(coarse, walk, i, j, k))
+    state = step_walk(walk, state_at(coarse, walk, i, j, k))
     return _Place(state, _COARSE, t_out, _INF, _NONE, _NONE)
 
 
@@ -145,7 +145,7 @@ def set_up(ray, wanted, tree, query, kernel):
     if not is_active:
         t_in = t_far = np.float32(0.0)
     coarse = coarse_cells(tree)
-    _, state = set_up_walk(coarse, line, t_in)
+    _, state = begin_walk(coarse, line, t_in)
     place = _Place(state, _COARSE, t_in, _INF, _NONE, _NONE)
     return (np.uint32(0), t_far), _record(place), TRAVERSING if is_active else DONE
 
@@ -167,7 +167,7 @@ def traverse(ray, wanted, found, place, tree, query, kernel):
                 state = INTERSECTING
                 break
             fine = fine_cells(tree, at.walk.cell, child)
-            _, walk = set_up_walk(fine, line, at.t_in)
+            _, walk = begin_walk(fine, line, at.t_in)
             outer = np.int32(at.walk.cell)
             at = _Place(walk, outer, at.t_in, cell_end(at.walk), _NONE, _NONE)
         else:

@@ -1,4 +1,4 @@
-"""Brute force: every ray against every triangle. The oracle of all other structures."""
+"""Brute force: every ray against every triangle. The reference for all other structures."""
 
 from raystream.structures.brute.options import Brute
 

@@ -1,4 +1,4 @@
-"""Brute: what others know of brute force."""
+"""Brute: the options of brute force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""BruteStructure: the triangles themselves."""
+"""BruteStructure: the triangles without acceleration."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from raystream.structures.brute.traversal import BruteAddresses, traverse
 
 __all__ = ["BruteStructure"]
 
-#: Triangle tests in one call of a compiled loop: about 50 ms.
+#: Triangle tests per call of a compiled loop: about 50 ms.
 _TESTS_PER_CALL = 1 << 23
 
 
 class BruteStructure(Structure):
-    """Brute force as it is traced; see `Brute`.
+    """Brute force, built; see `Brute`.
 
     Parameters
     ----------
@@ -53,27 +53,27 @@ class BruteStructure(Structure):
 
     @property
     def arrays(self) -> BruteAddresses:
-        """Where the triangles are, in the order of their numbers."""
+        """Addresses of the triangles, by prim_id."""
         return self._addresses
 
     @property
     def memory(self) -> dict[str, NDArray[Any]]:
-        """Numbers and corners."""
+        """The triangles' prim_ids and corners."""
         return self._memory
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """Nothing: it is the triangles themselves."""
+        """Nothing besides the triangles."""
         return {}
 
     @classmethod
     def from_arrays(
         cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Brute
     ) -> BruteStructure:
-        """Build it again: nothing of it needs saving."""
+        """Build it: nothing was saved."""
         return cls(triangles, options)
 
     def quality(self) -> dict[str, float]:
-        """How many triangles each ray is tested against."""
+        """The number of triangles that each ray is tested against."""
         return {"tests per ray": float(len(self.triangles.prim_ids))}
 
     def rays_per_call(self) -> int:

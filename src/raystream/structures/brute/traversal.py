@@ -16,15 +16,15 @@ _INF = np.float32(np.inf)
 
 
 class BruteAddresses(NamedTuple):
-    """What the traversal reads; whoever calls it keeps the arrays alive.
+    """The view of the traversal; the caller keeps the arrays alive.
 
     Attributes
     ----------
     references, corners : uint64
-        Addresses of the numbers, int32, of the triangles that can be hit, and of the scene's
-        corners, 9 float32 a triangle.
+        Addresses of the prim_ids, int32, of the triangles that can be hit, and of the scene's
+        corners, 9 float32 per triangle.
     triangle_count : uint64
-        How many can be hit.
+        Number of triangles that can be hit.
     """
 
     references: np.uint64

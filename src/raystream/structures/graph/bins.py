@@ -1,4 +1,4 @@
-"""The bins of a graph: for each part of the scene's box a sector near by."""
+"""The bins of a graph: a nearby sector for each part of the scene's box."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["bin_corners", "choose_bin_counts", "fill_bins", "leaf_at"]
 
-#: Fewest and most bins along an axis.
+#: Minimum and maximum number of bins along an axis.
 _FEWEST, _MOST = 16, 256
 
 _CHUNK = 1 << 12
@@ -27,10 +27,10 @@ _ROWS = np.uint64(SECTOR_ROWS)
 
 
 def choose_bin_counts(sector_count: int, box: NDArray[np.float32]) -> tuple[int, int, int]:
-    """Bins along each axis: one for three sectors, in a box that is not flat.
+    """Bins along each axis: one per three sectors, unless the box is flat.
 
-    More would make walks shorter, and be further away in memory: in a graph of 216,000 sectors,
-    bins six times as many made random rays a sixth slower.
+    More bins shorten walks but take more cache misses: in a graph of 216,000 sectors,
+    six times as many made random rays a sixth slower.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def choose_bin_counts(sector_count: int, box: NDArray[np.float32]) -> tuple[int,
     Returns
     -------
     tuple of three int
-        An axis along which the box is thinner than a bin of its longest axis has one.
+        1 along an axis on which the box is thinner than a bin of its longest axis.
     """
     count = min(max(round((sector_count / 3) ** (1 / 3)), _FEWEST), _MOST)
     low, high = box.astype(np.float64)
@@ -64,7 +64,7 @@ def bin_corners(
 
 @device
 def leaf_at(nodes, x, y, z):
-    """The leaf of a tree that holds a point: where it is on a plane, the one above."""
+    """The leaf of a tree that contains a point; on a plane, the one above."""
     node = _NONE
     axis, first, plane = split_of(nodes, node)
     while axis != _LEAF:
@@ -76,7 +76,7 @@ def leaf_at(nodes, x, y, z):
 
 @kernel
 def _fill_bins(begin, end, nodes, sectors, x, y, z, bins):
-    """Look up the corners of bins begin to end, z first."""
+    """Locate the corners of bins begin to end, z first."""
     node_at = address(nodes)
     for row in range(np.uint64(begin), np.uint64(end)):
         yz = row // np.uint64(len(z))
@@ -88,7 +88,7 @@ def _fill_bins(begin, end, nodes, sectors, x, y, z, bins):
 def fill_bins(
     nodes: NDArray[np.int32], order: Order, box: NDArray[np.float32]
 ) -> NDArray[np.uint32]:
-    """Find the sectors that hold the bins' low corners.
+    """Find the sectors that contain the bins' low corners.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def fill_bins(
         The kd-tree.
     order : Order
     box : ndarray of shape (2, 3), float32
-        That of all sectors.
+        The box of all sectors.
 
     Returns
     -------

@@ -1,22 +1,21 @@
-"""Building the graph of sectors: the leaves of a kd-tree that was grown for it, and their links.
+"""Building the graph of sectors: the leaves of a kd-tree built for the purpose, and their links.
 
 A ray pays for the sectors that it crosses, for the link nodes between them, and for triangles;
-what is above the leaves in the tree costs nothing. With random rays, and areas as a share of the
-scene's box:
+inner nodes of the tree cost nothing. For random rays, and areas relative to the scene's box:
 
     J = sum over sectors: area * (crossing + intersection * triangles)
         + sum over faces: area * link * depth of its link nodes
 
-The sum of the sectors' areas grows by twice the plane's cross-section in a split; and faces that
-look at the cell's sides from outside get a link node more, wherever the plane cuts them: in
-all, at most the cell's area less those two sides that are parallel to the plane; and about half
-of that. So a split is worth it by the kd-tree's own rule, with ``link / 2`` for a step at it, and
-``crossing - link / 2`` for its plane.
+A split increases the sum of the sectors' areas by twice the plane's cross-section. And adjacent
+faces outside the cell get one more link node where the plane cuts them: over an area of at
+most the cell's sides that are not parallel to the plane, and typically about half of that. So
+the kd-tree's own rule applies, with ``link / 2`` as the cost of a traversal step, and
+``crossing - link / 2`` as that of crossing its plane.
 
 References
 ----------
 Gribble and Naveros, "GPU Ray Tracing with Rayforce", SIGGRAPH 2013 posters: sectors "minimise a
-function that represents traversal cost", which is not given.
+function that represents traversal cost", which is not specified.
 """
 
 from __future__ import annotations
@@ -42,28 +41,28 @@ from raystream.structures.kdtree.subtree import BuildSettings
 
 __all__ = ["GraphSettings", "build_graph", "graph_box", "tree_settings_of"]
 
-#: Share of the bound on new link nodes that a split is charged: that with which J is least
+#: Fraction of the bound on new link nodes that a split is charged, chosen to minimise J
 #: (bunny 167 with this, 168 with all, 170 without; conference 107, 108, 108).
 _LINK_SHARE = 0.5
 
-#: Share of the work that is done when the tree is.
+#: Fraction of the work that building the tree takes.
 _TREE_SHARE = 0.75
 
 
 class GraphSettings(NamedTuple):
-    """How to choose sectors.
+    """Settings of the graph builder.
 
     Attributes
     ----------
     crossing_cost, intersection_cost, link_cost : float
-        Time of a step from sector to sector, of a triangle test, and of a step at a link node;
+        Cost of a step from sector to sector, of a triangle test, and of a step at a link node;
         only their ratios matter.
     empty_bonus : float
-        Share of its price by which a split is cheaper that cuts off empty space.
+        Discount on the cost of a split that cuts off empty space.
     max_depth : int
-        Splits on a path of the tree.
+        Greatest depth of the tree.
     max_leaf_size : int
-        Cells of so many triangles are not split.
+        Cells of at most this many triangles are not split.
     """
 
     crossing_cost: float
@@ -89,12 +88,12 @@ def build_graph(
     triangles : Triangles
     settings : GraphSettings
     progress : callable, optional
-        Called with (triangles placed, triangles); the last ones are placed when all is linked.
+        Called with (triangles placed, triangles), including linking.
 
     Returns
     -------
     GraphArrays
-        The same ones for any number of threads. Sectors tile `graph_box`; without triangles,
+        The same for any number of threads. Sectors tile `graph_box`; without triangles,
         there are none.
 
     Raises
@@ -106,7 +105,7 @@ def build_graph(
 
     Notes
     -----
-    Sectors have at most `kdtree.build.MAX_REFERENCES` references for each triangle.
+    Sectors have at most `kdtree.build.MAX_REFERENCES` references per triangle.
     """
     if len(triangles.prim_ids) == 0:
         return GraphArrays(
@@ -135,7 +134,7 @@ def build_graph(
 
 
 def tree_settings_of(settings: GraphSettings) -> BuildSettings:
-    """How to grow the kd-tree of a graph."""
+    """The build settings of a graph's kd-tree."""
     link = _LINK_SHARE * float(settings.link_cost)
     crossing = float(settings.crossing_cost) - link
     costs = Costs(link, float(settings.intersection_cost), float(settings.empty_bonus), crossing)
@@ -143,7 +142,7 @@ def tree_settings_of(settings: GraphSettings) -> BuildSettings:
 
 
 def _part(progress: Progress | None, count: int, begin: float, end: float) -> Progress | None:
-    """The callback for a part of the work, in terms of triangles."""
+    """The callback for a fraction of the work, in terms of triangles."""
     if progress is None:
         return None
     report = progress

@@ -1,4 +1,4 @@
-"""The cells of a kd-tree: their boxes, and what lies across each of their faces."""
+"""The cells of a kd-tree: their boxes, and the ropes of their faces."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ _NOWHERE = np.int32(-1)
 
 
 class Cells(NamedTuple):
-    """The cells of a kd-tree, row by row as its nodes.
+    """The cells of a kd-tree, in the order of its nodes.
 
     Attributes
     ----------
     boxes : ndarray of shape (M, 6), float32
         Low x, y, z, high x, y, z.
     ropes : ndarray of shape (M, 6), int32
-        For each face, in the order of `layout.FACES`: the node of the smallest subtree that
-        covers all of its other side, or -1 at the side of the root's box.
+        For each face, in the order of `layout.FACES`: the root of the smallest subtree that
+        covers the other side of it, or -1 at the side of the root's box.
     """
 
     boxes: NDArray[np.float32]
@@ -54,7 +54,7 @@ class Cells(NamedTuple):
 
 @device
 def split_of(nodes, node):
-    """A node's axis, or 3; its first child; its plane."""
+    """A node's axis, or 3 for a leaf; its first child; its plane."""
     at = nodes + node * NODE_BYTES
     word = np.uint64(load(np.uint32, at + WORD))
     return word & _THREE, word >> _TWO, load(np.float32, at)
@@ -87,7 +87,7 @@ def settle(nodes, node, face, box):
     uint64
     """
     face_axis = face >> _ONE
-    # Behind a high face lies the low side of things.
+    # A high face touches the low side of its neighbours.
     touching = _ONE - (face & _ONE)
     while True:
         axis, child, plane = split_of(nodes, node)
@@ -115,7 +115,7 @@ def place_children(nodes, node, boxes, ropes):
             at = k * WORD
             store(box + at, load(np.float32, boxes + node * BOX_BYTES + at))
             store(rope + at, load(np.int32, ropes + node * ROPE_BYTES + at))
-        # The cell below the plane has it as its high side, the other one as its low side.
+        # The plane is the high side of the cell below it, and the low side of the other.
         inner = _ONE - side
         store(box + (axis + _THREE * inner) * WORD, plane)
         store(rope + (_TWO * axis + inner) * WORD, np.int32(first + inner))
@@ -128,7 +128,7 @@ def place_children(nodes, node, boxes, ropes):
 
 @kernel
 def _find_cells(nodes, boxes, ropes):
-    """Walk a tree from its root, whose box and ropes are given."""
+    """Fill in the cells of a tree from its root, whose box and ropes are given."""
     node_at, box_at, rope_at = address(nodes), address(boxes), address(ropes)
     for node in range(np.uint64(len(nodes))):
         if not is_leaf(node_at, node):
@@ -136,7 +136,7 @@ def _find_cells(nodes, boxes, ropes):
 
 
 def find_cells(nodes: NDArray[np.int32], box: NDArray[np.float32]) -> Cells:
-    """Find the cells of a tree.
+    """Compute the cells of a tree.
 
     Parameters
     ----------

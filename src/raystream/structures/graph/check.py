@@ -1,9 +1,9 @@
-"""The check that a graph from a file is safe to walk: in bounds, and every walk ends.
+"""Checks that a graph from a file is safe to walk: in bounds, and every walk ends.
 
-A walk ends if no ray comes to a sector twice. Rays go through faces on the sides that they go
-to, so it is enough that for each of the eight octants of directions, the links through its three
-faces lead nowhere in a circle, link nodes included. That planes are where they should be does not
-follow from it, nor does it from that; both are checked.
+A walk ends if no ray visits a sector twice. Rays leave through faces that face their direction,
+so it suffices that for each of the eight octants of directions, the links through its three
+faces have no cycle, link nodes included. Correct planes do not follow from this, nor
+the other way round; both are checked.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ __all__ = ["check_graph"]
 
 _CHUNK = 1 << 12
 
-#: The sectors' volumes add up to that of their box but for rounding.
+#: Rounding error of the sum of the sectors' volumes, relative.
 _VOLUME_ERROR = 1e-9
 
 _BIT, _NOWHERE, _ROWS = np.int64(NODE_BIT), np.int64(VOID), np.int64(SECTOR_ROWS)
 _NAN = np.float32(np.nan)
 
-# Codes that kernels return.
+# Error codes of kernels.
 _FINE = 0
 _BAD_BOX, _BAD_LIST, _BAD_ID, _BAD_LINK, _BAD_NODE, _BAD_PLANE, _BAD_SIDE = range(1, 8)
 
@@ -85,7 +85,7 @@ def _is_sector(link, sector_count):
 
 @kernel
 def _check_nodes(rows, numbers, sector_count, sides, hulls):
-    """Check the link nodes, and find what each leads to.
+    """Check the link nodes, and compute the extent of the sectors behind each.
 
     Parameters
     ----------
@@ -93,9 +93,9 @@ def _check_nodes(rows, numbers, sector_count, sides, hulls):
         The same memory.
     sector_count : int
     sides : ndarray of shape (N, 6), float32
-        Written: low x, y, z, high x, y, z where all sectors behind a node agree in it, else NaN.
+        Written: low x, y, z, high x, y, z common to all sectors behind a node, else NaN.
     hulls : ndarray of shape (N, 6), float32
-        Written: the box around them.
+        Written: the bounding box of those sectors.
     """
     first_node = sector_count * _ROWS
     for row in range(first_node, len(rows)):
@@ -121,7 +121,7 @@ def _check_nodes(rows, numbers, sector_count, sides, hulls):
                 other_side, other_reach = sides[inner, k], hulls[inner, k]
             else:
                 other_side = other_reach = numbers[above + row_of, column]
-            # What is below the plane ends there, and what is above begins there.
+            # Sectors below the plane end there, and those above begin there.
             if k == axis and not other_reach >= plane:
                 return _BAD_PLANE
             if k == axis + 3 and not reach <= plane:
@@ -133,7 +133,7 @@ def _check_nodes(rows, numbers, sector_count, sides, hulls):
 
 @kernel
 def _check_links(begin, end, rows, numbers, sector_count, sides, box):
-    """Check that faces of sectors begin to end link to what touches them."""
+    """Check that faces of sectors begin to end link to sectors that touch them."""
     first_node = sector_count * _ROWS
     node_count = len(rows) - first_node
     for sector in range(begin, end):
@@ -163,7 +163,7 @@ def _check_links(begin, end, rows, numbers, sector_count, sides, box):
 
 @device
 def _vertex(link, sector_count):
-    """Sectors first, then link nodes."""
+    """Number of the vertex that a link leads to: sectors first, then link nodes."""
     if link & _BIT != 0:
         return (link & ~_BIT) - sector_count * (_ROWS - 1)
     return link // _ROWS
@@ -171,7 +171,7 @@ def _vertex(link, sector_count):
 
 @kernel
 def _count_node_links(rows, sector_count, degrees):
-    """Add to each vertex the links of link nodes that lead to it."""
+    """Add to the degree of each vertex the links of link nodes to it."""
     for row in range(sector_count * _ROWS, len(rows)):
         for end in range(2):
             degrees[_vertex(np.int64(rows[row, 2 + end]), sector_count)] += np.uint32(1)
@@ -179,14 +179,14 @@ def _count_node_links(rows, sector_count, degrees):
 
 @kernel
 def _is_ordered(octant, rows, sector_count, degrees, ready):
-    """Whether the links of an octant lead nowhere in a circle: Kahn's topological order.
+    """Whether the links of an octant have no cycle: Kahn's topological sort.
 
     Parameters
     ----------
     octant : int
         Bit k: whether rays go up axis k.
     rows : ndarray of shape (R, 4), uint32
-        Checked.
+        Otherwise valid.
     sector_count : int
     degrees : ndarray of shape (V,), uint32
         Links of link nodes to each sector and node. Changed.
@@ -235,14 +235,14 @@ def check_graph(
     solid_ids: NDArray[np.int32],
     triangle_count: int,
 ) -> GraphArrays:
-    """Check a graph from a file: no walk through it may read out of bounds or not end.
+    """Check a graph from a file: that no walk reads out of bounds or never ends.
 
     Parameters
     ----------
     arrays : mapping of str to ndarray
         See `GraphArrays`; ``sector_count`` is an array of shape ().
     bounds : ndarray of shape (2, 3), float32
-        The scene's box, which the sectors must hold.
+        The scene's box, which the sectors must contain.
     solid_ids : ndarray of shape (A,), int32
         The triangles that sectors must list, and no others.
     triangle_count : int
@@ -255,11 +255,11 @@ def check_graph(
     Raises
     ------
     ValueError
-        What is wrong.
+        If it is invalid.
 
     Notes
     -----
-    The graph may still be a wrong one: whose sectors lack triangles or lie askew.
+    The graph may still be wrong: sectors may lack triangles.
     """
     graph = _take(arrays)
     rows, sector_count, prim_ids, _ = graph
@@ -276,7 +276,7 @@ def check_graph(
         _complain(_check_sectors(begin, end, rows, numbers, prim_ids, solid, wanted))
 
     parallel_for(check_some, sector_count, _CHUNK)
-    # No list has the blocks in between; but all are filled with corners.
+    # In all blocks, also those of no sector: corners are looked up for each.
     if len(prim_ids) and not (prim_ids.min() >= -1 and prim_ids.max() < triangle_count):
         raise ValueError(_FAULTS[_BAD_ID])
     if wanted.any():
@@ -289,7 +289,7 @@ def check_graph(
 
 
 def _take(arrays: Mapping[str, Any]) -> GraphArrays:
-    """The arrays, if they have the right kinds and sizes."""
+    """The arrays, checked for dtype and shape."""
     rows = take(arrays, "rows", np.uint32, (None, NODE_WORDS))
     prim_ids = take(arrays, "prim_ids", np.int32, (None, BLOCK_SIZE))
     bins = take(arrays, "bins", np.uint32, (None, None, None))
@@ -310,7 +310,7 @@ def _are_sectors(links: NDArray[np.uint32], sector_count: int) -> bool:
 
 
 def _check_box(numbers: NDArray[np.float32], bounds: NDArray[np.float32]) -> None:
-    """Check that the sectors, which have boxes, fill one that holds the scene's."""
+    """Check that the sectors, with valid boxes, tile one that contains the scene's."""
     low, high = _box_of(numbers)
     if not (low <= bounds[0]).all() or not (high >= bounds[1]).all():
         raise ValueError("the sectors do not contain the scene")
@@ -321,7 +321,7 @@ def _check_box(numbers: NDArray[np.float32], bounds: NDArray[np.float32]) -> Non
 
 
 def _box_of(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The box around sectors, shape (2, 3)."""
+    """The bounding box of sectors, shape (2, 3)."""
     return np.stack(
         [
             numbers[::SECTOR_ROWS, :3].min(axis=0),

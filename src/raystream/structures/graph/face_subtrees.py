@@ -1,6 +1,6 @@
-"""What lies behind a face of one leaf: the raw nodes of its links, and covered subtrees.
+"""The subtrees behind the faces of a leaf: raw nodes of its links, and covered subtrees.
 
-See `links`, which goes over all leaves.
+See `links`, which does so for all leaves.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from raystream.structures.kdtree.options import MAX_DEPTH
 
 __all__ = ["PENDING_BYTES", "RopeTree", "count_behind", "fill_behind", "find_axes", "spread_marks"]
 
-#: Subtrees that wait: a node, and the address of the raw link to it.
+#: A pending subtree: its node, and the address of the raw link to it.
 _PENDING = np.uint64(16)
 PENDING_BYTES = 16 * (MAX_DEPTH + 2)
 
@@ -39,14 +39,14 @@ _YES = np.uint8(1)
 
 
 class RopeTree(NamedTuple):
-    """A kd-tree and its cells, by address.
+    """A kd-tree with ropes, by address.
 
     Attributes
     ----------
     nodes : uint64
         See `kdtree.layout.KdArrays`.
     axes : uint64
-        Axes of the splits in each subtree, a byte each.
+        Axes of the splits in each subtree, as bits of a byte.
     boxes, ropes : uint64
         See `cells.Cells`.
     """
@@ -59,7 +59,7 @@ class RopeTree(NamedTuple):
 
 @device
 def find_axes(nodes, node, axes):
-    """Find the axes of the splits in a subtree, bits; those of its children are there."""
+    """Write the axes of the splits in a subtree, as bits, given those of its children."""
     axis, first, _ = split_of(nodes, node)
     found = np.uint8(0)
     if axis != _LEAF:
@@ -70,7 +70,7 @@ def find_axes(nodes, node, axes):
 
 @device
 def _covers(box, cell, face, axes):
-    """Whether a face of a box covers that side of a cell along some axes."""
+    """Whether a face of a box covers the adjacent side of a cell along some axes."""
     axis = face >> _ONE
     for other in range(_THREE):
         at = other * WORD
@@ -90,7 +90,7 @@ def count_behind(leaf, tree, is_covered, pending):
     leaf : uint64
     tree : RopeTree
     is_covered : uint64
-        Address of a byte for each face of each node: that of subtrees becomes 1.
+        Address of a byte for each face of each node, 1 for covered subtrees. Changed.
     pending : uint64
         Address of `PENDING_BYTES` of scratch.
 
@@ -128,7 +128,7 @@ def _axes(tree, node):
 
 @device
 def spread_marks(nodes, node, is_covered):
-    """Mark what a marked subtree's link nodes need; returns how many of them are at its root."""
+    """Mark what the link nodes of a marked subtree need; returns their number at its root."""
     total = _NONE
     axis, first, _ = split_of(nodes, node)
     if axis == _LEAF:
@@ -157,11 +157,11 @@ def fill_behind(leaf, tree, sectors, covered, number, raw, links, pending):
     sectors, covered : uint64
         Addresses of the sector of each leaf, and of the links to covered subtrees, uint32.
     number : uint64
-        Of its first raw node.
+        Of the leaf's first raw node.
     raw : uint64
         Address of all raw nodes.
     links : uint64
-        Address of its six raw links.
+        Address of the leaf's six raw links.
     pending : uint64
         Address of `PENDING_BYTES` of scratch.
     """

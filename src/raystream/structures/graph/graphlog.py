@@ -1,4 +1,4 @@
-"""Graphs as text, to look at and to compare: one line for each triangle, sector and link node.
+"""Graphs as text, to inspect and compare: one line per triangle, sector and link node.
 
 ::
 
@@ -8,10 +8,10 @@
     Node i ; axis plane ; flags ; link below, link above
     Bins X Y Z ; sectors
 
-A link is a number of sectors, if bit k of the flags is set for the k-th link, else of link nodes;
-the sector -1 is none. Numbers are written so that they are read as they were, bit by bit.
+The k-th link is the number of a sector, or -1, if bit k of the flags is set, else of a link node.
+Numbers are read back with the same bits.
 
-The first four kinds of lines are laid out like those of Rayforce's logs; the last one is ours.
+The first four kinds of lines have the format of Rayforce's logs; the last one is our own.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from raystream.structures.graph.layout import (
 
 __all__ = ["dump_graph", "load_graph"]
 
-#: Digits after which the nearest float32 is the number itself.
+#: Enough digits to read back the same float32.
 _FLOAT = "%.9g"
 
 #: Words of a sector's row: low and high side of each axis in turn.
@@ -98,13 +98,13 @@ def load_graph(file: TextIO) -> tuple[GraphArrays, NDArray[np.float32]]:
     Returns
     -------
     GraphArrays
-        Not checked but for its form: see `check.check_graph`.
+        Checked for its form only: see `check.check_graph`.
     corners : ndarray of shape (F, 3, 3), float32
 
     Raises
     ------
     ValueError
-        If it is not what `dump_graph` writes.
+        If the format is not that of `dump_graph`.
     """
     lines = enumerate(file, 1)
     (counts,) = _read(lines, "Count", None, 1)
@@ -130,14 +130,14 @@ def load_graph(file: TextIO) -> tuple[GraphArrays, NDArray[np.float32]]:
             bins.astype(np.uint32).reshape([int(n) for n in shape]),
         )
     except (OverflowError, ValueError) as error:
-        raise ValueError(f"its numbers do not fit: {error}") from None
+        raise ValueError(f"numbers out of range: {error}") from None
     return graph, np.array(corners, np.float32).reshape(-1, 3, 3)
 
 
 def _read(
     lines: Iterator[tuple[int, str]], name: str, number: int | None, part_count: int
 ) -> list[list[str]]:
-    """The parts of the next line, each a list of words, without its name and number."""
+    """The parts of the next line, each a list of words, without name and number."""
     place, line = next(lines, (0, ""))
     begin = name if number is None else f"{name} {number} ;"
     parts = line.removeprefix(begin).split(";")

@@ -1,8 +1,8 @@
-"""Link nodes that faces share: of equal nodes one is kept.
+"""Sharing equal link nodes among faces, by hash-consing.
 
-Nodes are looked up in a table by their content, so that equal trees become the same tree
-(hash-consing: Ershov, "On programming of arithmetic operations", Communications of the ACM 1(8),
-1958). Nodes get numbers in the order in which they are first met, after those that they link to.
+Nodes are looked up in a hash table by their content, so that equal trees become the same tree
+(Ershov, "On programming of arithmetic operations", Communications of the ACM 1(8),
+1958). Nodes are numbered in the order in which they are first added, after those that they link to.
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ from raystream.structures.graph.layout import MAX_ROWS, NODE_BIT, NODE_WORDS
 
 __all__ = ["RAW", "NodeStore", "first_slot", "put_node"]
 
-#: This bit of a raw link (uint64) says that the rest is the number of a raw node; without it, it
-#: is a link.
+#: This bit of a raw link (uint64) marks the number of a raw node; without it, it is a link.
 RAW = 1 << 32
-
 
 _LEAST_ROOM = 1 << 10
 
@@ -37,7 +35,7 @@ _FREE = np.uint32(0xFFFFFFFF)
 
 @device
 def first_slot(one, other, mask):
-    """Where in a table a link node of two words is looked for first."""
+    """The hash of a link node of two words: its first slot in a table."""
     mixed = (one ^ (one >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ other) * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(32))) * np.uint64(0x94D049BB133111EB)
@@ -46,16 +44,16 @@ def first_slot(one, other, mask):
 
 @device
 def put_node(rows, table, mask, count, plane_bits, axis, below, above):
-    """Look for a link node, and add it if there is none like it.
+    """Look up a link node, and add it if it is new.
 
     Parameters
     ----------
     rows : uint64
         Address of the nodes, with room for one more.
     table : uint64
-        Address of the table: node numbers at their content's slot or the next free one.
+        Address of the table: node numbers at the slot of their hash or the next free one.
     mask : uint64
-        Slots of the table less 1; more than half of them are free.
+        Number of slots less 1; more than half of them are free.
     count : uint64
         Nodes so far.
     plane_bits, axis : uint64
@@ -86,7 +84,7 @@ def put_node(rows, table, mask, count, plane_bits, axis, below, above):
 
 @kernel
 def _fill_table(rows, count, table):
-    """Put nodes, which all differ, into an empty table."""
+    """Insert distinct nodes into an empty table."""
     row_at, table_at, mask = address(rows), address(table), np.uint64(len(table)) - _ONE
     for number in range(np.uint64(count)):
         at = row_at + number * _ROW
@@ -98,7 +96,7 @@ def _fill_table(rows, count, table):
 
 @device
 def _resolved(raw, link):
-    """The link that a raw link has become."""
+    """The link that replaces a raw link."""
     if link & _RAW_BIT:
         return load(np.uint64, raw + (link ^ _RAW_BIT) * _RAW_BYTES)
     return link
@@ -106,7 +104,7 @@ def _resolved(raw, link):
 
 @kernel
 def _share(raw, tree, rows, table, count, first_row):
-    """Add raw nodes, last ones first; each one's first word becomes its link."""
+    """Add raw nodes, in reverse order; the first word of each becomes its link."""
     raw_at, tree_at, row_at, table_at = address(raw), address(tree), address(rows), address(table)
     mask, end = np.uint64(len(table)) - _ONE, np.uint64(count)
     left = np.uint64(len(raw))
@@ -124,7 +122,7 @@ def _share(raw, tree, rows, table, count, first_row):
 
 
 class NodeStore:
-    """The link nodes of a graph while it is built.
+    """The link nodes of a graph during the build.
 
     Parameters
     ----------
@@ -139,12 +137,12 @@ class NodeStore:
         self.table = np.empty(0, np.uint32)
 
     def reserve(self, count: int) -> None:
-        """Make room for so many nodes more.
+        """Make room for more nodes.
 
         Raises
         ------
         ValueError
-            If links could not reach them.
+            If there are too many for links.
         MemoryError
             If there is not enough memory.
         """
@@ -168,7 +166,7 @@ class NodeStore:
         Parameters
         ----------
         raw : ndarray of shape (N, 3), uint64
-            The node of the kd-tree that a raw node is, and its raw links. Raw nodes come before
+            The kd-tree's node of a raw node, and its raw links. Raw nodes come before
             those that they link to. Written: in the first column, the links to them.
         tree : ndarray of shape (M, 2), int32
         """

@@ -1,9 +1,9 @@
-"""The arrays of a sector graph: one piece of memory that may lie anywhere.
+"""The arrays of a sector graph: one relocatable piece of memory.
 
 Sectors are boxes that tile the scene's box. Each of a sector's six faces has a link: to the
-sector behind it; to a tree of link nodes, planes that tell apart the several sectors behind it;
-or nowhere, at the side of the scene's box. Links count rows of 16 bytes, so nothing in a graph
-depends on its address.
+neighbouring sector; to a tree of link nodes, planes that separate several neighbours;
+or nowhere, at the side of the scene's box. Links count rows of 16 bytes, so a graph does not
+depend on its address.
 
 The graph is our reading of Gribble and Naveros, "GPU Ray Tracing with Rayforce", SIGGRAPH 2013
 posters, which describes sectors and nodes in a few sentences; no public builder exists.
@@ -29,15 +29,15 @@ __all__ = [
 #: Faces in the order of a sector's links: low and high side of each axis.
 FACES = ("low x", "high x", "low y", "high y", "low z", "high z")
 
-#: Words of 4 bytes in a row, which is a link node; rows of a sector.
+#: Words of 4 bytes per row, and so per link node; rows per sector.
 NODE_WORDS = 4
 SECTOR_ROWS = 4
 
-#: A link is the row of a sector, or that of a link node with this bit; `VOID` leads nowhere.
+#: A link is the row of a sector, or of a link node with this bit; `VOID` leads nowhere.
 NODE_BIT = 1 << 31
 VOID = 0xFFFFFFFF
 
-#: Rows of a graph: links have 31 bits for them, and one of the numbers is part of `VOID`.
+#: Most rows of a graph: links have 31 bits for them, less the value in `VOID`.
 MAX_ROWS = (1 << 31) - 1
 
 
@@ -56,10 +56,10 @@ class GraphArrays(NamedTuple):
         plane; the link above. Nodes come after those that they link to.
     sector_count : int
     prim_ids : ndarray of shape (B, 4), int32
-        The triangles of the sectors' blocks; -1 where there is none. A sector's triangles fill
+        The triangles of the sectors' blocks; -1 in unused places. A sector's triangles fill
         its blocks from the first on.
     bins : ndarray of shape (X, Y, Z), uint32
-        The row of the sector that holds the low corner of each bin; bins are of equal size and
+        The row of the sector that contains the low corner of each bin; bins have equal size and
         tile the scene's box.
     """
 

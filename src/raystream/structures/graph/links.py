@@ -1,8 +1,8 @@
-"""The links of sectors: what lies behind each face.
+"""Linking sectors through their faces.
 
-Behind a face is a part of the kd-tree: the subtree across the plane, of which only the splits
-count that cut the face's rectangle. At a split on the face's own axis the child that touches the
-face is taken, at one that passes the rectangle by the child on its side; what is left are link
+Behind a face is a subtree of the kd-tree, of which only the splits matter that cut the face's
+rectangle. At a split on the face's own axis the child that touches the face is taken, at one
+that misses the rectangle the child on its side; the other splits become link
 nodes. Where a face covers a subtree, along the axes of the subtree's splits, its link nodes are
 the same for all such faces, and are made once.
 
@@ -39,7 +39,7 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["LINKS_AT", "RAW_LINKS", "batches", "link_sectors"]
 
-#: Raw nodes that are made at a time, if no single sector has more.
+#: Raw nodes per batch, if no single sector has more.
 _BATCH = 1 << 22
 
 _CHUNK = 1 << 11
@@ -78,7 +78,7 @@ def _count_nodes(begin, end, leaves, tree, counts, is_covered):
 
 @kernel
 def _spread_all_marks(nodes, is_covered):
-    """Mark what the link nodes of marked subtrees need; returns how many these are."""
+    """Mark what the link nodes of marked subtrees need; returns the number of these."""
     total = _NONE
     for node in range(np.uint64(len(nodes))):
         total += spread_marks(address(nodes), node, address(is_covered))
@@ -87,7 +87,7 @@ def _spread_all_marks(nodes, is_covered):
 
 @kernel
 def _link_covered(nodes, sectors, is_covered, covered, rows, table, count, first_row):
-    """Make the link nodes of marked subtrees; returns how many there are now."""
+    """Make the link nodes of marked subtrees; returns the number of nodes."""
     node_at, mark_at, link_at = address(nodes), address(is_covered), address(covered)
     row_at, table_at = address(rows), address(table)
     mask, end = np.uint64(len(table)) - _ONE, np.uint64(count)
@@ -130,7 +130,7 @@ def _fill_nodes(begin, end, base, order, tree, covered, firsts, raw, links):
 
 @kernel
 def _place_links(begin, end, base, raw, links, rows):
-    """Write the links of sectors base + begin to base + end, whose raw nodes have become nodes."""
+    """Write the links of sectors base + begin to base + end, given the links of raw nodes."""
     raw_at, row_at = address(raw), address(rows)
     for i in range(np.uint64(begin), np.uint64(end)):
         to = row_at + (np.uint64(base) + i) * SECTOR_BYTES + LINKS_AT
@@ -142,7 +142,7 @@ def _place_links(begin, end, base, raw, links, rows):
 
 
 def batches(firsts: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-    """The sectors whose raw nodes are made together, given where each sector's begin."""
+    """Ranges of sectors to link together, given the first raw node of each."""
     begin = 0
     while begin + 1 < len(firsts):
         end = int(np.searchsorted(firsts, firsts[begin] + _BATCH, "right")) - 1
@@ -234,7 +234,7 @@ def link_sectors(
     Returns
     -------
     ndarray of shape (N, 4), uint32
-        The link nodes, which are to follow the sectors.
+        The link nodes, to be appended to the sectors.
 
     Raises
     ------

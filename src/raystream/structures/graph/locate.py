@@ -1,9 +1,9 @@
-"""Start sectors: where rays begin their way through a graph.
+"""Locating the sectors in which rays start.
 
-A ray's sector is found from the bin that it is in, whose low corner's sector is known, or by
-displacement from a sector near by, such as that of the hit that it leaves. Both end with the
-same walk, which is exact from wherever it begins; so they find the same sector, and differ in
-how far they walk.
+A ray's sector is found from its bin, whose low corner's sector is known, or from a nearby sector,
+such as that of the hit that it leaves. Both end with the
+same walk, which is exact from any start; so they find the same sector, and differ in
+the length of the walk.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from raystream.structures.graph.steps import (
 
 __all__ = ["StartSectors", "find_sectors"]
 
-#: Rays that one call of the kernel gets.
+#: Rays per call of the kernel.
 _CHUNK = 1 << 13
 
-#: Sectors that a displacement leaves before it gives up and asks the bins.
+#: Most sectors that a walk from a nearby sector leaves before it falls back to the bins.
 MAX_WALK = 16
 
 _LIMIT = np.uint64(MAX_WALK)
@@ -40,12 +40,12 @@ _NOWHERE = np.int64(-1)
 
 
 class StartSectors(NamedTuple):
-    """Sectors of rays.
+    """The sectors of rays.
 
     Attributes
     ----------
     rows : ndarray of shape (N,), int64
-        Of `layout.GraphArrays`; -1 for a ray that is in none.
+        Of `layout.GraphArrays`; -1 for a ray outside all of them.
     step_counts : ndarray of shape (N,), int32
         Sectors left on the way there.
     """
@@ -70,10 +70,10 @@ def find_sectors(
         See `kernels.ray.prepare_ray`.
     rays : LocalRays
     t : ndarray of shape (N,), float32, optional
-        Distances; without them, where the rays' intervals begin, in the scene's box.
+        Distances along the rays [default: where they enter the scene's box, or t_min].
     near : ndarray of shape (N,), int64, optional
         Rows of sectors to walk from; -1 for none. Without them, and where a walk would be longer
-        than `MAX_WALK`, the bins are asked.
+        than `MAX_WALK`, walks start from the bins.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def _find(begin, end, graph, max_coordinate, rays, t, near, found):
 
 @device
 def _walk(graph, line, ray, near, t):
-    """By displacement if a sector is near, else from the bins."""
+    """Walk from the nearby sector if there is one, else from the bins."""
     if near < np.int64(0):
         return start_sector(graph, line, ray, t)
     sector = graph.rows + (np.uint64(near) << _ROW)

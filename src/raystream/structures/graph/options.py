@@ -1,4 +1,4 @@
-"""Graph: what others know of the graph of sectors."""
+"""Graph: the options of the graph of sectors."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ __all__ = ["Graph"]
 @register_structure
 @dataclass(frozen=True, kw_only=True)
 class Graph(StructureOptions):
-    """A graph of sectors (Rayforce 2013): boxes that are linked through their faces.
+    """A graph of sectors (Rayforce 2013): boxes linked through their faces.
 
-    Rays walk from sector to sector, without a stack, and meet triangles in the order of the ray.
+    Rays walk from sector to sector, without a stack, and test triangles in the order of the ray.
     How sectors are made and linked is our reading of Gribble and Naveros, "GPU Ray Tracing with
     Rayforce", SIGGRAPH 2013 posters; see docs/decisions.
 
     Parameters
     ----------
     crossing_cost, intersection_cost, link_cost : float
-        Costs of a step into a sector, of a triangle test, and of a plane between the sectors
-        behind a face, by which the graph is built, 1e-6 (of planes 0) to 1e6; only their ratios
-        matter. The defaults are measured: what is expensive about a sector or a plane is that
-        it is far in memory.
+        Costs of a step into a sector, of a triangle test, and of a plane that separates the
+        sectors behind a face, which the builder minimises, 1e-6 (of planes 0) to 1e6; only their
+        ratios matter. The defaults are measured: sectors and planes are expensive as they miss
+        the cache.
     max_depth : int, optional
-        Most splits that a sector is the result of, up to 64 [default: 8 + 1.3 log2 of the
+        Most splits per sector, up to 64 [default: 8 + 1.3 log2 of the
         number of triangles, but at most 64].
     max_leaf_size : int
         Sectors with at most this many triangles are not split, 1 to 1024.
@@ -39,7 +39,7 @@ class Graph(StructureOptions):
     ValueError
         If an option is out of range.
     TypeError
-        If a number is no number, or no integer where one is needed.
+        If an option is not a number, or not an integer where one is required.
     """
 
     name = "graph"

@@ -1,4 +1,4 @@
-"""The order of sectors in memory: along a curve that stays near.
+"""The order of sectors in memory: along a Morton curve.
 
 References
 ----------
@@ -30,14 +30,14 @@ __all__ = [
     "order_sectors",
 ]
 
-#: Bytes of a sector, and of a block's triangles.
+#: Bytes of a sector, and of the prim_ids of a block.
 SECTOR_BYTES = np.uint64(16 * SECTOR_ROWS)
 _BLOCK_IDS = np.uint64(16)
 
 #: Steps of the curve along each axis: 21 bits of three axes fit into 64.
 _STEPS = 1 << 21
 
-#: Bits of a place on it.
+#: Bits of a Morton code.
 CODE_BITS = 63
 
 _CHUNK = 1 << 13
@@ -50,7 +50,7 @@ _STEP_COUNT = np.float64(_STEPS)
 
 
 class Order(NamedTuple):
-    """Which leaf of the kd-tree is which sector.
+    """The order of the sectors, which are the leaves of a kd-tree.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Order(NamedTuple):
 
 @device
 def _spread(number):
-    """Put two zero bits behind each of the lowest 21 bits."""
+    """Insert two zero bits before each of the lowest 21 bits."""
     number = (number | number << np.uint64(32)) & np.uint64(0x001F00000000FFFF)
     number = (number | number << np.uint64(16)) & np.uint64(0x001F0000FF0000FF)
     number = (number | number << np.uint64(8)) & np.uint64(0x100F00F00F00F00F)
@@ -76,7 +76,7 @@ def _spread(number):
 
 @device
 def code_of(whole, box):
-    """The place along the curve of a box's centre; `whole` and `box` are addresses."""
+    """The Morton code of a box's centre in a whole box, both by address."""
     code = _NONE
     for axis in range(np.uint64(3)):
         at = axis * WORD
@@ -90,7 +90,7 @@ def code_of(whole, box):
 
 @kernel
 def _find_codes(begin, end, leaves, boxes, codes):
-    """Write the places along the curve of the centres of some leaves."""
+    """Write the Morton codes of the centres of leaves begin to end."""
     box_at = address(boxes)
     for i in range(np.uint64(begin), np.uint64(end)):
         codes[i] = code_of(box_at, box_at + np.uint64(leaves[i]) * BOX_BYTES)
@@ -107,7 +107,7 @@ def order_sectors(nodes: NDArray[np.int32], cells: Cells) -> Order:
     Returns
     -------
     Order
-        Leaves with the same place on the curve are in the order of the tree's nodes.
+        Leaves with the same code are in the order of the tree's nodes.
     """
     leaves = np.flatnonzero(nodes[:, 1] & 3 == LEAF_AXIS).astype(np.uint32)
     codes = np.empty(len(leaves), np.uint64)
@@ -124,7 +124,7 @@ def order_sectors(nodes: NDArray[np.int32], cells: Cells) -> Order:
 
 @device
 def fill_sector(to, box, first, count):
-    """Write a sector's row, but for its links: box, first block, number of triangles."""
+    """Write a sector except for its links: box, first block, number of triangles."""
     for axis in range(np.uint64(3)):
         at = axis * WORD
         store(to + at, load(np.float32, box + at))
@@ -153,7 +153,7 @@ def _fill_sectors(begin, end, leaves, nodes, boxes, tree_ids, firsts, rows, prim
 def fill_sectors(
     tree: KdArrays, cells: Cells, order: Order, rows: NDArray[np.uint32]
 ) -> NDArray[np.int32]:
-    """Write all of the sectors but their links.
+    """Write the sectors except for their links.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Taking back splits that did not pay.
+"""Pruning: undoing splits that did not pay.
 
-The kd-tree's builder goes on for a few splits that cost more than they save, in the hope that those
-after them pay. Where they did not, their parts become one sector again: from the leaves up, each
-subtree is compared with the leaf that it would be.
+The kd-tree's builder makes a few splits in a row that cost more than they save, in case later
+ones pay. Where they did not, their cells are merged into one sector: bottom up, each subtree is
+compared with the leaf that would replace it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from raystream.structures.kdtree.split import Costs
 
 __all__ = ["PENDING_BYTES", "UNION_BYTES", "Chosen", "prune", "put_leaf", "weigh_split"]
 
-#: Subtrees of more leaves than this stay, and those of more triangles.
+#: Subtrees of more leaves, or of more triangles, are kept.
 _MOST_LEAVES, _MOST_TRIANGLES = 16, 64
 PENDING_BYTES, UNION_BYTES = 8 * (_MOST_LEAVES + 2), 4 * _MOST_TRIANGLES
 
@@ -39,24 +39,24 @@ _ABSENT = np.int32(-1)
 
 
 class Chosen(NamedTuple):
-    """What is decided about each node of a tree: addresses of a number for each.
+    """The decision for each node of a tree: addresses of a number per node.
 
     Attributes
     ----------
     leaf_counts : uint64
-        Leaves of its subtree, uint32: 1 for what is a leaf now.
+        Leaves of its subtree, uint32: 1 for a leaf.
     lists : uint64
-        Addresses of leaves' triangles, uint64; of splits those of their first leaf.
+        Addresses of the triangles of leaves, uint64; for splits, of their first leaf.
     sizes : uint64
-        How many these are, uint32.
-    prices : uint64
+        Their number, uint32.
+    costs : uint64
         float64.
     """
 
     leaf_counts: np.uint64
     lists: np.uint64
     sizes: np.uint64
-    prices: np.uint64
+    costs: np.uint64
 
 
 @device
@@ -67,7 +67,7 @@ def _side(box, axis):
 
 @device
 def _areas(box, axis):
-    """Half of a box's surface, and the cross-section along an axis, which may be 3."""
+    """Half of a box's surface area, and its cross-section along an axis, which may be 3."""
     x, y, z = _side(box, _NONE), _side(box, _ONE), _side(box, _TWO)
     across = y * z if axis == _NONE else (z * x if axis == _ONE else x * y)
     return x * y + y * z + z * x, across
@@ -75,7 +75,7 @@ def _areas(box, axis):
 
 @device
 def _unite(node, nodes, leaf_counts, lists, sizes, pending, union, most):
-    """Unite the lists of a subtree's leaves; returns their size, or more than `most`."""
+    """Union of the lists of a subtree's leaves; returns its size, or more than `most`."""
     count = _NONE
     store(pending, node)
     top = pending + _ENTRY
@@ -103,15 +103,15 @@ def _unite(node, nodes, leaf_counts, lists, sizes, pending, union, most):
 
 
 @device
-def leaf_price(box, count, costs):
-    """Price of a leaf of so many triangles."""
+def leaf_cost(box, count, costs):
+    """Cost of a leaf of `count` triangles."""
     half, _ = _areas(box, _LEAF)
     return costs.intersection * np.float64(count) * half
 
 
 @device
 def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
-    """Make a leaf of a split if that costs no more; its children have been weighed.
+    """Turn a split into a leaf if that costs no more; its children have been weighed.
 
     Parameters
     ----------
@@ -121,31 +121,31 @@ def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
     costs : Costs
     chosen : Chosen
     free : uint64
-        Triangles that its list may have.
+        Most triangles that its list may have.
     pending, union : uint64
         Addresses of `PENDING_BYTES` and `UNION_BYTES` of scratch.
 
     Returns
     -------
     uint64
-        Triangles of the list that pays, written or too long; 0 if none does.
+        Length of the list if it pays, whether written or too long; 0 if it does not.
 
     Notes
     -----
-    The lists of a subtree's leaves lie one after the other in the order of its leaves, each with
-    its room: their union is written where the first one was. That is so in the subtrees that the
-    CPU gives to its threads; cells above those have more triangles than a new list may.
+    The lists of a subtree's leaves are consecutive in memory: their union is written over
+    them. That holds in the subtrees that the CPU gives to its threads; cells above those
+    have more triangles than a new list may have.
     """
     axis, first, _ = split_of(nodes, node)
     half, across = _areas(boxes + node * BOX_BYTES, axis)
-    cost = _price(chosen, first) + _price(chosen, first + _ONE) + costs.traversal * half
+    cost = _cost(chosen, first) + _cost(chosen, first + _ONE) + costs.traversal * half
     cost += costs.crossing * across
     count = np.uint64(load(np.uint32, chosen.leaf_counts + first * WORD))
     count += np.uint64(load(np.uint32, chosen.leaf_counts + (first + _ONE) * WORD))
     at = load(np.uint64, chosen.lists + first * _ENTRY)
     store(chosen.lists + node * _ENTRY, at)
     store(chosen.leaf_counts + node * WORD, np.uint32(count))
-    store(chosen.prices + node * _ENTRY, cost)
+    store(chosen.costs + node * _ENTRY, cost)
     affordable = cost / (costs.intersection * half)
     most = np.uint64(min(affordable, np.float64(_MOST_TRIANGLES)))
     if count > _LEAF_LIMIT:
@@ -163,38 +163,38 @@ def weigh_split(node, nodes, boxes, costs, chosen, free, pending, union):
 
 @device
 def put_leaf(node, boxes, costs, chosen, at, size):
-    """Note that a node is a leaf, with the list at an address."""
+    """Make a node a leaf, with the list at an address."""
     store(chosen.lists + node * _ENTRY, at)
     store(chosen.sizes + node * WORD, np.uint32(size))
     store(chosen.leaf_counts + node * WORD, np.uint32(1))
-    store(chosen.prices + node * _ENTRY, leaf_price(boxes + node * BOX_BYTES, size, costs))
+    store(chosen.costs + node * _ENTRY, leaf_cost(boxes + node * BOX_BYTES, size, costs))
 
 
 @device
-def _price(chosen, node):
-    return load(np.float64, chosen.prices + node * _ENTRY)
+def _cost(chosen, node):
+    return load(np.float64, chosen.costs + node * _ENTRY)
 
 
 @kernel
-def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, prices):
-    """Decide what is a leaf.
+def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, node_costs):
+    """Decide which nodes are leaves.
 
     Parameters
     ----------
     nodes, prim_ids : ndarray
-        See `KdArrays`. Lists of new leaves replace the first ones of theirs.
+        See `KdArrays`. Lists of new leaves overwrite those of the leaves they replace.
     boxes : ndarray of shape (M, 6), float32
     costs : Costs
-    leaf_counts, lists, sizes, prices : ndarray
+    leaf_counts, lists, sizes, node_costs : ndarray
         Written: see `Chosen`.
 
     Notes
     -----
-    All new lists together have no more rows than `prim_ids`; from the first that has no room on
-    all stays as it is.
+    All new lists together have no more rows than `prim_ids`; from the first that does not fit,
+    the tree is kept as it is.
     """
     node_at, id_at, box_at = address(nodes), address(prim_ids), address(boxes)
-    chosen = Chosen(address(leaf_counts), address(lists), address(sizes), address(prices))
+    chosen = Chosen(address(leaf_counts), address(lists), address(sizes), address(node_costs))
     pending, union = scratch(PENDING_BYTES), scratch(UNION_BYTES)
     free = np.uint64(prim_ids.size)
     node = np.uint64(len(nodes))
@@ -211,11 +211,11 @@ def _choose_leaves(nodes, prim_ids, boxes, costs, leaf_counts, lists, sizes, pri
 
 @kernel
 def _rebuild(nodes, leaf_counts, lists, sizes, rows, new_nodes, new_ids):
-    """Write the tree that is left; `rows` is memory for a number per node."""
+    """Write the pruned tree; `rows` is scratch memory, a number per node."""
     node_at = address(nodes)
     new_at, id_at = address(new_nodes), address(new_ids)
     end, block = _ONE, _NONE
-    rows[0] = 1  # a row plus 1; 0 for what is gone
+    rows[0] = 1  # a row plus 1; 0 for removed nodes
     for node in range(np.uint64(len(nodes))):
         if rows[node] == 0:
             continue
@@ -241,7 +241,7 @@ def _rebuild(nodes, leaf_counts, lists, sizes, rows, new_nodes, new_ids):
 
 
 def prune(tree: KdArrays, boxes: NDArray[np.float32], costs: Costs) -> KdArrays:
-    """Make leaves of subtrees that cost as much as a leaf in their place, or more.
+    """Replace subtrees that cost at least as much as a leaf by leaves.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def prune(tree: KdArrays, boxes: NDArray[np.float32], costs: Costs) -> KdArrays:
     boxes : ndarray of shape (M, 6), float32
         Of its cells.
     costs : Costs
-        Those that it was built by.
+        Those that it was built with.
 
     Returns
     -------
@@ -259,8 +259,8 @@ def prune(tree: KdArrays, boxes: NDArray[np.float32], costs: Costs) -> KdArrays:
     count = len(tree.nodes)
     leaf_counts, sizes = np.empty(count, np.uint32), np.empty(count, np.uint32)
     lists = np.empty(count, np.uint64)
-    prices, lists_of = np.empty(count), tree.prim_ids.copy()
-    _choose_leaves(tree.nodes, lists_of, boxes, costs, leaf_counts, lists, sizes, prices)
+    node_costs, list_ids = np.empty(count), tree.prim_ids.copy()
+    _choose_leaves(tree.nodes, list_ids, boxes, costs, leaf_counts, lists, sizes, node_costs)
     nodes = np.empty((2 * int(leaf_counts[0]) - 1, 2), np.int32)
     rows = np.zeros(count, np.uint32)
     prim_ids = np.empty((len(tree.prim_ids), 4), np.int32)

@@ -1,4 +1,4 @@
-"""Figures about a graph: how large it is, and what it costs a ray."""
+"""Statistics of a graph: size and expected cost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["statistics"]
 
 _CHUNK = 1 << 12
 
-#: A part of a face that waits: its link (uint64) and its box (low x, y, z, high x, y, z).
+#: A pending part of a face: its link (uint64) and its box (low x, y, z, high x, y, z).
 _PENDING = np.uint64(32)
 
 _NONE = np.uint64(0)
@@ -32,7 +32,7 @@ _SECTOR_BYTES = np.uint64(16 * SECTOR_ROWS)
 
 @kernel
 def _measure_trees(rows, sector_count, depths, sizes):
-    """Depth of the tree of each link node, and how many nodes it would have of its own."""
+    """Depth of the tree of each link node, and its number of nodes if not shared."""
     first = sector_count * SECTOR_ROWS
     bit = np.int64(NODE_BIT)
     for node in range(len(depths)):
@@ -74,23 +74,23 @@ def _copy_box(to, source):
 
 @kernel
 def _add_up(begin, end, rows, stack, sums):
-    """Add areas of sectors begin to end to `sums`.
+    """Add the areas of sectors begin to end to `sums`.
 
     Parameters
     ----------
     begin, end : int
     rows : ndarray of shape (R, 4), uint32
     stack : ndarray of shape (K,), uint8
-        Room for as many parts of a face as its tree is deep, and one more.
+        Room for one more part of a face than the depth of its tree.
     sums : ndarray of shape (4,), float64
-        Half areas of sectors; those times triangles; areas of faces with a link; areas of the
-        parts of faces that link nodes get.
+        Half areas of sectors; the same times triangles; areas of faces with a link; areas of
+        faces per link node.
     """
     row_at, stack_at = address(rows), address(stack)
     box = stack_at
     for sector in range(np.uint64(begin), np.uint64(end)):
         at = row_at + sector * _SECTOR_BYTES
-        # The sector's box without the words in between, below the stack.
+        # The sector's box without the interleaved words, below the stack.
         for k in range(_THREE):
             store(box + k * _WORD, load(np.float32, at + k * _WORD))
             store(box + _HIGH + k * _WORD, load(np.float32, at + _ROW + k * _WORD))
@@ -125,7 +125,7 @@ def _add_up(begin, end, rows, stack, sums):
 
 
 def _sum_areas(graph: GraphArrays, depth: int) -> NDArray[np.float64]:
-    """What `_add_up` finds in all sectors; the same for any number of threads."""
+    """The sums of `_add_up` over all sectors; the same for any number of threads."""
     parts = np.zeros((-(-graph.sector_count // _CHUNK), 4))
 
     def body(begin: int, end: int) -> None:
@@ -144,17 +144,17 @@ def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
     ----------
     graph : GraphArrays
     settings : GraphSettings
-        Prices of steps.
+        Costs of steps.
 
     Returns
     -------
     dict of str to float
-        ``sectors``, ``empty sectors``; ``references``: triangles of all sectors, those in
-        several counted as often; ``largest list``; ``link nodes``, and ``link nodes unshared``:
-        if each face had its own; ``mean link depth``: link nodes that a random ray passes from
-        sector to sector; ``link depth``: the most; ``bytes``, without corners; ``sectors per
-        ray``, ``link nodes per ray``, ``tests per ray``: what a random line through the box
-        meets, hits or no hits; ``cost``: their price, J in `build`.
+        ``sectors``, ``empty sectors``; ``references``: triangles of all sectors, one in
+        several counted several times; ``largest list``; ``link nodes``, and ``link nodes
+        unshared``: if each face had its own; ``mean link depth``: link nodes that a random ray
+        passes between sectors; ``link depth``: their maximum; ``bytes``, without corners;
+        ``sectors per ray``, ``link nodes per ray``, ``tests per ray``: expected for a random
+        line through the box, hits or not; ``cost``: of these, J in `build`.
     """
     rows, count = graph.rows, graph.sector_count
     if count == 0:
@@ -176,7 +176,7 @@ def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
         "link nodes per ray": passed / (2.0 * whole),
         "tests per ray": tests / whole,
     }
-    prices = settings.crossing_cost, settings.link_cost, settings.intersection_cost
+    costs = settings.crossing_cost, settings.link_cost, settings.intersection_cost
     return {
         "sectors": float(count),
         "empty sectors": float(np.count_nonzero(sizes == 0)),
@@ -188,5 +188,5 @@ def statistics(graph: GraphArrays, settings: GraphSettings) -> dict[str, float]:
         "link depth": float(depth),
         "bytes": float(rows.nbytes + graph.prim_ids.nbytes + graph.bins.nbytes),
         **per_ray,
-        "cost": sum(p * n for p, n in zip(prices, per_ray.values(), strict=True)),
+        "cost": sum(c * n for c, n in zip(costs, per_ray.values(), strict=True)),
     }

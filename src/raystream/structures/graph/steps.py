@@ -1,15 +1,15 @@
-"""The steps of a ray's way through a graph of sectors, each a function of a small state.
+"""The steps of a ray's walk through a graph of sectors.
 
-A ray meets a plane at one distance, ``fma(plane, inv, middle)``: that of the kd-tree's steps,
+A ray intersects a plane at one distance, ``fma(plane, inv, middle)``, as in the kd-tree,
 and for the same reason. It depends on the plane alone and is monotone in its position, so a
-distance t is either before a plane or not, whichever sector asks. A ray is in a sector for
-t_in <= t < t_out, from the last of the planes by which it comes in to the first of those by
-which it goes out; the sides of the scene's box are no such planes. So each t belongs to exactly
+distance t is either before a plane or not, from whichever sector. A ray is in a sector for
+t_in <= t < t_out, from the last of the planes through which it enters to the first of those
+through which it leaves; the sides of the scene's box do not count. So each t belongs to exactly
 one sector, and a hit counts in the sector that its t belongs to, and nowhere else.
 
-No ray loops. A step goes through a face on the side that the ray goes to, and sectors are the
+Every walk ends. A step goes through a face that faces the ray's direction, and sectors are the
 leaves of splits: all sectors behind such a face come later in the order in which rays of that
-octant meet sectors, whatever the distances are.
+octant visit sectors, whatever the distances are.
 
 References
 ----------
@@ -48,7 +48,7 @@ _ONE = np.uint64(1)
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 
-# Where words of a sector are, in bytes.
+# Byte offsets of the words of a sector.
 _FIRST_BLOCK = np.uint64(12)
 _HIGH = np.uint64(16)
 _TRIANGLE_COUNT = np.uint64(28)
@@ -56,7 +56,7 @@ _LINKS = np.uint64(32)
 _WORD = np.uint64(4)
 _TWO_WORDS = np.uint64(8)
 
-# Where words of a link node are; its first is the plane.
+# Byte offsets of the words of a link node; the first is the plane.
 _AXIS = np.uint64(4)
 _BELOW = np.uint64(8)
 _ABOVE = np.uint64(12)
@@ -67,12 +67,12 @@ _NO_LIMIT = np.uint64(2**63)
 
 
 class GraphAddresses(NamedTuple):
-    """A graph as kernels take it; whoever calls one keeps the arrays alive.
+    """A graph as kernels take it; the caller keeps the arrays alive.
 
     Attributes
     ----------
     rows : uint64
-        Address of `layout.GraphArrays.rows`, but with planes at infinity where sectors have no
+        Address of `layout.GraphArrays.rows`, with planes at infinity where sectors have no
         neighbour; 0 for a graph without sectors.
     blocks : uint64
         Address of the sectors' blocks.
@@ -83,7 +83,7 @@ class GraphAddresses(NamedTuple):
     bin_low : tuple of three float32
         The low corner of the first bin.
     bin_scales : tuple of three float32
-        Bins in a unit of length; 0 where there is one of no size.
+        Bins per unit of length; 0 along an axis on which the box is flat.
     low, high : tuple of three float32
         The scene's box.
     """
@@ -99,16 +99,16 @@ class GraphAddresses(NamedTuple):
 
 
 class SectorRay(NamedTuple):
-    """What steps need of a ray.
+    """A ray as the steps use it.
 
     Attributes
     ----------
     inv_x, inv_y, inv_z, middle_x, middle_y, middle_z : float32
         Constants of its distances to planes.
     out_x, out_y, out_z : uint64
-        Where a sector has the planes by which it goes out, in bytes.
+        Byte offsets in a sector of the planes through which the ray leaves.
     link_x, link_y, link_z : uint64
-        Where it has their links.
+        Byte offsets of their links.
     """
 
     inv_x: np.float32
@@ -126,7 +126,7 @@ class SectorRay(NamedTuple):
 
 
 class Face(NamedTuple):
-    """A face of a sector: the distance at which a ray meets its plane, and its link."""
+    """A face of a sector: the distance of its plane along a ray, and its link."""
 
     t: np.float32
     link: np.uint64
@@ -134,10 +134,10 @@ class Face(NamedTuple):
 
 @device
 def sector_ray(ray):
-    """What steps need of a `kernels.ray.Ray`.
+    """A `kernels.ray.Ray` as a `SectorRay`.
 
-    ``middle`` is the mean of the slab constants of both paddings: that of a plane without any,
-    to two roundings.
+    ``middle`` is the mean of the slab constants of both paddings: that of an unpadded plane, to
+    within two roundings.
     """
     high_x = _HIGH if ray.inv_x > _ZERO else _NONE
     high_y = _HIGH if ray.inv_y > _ZERO else _NONE
@@ -152,7 +152,7 @@ def sector_ray(ray):
         high_x,
         high_y + _WORD,
         high_z + _TWO_WORDS,
-        # Links are in pairs: that of the low side, and that of the high side.
+        # Links are in pairs: low side, high side.
         _LINKS + (high_x >> np.uint64(2)),
         _LINKS + _TWO_WORDS + (high_y >> np.uint64(2)),
         _LINKS + _TWO_WORDS + _TWO_WORDS + (high_z >> np.uint64(2)),
@@ -166,7 +166,7 @@ def _link(sector, at):
 
 @device
 def exit_face(line, sector):
-    """The face by which a ray leaves a sector: inf at the last one.
+    """The face through which a ray leaves a sector; its distance is inf in the last one.
 
     Parameters
     ----------
@@ -203,13 +203,13 @@ def _entry_face(line, sector):
 
 @device
 def _plane(sector, at, inv, middle):
-    """Distance to a plane of a sector; infinite where it is at the scene's side."""
+    """Distance of a plane of a sector; infinite at the side of the scene."""
     return fma(load(np.float32, sector + at), inv, middle)
 
 
 @device
 def follow_link(graph, line, link, t):
-    """Follow a link, through the nodes that tell sectors apart, to where a ray is at t.
+    """Follow a link, through link nodes, to the sector in which a ray is at t.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def follow_link(graph, line, link, t):
     sector : uint64
         Address.
     node_count : uint64
-        Link nodes that were passed.
+        Link nodes passed.
     """
     node_count = _NONE
     while link & _NODE_BIT != _NONE:
@@ -240,20 +240,20 @@ def follow_link(graph, line, link, t):
 
 @device
 def clip_to_scene(graph, ray, t_min, t_max):
-    """The part of a ray's interval in which it can hit anything.
+    """Clip a ray's interval to the scene's box.
 
     Returns
     -------
     is_active : bool
-        Whether there is such a part.
+        Whether the ray can hit anything.
     t_in : float32
-        Where it begins.
+        Begin of the interval.
     t_end : float32
-        Just after the last t that is wanted.
+        The next float32 after its end.
     """
     low, high = graph.low, graph.high
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
-    # A hit lies in its triangle's interval, so in that of the scene's box.
+    # A hit lies in its triangle's slab interval, so in that of the scene's box.
     t_in, t_out = max(t_in, t_min), min(t_out, t_max)
     return graph.rows != _NONE and t_in <= t_out, t_in, next_float_up(t_out)
 
@@ -267,7 +267,7 @@ def _bin_number(position, low, scale, count):
 
 @device
 def _bin_row(graph, ray, t):
-    """The bin in which a ray is at t, to a rounding."""
+    """The bin in which a ray is at t, up to rounding."""
     kz = ray.kz
     x = fma(t, component(kz, ray.dz, ray.dy, ray.dx), component(kz, ray.oz, ray.oy, ray.ox))
     y = fma(t, component(kz, ray.dx, ray.dz, ray.dy), component(kz, ray.ox, ray.oz, ray.oy))
@@ -281,7 +281,7 @@ def _bin_row(graph, ray, t):
 
 @device
 def _bin_sector(graph, row):
-    """The sector of a bin; its address."""
+    """Address of the sector of a bin."""
     return graph.rows + (np.uint64(load(np.uint32, graph.bins + row * _WORD)) << _ROW)
 
 
@@ -289,8 +289,8 @@ def _bin_sector(graph, row):
 def walk_to(graph, line, sector, t, limit):
     """Walk from any sector to the one in which a ray is at t.
 
-    First back, through faces by which the ray comes in, until all of them are before t; then
-    on, until none by which it goes out is. Exact from wherever it begins; near by, it is short.
+    First backward, until the ray enters the sector before t; then forward, until it leaves
+    after t. Exact from any sector, and short from a nearby one.
 
     Parameters
     ----------
@@ -300,14 +300,14 @@ def walk_to(graph, line, sector, t, limit):
         Address.
     t : float32
     limit : uint64
-        Most sectors that are left: the walk then ends on its face.
+        Most sectors to leave: the walk then stops short.
 
     Returns
     -------
     sector : uint64
         Address.
     step_count : uint64
-        Sectors that were left.
+        Sectors left.
     """
     step_count = _NONE
     face = _entry_face(line, sector)
@@ -325,25 +325,25 @@ def walk_to(graph, line, sector, t, limit):
 
 @device
 def start_sector(graph, line, ray, t):
-    """The sector in which a ray is at t, from the bins; and the sectors left on the way there."""
+    """The sector in which a ray is at t, from the bins; and the number of steps to it."""
     sector = _bin_sector(graph, _bin_row(graph, ray, t))
     return walk_to(graph, line, sector, t, _NO_LIMIT)
 
 
 @device
 def start_sector_cached(graph, line, ray, t, last):
-    """The sector in which a ray is at t: from the ray before, if that began in the same bin.
+    """The sector in which a ray is at t: from the previous ray, if that began in the same bin.
 
-    The rays of a camera share a sector, and those that leave a surface one after the other
-    mostly do: first hits of bounce rays were 5 to 28 % faster for it, others within the noise.
+    Rays of a camera share a sector, and successive rays that leave a surface mostly do:
+    first hits of bounce rays became 5 to 28 % faster, others within the noise.
 
     Parameters
     ----------
     graph, line, ray, t
         See `start_sector`.
     last : uint64
-        Address of 16 bytes: the number of the last ray's bin, counted from 1, 0 before the
-        first ray; and the sector in which it was. Changed.
+        Address of 16 bytes: the bin of the previous ray, counted from 1, 0 before the
+        first ray; and its sector. Changed.
 
     Returns
     -------
@@ -363,7 +363,7 @@ def start_sector_cached(graph, line, ray, t, last):
 
 @device
 def sector_blocks(graph, sector):
-    """A sector's first block, after its last one, and its number of triangles."""
+    """Addresses of a sector's first block and after its last one, and its number of triangles."""
     count = np.uint64(load(np.uint32, sector + _TRIANGLE_COUNT))
     first = np.uint64(load(np.uint32, sector + _FIRST_BLOCK))
     block = graph.blocks + first * BLOCK

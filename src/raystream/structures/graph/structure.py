@@ -1,4 +1,4 @@
-"""GraphStructure: the graph of sectors as a structure."""
+"""GraphStructure: the built graph of sectors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["GraphStructure", "addresses_of", "settings_of"]
 
 
 class GraphStructure(Structure):
-    """A graph of sectors as it was built; see `Graph`.
+    """A graph of sectors, built; see `Graph`.
 
     Parameters
     ----------
@@ -76,12 +76,12 @@ class GraphStructure(Structure):
 
     @property
     def rows(self) -> NDArray[np.uint32]:
-        """The graph's rows as rays take them: planes without a sector behind are at infinity."""
+        """The graph's rows as kernels read them: planes without a sector behind are at infinity."""
         return self._rows
 
     @property
     def arrays(self) -> GraphAddresses:
-        """Where the graph is; the structure keeps it."""
+        """Addresses of the graph, which the structure keeps alive."""
         return self._addresses
 
     @property
@@ -99,12 +99,12 @@ class GraphStructure(Structure):
         return find_sectors(self.arrays, np.float32(self.triangles.max_coordinate), rays, t, near)
 
     def dump(self, path: str | PathLike[str]) -> None:
-        """Write the graph as text, a line for each triangle, sector and link node.
+        """Write the graph as text, one line per triangle, sector and link node.
 
         Parameters
         ----------
         path : str or path
-            Replaced as a whole when writing succeeded. `graphlog.load_graph` reads it.
+            Replaced atomically. `graphlog.load_graph` reads it.
         """
         with atomic_write(path) as file, file.open("w", encoding="ascii", newline="\n") as text:
             dump_graph(text, self.graph, self.triangles.corners)
@@ -121,7 +121,7 @@ class GraphStructure(Structure):
     def from_arrays(
         cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Graph
     ) -> GraphStructure:
-        """Make a graph of saved arrays; see `Structure.from_arrays`."""
+        """Make a graph from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
         graph = check_graph(arrays, triangles.bounds, triangles.prim_ids, len(triangles))
         structure = cls.__new__(cls)
@@ -136,7 +136,7 @@ def addresses_of(
     blocks: np.uint64,
     bins: np.uint64,
 ) -> GraphAddresses:
-    """What the traversal is given of a graph whose arrays are at some addresses."""
+    """The view of a graph, given the addresses of its arrays."""
     low, high = triangles.bounds
     box = graph_box(triangles).astype(np.float64)
     sizes = box[1] - box[0]
@@ -146,7 +146,7 @@ def addresses_of(
 
 
 def _open_sides(rows: NDArray[np.uint32]) -> None:
-    """Move the planes of sectors that have no neighbour to infinity: no ray passes them."""
+    """Move planes without a neighbouring sector to infinity, so that no ray passes them."""
     sectors = rows.reshape(-1, 16)
     planes, links = sectors.view(np.float32), sectors[:, 8:14]
     for axis in range(3):
@@ -160,7 +160,7 @@ def _triple(numbers: Any) -> tuple[np.float32, np.float32, np.float32]:
 
 
 def settings_of(options: Graph, triangle_count: int) -> GraphSettings:
-    """How to build a graph with such options."""
+    """The build settings of some options."""
     max_depth = options.max_depth
     if max_depth is None:
         max_depth = default_depth(triangle_count)

@@ -1,4 +1,4 @@
-"""One ray through a graph from start to end: the steps of `steps`, fused."""
+"""Graph traversal: the walk through the sectors along a ray, the fused `steps`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from raystream.structures.graph.steps import (
 
 __all__ = ["STACK_BYTES", "traverse"]
 
-#: A graph needs no stack: the memory for one tells where the last ray began.
+#: A graph needs no stack: its memory caches the start of the previous ray.
 STACK_BYTES = 16
 
 _NONE = np.uint64(0)
@@ -43,7 +43,7 @@ def traverse(graph, ray, search, stack):
         t_out = min(face.t, t_end)
         is_last = t_out >= t_end
         block, end, left = sector_blocks(graph, sector)
-        # What comes next is asked for before the triangles are tested: memory is far.
+        # Prefetch the blocks and the next sector before testing triangles.
         next_sector, node_count = sector, _NONE
         if block != end:
             prefetch(block)

@@ -1,4 +1,4 @@
-"""The lattices of a grid as kernels take them: the coarse one, and those within its cells."""
+"""The lattices of a grid in kernels: the coarse one, and those within its cells."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = [
     "fine_cells",
 ]
 
-#: What `child_of` gives for a cell that is not divided.
+#: `child_of` a cell that is not subdivided.
 NO_CHILD = np.int32(-1)
 
 _NONE = np.uint64(0)
@@ -30,12 +30,12 @@ _RECORD = np.uint64(32)
 
 
 class Cells(NamedTuple):
-    """A lattice: what walks need of it, and where its lists are.
+    """A lattice for walks, with the addresses of its lists.
 
     Attributes
     ----------
     low, size, counts : triple of float32
-        See `dda.set_up_walk`.
+        See `dda.begin_walk`.
     splits, references : uint64
         Addresses of `GridArrays`.
     """
@@ -55,7 +55,7 @@ def coarse_cells(grid):
 
 @device
 def cell_numbers(grid, cell):
-    """Numbers of a coarse cell along the axes, as float32."""
+    """Indices of a coarse cell along the axes, as float32."""
     nx, ny = np.int64(grid.counts[0]), np.int64(grid.counts[1])
     rest = np.int64(cell)
     return np.float32(rest % nx), np.float32(rest // nx % ny), np.float32(rest // (nx * ny))
@@ -63,7 +63,7 @@ def cell_numbers(grid, cell):
 
 @device
 def child_of(grid, cell):
-    """Number of the lattice within a coarse cell; `NO_CHILD` if it is not divided."""
+    """Number of the lattice within a coarse cell; `NO_CHILD` if it is not subdivided."""
     if grid.children == _NONE:
         return NO_CHILD
     return load(np.int32, grid.children + (np.uint64(cell) << _WORD))
@@ -92,6 +92,6 @@ def fine_cells(grid, cell, child):
 
 @device
 def cell_list(splits, cell):
-    """Where the list of a cell begins and ends, given the address of all cells' splits."""
+    """Begin and end of the list of a cell, given the address of all splits."""
     at = splits + (np.uint64(cell) << _WORD)
     return np.uint64(load(np.uint32, at)), np.uint64(load(np.uint32, at + np.uint64(4)))

@@ -1,10 +1,10 @@
-"""Walking through a lattice of cells: set-up and step.
+"""Walking through a lattice of cells (DDA): set-up and step.
 
 The walk assigns each distance t along a ray to one cell. Along an axis, the ray passes plane p
 at ``D(p) = fma(p, inv, middle)``, which is monotone in p; it is in the cell between two planes
-while D(first) <= t < D(second). The first cell of an axis reaches back, and the last one on,
-without end. Distances come from the planes' positions and never from adding up, so each t is
-in exactly one cell, whatever the rounding, and cells come by increasing t.
+while D(first) <= t < D(second). The first cell of an axis extends infinitely backward, and the
+last one forward. Distances come from the planes' positions and are never accumulated, so each t
+is in exactly one cell, whatever the rounding, and cells come by increasing t.
 
 Sources: Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics
 1987; Purcell 2002, section 3.1.3.
@@ -23,12 +23,12 @@ from raystream.kernels.ray import component
 __all__ = [
     "Walk",
     "WalkState",
+    "begin_walk",
     "cell_end",
-    "set_up_walk",
-    "start_walk",
+    "first_state",
+    "prepare_walk",
+    "state_at",
     "step_walk",
-    "walk_from",
-    "walk_through",
 ]
 
 _ZERO = np.float32(0.0)
@@ -38,7 +38,7 @@ _INF = np.float32(np.inf)
 
 
 class Walk(NamedTuple):
-    """What does not change while a ray walks through a lattice; triples are in world order.
+    """The constants of a ray's walk through a lattice; triples are in world order.
 
     Attributes
     ----------
@@ -47,11 +47,11 @@ class Walk(NamedTuple):
     inv, middle : triple of float32
         A plane's distance is ``fma(plane, inv, middle)``.
     end : triple of float32
-        Number of the last plane, which the ray never passes.
+        Index of the last plane, which the ray never passes.
     step : triple of float32
-        From a plane's number to the next one's: 1 or -1.
+        From the index of a plane to the next one: 1 or -1.
     stride : triple of int64
-        From a cell's number to the next one's.
+        From the number of a cell to the next one.
     """
 
     low: object
@@ -64,18 +64,18 @@ class Walk(NamedTuple):
 
 
 class WalkState(NamedTuple):
-    """Where a ray is.
+    """The state of a walk.
 
     Attributes
     ----------
     cell : int64
         Number of the cell.
     t_next : triple of float32
-        Distance of the plane that the ray meets next, for each axis; inf for the last one.
+        Distance of the next plane for each axis; inf for the last one.
     plane : triple of float32
-        Number of the plane after that.
+        Index of the plane after that.
     t_after : triple of float32
-        Distance of that one: known a step ahead, so that no step waits for it.
+        Its distance: known a step ahead, so that no step waits for it.
     """
 
     cell: object
@@ -86,7 +86,7 @@ class WalkState(NamedTuple):
 
 @device
 def _distance(number, low, size, inv, middle):
-    """Where a ray passes plane `number` of an axis."""
+    """Distance at which a ray passes plane `number` of an axis."""
     return fma(fma(number, size, low), inv, middle)
 
 
@@ -98,11 +98,11 @@ def _start(t, o, d, inv, middle, low, size, count):
     first, last = _ZERO, count - _ONE
     if step < _ZERO:
         first, last = last, first
-    # Step 1: a guess that is right but for rounding. A NaN, of a flat axis, becomes 0.
+    # Step 1: a guess that is correct up to rounding. NaN, for a flat axis, becomes 0.
     guess = (fma(t, d, o) - low) / size
     guess = guess if guess > _ZERO else _ZERO
     cell = floor(min(guess, count - _ONE))
-    # Step 2: the right one, by the rule. One of the two loops is empty.
+    # Step 2: correct it by the rule above. One of the two loops does nothing.
     while cell != last and _distance(cell + ahead, low, size, inv, middle) <= t:
         cell += step
     behind = _ONE - ahead
@@ -113,12 +113,12 @@ def _start(t, o, d, inv, middle, low, size, count):
 
 @device
 def _middle(near, far):
-    # That of the plane itself, between those that padding moves it to.
+    # The unpadded plane is between the two padded ones.
     return (near + far) * _HALF
 
 
 @device
-def set_up_walk(lattice, ray, t):
+def begin_walk(lattice, ray, t):
     """Begin a walk at distance t.
 
     Parameters
@@ -134,13 +134,13 @@ def set_up_walk(lattice, ray, t):
     Walk
     WalkState
     """
-    walk = walk_through(lattice, ray)
-    return walk, start_walk(lattice, walk, ray, t)
+    walk = prepare_walk(lattice, ray)
+    return walk, first_state(lattice, walk, ray, t)
 
 
 @device
-def walk_through(lattice, ray):
-    """What does not change while a ray walks; see `set_up_walk`."""
+def prepare_walk(lattice, ray):
+    """The constants of a walk; see `begin_walk`."""
     low, size, counts = lattice.low, lattice.size, lattice.counts
     inv = (ray.inv_x, ray.inv_y, ray.inv_z)
     middle = (
@@ -168,8 +168,8 @@ def walk_through(lattice, ray):
 
 
 @device
-def start_walk(lattice, walk, ray, t):
-    """Where a walk begins; see `set_up_walk`."""
+def first_state(lattice, walk, ray, t):
+    """The first state of a walk; see `begin_walk`."""
     low, size, counts = lattice.low, lattice.size, lattice.counts
     kz = ray.kz
     o = (
@@ -186,12 +186,12 @@ def start_walk(lattice, walk, ray, t):
     i = _start(t, o[0], d[0], inv[0], middle[0], low[0], size[0], counts[0])
     j = _start(t, o[1], d[1], inv[1], middle[1], low[1], size[1], counts[1])
     k = _start(t, o[2], d[2], inv[2], middle[2], low[2], size[2], counts[2])
-    return walk_from(lattice, walk, i, j, k)
+    return state_at(lattice, walk, i, j, k)
 
 
 @device
-def walk_from(lattice, walk, i, j, k):
-    """Where a walk is in the cell with numbers i, j and k (float32) along the axes."""
+def state_at(lattice, walk, i, j, k):
+    """The state of a walk in the cell with indices i, j and k (float32)."""
     row, layer = (
         np.int64(lattice.counts[0]),
         np.int64(lattice.counts[0]) * np.int64(lattice.counts[1]),
@@ -209,7 +209,7 @@ def walk_from(lattice, walk, i, j, k):
 
 @device
 def _next(plane, end, low, size, inv, middle):
-    """Distance of a plane that a ray meets next; inf for the last one."""
+    """Distance of the next plane; inf for the last one."""
     return _INF if plane == end else _distance(plane, low, size, inv, middle)
 
 
@@ -231,9 +231,9 @@ def cell_end(state):
 
 @device
 def step_walk(walk, state):
-    """Go to the next cell: through all planes that are passed at the cell's end.
+    """Step to the next cell: across all planes that the ray passes at the cell's end.
 
-    Must not be called where `cell_end` is inf.
+    Must not be called if `cell_end` is inf.
     """
     t = cell_end(state)
     cell = state.cell

@@ -1,4 +1,4 @@
-"""Lattice: where the cells of a grid are, and how many of them to make."""
+"""Lattice: the cells of a grid, and the choice of their number."""
 
 from __future__ import annotations
 
@@ -20,29 +20,28 @@ __all__ = [
     "cube_side",
 ]
 
-#: A cell lists the triangles that come this near to it, as a share of the scene's largest
-#: coordinate. A hit lies within 1.5 paddings of its triangle's box, and a triangle's plane
+#: A cell lists the triangles within this distance, relative to the scene's largest coordinate.
+#: A hit lies within 1.5 paddings of its triangle's box, and a triangle's plane
 #: within 1 of the hit (docs/decisions/0010-grid). The padding is `kernels.ray.PAD` of scene
 #: and origin, 2**-20 each, and no origin is further away than 5 times the largest
-#: coordinate: 9 units of 2**-20. The other 7 cover what the positions of planes are rounded.
+#: coordinate: 9 units of 2**-20. The other 7 cover the rounding of planes' positions.
 GROWTH = 2.0**-16
 
-#: Added to it, for scenes so small that padding is rounded to a denormal number.
+#: Added to it, for scenes so small that padding rounds to a denormal number.
 _LEAST_GROWTH = 2.0**-140
 
-#: Cells for each triangle where nobody says how many: of a grid, and of one whose cells are
-#: divided again.
+#: Default cells per triangle, by number of levels.
 _DENSITIES = {1: 2.0, 2: 0.25}
 
-#: Sides of such cells are at least so many growths, so that lists do not grow by them.
+#: Sides of such cells are at least this many growths, so that growth does not lengthen lists.
 LEAST_SIDE = 4.0
 
 
 class Lattice(NamedTuple):
     """Cells of one size in a box; cell (i, j, k) is number i + counts[0] * (j + counts[1] * k).
 
-    Plane i of an axis is at ``fma(i, size, low)``, rounded once. The first cell of an axis
-    reaches down, and the last one up, without end.
+    Plane i of an axis is at ``fma(i, size, low)``, rounded once. The first and last cell of an
+    axis extend infinitely outward.
 
     Attributes
     ----------
@@ -51,7 +50,7 @@ class Lattice(NamedTuple):
     counts : tuple of three int
         Cells along each axis. An axis on which the scene is flat has one, of size 0.
     growth : float
-        How near a triangle must come to a cell to be in its list.
+        Distance within which a cell lists triangles.
     """
 
     low: tuple[float, float, float]
@@ -62,7 +61,7 @@ class Lattice(NamedTuple):
 
     @property
     def cell_count(self) -> int:
-        """How many cells there are."""
+        """The number of cells."""
         return math.prod(self.counts)
 
     @property
@@ -72,7 +71,7 @@ class Lattice(NamedTuple):
 
     @classmethod
     def of(cls, box: NDArray[np.float32], counts: Sequence[int]) -> Lattice:
-        """Divide a box, of shape (2, 3), into no smaller cells than the growth."""
+        """Divide a box, of shape (2, 3), into cells not smaller than the growth."""
         low, high = box.astype(np.float64)
         growth = GROWTH * float(np.abs(box).max()) + _LEAST_GROWTH
         most = np.clip((high - low) / growth, 1.0, MAX_AXIS).astype(np.int64).tolist()
@@ -100,9 +99,9 @@ def choose_lattice(
         Cells along the shortest axis that has an extent; the others get cells of about the
         same size (Purcell 2002, section 4.1).
     levels : int
-        1, or 2 if cells with many triangles are divided again.
+        1, or 2 if cells with many triangles are subdivided.
     coarser : int
-        Where neither is given: how often to halve the number of cells.
+        If neither is given: how many times to halve the number of cells.
 
     Returns
     -------
@@ -111,7 +110,7 @@ def choose_lattice(
     Raises
     ------
     ValueError
-        If those are too many.
+        If there are too many cells.
     """
     if resolution is not None:
         return Lattice.of(triangles.bounds, resolution)
@@ -135,7 +134,7 @@ def _counts(extent: NDArray[np.float64], side: float) -> tuple[int, ...]:
 
 
 def cube_side(extent: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Side of the cubes that fill a box in such a number.
+    """Side of the cubes of which a given number fills a box.
 
     Parameters
     ----------
@@ -149,8 +148,8 @@ def cube_side(extent: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArr
     ndarray of shape (N,), float64
     """
     lengths = np.sort(extent[extent > 0.0])[::-1]
-    # The longest axis alone, and then with one more for as long as cubes fit in that one.
-    # Roots are taken of each length, since a product of lengths may leave float64.
+    # The longest axis alone, then with one axis more as long as cubes fit along that.
+    # Roots are taken of each length, since a product of lengths may overflow float64.
     side = lengths[0] / wanted
     for axis in range(1, len(lengths)):
         power = 1.0 / (axis + 1)

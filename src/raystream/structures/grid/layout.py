@@ -22,15 +22,15 @@ __all__ = [
     "check_lists",
 ]
 
-#: References in all lists together: their number is uint32.
+#: Most references in all lists together: offsets are uint32.
 MAX_REFERENCES = 2**32 - 1
 
-#: Cells of the second level along an axis of one of the first.
+#: Most fine cells along an axis of a coarse cell.
 MAX_FINE_AXIS = 1 << 10
 
 
 class GridArrays(NamedTuple):
-    """The lists of the cells, one after another.
+    """The lists of the cells, concatenated.
 
     Attributes
     ----------
@@ -45,21 +45,21 @@ class GridArrays(NamedTuple):
 
     @classmethod
     def empty(cls, cell_count: int) -> GridArrays:
-        """Cells without triangles."""
+        """Make lists of cells without triangles."""
         return cls(np.zeros(cell_count + 1, np.uint32), np.zeros(0, np.int32))
 
 
 class FineArrays(NamedTuple):
-    """The finer lattices inside some cells: the second level.
+    """The second level: finer lattices within some cells.
 
     Attributes
     ----------
     cells : ndarray of shape (S,), int64
-        The cells that have one, in increasing order.
+        The subdivided cells, in increasing order.
     counts : ndarray of shape (S, 3), int32
-        Its cells along each axis.
+        Fine cells along each axis.
     lists : GridArrays
-        Of their cells, one lattice after another.
+        Of the fine cells, one lattice after another.
     """
 
     cells: NDArray[np.int64]
@@ -68,22 +68,22 @@ class FineArrays(NamedTuple):
 
     @classmethod
     def none(cls) -> FineArrays:
-        """No cell has one."""
+        """Make a second level without lattices."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 3), np.int32), GridArrays.empty(0))
 
     @property
     def first_cells(self) -> NDArray[np.int64]:
-        """Where the cells of each lattice begin in `lists`, shape (S + 1,), int64."""
+        """Index of the first cell of each lattice in `lists`, shape (S + 1,), int64."""
         firsts = np.zeros(len(self.cells) + 1, np.int64)
         np.cumsum(self.counts.astype(np.int64).prod(axis=1), out=firsts[1:])
         return firsts
 
     def records(self) -> NDArray[np.int64]:
-        """What kernels read of each lattice: first cell and three counts, (S, 4), int64."""
+        """First cell and three counts of each lattice, for kernels: (S, 4), int64."""
         return np.column_stack([self.first_cells[:-1], self.counts.astype(np.int64)])
 
     def children(self, cell_count: int) -> NDArray[np.int32]:
-        """The lattice of each cell, -1 for none; of no cells if there is no lattice at all."""
+        """The lattice of each cell, or -1; empty if there are no lattices."""
         if len(self.cells) == 0:
             return np.zeros(0, np.int32)
         children = np.full(cell_count, -1, np.int32)
@@ -92,7 +92,7 @@ class FineArrays(NamedTuple):
 
 
 class GridAddresses(NamedTuple):
-    """A grid as kernels take it; whoever calls one keeps its arrays alive.
+    """A grid as kernels take it; the caller keeps its arrays alive.
 
     Attributes
     ----------
@@ -129,17 +129,17 @@ def check_lists(
     cell_count: int,
     solid: NDArray[np.bool_],
 ) -> GridArrays:
-    """Check the lists from a file: no traversal of them may read out of bounds or not end.
+    """Check lists from a file: that no traversal reads out of bounds or never ends.
 
     Parameters
     ----------
     arrays : mapping of str to ndarray
         ``splits`` and ``references``, see `GridArrays`.
     prefix : str
-        What their names begin with.
+        Prefix of their names.
     cell_count : int
     solid : ndarray of shape (F,), bool
-        The triangles that may be in them.
+        Whether a triangle can be hit, and so may be listed.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def check_lists(
     Raises
     ------
     ValueError
-        What is wrong.
+        If they are invalid.
     """
     splits = take(arrays, f"{prefix}splits", np.uint32, (None,))
     references = take(arrays, f"{prefix}references", np.int32, (None,))
@@ -184,7 +184,7 @@ def check_fine(
 
 @kernel
 def _are_good(splits, references, solid):
-    """Whether each list increases, and holds solid triangles only."""
+    """Whether each list is increasing, and holds solid triangles only."""
     for cell in range(len(splits) - 1):
         last = np.int64(-1)
         for row in range(np.int64(splits[cell]), np.int64(splits[cell + 1])):

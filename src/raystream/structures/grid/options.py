@@ -1,4 +1,4 @@
-"""Grid: what others know of the uniform grid."""
+"""Grid: the options of the uniform grid."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ from raystream.structures.registry import StructureOptions, register_structure
 
 __all__ = ["MAX_AXIS", "MAX_CELLS", "Grid", "check_cells"]
 
-#: Cells along an axis: their numbers, and the next few, are exact in float32.
+#: Most cells along an axis: their indices, and the next few, are exact in float32.
 MAX_AXIS = 1 << 20
 
-#: Cells of a grid: 2 GB for their lists while building, without any triangle.
+#: Most cells of a grid: their empty lists take 2 GB while building.
 MAX_CELLS = 1 << 28
 
 
 @register_structure
 @dataclass(frozen=True, kw_only=True)
 class Grid(StructureOptions):
-    """A uniform grid (Purcell 2002, section 3): the scene's box in cells of one size.
+    """A uniform grid (Purcell 2002, section 3): the scene's box, divided into equal cells.
 
     Parameters
     ----------
     resolution : int or sequence of three int, optional
-        Cells along the axes x, y and z, of whatever shape that makes them; a number is for
-        all three. No cell is smaller than 2**-16 of the largest coordinate, so an axis on which
-        the scene is flat has fewer, or one.
+        Cells along the axes x, y and z, of any shape; one number applies to all three. No
+        cell is smaller than 2**-16 of the largest coordinate, so an axis along which the scene
+        is flat has fewer, or one.
     min_resolution : int, optional
-        Cells along the shortest axis on which the scene is not flat; the others get cells of
+        Cells along the shortest axis along which the scene is not flat; the others get cells of
         about the same size (Purcell 2002, section 4.1).
     levels : {1, 2}
-        With 2, cells with many triangles are divided again (Purcell 2002, section 5.1): for
+        With 2, cells with many triangles are subdivided (Purcell 2002, section 5.1): for
         scenes with details of many sizes.
 
     Raises
     ------
     ValueError
-        If an option is out of range, both resolutions are given, or they ask for more than
+        If an option is out of range, both resolutions are given, or they imply more than
         2**28 cells or 2**20 along an axis.
     TypeError
-        If a number is no integer.
+        If a number is not an integer.
 
     Notes
     -----
-    Memory is 4 bytes for each cell, twice that while building, and 4 for each reference.
-    Without `resolution` and `min_resolution` there are about 2 cells for each triangle, or 1 for
+    Memory is 4 bytes per cell, twice that while building, and 4 per reference.
+    Without `resolution` and `min_resolution` there are about 2 cells per triangle, or 1 per
     4 triangles with two levels, and fewer if triangles are so large that lists become long: at
-    most 24 references for each triangle (or 2**20). A scene with details that are small against
-    its size, as a teapot in a stadium, then has them in few cells: rays take long there, and
-    find the same hits.
+    most 24 references per triangle (or 2**20). A scene with details that are small compared to
+    its size, such as a teapot in a stadium, then has them in few cells: tracing is slow there,
+    with the same hits.
     """
 
     name = "grid"
@@ -72,7 +72,7 @@ class Grid(StructureOptions):
 
     @property
     def counts(self) -> tuple[int, int, int] | None:
-        """`resolution`, which is one number for each axis once it is checked."""
+        """`resolution` after validation: one number per axis."""
         return self.resolution  # type: ignore[return-value]
 
     def __post_init__(self) -> None:

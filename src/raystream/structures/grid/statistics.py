@@ -1,4 +1,4 @@
-"""Figures about a grid: how good it is."""
+"""Statistics of a grid: cells, references and expected cost."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def statistics(
     Returns
     -------
     dict of str to float
-        ``cells x``, ``cells y``, ``cells z``: along each axis; ``divided cells``: those with
-        cells of their own; ``cells``: all others, those within cells included; ``empty
-        share``: how many of them list no triangle; ``references per triangle`` and
+        ``cells x``, ``cells y``, ``cells z``: along each axis; ``divided cells``: the
+        subdivided ones; ``cells``: all others, with fine cells; ``empty
+        share``: fraction of them that list no triangle; ``references per triangle`` and
         ``largest list``: of their lists.
     """
     sizes = np.delete(np.diff(lists.splits), fine.cells)
@@ -52,10 +52,10 @@ def statistics(
 def trace_cost(
     lattice: Lattice, lists: GridArrays, fine: FineArrays, bounds: NDArray[np.float32]
 ) -> float:
-    """Cells and references that a random line through some bounds meets, hits or no hits.
+    """Expected cells and references visited by a random line through bounds, hits or not.
 
-    A line that meets a convex body meets one inside it with the probability of the ratio of
-    their surfaces (MacDonald and Booth 1990). nan for bounds without a surface.
+    A line that hits a convex body hits one inside it with a probability of the ratio of
+    their surface areas (MacDonald and Booth 1990). nan for bounds of no area.
     """
     low, high = bounds.astype(np.float64)
     whole = float(_half_area(high - low))

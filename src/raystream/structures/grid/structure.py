@@ -36,11 +36,11 @@ from raystream.structures.saved import take
 
 __all__ = ["GridStructure"]
 
-#: Cells and triangles in one call of a compiled loop: 0.2 s at worst. With 2**22, calls of 52 rays
+#: Cells and triangles per call of a compiled loop: 0.2 s at worst. With 2**22, calls of 52 rays
 #: took a tenth of the time in a hall with a few very long lists.
 _STEPS_PER_CALL = 1 << 24
 
-#: No local coordinate is beyond it, so that no distance leaves float32.
+#: Largest local coordinate, so that no distance overflows float32.
 _LARGEST_BOX = 2.0**60
 
 
@@ -59,7 +59,7 @@ class GridStructure(Structure):
     ValueError
         If there would be more than 2**32 - 1 references of cells to triangles.
     MemoryError
-        If the cells, or their lists, do not fit into the memory that is free.
+        If there is not enough memory for the cells or their lists.
     """
 
     traverse = staticmethod(traverse)
@@ -90,7 +90,7 @@ class GridStructure(Structure):
         self.lists = lists
         self.options = options
         self.fine = fine
-        # Kept, as rays read them by their addresses.
+        # Kept alive, as kernels read them by address.
         self._kept = (
             *lists,
             np.ascontiguousarray(triangles.corners),
@@ -106,7 +106,7 @@ class GridStructure(Structure):
         )
 
     def rays_per_call(self) -> int:
-        """Fewer rays where lists or ways through the grid are long, so that a call is short."""
+        """Fewer rays where lists or walks are long, so that a call is short."""
         return max(1, min(RAYS_PER_CALL, _STEPS_PER_CALL // self._steps_per_ray))
 
     @cached_property
@@ -126,22 +126,22 @@ class GridStructure(Structure):
 
     @property
     def arrays(self) -> GridAddresses:
-        """Where the grid is; the structure keeps it."""
+        """Addresses of the grid, which the structure keeps alive."""
         return self._addresses
 
     @property
     def memory(self) -> dict[str, NDArray[Any]]:
-        """Lists of both levels, triangles, and the lattices within cells."""
+        """Lists of both levels, triangles, and fine lattices."""
         names = GridAddresses._fields[-len(self._kept) :]
         return dict(zip(names, self._kept, strict=True))
 
     def quality(self) -> dict[str, float]:
-        """Cells, empty ones, and how long lists are; see `statistics`."""
+        """Numbers of cells and lengths of lists; see `statistics`."""
         figures = statistics(self.lattice, self.lists, self.fine, len(self.triangles.prim_ids))
         return {**figures, "bytes": float(self.report.byte_count)}
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
-        """The lists, and how many cells there are."""
+        """The lists and the numbers of cells."""
         return {
             "splits": self.lists.splits,
             "references": self.lists.references,
@@ -157,7 +157,7 @@ class GridStructure(Structure):
     def from_arrays(
         cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Grid
     ) -> GridStructure:
-        """Make a grid of saved arrays; see `Structure.from_arrays`."""
+        """Make a grid from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
         counts = take(arrays, "counts", np.int64, (3,)).tolist()
         check_cells("counts", counts)
@@ -179,13 +179,13 @@ class GridStructure(Structure):
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
     ) -> tuple[Structure, UpdateReport]:
-        """Change the lists of cells that something moved in; see `Structure.updated`.
+        """Change the lists of cells that triangles leave or enter; see `Structure.updated`.
 
         Notes
         -----
-        Built anew is a grid whose box does not hold all triangles any more, or whose expected
-        cost grew too much, as when they gather in a part of the box. The second level is
-        made anew in any case.
+        A grid is rebuilt if its box no longer contains all triangles, or if its expected cost
+        grew too much, for instance as triangles gather in a part of the box. The second level is
+        always rebuilt.
         """
         started = time.perf_counter()
         if self._holds(triangles):
@@ -203,7 +203,7 @@ class GridStructure(Structure):
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
 
     def _holds(self, triangles: Triangles) -> bool:
-        """Whether the grid's box has room for all, in the same frame."""
+        """Whether the grid's box contains the triangles, in the same frame."""
         if len(self.triangles.prim_ids) == 0 or len(triangles.prim_ids) == 0:
             return False
         if triangles.scale != self.triangles.scale:
@@ -217,7 +217,7 @@ class GridStructure(Structure):
 def _saved_lattice(
     arrays: Mapping[str, NDArray[Any]], counts: list[int], triangles: Triangles
 ) -> Lattice:
-    """The lattice of a file, whose box holds the triangles but may be larger."""
+    """The lattice of a file, whose box contains the triangles but may be larger."""
     box = take(arrays, "box", np.float32, (2, 3))
     if not (np.abs(box) <= _LARGEST_BOX).all() or (box[0] > box[1]).any():
         raise ValueError("invalid bounding box")
@@ -228,7 +228,7 @@ def _saved_lattice(
 
 
 def _addresses(lattice: Lattice, kept: tuple[NDArray[Any], ...]) -> GridAddresses:
-    """Where a grid is, in arrays in the order of `GridAddresses`; empty ones are nowhere."""
+    """Addresses of arrays in the order of `GridAddresses`; 0 for empty ones."""
     low, high, size, counts = (
         (np.float32(x), np.float32(y), np.float32(z))
         for x, y, z in (lattice.low, lattice.high, lattice.size, lattice.counts)

@@ -1,4 +1,4 @@
-"""One ray through a grid: the functions of a cell, and the loop that joins them."""
+"""Grid traversal: the walk through the cells along a ray."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raystream.kernels.slab import box_interval
 from raystream.kernels.tally import LEAVES, STEPS, add_to
 from raystream.kernels.triangle_list import intersect_list
 from raystream.structures.grid.cells import NO_CHILD, cell_list, child_of, coarse_cells, fine_cells
-from raystream.structures.grid.dda import cell_end, set_up_walk, step_walk
+from raystream.structures.grid.dda import begin_walk, cell_end, step_walk
 
 __all__ = ["STACK_BYTES", "clip_to_grid", "traverse"]
 
@@ -25,9 +25,9 @@ _INF = np.float32(np.inf)
 
 @device
 def clip_to_grid(grid, ray, t_min, t_max):
-    """The part of a ray's interval in which it can hit anything; empty if t_in > t_out.
+    """Clip a ray's interval to the grid's box; empty if t_in > t_out.
 
-    Every triangle's box is inside the grid's, so every hit is in the interval of that one.
+    Every triangle's box is inside the grid's, so every hit is in its interval.
     """
     low, high = grid.low, grid.high
     t_in, t_out = box_interval(ray, low[0], low[1], low[2], high[0], high[1], high[2])
@@ -36,7 +36,7 @@ def clip_to_grid(grid, ray, t_min, t_max):
 
 @device
 def _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out):
-    """Test the triangles of a cell; a search for any hit takes it from wherever it is."""
+    """Test the triangles of a cell; an any-hit search accepts hits beyond the cell, too."""
     if begin != end:
         add_to(search.counters, LEAVES, _ONE)
     t_out = _INF if wants_any(search) else t_out
@@ -45,9 +45,9 @@ def _visit_cell(grid, cells, ray, begin, end, search, t_in, t_out):
 
 @device_call
 def _visit_fine(grid, cells, ray, search, t_in, t_end, t_last):
-    """Visit the cells within a cell, from t_in to t_end; none beyond t_last."""
+    """Visit the fine cells of a cell, from t_in to t_end; none beyond t_last."""
     no_inline()
-    walk, state = set_up_walk(cells, ray, t_in)
+    walk, state = begin_walk(cells, ray, t_in)
     while True:
         t_out = min(cell_end(state), t_end)
         begin, end = cell_list(cells.splits, state.cell)
@@ -72,12 +72,12 @@ def traverse(grid, ray, search, stack):
     if grid.splits == _NONE or not (t_in <= t_last):
         return search
     cells = coarse_cells(grid)
-    walk, state = set_up_walk(cells, ray, t_in)
+    walk, state = begin_walk(cells, ray, t_in)
     while True:
         t_out = cell_end(state)
         begin, end = cell_list(cells.splits, state.cell)
         add_to(search.counters, STEPS, _ONE)
-        # A hit at the cell's end is in the next cell, and may tie with one at t_far.
+        # A hit at the cell's end is in the next cell, and may tie with the one at t_far.
         t_far = min(search.t_far, t_last)
         while begin == end and t_out <= t_far:
             state = step_walk(walk, state)

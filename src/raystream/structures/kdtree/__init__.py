@@ -1,4 +1,4 @@
-"""The kd-tree: nested split planes, and three ways through them (Foley 2005)."""
+"""The kd-tree, with the traversals of Foley 2005 and Horn 2007."""
 
 from raystream.structures.kdtree.options import KdTree
 

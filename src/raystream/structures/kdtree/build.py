@@ -1,8 +1,8 @@
 """Building the kd-tree on all threads.
 
-The top of the tree is grown level by level, each cell by one thread; cells of few references
-become subtrees, each built to the end by one thread. What is few depends on the number of
-triangles alone, so the tree is the same for any number of threads.
+The top of the tree is split level by level, each cell by one thread; smaller cells become subtrees,
+each built by one thread. Their size depends on the number of triangles alone, so the tree
+is the same for any number of threads.
 
 References
 ----------
@@ -33,11 +33,11 @@ from raystream.structures.kdtree.subtree import (
 
 __all__ = ["LEAST_ROOM", "MAX_REFERENCES", "build_arrays", "root_box", "subtree_size"]
 
-#: References in all leaves together, for each triangle, at most; and for any scene.
+#: Most references in all leaves together, per triangle; and references that are always allowed.
 MAX_REFERENCES = 12
 LEAST_ROOM = 1 << 10
 
-#: Triangles that one call of a loop over all triangles gets.
+#: Triangles per call of a loop over all triangles.
 _CHUNK = 1 << 16
 
 
@@ -48,8 +48,8 @@ def root_box(triangles: Triangles) -> NDArray[np.float32]:
 
 
 def subtree_size(triangle_count: int) -> int:
-    """References of the largest cells that one thread builds the subtree of."""
-    # About 64 subtrees or more, of 10 to 100 ms each.
+    """Most references of a cell whose subtree one thread builds."""
+    # At least about 64 subtrees, of 10 to 100 ms each.
     return max(1 << 12, triangle_count >> 6)
 
 
@@ -94,7 +94,7 @@ def build_arrays(
     Returns
     -------
     KdArrays
-        The same ones for any number of threads.
+        The same for any number of threads.
 
     Raises
     ------
@@ -103,8 +103,8 @@ def build_arrays(
 
     Notes
     -----
-    Memory is bounded: leaves hold at most `MAX_REFERENCES` references for each triangle.
-    Each cell has its share of that; one that has used it up is a leaf.
+    Memory is bounded: leaves hold at most `MAX_REFERENCES` references per triangle.
+    Each cell has its share of that; one that has used it up becomes a leaf.
     """
     if len(triangles.prim_ids) == 0:
         return KdArrays(np.zeros((0, 2), np.int32), np.zeros((0, 4), np.int32))

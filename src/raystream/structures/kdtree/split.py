@@ -1,15 +1,15 @@
-"""Choosing the plane that splits a cell: the surface area heuristic.
+"""Choosing split planes by the surface area heuristic.
 
-Of few references every plane is tried at which a box begins or ends; of many, equidistant
-planes and the two ends of what the cell holds. A plane that cuts off empty space is cheaper by
-a bonus.
+For few references, every plane at which a box begins or ends is tried; for many, equidistant
+planes and the two ends of the cell's content. A plane that cuts off empty space gets a
+bonus.
 
 References
 ----------
 MacDonald and Booth, "Heuristics for ray tracing using space subdivision", The Visual Computer
 6(3), 1990. Havran and Bittner, "On improving kd-trees for ray shooting", WSCG 2002. Pharr and
-Humphreys, "Physically Based Rendering: From Theory to Implementation", 2004, whose rules for
-the bonus and for splits that do not pay at once these are.
+Humphreys, "Physically Based Rendering: From Theory to Implementation", 2004, the source of
+the rules for the bonus and for splits that do not pay at once.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ __all__ = [
     "choose_split",
     "find_in_bins",
     "pays",
-    "price_of",
+    "split_cost",
 ]
 
-#: Cells of so many references or fewer try every plane.
+#: Cells of at most this many references try every plane.
 _EXACT = 128
 
-#: Equidistant planes of a cell cut each axis into so many bins.
+#: Bins per axis, between equidistant planes.
 _BINS = 64
 
-#: Memory that `choose_split` needs: two lists of numbers, or two rows of bins.
+#: Scratch memory of `choose_split`: two lists of numbers, or two rows of bins.
 WORK_BYTES = 2 * 4 * _EXACT
 
-#: The axis of no split.
+#: In place of an axis: no split.
 LEAF = np.uint64(3)
 
-#: Splits in a row that may cost more than a leaf; and what cell is never split when it costs
-#: so much more (pbrt's numbers).
+#: Splits in a row that may cost more than a leaf; cells of fewer references than `_FEW` are never
+#: split at more than `_TOO_COSTLY` times the cost of a leaf (pbrt's numbers).
 _MAX_BAD_SPLITS = np.uint64(3)
 _FEW = np.uint64(16)
 _TOO_COSTLY = 4.0
@@ -72,11 +72,11 @@ class Costs(NamedTuple):
     Attributes
     ----------
     traversal, intersection : float
-        Time of a step at a split, and of a triangle test; only their ratio matters.
+        Cost of a traversal step and of a triangle test; only their ratio matters.
     empty_bonus : float
-        Share of the cost that is taken off where one side is empty.
+        Discount where one side is empty.
     crossing : float
-        Time of a step through the plane of a split: 0 for a tree, whose rays pay at the split.
+        Cost of crossing the plane of a split: 0 for a tree, whose rays pay at the split.
     """
 
     traversal: float
@@ -86,7 +86,7 @@ class Costs(NamedTuple):
 
 
 class _Axis(NamedTuple):
-    """A cell as seen along one axis: its ends, and half its surface as base + length * side."""
+    """A cell along one axis: its ends, and half its surface area as base + length * side."""
 
     low: np.float32
     high: np.float32
@@ -96,7 +96,7 @@ class _Axis(NamedTuple):
 
 @device
 def axis_of(cell, axis):
-    """A cell, at an address, as seen along an axis."""
+    """The cell at an address, along an axis."""
     step = axis * WORD
     other = (axis + _ONE if axis < np.uint64(2) else _NONE) * WORD
     third = np.uint64(12) - step - other  # the offsets 0, 4 and 8 add up to it
@@ -107,8 +107,8 @@ def axis_of(cell, axis):
 
 
 @device
-def price_of(costs, along, position, below, above):
-    """Expected cost of a split, with so many references on either side."""
+def split_cost(costs, along, position, below, above):
+    """Expected cost of a split with given numbers of references below and above."""
     length_below = np.float64(position) - along.low
     length_above = np.float64(along.high) - position
     area = along.base + (length_below + length_above) * along.side
@@ -122,7 +122,7 @@ def price_of(costs, along, position, below, above):
 
 @device
 def _sort(at, count):
-    """Sort float32 numbers by insertion: they are few."""
+    """Sort a few float32 numbers by insertion."""
     for i in range(_ONE, count):
         number = load(np.float32, at + i * WORD)
         hole = i
@@ -142,7 +142,7 @@ def _at(list_, place, count):
 
 @device_call
 def _find_exact(boxes, begin, end, cell, costs, work):
-    """The best plane of all at which a box begins or ends: axis, position, cost."""
+    """The best of all planes at which a box begins or ends: axis, position, cost."""
     count = end - begin
     best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
     starts, ends = work, work + _HALF_WORK
@@ -160,7 +160,7 @@ def _find_exact(boxes, begin, end, cell, costs, work):
             while ended < count and load(np.float32, ends + ended * WORD) <= position:
                 ended += _ONE
             if position > along.low and position < along.high:
-                cost = price_of(costs, along, position, begun, count - ended)
+                cost = split_cost(costs, along, position, begun, count - ended)
                 if cost < best_cost:
                     best_axis, best_position, best_cost = axis, position, cost
             while begun < count and load(np.float32, starts + begun * WORD) <= position:
@@ -170,13 +170,13 @@ def _find_exact(boxes, begin, end, cell, costs, work):
 
 @device
 def bin_of(number, low, scale):
-    """The bin in which a number is; those outside count in the first or last one."""
+    """The bin of a number, clamped to the first and last one."""
     return min(np.uint64(max((number - low) * scale, _ZERO)), _LAST_BIN)
 
 
 @device
 def find_in_bins(along, width, starts, ends, ends_of, count, costs, best_cost):
-    """The best plane of an axis whose boxes were counted in bins.
+    """The best plane along an axis, from boxes counted in bins.
 
     Parameters
     ----------
@@ -184,20 +184,20 @@ def find_in_bins(along, width, starts, ends, ends_of, count, costs, best_cost):
     width : float32
         Of a bin.
     starts, ends : uint64
-        Addresses of how many boxes begin and end in each bin, int32.
+        Addresses of the numbers of boxes that begin and end in each bin, int32.
     ends_of : (float32, float32)
-        The least of their low sides, and the greatest of their high ones.
+        The minimum of their low sides, and the maximum of their high ones.
     count : uint64
         Boxes.
     costs : Costs
     best_cost : float64
-        What is to be undercut.
+        Cost of the best plane so far.
 
     Returns
     -------
     position : float32
     cost : float64
-        `best_cost` if none does.
+        `best_cost` if no plane is cheaper.
     """
     best_position = _ZERO
     lowest, highest = ends_of
@@ -207,15 +207,15 @@ def find_in_bins(along, width, starts, ends, ends_of, count, costs, best_cost):
         ended += np.uint64(load(np.int32, ends + k * WORD))
         position = along.low + np.float32(k + _ONE) * width
         if position > along.low and position < along.high:
-            cost = price_of(costs, along, position, begun, count - ended)
+            cost = split_cost(costs, along, position, begun, count - ended)
             if cost < best_cost:
                 best_position, best_cost = position, cost
     if lowest > along.low and lowest < along.high:
-        cost = price_of(costs, along, lowest, _NONE, count)
+        cost = split_cost(costs, along, lowest, _NONE, count)
         if cost < best_cost:
             best_position, best_cost = lowest, cost
     if highest > along.low and highest < along.high:
-        cost = price_of(costs, along, highest, count, _NONE)
+        cost = split_cost(costs, along, highest, count, _NONE)
         if cost < best_cost:
             best_position, best_cost = highest, cost
     return best_position, best_cost
@@ -228,7 +228,7 @@ def _count_one(at):
 
 @device_call
 def _find_binned(boxes, begin, end, cell, costs, work):
-    """The best of some planes: axis, position, cost."""
+    """The best of the binned planes: axis, position, cost."""
     count = end - begin
     best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
     starts, ends = work, work + _HALF_WORK
@@ -257,7 +257,7 @@ def _find_binned(boxes, begin, end, cell, costs, work):
 
 @device
 def pays(cost, count, bad_splits, costs):
-    """Whether a split of such a cost is to be made, and the bad splits of its parts."""
+    """Whether to make a split of a given cost, and the number of bad splits of its children."""
     leaf_cost = costs.intersection * np.float64(count)
     if cost > leaf_cost:
         bad_splits += _ONE
@@ -267,7 +267,7 @@ def pays(cost, count, bad_splits, costs):
 
 @device_call
 def _count_sides(boxes, begin, end, axis, position):
-    """References on both sides of a plane together, those on it counted twice."""
+    """References below plus references above a plane; those that it cuts count twice."""
     total = _NONE
     for i in range(begin, end):
         box = boxes + i * BOX_BYTES + axis * WORD
@@ -280,23 +280,23 @@ def _count_sides(boxes, begin, end, axis, position):
 
 @device_call
 def choose_split(boxes, begin, end, cell, bad_splits, room, costs, work):
-    """Decide whether a cell is split, and where.
+    """Choose where to split a cell, if at all.
 
     Parameters
     ----------
     boxes : uint64
         Address of all references' boxes.
     begin, end : uint64
-        The cell's.
+        The cell's range.
     cell : uint64
         Address of its box.
     bad_splits : uint64
-        Splits above it that cost more than a leaf.
+        Splits above it, in a row, that cost more than a leaf.
     room : uint64
-        References that its leaves may have.
+        Most references that its leaves may have.
     costs : Costs
     work : uint64
-        Address of `WORK_BYTES`.
+        Address of `WORK_BYTES` of scratch.
 
     Returns
     -------
@@ -304,7 +304,7 @@ def choose_split(boxes, begin, end, cell, bad_splits, room, costs, work):
         0 to 2, or `LEAF`.
     position : float32
     bad_splits : uint64
-        For its parts.
+        Of its children.
     """
     count = end - begin
     if count <= MOST_EXACT:

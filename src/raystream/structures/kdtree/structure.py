@@ -1,4 +1,4 @@
-"""KdTreeStructure: the kd-tree as a structure."""
+"""KdTreeStructure: the built kd-tree."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["KdTreeStructure", "settings_of"]
 
 
 class KdTreeStructure(Structure):
-    """A kd-tree as it was built; see `KdTree`.
+    """A kd-tree, built; see `KdTree`.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class KdTreeStructure(Structure):
     packed : FoleyArrays or None
         The tree in Foley's layout; None for nodes of 8 bytes, or without nodes.
     extended : ndarray of shape (S, 8), float32, or None
-        What `foley_layout.extend` gives; None unless it backtracks, or without nodes.
+        Extended splits, see `foley_layout.extend`; None unless it backtracks, or without nodes.
 
     Notes
     -----
-    Triangles are listed in every leaf that they reach into, and met in one: see
+    Triangles are listed in every leaf that they overlap, and hit in one: see
     docs/decisions/0011-kdtree.rst.
     """
 
@@ -103,16 +103,16 @@ class KdTreeStructure(Structure):
 
     @property
     def memory(self) -> dict[str, NDArray[Any]]:
-        """Nodes, leaf blocks, and what the layout and the traversal need besides."""
+        """Nodes, leaf blocks, and the arrays of the layout and the traversal."""
         return self._memory
 
     @property
     def arrays(self) -> KdAddresses:
-        """Where the tree is; the structure keeps it."""
+        """Addresses of the tree, which the structure keeps alive."""
         return self._addresses
 
     def with_traversal(self, traversal: str) -> KdTreeStructure:
-        """The same tree, searched in another way; it is not built again.
+        """The same tree with another traversal, without a rebuild.
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class KdTreeStructure(Structure):
         Raises
         ------
         ValueError
-            If it is none of them.
+            If it is unknown.
         """
         started = time.perf_counter()
         options = dataclasses.replace(self.options, traversal=traversal)  # type: ignore[arg-type]
@@ -130,17 +130,17 @@ class KdTreeStructure(Structure):
         return other
 
     def quality(self) -> dict[str, float]:
-        """Counts, depth, bytes, and what a random line through the bounds meets.
+        """Counts, depth, bytes, and expected work of a random line through the bounds.
 
         Returns
         -------
         dict of str to float
             ``nodes``, ``leaves``, ``empty leaves``; ``references``: triangles in all leaves,
-            those in several counted as often; ``depth``: splits on the longest path; ``bytes
-            per node``: of splits and leaves, without triangles, with all that the traversal
-            needs; ``splits per ray``, ``leaves per ray``, ``tests per ray``: what a random
-            line through the bounds meets, hits or no hits (nan where the scene has no area);
-            ``cost``: their price.
+            one in several leaves counted several times; ``depth``: splits on the longest path;
+            ``bytes per node``: of splits and leaves and all else that the traversal
+            needs, without triangles; ``splits per ray``, ``leaves per ray``, ``tests per ray``:
+            expected for a random line through the bounds, hits or not (nan where the scene has
+            no area); ``cost``: of these.
         """
         node_count = len(self.tree.nodes)
         if node_count == 0:
@@ -170,7 +170,7 @@ class KdTreeStructure(Structure):
     def from_arrays(
         cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: KdTree
     ) -> KdTreeStructure:
-        """Make a kd-tree of saved arrays; see `Structure.from_arrays`."""
+        """Make a kd-tree from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
         tree = check_arrays(arrays, triangles.prim_ids, len(triangles))
         structure = cls.__new__(cls)
@@ -179,7 +179,7 @@ class KdTreeStructure(Structure):
 
 
 def settings_of(options: KdTree, triangle_count: int) -> BuildSettings:
-    """How to grow a tree with such options."""
+    """The build settings of some options."""
     max_depth = options.max_depth
     if max_depth is None:
         max_depth = default_depth(triangle_count)

@@ -1,4 +1,4 @@
-"""Growing the kd-tree over a cell's references on one thread."""
+"""Building kd-trees over the references of a cell, on one thread."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _TRIANGLE = np.uint64(36)
 _LEAF_BITS = np.int32(LEAF_AXIS)
 _ABSENT = np.int32(-1)
 
-#: Cells that wait: begin, end, node, depth, bad splits and room (uint64), and the box.
+#: A pending cell: begin, end, node, depth, bad splits and room (uint64), and the box.
 _PENDING = np.uint64(72)
 _PENDING_BYTES = 72 * (MAX_DEPTH + 2)
 _END_AT, _NODE_AT, _DEPTH_AT = np.uint64(8), np.uint64(16), np.uint64(24)
@@ -45,7 +45,7 @@ _BAD_AT, _ROOM_AT, _CELL_AT = np.uint64(32), np.uint64(40), np.uint64(48)
 
 
 class BuildSettings(NamedTuple):
-    """How to grow a tree.
+    """Settings of the builder.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class GrownTriangles(NamedTuple):
 
 
 class References(NamedTuple):
-    """The references of a cell, in the first `count` of R rows; the others are free.
+    """The references of a cell, in the first `size` of R rows; the others are free.
 
     Attributes
     ----------
@@ -84,13 +84,13 @@ class References(NamedTuple):
         Low x, y, z, high x, y, z.
     ids : ndarray of shape (R,), int32
         Their triangles.
-    count : int
+    size : int
         N; kernels do nothing if it is 0.
     """
 
     boxes: NDArray[np.float32]
     ids: NDArray[np.int32]
-    count: int
+    size: int
 
 
 class Cell(NamedTuple):
@@ -113,7 +113,7 @@ class Cell(NamedTuple):
 
 @kernel
 def make_references(begin, end, corners, prim_ids, bound, boxes, bounds):
-    """Write the grown boxes of triangles to rows begin to end of `boxes`, and their bounds.
+    """Write the grown boxes of triangles to rows begin to end, and extend their bounds.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def make_references(begin, end, corners, prim_ids, bound, boxes, bounds):
     prim_ids : ndarray of shape (A,), int32
         Rows of `corners`.
     bound : float32
-        How far they are grown.
+        How far boxes are grown.
     boxes : ndarray of shape (A, 6), float32
         Low x, y, z, high x, y, z.
     bounds : ndarray of shape (6,), float32
@@ -143,14 +143,14 @@ def make_references(begin, end, corners, prim_ids, bound, boxes, bounds):
 
 @device
 def copy_box(to, source):
-    """Copy the box at an address to another one."""
+    """Copy a box between addresses."""
     for k in range(np.uint64(6)):
         store(to + k * WORD, load(np.float32, source + k * WORD))
 
 
 @device
 def part_reference(box, triangle, bound, step, position, to_below, to_above):
-    """Say on which sides of a plane a reference is, and write its boxes there.
+    """Split a reference at a plane: find its sides, and write its box on each.
 
     Parameters
     ----------
@@ -161,9 +161,9 @@ def part_reference(box, triangle, bound, step, position, to_below, to_above):
     step : uint64
         Bytes from a box's x to the plane's axis.
     position : float32
-        The plane's.
+        Of the plane.
     to_below, to_above : uint64
-        Addresses of room for a box each; `to_above` may be `box`.
+        Addresses of a box each, written; `to_above` may be `box`.
 
     Returns
     -------
@@ -189,16 +189,16 @@ def part_reference(box, triangle, bound, step, position, to_below, to_above):
 
 @device
 def room_above(room, below_count, above_count):
-    """A split cell's room for references above the plane: in proportion, but enough for both."""
+    """Room for references above the plane of a split: proportional, but enough for both sides."""
     above = room * above_count // max(below_count + above_count, _ONE)
     return min(max(above, above_count), room - below_count)
 
 
 @device_call
 def _partition(boxes, ids, begin, end, axis, position, corners, bound):
-    """Part a cell's references at a plane, and cut those that it meets.
+    """Partition a cell's references at a plane, and split those that it cuts.
 
-    Those above stay, from row `begin` on; those below are written from row `end` on.
+    Those above are written from row `begin` on; those below from row `end` on.
 
     Returns
     -------
@@ -242,9 +242,9 @@ def split_range(references, cell, triangles, costs, result):
         The position of the plane.
     """
     position = np.float32(0.0)
-    if references.count == 0:
+    if references.size == 0:
         return position
-    boxes, end = address(references.boxes), np.uint64(references.count)
+    boxes, end = address(references.boxes), np.uint64(references.size)
     axis, position, bad = choose_split(
         boxes,
         _NONE,
@@ -275,7 +275,7 @@ def _put_pending(to, begin, end, node, depth, bad_splits, room):
 
 @device
 def _put_leaf(node, ids, begin, end, leaf_ids, block):
-    """Write a leaf, and its triangles from a block on; returns the block after them."""
+    """Write a leaf and its blocks, from a block on; returns the next block."""
     count = end - begin
     store(node, np.int32(block))
     store(node + WORD, np.int32((np.int32(count) << np.int32(2)) | _LEAF_BITS))
@@ -308,13 +308,13 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
     result : ndarray of shape (2,), int64
         Written: numbers of nodes and of blocks.
     """
-    if references.count == 0:
+    if references.size == 0:
         return
     box_at, id_at = address(references.boxes), address(references.ids)
     node_at, leaf_at = address(tree.nodes), address(tree.prim_ids)
     corners, bound, node_limit = address(triangles.corners), triangles.bound, len(tree.nodes)
     pending, work = scratch(_PENDING_BYTES), scratch(WORK_BYTES)
-    count, room = np.uint64(references.count), np.uint64(cell.room)
+    count, room = np.uint64(references.size), np.uint64(cell.room)
     depth, bad_splits = np.uint64(cell.depth), np.uint64(cell.bad_splits)
     _put_pending(pending, _NONE, count, _NONE, depth, bad_splits, room)
     copy_box(pending + _CELL_AT, address(cell.box))
@@ -345,13 +345,13 @@ def grow_subtree(references, cell, triangles, settings, tree, result):
         store(node, position)
         store(node + WORD, np.int32(node_end << _TWO | axis))
         above_end, below_end = _partition(box_at, id_at, begin, end, axis, position, corners, bound)
-        # Those below move down, so that all free rows are behind them.
+        # Those below move down, so that all free rows follow them.
         below_count = below_end - end
         for i in range(below_count):
             copy_box(box_at + (above_end + i) * BOX_BYTES, box_at + (end + i) * BOX_BYTES)
             store(id_at + (above_end + i) * WORD, load(np.int32, id_at + (end + i) * WORD))
         below_end = above_end + below_count
-        # choose_split has seen to it that there is enough room.
+        # choose_split has checked that there is enough room.
         above_room = room_above(left_room, below_count, above_end - begin)
         below = top + _PENDING
         copy_box(below + _CELL_AT, top + _CELL_AT)

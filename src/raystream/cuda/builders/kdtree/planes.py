@@ -32,7 +32,7 @@ from raystream.structures.kdtree.split import (
     bin_of,
     find_in_bins,
     pays,
-    price_of,
+    split_cost,
 )
 
 __all__ = ["BIN_BYTES", "KERNELS", "Choices", "Level", "References", "Tried", "cell_range"]
@@ -197,7 +197,7 @@ def _try_plane(position, boxes, begin, end, along, step, costs):
         box = boxes + i * BOX_BYTES + step
         begun += _ONE if load(np.float32, box) < position else _NONE
         ended += _ONE if load(np.float32, box + HIGH) <= position else _NONE
-    return price_of(costs, along, position, begun, end - begin - ended)
+    return split_cost(costs, along, position, begun, end - begin - ended)
 
 
 @device

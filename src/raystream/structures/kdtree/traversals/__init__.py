@@ -1,4 +1,4 @@
-"""How a search goes on after a leaf: what Foley's traversals, and Horn's, differ in."""
+"""How a search continues after a leaf, by traversal: Foley's three and Horn's."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ __all__ = ["continue_search", "push", "restarts"]
 
 @device
 def push(tree, memory, state, node):
-    """Keep the far child of a split for later, where the traversal keeps any.
+    """Push the far child of a split, for traversals with a stack.
 
     Parameters
     ----------
     tree : KdAddresses
     memory : uint64
-        Address of `STACK_BYTES`, or of `SHORT_STACK_BYTES`; for those that have one.
+        Address of `STACK_BYTES`, or of `SHORT_STACK_BYTES`, if the traversal has a stack.
     state : KdState
         At the split.
     node : uint64
-        The child; its part of the ray ends where the split's does.
+        The child; its interval ends where the split's does.
 
     Returns
     -------
@@ -37,15 +37,15 @@ def push(tree, memory, state, node):
 
 @device
 def restarts(tree, state):
-    """Whether `continue_search` is going to begin again, at the root or below."""
+    """Whether `continue_search` will restart, at the root or below."""
     if tree.traversal == SHORT_STACK:
-        return short_stack.has_forgotten(state)
+        return short_stack.is_empty(state)
     return tree.traversal == RESTART
 
 
 @device
 def continue_search(tree, state, memory):
-    """Go on after a leaf (Foley's Continue).
+    """Continue after a leaf (Foley's Continue).
 
     Parameters
     ----------

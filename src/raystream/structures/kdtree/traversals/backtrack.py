@@ -1,4 +1,4 @@
-"""Going up to where the rest of the ray begins: kd-backtrack (Foley 2005, Figure 4)."""
+"""kd-backtrack: continue at the lowest ancestor with the rest of the ray (Foley 2005, Figure 4)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["backtrack", "continue_search"]
 _NONE = np.uint64(0)
 _ZERO = np.float32(0.0)
 
-# Where an extended record has its corners' second and third coordinates, and its high corner.
+# Byte offsets in an extended split: second and third coordinate of a corner, and the high corner.
 _Y = np.uint64(4)
 _Z = np.uint64(8)
 _HIGH = np.uint64(12)
@@ -22,13 +22,13 @@ _HIGH = np.uint64(12)
 
 @device
 def continue_search(state):
-    """Go on above the leaf: `backtrack` is next."""
+    """Start to backtrack from the leaf."""
     return KdState(state.node, state.t_out, state.t_end, state.t_end, _NONE, True)
 
 
 @device
 def backtrack(tree, line, state):
-    """Go to the parent of a node; stay there if it holds t_in (Foley's Up).
+    """Go to the parent of a node, and stop there if it contains t_in (Foley's Up).
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def backtrack(tree, line, state):
 
     Notes
     -----
-    Nodes above hold all that was searched, so only where the ray leaves one is in question:
-    at the first of the planes that the ray goes towards. The root has none.
+    Ancestors contain all that was searched, so only the exit of the ray matters: the first of
+    the planes that it approaches. The root has none.
     """
     node, low = parent_of(tree, state.node)
     high = low + _HIGH

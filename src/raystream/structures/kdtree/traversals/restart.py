@@ -1,4 +1,4 @@
-"""Going on at the root, with what is left of the ray: kd-restart (Foley 2005, Figure 3)."""
+"""kd-restart: continue at the root with the rest of the ray (Foley 2005, Figure 3)."""
 
 from __future__ import annotations
 
@@ -14,5 +14,5 @@ _NONE = np.uint64(0)
 
 @device
 def continue_search(tree, state):
-    """Go on at the root: t_min = t_max, t_max = the end of the ray."""
+    """Continue at the root: t_min = t_max, t_max = the end of the ray."""
     return KdState(tree.root, state.t_out, state.t_end, state.t_end, _NONE, False)

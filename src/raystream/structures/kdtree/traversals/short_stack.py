@@ -1,16 +1,16 @@
-"""The short stack: a ring that forgets its oldest nodes, and a node to begin again at.
+"""kd-short-stack: continue from a ring that drops its oldest nodes, or from a restart node.
 
-A whole stack has room for every split on a path, and each of many thousand rays in flight needs
-one. A short stack keeps the few nodes that were left last. When it is asked for one that it has
-forgotten, the search begins again: not at the root but at the lowest node that holds all that is
-left of the ray. `descend` comes to that node whenever a state's t_out is its t_end, so it is noted
-there when the first node is put on an empty stack.
+A full stack has an entry for every split on a path, and each of many thousand rays in flight needs
+one. A short stack keeps the few nodes pushed last. When it is empty, the search restarts: not at
+the root but at the lowest node that contains the rest of the ray ("push-down"). `descend` is at
+that node whenever a state's t_out is its t_end, so it is stored when the first node is pushed on
+an empty stack.
 
 Horn and others, "Interactive k-D Tree GPU Raytracing", Interactive 3D Graphics 2007 ("push-down"
 and "short-stack").
 
-In memory: the node to begin again at, in 8 bytes, then `PLACES` nodes, each with the end of its
-interval. In `KdState.top`: the place that is next, and from bit 8 on how many nodes are kept.
+In memory: the restart node, in 8 bytes, then `PLACES` nodes, each with the end of its interval.
+In `KdState.top`: the next place, and from bit 8 on the number of entries.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
 from raystream.structures.kdtree.state import KdState
 
-__all__ = ["PLACES", "continue_search", "has_forgotten", "kept_entries", "push"]
+__all__ = ["PLACES", "continue_search", "is_empty", "push", "stack_entries"]
 
-#: Nodes that are kept; a power of two.
+#: Entries; a power of two.
 PLACES = 4
 
 _MASK = np.uint64(PLACES - 1)
@@ -37,14 +37,14 @@ _ENTRY = np.uint64(8)
 
 
 @device
-def has_forgotten(state):
-    """Whether the stack has nothing to give: what comes next was forgotten."""
+def is_empty(state):
+    """Whether the stack is empty: the next node was dropped."""
     return state.top >> _COUNT_SHIFT == _NONE
 
 
 @device
 def push(stack, state, node):
-    """Keep a node that is to be searched after a state's own, up to the state's t_out.
+    """Push a node to be searched after the state's own, up to the state's t_out.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def push(stack, state, node):
     uint64
         The new `KdState.top`.
     """
-    if state.t_out == state.t_end:  # so nothing is on the stack, whatever was
+    if state.t_out == state.t_end:  # the stack is empty
         store(stack, np.uint32(state.node))
     place = state.top & _MASK
     at = stack + (place + _ONE) * _ENTRY
@@ -71,12 +71,12 @@ def push(stack, state, node):
 
 @device
 def continue_search(state, stack):
-    """Go on at the node that was kept last, or where to begin again.
+    """Continue at the node pushed last, or at the restart node.
 
     Parameters
     ----------
     state : KdState
-        At the leaf; its t_out must be before t_end, so something was put on the stack once.
+        At the leaf; its t_out must be before t_end, so a node was pushed before.
     stack : uint64
 
     Returns
@@ -84,10 +84,10 @@ def continue_search(state, stack):
     KdState
     """
     t_in, t_end = state.t_out, state.t_end
-    if has_forgotten(state):
+    if is_empty(state):
         node = np.uint64(load(np.uint32, stack))
         return KdState(node, t_in, t_end, t_end, _NONE, False)
-    # The child that was kept last begins where the leaf ends: only then was it kept.
+    # The child pushed last begins where the leaf ends: only then was it pushed.
     place = (state.top - _ONE) & _MASK
     at = stack + (place + _ONE) * _ENTRY
     node = np.uint64(load(np.uint32, at))
@@ -96,8 +96,8 @@ def continue_search(state, stack):
     return KdState(node, t_in, load(np.float32, at + _WORD), t_end, top, False)
 
 
-def kept_entries(memory: NDArray[np.uint8], top: int) -> NDArray[np.uint32]:
-    """What is on a short stack, for those who look on: nodes, and bits of the ends, oldest first.
+def stack_entries(memory: NDArray[np.uint8], top: int) -> NDArray[np.uint32]:
+    """The entries of a short stack, for inspection: nodes, and bits of the ends, oldest first.
 
     Parameters
     ----------

@@ -1,7 +1,4 @@
-"""Going on with what lies on a stack: the far child of each split on the way, and where it ends.
-
-The ordinary traversal, which Foley's two are compared with (Foley 2005, Figure 2).
-"""
+"""kd-stack: continue at the far child pushed last (Foley 2005, Figure 2)."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ _ENTRY = np.uint64(8)
 
 @device
 def push(stack, state, node):
-    """Keep a node that is to be searched after a state's own, up to the state's t_out."""
+    """Push a node to be searched after the state's own, up to the state's t_out."""
     store(stack + state.top, np.uint32(node))
     store(stack + (state.top + _T_OUT), state.t_out)
     return state.top + _ENTRY
@@ -27,7 +24,7 @@ def push(stack, state, node):
 
 @device
 def continue_search(state, stack):
-    """Go on with the node on top, which begins where the leaf ends: only then was it kept."""
+    """Continue at the node on top, which begins where the leaf ends: only then was it pushed."""
     top = state.top - _ENTRY
     node, t_out = load(np.uint32, stack + top), load(np.float32, stack + (top + _T_OUT))
     return KdState(np.uint64(node), state.t_out, t_out, state.t_end, top, False)
