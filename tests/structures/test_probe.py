@@ -8,7 +8,7 @@ import pytest
 import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.kernels.ray_source import RaySource
-from raystream.structures.bvh.packet_rays import packet_order
+from raystream.structures.bvh.packet_rays import PacketOrder
 from raystream.structures.bvh.probe import Coherence, choose, probe
 
 
@@ -20,7 +20,7 @@ def frame():
 def look(frame, origins, directions, byte_count=100_000):
     batch = RayBatch(origins, directions, 0.0, np.inf)
     source, _kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
-    return probe(source, *packet_order(batch.shape), frame, byte_count)
+    return probe(source, PacketOrder.of(batch.shape), frame, byte_count)
 
 
 def points(frame, rng, count):

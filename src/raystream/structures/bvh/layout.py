@@ -23,6 +23,7 @@ __all__ = [
     "STACK_SIZE",
     "WIDTH",
     "BvhArrays",
+    "TreeAddresses",
     "check_arrays",
 ]
 
@@ -83,6 +84,19 @@ class BvhArrays(NamedTuple):
     def prim_ids(self) -> NDArray[np.int32]:
         """The triangles of the blocks, shape (B, 4), int32; -1 where there is none."""
         return self.leaves.view(np.int32)[:, _IDS_AT:]
+
+
+class TreeAddresses(NamedTuple):
+    """`BvhArrays` as kernels take them; the caller keeps the arrays alive.
+
+    Attributes
+    ----------
+    nodes, leaves : uint64
+        Addresses of the first node and the first leaf block; 0 for an empty tree.
+    """
+
+    nodes: np.uint64
+    leaves: np.uint64
 
 
 # Codes that `_check_tree` returns.

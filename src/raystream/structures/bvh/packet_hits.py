@@ -28,10 +28,12 @@ __all__ = [
 ]
 
 #: Addresses of buffers: of hits as they are found, of hits in the order of rays, of those rays'
-#: numbers and of where their rows end.
+#: numbers and of where their rows end; then the number of hits that they hold.
 _FOUND = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8"), ("ray", "u8")])
 _ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
-BUFFERS = np.dtype([("found", _FOUND), ("rows", _ROWS), ("ray_ids", "u8"), ("splits", "u8")])
+BUFFERS = np.dtype(
+    [("found", _FOUND), ("rows", _ROWS), ("ray_ids", "u8"), ("splits", "u8"), ("capacity", "u8")]
+)
 Buffers = view(BUFFERS)
 
 _COLLECTOR = np.dtype(

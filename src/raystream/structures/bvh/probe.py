@@ -60,21 +60,14 @@ class Coherence(NamedTuple):
     close: float
 
 
-def probe(
-    source: RaySource,
-    order: PacketOrder,
-    packet_count: int,
-    frame: SceneFrame,
-    byte_count: int,
-) -> Coherence:
-    """Look at some rays of a batch.
+def probe(source: RaySource, order: PacketOrder, frame: SceneFrame, byte_count: int) -> Coherence:
+    """Sample the rays of a batch.
 
     Parameters
     ----------
     source : RaySource
     order : PacketOrder
-    packet_count : int
-        At least 1.
+        Of at least one packet.
     frame : SceneFrame
     byte_count : int
         Size of the tree.
@@ -82,7 +75,7 @@ def probe(
     # Of the scene's size, if the triangles covered the sides of its box.
     triangle_size = math.sqrt(6.0 * _TRIANGLE_BYTES / max(byte_count, 1))
     close = np.float32(min(_CLOSE * triangle_size, float(_NEAR)))
-    groups, *shares = _look(packet_count, source, order, frame, close)
+    groups, *shares = _look(order.packet_count, source, order, frame, close)
     return Coherence(*(share / max(groups, 1) for share in shares))
 
 

@@ -13,8 +13,6 @@ that is next, the hits counted, and the distance beyond which none is wanted.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from raystream.jit.cpu import device, kernel
@@ -48,7 +46,6 @@ from raystream.structures.bvh.wide import (
 )
 
 __all__ = [
-    "TreeAddresses",
     "begin",
     "is_leaf",
     "leaf_blocks",
@@ -73,19 +70,6 @@ _UPPER = np.uint64(0b11110000)
 
 #: A half of a stack is a multiple of so many bytes, so that both are whole cache lines.
 _HALF_LINE = 32
-
-
-class TreeAddresses(NamedTuple):
-    """`layout.BvhArrays` as kernels take them; whoever calls one keeps the arrays alive.
-
-    Attributes
-    ----------
-    nodes, leaves : uint64
-        Addresses of the first node and the first leaf block; 0 for an empty tree.
-    """
-
-    nodes: np.uint64
-    leaves: np.uint64
 
 
 @device

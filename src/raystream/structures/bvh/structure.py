@@ -25,11 +25,11 @@ from raystream.structures.bvh.engine import (
     trace_batch,
     visit_batch,
 )
-from raystream.structures.bvh.layout import BvhArrays, check_arrays
+from raystream.structures.bvh.layout import BvhArrays, TreeAddresses, check_arrays
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
-from raystream.structures.bvh.steps import TreeAddresses, stack_half
+from raystream.structures.bvh.steps import stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
 
 __all__ = ["BvhStructure", "hittable_corners", "trace_cost"]
