@@ -114,7 +114,7 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
 
 
 @device
-def collapse_subtree(boxes, links, root, node_end, max_leaf_size, prices, costs):
+def collapse_subtree(boxes, links, root, node_end, settings, costs):
     """Decide about the nodes from root to node_end; returns the costs of the root.
 
     Parameters
@@ -122,8 +122,7 @@ def collapse_subtree(boxes, links, root, node_end, max_leaf_size, prices, costs)
     boxes, links : uint64
         Addresses of the tree.
     root, node_end : int32
-    max_leaf_size : int
-    prices : tuple of float32
+    settings : BuildSettings
     costs : uint64
         Address of scratch for the costs of these nodes.
     """
@@ -137,12 +136,13 @@ def collapse_subtree(boxes, links, root, node_end, max_leaf_size, prices, costs)
         box = boxes + node * np.uint64(RECORD_BYTES)
         to = cost_at + node * np.uint64(COST_BYTES)
         if left_node < np.int32(0):
-            store(to, leaf_costs(box, prices[1]))
+            store(to, leaf_costs(box, settings.costs[1]))
         else:
             right_node = link.right
             left = load(f32x8, cost_at + np.uint64(left_node) * np.uint64(COST_BYTES))
             right = load(f32x8, cost_at + np.uint64(right_node) * np.uint64(COST_BYTES))
-            store(to, merge_costs(box, link, left, right, max_leaf_size, prices))
+            merged = merge_costs(box, link, left, right, settings.max_leaf_size, settings.costs)
+            store(to, merged)
     return load(f32x8, costs)
 
 
@@ -196,7 +196,7 @@ def list_children(links, node, pending, to):
 
 
 @kernel
-def collapse_top(parts, nodes, spans, bounds, costs, boxes, links, max_leaf_size, prices):
+def collapse_top(parts, nodes, spans, bounds, costs, tree, settings):
     """Write the nodes above the subtrees, and decide how they will be collapsed.
 
     Parameters
@@ -211,20 +211,18 @@ def collapse_top(parts, nodes, spans, bounds, costs, boxes, links, max_leaf_size
         Boxes around the records.
     costs : ndarray of shape (U, 8), float32
         Those of subtrees are given; the others are written.
-    boxes, links : ndarray
-        The tree.
-    max_leaf_size, prices
-        See `merge_costs`.
+    tree : BinaryTree
+    settings : BuildSettings
     """
-    cost_at = address(costs)
+    cost_at, box_at, link_at = address(costs), address(tree.boxes), address(tree.links)
     for i in range(np.uint64(len(parts))):
         row = np.uint64(len(parts)) - np.uint64(1) - i
         if parts[row, 0] < 0:
             continue
         left, right = np.uint64(parts[row, 0]), np.uint64(parts[row, 1])
         node = np.uint64(nodes[row])
-        box = address(boxes) + node * np.uint64(RECORD_BYTES)
-        link = Link(address(links), node)
+        box = box_at + node * np.uint64(RECORD_BYTES)
+        link = Link(link_at, node)
         store(box, load(f32x8, address(bounds) + row * np.uint64(RECORD_BYTES)))
         store(box + np.uint64(FIRST_AT), np.int32(spans[row, 0]))
         store(box + np.uint64(COUNT_AT), np.int32(spans[row, 1]))
@@ -235,7 +233,7 @@ def collapse_top(parts, nodes, spans, bounds, costs, boxes, links, max_leaf_size
             link,
             load(f32x8, cost_at + left * np.uint64(COST_BYTES)),
             load(f32x8, cost_at + right * np.uint64(COST_BYTES)),
-            max_leaf_size,
-            prices,
+            settings.max_leaf_size,
+            settings.costs,
         )
         store(cost_at + row * np.uint64(COST_BYTES), merged)

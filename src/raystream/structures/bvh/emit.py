@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, f32x8, i32x8, load, prefetch, scratch, store
@@ -19,7 +22,7 @@ from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
 from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
 from raystream.structures.bvh.tree import MAX_TREE_DEPTH, Link
 
-__all__ = ["READ_AHEAD", "clear_node", "emit", "set_lane"]
+__all__ = ["READ_AHEAD", "Deferred", "WideTrees", "clear_node", "emit", "set_lane"]
 
 #: A wide node to be written: its binary node, its row, its depth (int32).
 _PENDING = np.dtype([("node", "i4"), ("row", "i4"), ("depth", "i4")])
@@ -32,6 +35,58 @@ _INF = np.float32(np.inf)
 
 #: Records after a leaf's that are read too: their triangles will be copied soon.
 READ_AHEAD = 8
+
+
+class WideTrees(NamedTuple):
+    """K wide trees to be written, one for each of some binary nodes.
+
+    Attributes
+    ----------
+    roots : ndarray of shape (K,), int32
+        The binary nodes.
+    depths : ndarray of shape (K,), int32
+        Wide nodes above each one.
+    first_nodes, first_blocks : ndarray of shape (K,), int64
+        Where each one's nodes and leaf blocks go.
+    counts : ndarray of shape (K, 4), int64
+        Nodes, blocks, depth of the deepest node, and children deferred.
+    """
+
+    roots: NDArray[np.int32]
+    depths: NDArray[np.int32]
+    first_nodes: NDArray[np.int64]
+    first_blocks: NDArray[np.int64]
+    counts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, roots: NDArray[np.int32], depths: NDArray[np.int32]) -> WideTrees:
+        """Trees that have not been counted."""
+        count = len(roots)
+        firsts = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        return cls(roots, depths, *firsts, np.zeros((count, 4), np.int64))
+
+
+class Deferred(NamedTuple):
+    """Children that do not belong to the top of the tree and are not written with it.
+
+    Attributes
+    ----------
+    nodes : ndarray of shape (D,), int32
+        Binary nodes. D is large enough for all; 0 if none are deferred.
+    rows : ndarray of shape (D,), int64
+        Rows of their wide nodes.
+    depths : ndarray of shape (D,), int32
+        Wide nodes above each one.
+    """
+
+    nodes: NDArray[np.int32]
+    rows: NDArray[np.int64]
+    depths: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, room: int) -> Deferred:
+        """Room for children."""
+        return cls(np.empty(room, np.int32), np.zeros(room, np.int64), np.empty(room, np.int32))
 
 
 @device
@@ -96,73 +151,49 @@ def _write_leaf(record, count, corners, to):
 
 
 @kernel
-def emit(
-    begin,
-    end,
-    roots,
-    first_nodes,
-    first_blocks,
-    depths,
-    counts,
-    deferred,
-    deferred_rows,
-    deferred_depths,
-    has_duplicates,
-    write,
-    records,
-    corners,
-    boxes,
-    links,
-    nodes,
-    leaves,
-):
+def emit(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide):
     """Count, or write, the wide trees below some binary nodes.
 
     Parameters
     ----------
     begin, end : int
-        Which rows of `roots`.
-    roots : ndarray of shape (K,), int32
-        Binary nodes that are the roots of wide trees.
-    first_nodes, first_blocks : ndarray of shape (K,), int64
-        Where each one's nodes and leaf blocks go.
-    depths : ndarray of shape (K,), int32
-        Nodes above each one.
-    counts : ndarray of shape (K, 4), int64
-        Written: nodes, blocks, depth of the deepest node, and children deferred.
-    deferred, deferred_rows, deferred_depths : ndarray of shape (D,), int32, int64, int32
-        If D is not 0, the children that are not at the top of the tree are not written here.
-        They are listed in `deferred` with their depth; when it is written, their rows are
-        taken from `deferred_rows`. D must suffice.
+        Which of `trees`.
+    trees : WideTrees
+        Counted, or written where their counts say.
+    deferred : Deferred
+        Written when counting, read when writing.
     has_duplicates : bool
         Whether a triangle may have several records: a leaf has only one of it.
     write : bool
         Else only counted.
-    records, corners, boxes, links : ndarray
-        Records; corners of all triangles; the binary tree.
-    nodes, leaves : ndarray
-        See `layout.BvhArrays`.
+    tree : BinaryTree
+    corners : ndarray of shape (F, 3, 3), float32
+        Of all triangles.
+    wide : BvhArrays
+        Written.
     """
     record_at, corner_at, box_at, link_at = (
-        address(records),
+        address(tree.records),
         address(corners),
-        address(boxes),
-        address(links),
+        address(tree.boxes),
+        address(tree.links),
     )
-    node_at, leaf_at = address(nodes), address(leaves)
+    node_at, leaf_at = address(wide.nodes), address(wide.leaves)
+    first_nodes, first_blocks, counts = trees.first_nodes, trees.first_blocks, trees.counts
+    deferred_nodes, deferred_rows, deferred_depths = deferred.nodes, deferred.rows, deferred.depths
     stack = scratch(_PENDING_STACK_BYTES)
     listing = scratch(LISTING_BYTES)
     children = scratch(_CHILDREN_BYTES)
-    defers = len(deferred) != 0
+    defers = len(deferred_nodes) != 0
     for task in range(np.uint64(begin), np.uint64(end)):
         node_end = np.int32(first_nodes[task])
         block_end = np.int32(first_blocks[task])
         first_node, first_block = node_end, block_end
         deepest = np.int32(0)
         deferred_count = np.uint64(0)
-        root = np.int32(roots[task])
+        root = np.int32(trees.roots[task])
         pending = _Pending(stack)
-        pending.node, pending.row, pending.depth = root, node_end, np.int32(depths[task])
+        pending.node, pending.row, pending.depth = root, node_end, np.int32(trees.depths[task])
         node_end = np.int32(node_end + 1)
         top = np.uint64(1)
         while top != np.uint64(0):
@@ -207,7 +238,7 @@ def emit(
                     if write:
                         set_lane(to, k, box, deferred_rows[deferred_count])
                     else:
-                        deferred[deferred_count] = child
+                        deferred_nodes[deferred_count] = child
                         deferred_depths[deferred_count] = depth
                     deferred_count += np.uint64(1)
                 else:

@@ -19,15 +19,12 @@ from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.collapse import COST_FLOATS, collapse_top
 from raystream.structures.bvh.emit import READ_AHEAD
 from raystream.structures.bvh.records import RECORD_FLOATS, make_records
-from raystream.structures.bvh.spatial import PAD, grow_spatially, split_spatially
+from raystream.structures.bvh.spatial import PAD, Space, grow_spatially, split_spatially
 from raystream.structures.bvh.subtree import grow_subtree, split_once
 from raystream.structures.bvh.top import split_large
-from raystream.structures.bvh.tree import LINK_INTS
+from raystream.structures.bvh.tree import LINK_INTS, BinaryTree, BuildSettings, Span
 
-__all__ = ["Method", "Tree", "grow_tree"]
-
-#: Relative time of visiting a node, and of testing a block of 4 triangles.
-_PRICES = (np.float32(1.0), np.float32(1.0))
+__all__ = ["Tree", "grow_tree"]
 
 #: Ranges of more triangles are split by all threads together.
 _LARGE = 1 << 17
@@ -36,46 +33,19 @@ _LARGE = 1 << 17
 _CHUNK = 1 << 16
 
 
-class Method(NamedTuple):
-    """How to grow a tree.
-
-    Attributes
-    ----------
-    small : int
-        Ranges of so many records are not split.
-    plain_size : int
-        So many or fewer are split in the middle, others by the surface area heuristic.
-    max_leaf_size : int
-        Most records in a leaf.
-    sah_depth : int
-        From this depth on ranges are halved by count.
-    spare_share : float
-        Most records that splits in space add, in numbers of triangles; 0 for none such.
-    """
-
-    small: int
-    plain_size: int
-    max_leaf_size: int
-    sah_depth: int
-    spare_share: float
-
-
 class Tree(NamedTuple):
-    """A binary tree, see `tree`, with decisions about its collapse.
+    """A binary tree that has been built, with decisions about its collapse.
 
     Attributes
     ----------
-    records : ndarray of shape (A, 8), float32
-    boxes, links : ndarray of shape (2 A, 8), float32, and (2 A, 4), int32
+    arrays : BinaryTree
     root : int
         Row of the root.
     top_count : int
         Nodes above the subtrees.
     """
 
-    records: NDArray[np.float32]
-    boxes: NDArray[np.float32]
-    links: NDArray[np.int32]
+    arrays: BinaryTree
     root: int
     top_count: int
 
@@ -98,6 +68,10 @@ class _Range:
         return self.end - self.begin
 
     @property
+    def span(self) -> Span:
+        return Span(self.begin, self.end, self.limit)
+
+    @property
     def node(self) -> int:
         """Row of its root: between those of the parts, or the first of its own."""
         return 2 * self.parts[1].begin - 1 if self.parts else 2 * self.begin
@@ -118,13 +92,13 @@ class _Range:
         return self.parts
 
 
-def grow_tree(triangles: Triangles, method: Method, progress: Progress | None) -> Tree:
+def grow_tree(triangles: Triangles, settings: BuildSettings, progress: Progress | None) -> Tree:
     """Grow a binary tree over the solid triangles, at least one.
 
     Parameters
     ----------
     triangles : Triangles
-    method : Method
+    settings : BuildSettings
     progress : callable, optional
         Called with (triangles placed, triangles).
 
@@ -132,27 +106,31 @@ def grow_tree(triangles: Triangles, method: Method, progress: Progress | None) -
     -------
     Tree
     """
-    return _Grower(triangles, method).grow(progress)
+    return _Grower(triangles, settings).grow(progress)
 
 
 class _Grower:
-    def __init__(self, triangles: Triangles, method: Method) -> None:
+    def __init__(self, triangles: Triangles, settings: BuildSettings) -> None:
         self.triangles = triangles
-        self.method = method
+        self.settings = settings
         self.count = len(triangles.prim_ids)
-        room = self.count + int(method.spare_share * self.count)
+        room = self.count + int(settings.spare_share * self.count)
         # `emit` reads a few records beyond the last.
         self.records = aligned_array(room + READ_AHEAD, RECORD_FLOATS)[:room]
-        self.boxes = np.empty((2 * room, RECORD_FLOATS), np.float32)
-        self.links = np.empty((2 * room, LINK_INTS), np.int32)
+        self.tree = BinaryTree(
+            self.records,
+            np.empty((2 * room, RECORD_FLOATS), np.float32),
+            np.empty((2 * room, LINK_INTS), np.int32),
+        )
         # About 64 subtrees or more, of 1 to 10 ms each.
         self.subtree_size = min(max(1 << 12, self.count >> 6), 1 << 16)
-        self.pad = np.float32(triangles.max_coordinate * PAD)
 
     def grow(self, progress: Progress | None) -> Tree:
         root = self._make_records()
         size = root.bounds[0, 4:7] + root.bounds[0, :3]
-        self.area = np.float32(size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
+        area = np.float32(size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
+        pad = np.float32(self.triangles.max_coordinate * PAD)
+        self.space = Space(self.triangles.corners, pad, area)
         ranges = [root]  # parts come after the whole
         self._split_middle(self._split_large(ranges), ranges)
         for row, part in enumerate(ranges):
@@ -162,7 +140,7 @@ class _Grower:
         if len(ranges) > 1:
             self._collapse_top(ranges, costs)
         top_count = sum(part.parts is not None for part in ranges)
-        return Tree(self.records, self.boxes, self.links, root.node, top_count)
+        return Tree(self.tree, root.node, top_count)
 
     def _collapse_top(self, ranges: list[_Range], costs: NDArray[np.float32]) -> None:
         collapse_top(
@@ -171,10 +149,8 @@ class _Grower:
             np.array([[part.begin, part.size] for part in ranges], np.int32),
             np.array([part.bounds[0] for part in ranges]),
             costs,
-            self.boxes,
-            self.links,
-            self.method.max_leaf_size,
-            _PRICES,
+            self.tree,
+            self.settings,
         )
 
     def _make_records(self) -> _Range:
@@ -199,7 +175,7 @@ class _Grower:
             part = pending.pop()
             result = None
             target = spare if part.records is self.records else self.records
-            if part.size > _LARGE and part.depth < self.method.sah_depth:
+            if part.size > _LARGE and part.depth < self.settings.sah_depth:
                 result = split_large(part.records, target, part.begin, part.end, part.bounds[1])
             if result is None:
                 others.append(part)
@@ -227,24 +203,14 @@ class _Grower:
         self, level: list[_Range], bounds: NDArray[np.float32], ends: NDArray[np.int64]
     ) -> None:
         def split(part: _Range, bounds: NDArray[np.float32], ends: NDArray[np.int64]) -> None:
-            use_sides = part.depth < self.method.sah_depth
-            if self.method.spare_share == 0.0:
+            use_sides = part.depth < self.settings.sah_depth
+            if self.settings.spare_share == 0.0:
                 span = part.begin, part.end
                 ends[:2] = split_once(part.records, *span, use_sides, part.bounds, bounds)
                 ends[2] = part.end
                 return
             split_spatially(
-                part.records,
-                part.begin,
-                part.end,
-                part.limit,
-                use_sides,
-                part.bounds,
-                self.triangles.corners,
-                self.pad,
-                self.area,
-                bounds,
-                ends,
+                part.records, part.span, use_sides, part.bounds, self.space, bounds, ends
             )
 
         def body(begin: int, end: int) -> None:
@@ -270,33 +236,11 @@ class _Grower:
         def grow(part: _Range, scratch: NDArray[np.float32]) -> None:
             if part.records is not self.records:
                 self.records[part.begin : part.end] = part.records[part.begin : part.end]
-            tree = self.boxes, self.links, self.method.small
-            result = self.method.max_leaf_size, _PRICES, scratch, costs[part.row]
-            span = part.begin, part.end
-            depths = part.depth, self.method.sah_depth
-            if self.method.spare_share == 0.0:
-                grow_subtree(
-                    self.records,
-                    *span,
-                    *depths,
-                    part.bounds,
-                    *tree,
-                    self.method.plain_size,
-                    *result,
-                )
-                return
-            grow_spatially(
-                self.records,
-                *span,
-                part.limit,
-                *depths,
-                part.bounds,
-                self.triangles.corners,
-                self.pad,
-                self.area,
-                *tree,
-                *result,
-            )
+            where, result = (self.tree, part.span, part.depth, part.bounds), costs[part.row]
+            if self.settings.spare_share == 0.0:
+                grow_subtree(*where, self.settings, scratch, result)
+            else:
+                grow_spatially(*where, self.space, self.settings, scratch, result)
 
         def body(begin: int, end: int) -> None:
             try:

@@ -13,7 +13,10 @@ Graphics 2009.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import (
@@ -44,13 +47,14 @@ from raystream.structures.bvh.tree import (
     PENDING_STACK_BYTES,
     Link,
     Pending,
+    Span,
     halve,
     push_pending,
     put_node,
     split,
 )
 
-__all__ = ["PAD", "grow_spatially", "split_spatially"]
+__all__ = ["PAD", "Space", "grow_spatially", "split_spatially"]
 
 #: Planes are tried where the sides of the best split overlap by more than this part of the
 #: scene's area: elsewhere they gain little.
@@ -68,6 +72,45 @@ _LEFT, _RIGHT = np.float32(2.0), np.float32(3.0)
 _ZERO = np.float32(0.0)
 
 
+class Space(NamedTuple):
+    """What spatial splits need of a scene.
+
+    Attributes
+    ----------
+    corners : ndarray of shape (F, 3, 3), float32
+    pad : float32
+        `PAD` in the scene's unit.
+    area : float32
+        Half the surface of its box.
+    """
+
+    corners: NDArray[np.float32]
+    pad: np.float32
+    area: np.float32
+
+
+class _Scratch(NamedTuple):
+    """Addresses of memory for splits."""
+
+    bins: np.uint64
+    sums: np.uint64
+    slabs: np.uint64
+    exits: np.uint64
+
+
+class _Cutter(NamedTuple):
+    """`Space` without arrays: address of the corners, pad, and least overlap for a split."""
+
+    corners: np.uint64
+    pad: np.float32
+    least_overlap: np.float32
+
+
+@device
+def _cutter(space):
+    return _Cutter(address(space.corners), np.float32(space.pad), np.float32(space.area) * _OVERLAP)
+
+
 @device
 def _meet(left, right):
     """Half the surface of what two boxes have in common; 0 if nothing."""
@@ -80,11 +123,12 @@ def _meet(left, right):
 
 
 @device_call
-def _choose_sides(records, begin, end, axis, position, corners, pad, limit):
+def _choose_sides(records, span, axis, position, cutter):
     """Give each record a side, and both sides of the plane a record of those it cuts.
 
-    Returns the end of the records, at most `limit`.
+    Returns the end of the records, at most the limit of their range.
     """
+    begin, end, limit = span.begin, span.end, span.limit
     left, right = scratch(RECORD_BYTES), scratch(RECORD_BYTES)
     axis_at = np.uint64(axis) * np.uint64(4)
     for i in range(np.uint64(begin), np.uint64(end)):
@@ -93,7 +137,7 @@ def _choose_sides(records, begin, end, axis, position, corners, pad, limit):
         high = load(np.float32, at + axis_at + np.uint64(16))
         goes_left = low + high < position + position
         if low < position and high > position and end < limit:
-            cut_record(at, corners, np.uint64(axis), position, pad, left, right)
+            cut_record(at, cutter.corners, np.uint64(axis), position, cutter.pad, left, right)
             if not is_empty(left) and not is_empty(right):
                 store(at, load(f32x8, left))
                 added = records + np.uint64(end) * np.uint64(RECORD_BYTES)
@@ -132,24 +176,24 @@ def _partition_by_side(records, begin, end):
 
 
 @device
-def _split(
-    records,
-    begin,
-    end,
-    limit,
-    box,
-    middles,
-    use_sides,
-    tries,
-    bins,
-    sums,
-    slabs,
-    exits,
-    corners,
-    pad,
-    least_overlap,
-):
+def _split(records, span, box, middles, use_sides, tries, cutter, memory):
     """Split a range in two, in space if that is better.
+
+    Parameters
+    ----------
+    records : uint64
+        Address of all records.
+    span : Span
+    box : uint64
+        Address of the range's box.
+    middles : f32x8
+        Box around the records' middles.
+    use_sides : bool
+        Else it is halved by count.
+    tries : bool
+        Whether to try spatial splits.
+    cutter : _Cutter
+    memory : _Scratch
 
     Returns
     -------
@@ -157,19 +201,22 @@ def _split(
         The records of the parts; the left one's room ends where the right one begins.
     left, left_middles, right, right_middles : f32x8
     """
+    begin, end, limit = span.begin, span.end, span.limit
     middle, left, left_middles, right, right_middles = split(
-        records, begin, end, middles, use_sides, 0, bins, sums
+        records, begin, end, middles, use_sides, 0, memory.bins, memory.sums
     )
     overlap = _meet(left, right)
-    overlaps = overlap > least_overlap and overlap > half_area(load(f32x8, box)) * _OWN_OVERLAP
+    overlaps = (
+        overlap > cutter.least_overlap and overlap > half_area(load(f32x8, box)) * _OWN_OVERLAP
+    )
     if use_sides and tries and limit > end and overlaps:
         cost = half_area(left) * block_count(middle - begin)
         cost += half_area(right) * block_count(end - middle)
         axis, position, plane_cost, cut_count = find_plane(
-            records, begin, end, box, corners, pad, slabs, exits
+            records, begin, end, box, cutter.corners, cutter.pad, memory.slabs, memory.exits
         )
         if plane_cost < cost * _GAIN and cut_count <= limit - end:
-            end = _choose_sides(records, begin, end, axis, position, corners, pad, limit)
+            end = _choose_sides(records, span, axis, position, cutter)
             middle, left, left_middles, right, right_middles = _partition_by_side(
                 records, begin, end
             )
@@ -193,47 +240,39 @@ def _split(
 
 
 @kernel
-def split_spatially(
-    records, begin, end, limit, use_sides, bounds, corners, pad, scene_area, part_bounds, ends
-):
+def split_spatially(records, span, use_sides, bounds, space, part_bounds, ends):
     """Split one range in two.
 
     Parameters
     ----------
     records : ndarray of shape (A, 8), float32
         Those of the range are reordered, and some added.
-    begin, end, limit : int
-        The range, of at least two records; the end of the rows that it may use.
+    span : Span
+        At least two records.
     use_sides : bool
         Else it is halved by count.
     bounds : ndarray of shape (2, 8), float32
         Boxes around the records, and around their middles.
-    corners : ndarray of shape (F, 3, 3), float32
-    pad, scene_area : float32
+    space : Space
     part_bounds : ndarray of shape (2, 2, 8), float32
         Written: the bounds of both parts.
     ends : ndarray of shape (3,), int64
         Written: the end of the left part, and begin and end of the right one.
     """
-    if begin == end:
+    if span.begin == span.end:
         return
     bound_at = address(bounds)
     left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
         address(records),
-        np.int32(begin),
-        np.int32(end),
-        np.int32(limit),
+        Span(np.int32(span.begin), np.int32(span.end), np.int32(span.limit)),
         bound_at,
         load(f32x8, bound_at + np.uint64(RECORD_BYTES)),
         use_sides,
         True,
-        scratch(BINS_BYTES),
-        scratch(SUMS_BYTES),
-        scratch(SLAB_BYTES),
-        scratch(EXIT_BYTES),
-        address(corners),
-        np.float32(pad),
-        np.float32(scene_area) * _OVERLAP,
+        _cutter(space),
+        _Scratch(
+            scratch(BINS_BYTES), scratch(SUMS_BYTES), scratch(SLAB_BYTES), scratch(EXIT_BYTES)
+        ),
     )
     to = address(part_bounds)
     store(to, left)
@@ -244,31 +283,17 @@ def split_spatially(
 
 
 @kernel
-def grow_spatially(
-    records,
-    begin,
-    end,
-    limit,
-    depth,
-    sah_depth,
-    bounds,
-    corners,
-    pad,
-    scene_area,
-    boxes,
-    links,
-    small,
-    max_leaf_size,
-    prices,
-    costs,
-    root_costs,
-):
+def grow_spatially(tree, span, depth, bounds, space, settings, costs, root_costs):
     """Build all of the binary tree over a range; as `grow_subtree` and `split_spatially`."""
+    begin, end, limit = span.begin, span.end, span.limit
     if begin == end:
         return
-    record_at, box_at, link_at = address(records), address(boxes), address(links)
-    bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
-    slabs, exits = scratch(SLAB_BYTES), scratch(EXIT_BYTES)
+    small, max_leaf_size = settings.min_split_size, settings.max_leaf_size
+    record_at, box_at, link_at = address(tree.records), address(tree.boxes), address(tree.links)
+    memory = _Scratch(
+        scratch(BINS_BYTES), scratch(SUMS_BYTES), scratch(SLAB_BYTES), scratch(EXIT_BYTES)
+    )
+    cutter = _cutter(space)
     stack = scratch(PENDING_STACK_BYTES)
     root = np.int32(2 * begin)
     bound_at = address(bounds)
@@ -287,20 +312,13 @@ def grow_spatially(
         tries = last - first > max_leaf_size
         left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
             record_at,
-            first,
-            last,
-            room,
+            Span(first, last, room),
             box_at + np.uint64(node) * np.uint64(RECORD_BYTES),
             pending.middles,
-            level < sah_depth,
+            level < settings.sah_depth,
             tries,
-            bins,
-            sums,
-            slabs,
-            exits,
-            address(corners),
-            np.float32(pad),
-            np.float32(scene_area) * _OVERLAP,
+            cutter,
+            memory,
         )
         link = Link(link_at, np.uint64(node))
         link.left, link.right = node_end, np.int32(node_end + 1)
@@ -313,7 +331,5 @@ def grow_spatially(
             stack, top, left_middles, node_end, first, left_end, level + 1, right_begin
         )
         node_end = np.int32(node_end + 2)
-    merged = collapse_subtree(
-        box_at, link_at, root, node_end, max_leaf_size, prices, address(costs)
-    )
+    merged = collapse_subtree(box_at, link_at, root, node_end, settings, address(costs))
     store(address(root_costs), merged)

@@ -65,53 +65,30 @@ def split_once(records, begin, end, use_sides, bounds, part_bounds):
 
 
 @kernel
-def grow_subtree(
-    records,
-    begin,
-    end,
-    depth,
-    sah_depth,
-    bounds,
-    boxes,
-    links,
-    small,
-    plain_size,
-    max_leaf_size,
-    prices,
-    costs,
-    root_costs,
-):
+def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     """Build all of the binary tree over a range, and decide how it will be collapsed.
 
     Parameters
     ----------
-    records : ndarray of shape (A, 8), float32
-        Those of the range are reordered.
-    begin, end : int
-        The range; its tree gets the rows from 2 begin on, parents before their children.
+    tree : BinaryTree
+        Records of the range are reordered. Its tree gets the rows from 2 begin on, parents before
+        their children.
+    span : Span
     depth : int
         Nodes above the range.
-    sah_depth : int
-        From this depth on ranges are halved by count.
     bounds : ndarray of shape (2, 8), float32
         Boxes around the records, and around their middles.
-    boxes, links : ndarray of shape (2 A, 8), float32, and (2 A, 4), int32
-        The tree; see `tree`.
-    small : int
-        Ranges of so many records are not split.
-    plain_size : int
-        So many or fewer are split in the middle; see `tree.split`.
-    max_leaf_size : int
-    prices : tuple of float32
-        Of a node and of a leaf block; see `merge_costs`.
+    settings : BuildSettings
     costs : ndarray of shape (2 (end - begin), 8), float32
         Scratch.
     root_costs : ndarray of shape (8,), float32
         Written: the costs of the range's root.
     """
+    begin, end, small = span.begin, span.end, settings.min_split_size
     if begin == end:
         return
-    record_at, box_at, link_at = address(records), address(boxes), address(links)
+    record_at, box_at, link_at = address(tree.records), address(tree.boxes), address(tree.links)
+    sah_depth, plain_size = settings.sah_depth, settings.plain_size
     bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
     stack = scratch(PENDING_STACK_BYTES)
     root = np.int32(2 * begin)
@@ -137,7 +114,5 @@ def grow_subtree(
         top = push_pending(stack, top, right_middles, node_end + 1, middle, last, level + 1, last)
         top = push_pending(stack, top, left_middles, node_end, first, middle, level + 1, middle)
         node_end = np.int32(node_end + 2)
-    merged = collapse_subtree(
-        box_at, link_at, root, node_end, max_leaf_size, prices, address(costs)
-    )
+    merged = collapse_subtree(box_at, link_at, root, node_end, settings, address(costs))
     store(address(root_costs), merged)

@@ -88,8 +88,7 @@ def split_large(
             records,
             target,
             middles,
-            axis,
-            position,
+            (axis, position),
             left_ends[chunk] - left_counts[chunk],
             right_ends[chunk] - (sizes[chunk] - left_counts[chunk]),
             chunk_bounds[chunk],
@@ -118,13 +117,15 @@ def _find_split(bins):
 
 
 @kernel
-def _move(begin, end, records, target, middles, axis, position, left_row, right_row, bounds):
-    """Move the records of a chunk to their side's rows, from left_row and right_row on."""
+def _move(begin, end, records, target, middles, split, left_row, right_row, bounds):
+    """Move the records of a chunk to their side's rows, from left_row and right_row on.
+
+    `split` is the axis and the position in its bins.
+    """
     if begin == end:
         return
-    test = side_test(
-        load(f32x8, address(middles)), np.int32(BIN_COUNT), np.int32(axis), np.int32(position)
-    )
+    axis = np.int32(split[0])
+    test = side_test(load(f32x8, address(middles)), np.int32(BIN_COUNT), axis, np.int32(split[1]))
     nothing = no_box()
     left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
     record_at, target_at = address(records), address(target)
@@ -134,7 +135,7 @@ def _move(begin, end, records, target, middles, axis, position, left_row, right_
     right_at = target_at + np.uint64(right_row) * np.uint64(RECORD_BYTES)
     while at != last:
         record = load(f32x8, at)
-        goes_left = is_left(record, test, np.int32(axis))
+        goes_left = is_left(record, test, axis)
         on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
         middle = middle_bounds(record)
         left = maximum(left, select(on_left, record, nothing))

@@ -10,7 +10,10 @@ child, and what `collapse` decides; the left child of a leaf is -1.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
@@ -50,8 +53,11 @@ __all__ = [
     "LINK_INTS",
     "MAX_TREE_DEPTH",
     "PENDING_STACK_BYTES",
+    "BinaryTree",
+    "BuildSettings",
     "Link",
     "Pending",
+    "Span",
     "choose_bin_count",
     "halve",
     "is_left",
@@ -87,6 +93,63 @@ Pending = view(_PENDING)
 PENDING_STACK_BYTES = (MAX_TREE_DEPTH + 2) * _PENDING.itemsize
 
 _INF = np.float32(np.inf)
+
+
+class BinaryTree(NamedTuple):
+    """Arrays of a binary tree over A records.
+
+    Attributes
+    ----------
+    records : ndarray of shape (A, 8), float32
+        See `records`.
+    boxes, links : ndarray of shape (2 A, 8), float32, and (2 A, 4), int32
+    """
+
+    records: NDArray[np.float32]
+    boxes: NDArray[np.float32]
+    links: NDArray[np.int32]
+
+
+class Span(NamedTuple):
+    """A range of records.
+
+    Attributes
+    ----------
+    begin, end : int
+    limit : int
+        The end of the rows that it may use: its own and spare ones.
+    """
+
+    begin: int
+    end: int
+    limit: int
+
+
+class BuildSettings(NamedTuple):
+    """How to build a binary tree.
+
+    Attributes
+    ----------
+    min_split_size : int
+        Ranges of at most this many records are not split.
+    plain_size : int
+        Those of at most this many are split in the middle, others by the surface area heuristic.
+    max_leaf_size : int
+        Most records in a leaf.
+    sah_depth : int
+        From this depth on ranges are halved by count.
+    spare_share : float
+        Most records that spatial splits add, per triangle; 0 for no such splits.
+    costs : tuple of two float32
+        Relative time of visiting a node, and of testing a block of 4 triangles.
+    """
+
+    min_split_size: int
+    plain_size: int
+    max_leaf_size: int
+    sah_depth: int
+    spare_share: float
+    costs: tuple[np.float32, np.float32]
 
 
 @device
