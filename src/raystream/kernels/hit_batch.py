@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.jit.threads import parallel_for, thread_count
-from raystream.kernels.collect import HitArrays, count_rows, place_rows
+from raystream.kernels.hits import HitArrays, count_rows, place_rows
 
 __all__ = [
     "CHECKED_HITS",

@@ -11,7 +11,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, scratch, store
-from raystream.kernels.collect import HitAddresses, hit_addresses, sort_hits
+from raystream.kernels.hits import HitAddresses, hit_addresses, sort_hits
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray
 from raystream.kernels.search import LEAST_ROOM, SeenSet, begin_search, clear_seen
@@ -193,7 +193,7 @@ class RayQueries(NamedTuple):
     multi_hit : (..., wanted, splits, hits)
         Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row splits[i] of
         `hits` (HitArrays) on.
-    gather : (begin, end, source, frame, arrays, status, wanted, splits, hits)
+    collect_hits : (begin, end, source, frame, arrays, status, wanted, splits, hits)
         Writes the nearest hits of each ray into rows 0 to splits[end - begin] of `hits`.
         Returns the first ray that is not done: `end`, or one that finds no room in `hits`.
 
@@ -205,7 +205,7 @@ class RayQueries(NamedTuple):
     any_hit: Callable[..., None]
     count_hits: Callable[..., None]
     multi_hit: Callable[..., None]
-    gather: Callable[..., int]
+    collect_hits: Callable[..., int]
 
 
 def output_of(query: Query, sink: Sink, repeats: bool) -> tuple[Any, ...]:
@@ -344,7 +344,7 @@ def ray_queries(
                 table = _new_table(True)
 
     @kernel
-    def gather(begin, end, source, frame, arrays, status, wanted, splits, hits):
+    def collect_hits(begin, end, source, frame, arrays, status, wanted, splits, hits):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
         scene = RayScene(source, frame, arrays, stack, status)
@@ -371,4 +371,4 @@ def ray_queries(
             splits[i + _ONE - np.uint64(begin)] = row
         return np.int64(end)
 
-    return RayQueries(first_hit, any_hit, count_hits, multi_hit, gather)
+    return RayQueries(first_hit, any_hit, count_hits, multi_hit, collect_hits)

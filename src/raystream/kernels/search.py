@@ -16,7 +16,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
-from raystream.kernels.collect import HitAddresses, keep_hit
+from raystream.kernels.hits import HitAddresses, keep_hit
 
 __all__ = [
     "ADDED",

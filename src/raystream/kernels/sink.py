@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
-from raystream.kernels.collect import HitArrays, aligned_rows
 from raystream.kernels.hit_batch import HitBatch, HitVisitor, for_each_chunk
+from raystream.kernels.hits import HitArrays, aligned_rows
 from raystream.kernels.tally import new_tallies
 
 __all__ = ["Sink"]

@@ -9,21 +9,21 @@ from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import BLOCK_FLOATS
-from raystream.structures.bvh.emit import Deferred, WideTrees, emit
-from raystream.structures.bvh.grow import Tree, grow_tree
+from raystream.structures.bvh.binary_tree import HALVING_LEVELS, MAX_TREE_DEPTH, BuildSettings
+from raystream.structures.bvh.build_binary import Tree, grow_tree
 from raystream.structures.bvh.layout import MAX_BLOCKS, MAX_DEPTH, NODE_FLOATS, WIDTH, BvhArrays
-from raystream.structures.bvh.tree import HALVING_LEVELS, MAX_TREE_DEPTH, BuildSettings
+from raystream.structures.bvh.write_wide import Deferred, WideTrees, write_trees
 
 __all__ = ["QUALITIES", "build_arrays"]
 
-#: Size of ranges that are not split; that are split without a search; share of records that
+#: Size of ranges that are not split; that are split without a search; share of references that
 #: splits in space may add.
 QUALITIES = {"fast": (4, 1024, 0.0), "balanced": (4, 0, 0.0), "high": (2, 0, 0.3)}
 
 #: Relative time of visiting a node, and of testing a block of 4 triangles.
 _COSTS = (np.float32(1.0), np.float32(1.0))
 
-#: Wide trees that one call of `emit` gets.
+#: Wide trees that one call of `write_trees` gets.
 _TREES_PER_CALL = 4
 
 
@@ -123,7 +123,7 @@ class _Writer:
         wide = _make_arrays(0, 0) if arrays is None else arrays
 
         def body(begin: int, end: int) -> None:
-            emit(
+            write_trees(
                 begin,
                 end,
                 trees,

@@ -30,10 +30,10 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
+from raystream.structures.bvh.binary_tree import Link
 from raystream.structures.bvh.binning import block_count
 from raystream.structures.bvh.layout import WIDTH
-from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES, half_area
-from raystream.structures.bvh.tree import Link
+from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES, half_area
 
 __all__ = [
     "COST_BYTES",
@@ -133,7 +133,7 @@ def collapse_subtree(boxes, links, root, node_end, settings, costs):
         node -= np.uint64(1)
         link = Link(links, node)
         left_node = link.left
-        box = boxes + node * np.uint64(RECORD_BYTES)
+        box = boxes + node * np.uint64(REF_BYTES)
         to = cost_at + node * np.uint64(COST_BYTES)
         if left_node < np.int32(0):
             store(to, leaf_costs(box, settings.costs[1]))
@@ -206,9 +206,9 @@ def collapse_top(parts, nodes, spans, bounds, costs, tree, settings):
     nodes : ndarray of shape (U,), int32
         Row of each range's root in the tree.
     spans : ndarray of shape (U, 2), int32
-        Its first record, and how many.
+        Its first reference, and how many.
     bounds : ndarray of shape (U, 8), float32
-        Boxes around the records.
+        Boxes around the references.
     costs : ndarray of shape (U, 8), float32
         Those of subtrees are given; the others are written.
     tree : BinaryTree
@@ -221,9 +221,9 @@ def collapse_top(parts, nodes, spans, bounds, costs, tree, settings):
             continue
         left, right = np.uint64(parts[row, 0]), np.uint64(parts[row, 1])
         node = np.uint64(nodes[row])
-        box = box_at + node * np.uint64(RECORD_BYTES)
+        box = box_at + node * np.uint64(REF_BYTES)
         link = Link(link_at, node)
-        store(box, load(f32x8, address(bounds) + row * np.uint64(RECORD_BYTES)))
+        store(box, load(f32x8, address(bounds) + row * np.uint64(REF_BYTES)))
         store(box + np.uint64(FIRST_AT), np.int32(spans[row, 0]))
         store(box + np.uint64(COUNT_AT), np.int32(spans[row, 1]))
         link.left, link.right = np.int32(nodes[left]), np.int32(nodes[right])

@@ -12,13 +12,13 @@ from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.sink import Sink
+from raystream.structures.bvh.coherence import choose_kernel, probe
 from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
-from raystream.structures.bvh.packet_all import count_all, visit_all
+from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
 from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
-from raystream.structures.bvh.probe import choose, probe
-from raystream.structures.bvh.sorted_batch import trace_sorted
+from raystream.structures.bvh.stream_batch import trace_sorted
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 __all__ = [
@@ -112,7 +112,7 @@ def trace_batch(
     order = PacketOrder.of(batch.shape)
     if kernel == "auto" and count:
         found = probe(source, order, tree.frame, tree.byte_count)
-        kernel = choose(found, count, tree.byte_count)
+        kernel = choose_kernel(found, count, tree.byte_count)
     if kernel == "wavefront":
         _trace_wavefront(tree, count, source, wants_any, results, progress)
     elif kernel == "stream":
@@ -185,7 +185,7 @@ def _packets_of(tree: Tree, rays: RayBatch, sink: Sink) -> tuple[PacketSource, o
 
 def _suits_packets(tree: Tree, source: PacketSource) -> bool:
     found = probe(source.rays, source.order, tree.frame, tree.byte_count)
-    return choose(found, int(source.order.ray_count), tree.byte_count) == "packet"
+    return choose_kernel(found, int(source.order.ray_count), tree.byte_count) == "packet"
 
 
 def _trace_wavefront(

@@ -40,6 +40,7 @@ from raystream.jit.simd import (
 from raystream.jit.views import address_of, view
 from raystream.kernels.ray import PAD
 from raystream.structures.bvh.layout import STACK_SIZE
+from raystream.structures.bvh.node_layout import NODE, Node, NodeLanes
 from raystream.structures.bvh.packet_hits import Collector
 from raystream.structures.bvh.packet_leaf import (
     ANY,
@@ -53,13 +54,12 @@ from raystream.structures.bvh.packet_leaf import (
 from raystream.structures.bvh.packet_load import load_packet
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
-    NO_KIND,
+    NO_CLASS,
     PACKET_BYTES,
     Group,
     GroupLanes,
     store_packet,
 )
-from raystream.structures.bvh.wide import NODE, Node, NodeLanes
 
 __all__ = ["TRACE_BYTES", "trace_packet", "trace_packets"]
 
@@ -141,13 +141,13 @@ class RayClass(NamedTuple):
 
 
 @device
-def _extremes(packet, kind, axis):
-    """Bounds of the rays of a kind along an axis."""
+def _extremes(packet, direction_class, axis):
+    """Bounds of the rays of a direction_class along an axis."""
     least_inv, most_inv = f32x16(_INF), f32x16(-_INF)
     least_o, most_o = f32x16(_INF), f32x16(-_INF)
     for g in range(GROUPS):
         group = Group(packet, g)
-        mine = group.kind == kind
+        mine = group.direction_class == direction_class
         inv, o = group.inv[axis], group.origin[axis]
         least_inv = select(mine, minimum(inv, least_inv), least_inv)
         most_inv = select(mine, maximum(inv, most_inv), most_inv)
@@ -194,21 +194,21 @@ def _far_of(node, b):
 
 
 @device
-def _ray_class(packet, kind, max_coordinate):
-    """Begin the pass of a kind: its rays become live; returns what they share."""
-    lx, hx, olx, ohx = _extremes(packet, kind, _U0)
-    ly, hy, oly, ohy = _extremes(packet, kind, _U1)
-    lz, hz, olz, ohz = _extremes(packet, kind, _U2)
+def _ray_class(packet, direction_class, max_coordinate):
+    """Begin the pass of a direction_class: its rays become live; returns what they share."""
+    lx, hx, olx, ohx = _extremes(packet, direction_class, _U0)
+    ly, hy, oly, ohy = _extremes(packet, direction_class, _U1)
+    lz, hz, olz, ohz = _extremes(packet, direction_class, _U2)
     reach = max(abs(olx), abs(ohx), abs(oly), abs(ohy), abs(olz), abs(ohz))
     pad = _TWO * PAD * (max_coordinate + reach)
-    kz = np.uint64(kind & np.int32(3))
+    kz = np.uint64(direction_class & np.int32(3))
     kx = kz + _U1 if kz < _U2 else _U0
     ky = kx + _U1 if kx < _U2 else _U0
     t_min = f32x16(_INF)
     for g in range(GROUPS):
         group = Group(packet, g)
-        mine = group.kind == kind
-        group.live_t = select(mine, group.t, f32x16(-_INF))
+        mine = group.direction_class == direction_class
+        group.t_active = select(mine, group.t, f32x16(-_INF))
         t_min = select(mine, minimum(group.t_min, t_min), t_min)
     return RayClass(
         _slab_bounds(_U0, lx, hx, olx, ohx, pad),
@@ -241,9 +241,9 @@ def _enters(node, rays, t_max):
 @device
 def _farthest(packet):
     """The farthest t that any live ray of the packet still looks at; -inf when none is."""
-    t = Group(packet, _U0).live_t
+    t = Group(packet, _U0).t_active
     for g in range(_U1, GROUPS):
-        t = maximum(Group(packet, g).live_t, t)
+        t = maximum(Group(packet, g).t_active, t)
     return reduce_max(t)
 
 
@@ -281,9 +281,9 @@ def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
 
 
 @device
-def _trace_kind(packet, kind, tree, max_coordinate, memory, goal, hits):
-    """Trace the rays of one kind: the pass of a packet."""
-    rays = _ray_class(packet, kind, max_coordinate)
+def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits):
+    """Trace the rays of one direction_class: the pass of a packet."""
+    rays = _ray_class(packet, direction_class, max_coordinate)
     farthest = _farthest(packet)
     limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
 
@@ -313,19 +313,19 @@ def _trace_kind(packet, kind, tree, max_coordinate, memory, goal, hits):
 
     for g in range(GROUPS):
         group = Group(packet, g)
-        mine = group.kind == kind
-        group.t = select(mine, group.live_t, group.t)
-        group.kind = select(mine, i32x16(NO_KIND), group.kind)
+        mine = group.direction_class == direction_class
+        group.t = select(mine, group.t_active, group.t)
+        group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
 
 
 @device
-def _next_kind(packet):
-    """The kind of the first ray that has not been traced, or NO_KIND."""
+def _next_class(packet):
+    """The direction_class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(GROUPS):
-        bits = mask_bits(Group(packet, g).kind != NO_KIND)
+        bits = mask_bits(Group(packet, g).direction_class != NO_CLASS)
         if bits != _U0:
-            return GroupLanes(packet, g).kind[count_trailing_zeros(bits)]
-    return NO_KIND
+            return GroupLanes(packet, g).direction_class[count_trailing_zeros(bits)]
+    return NO_CLASS
 
 
 @device
@@ -345,10 +345,10 @@ def trace_packet(packet, tree, max_coordinate, memory, goal, hits):
     hits : Collector
         Of the hits, if all of them are wanted.
     """
-    kind = _next_kind(packet)
-    while kind != NO_KIND:
-        _trace_kind(packet, kind, tree, max_coordinate, memory, goal, hits)
-        kind = _next_kind(packet)
+    direction_class = _next_class(packet)
+    while direction_class != NO_CLASS:
+        _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits)
+        direction_class = _next_class(packet)
 
 
 @kernel

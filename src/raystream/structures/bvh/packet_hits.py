@@ -178,7 +178,7 @@ def _insert(rows, first, row, t, u, v, prim_id):
 
 
 @device_call
-def _drop_twins(rows, first, count, to):
+def _remove_duplicates(rows, first, count, to):
     """Move a ray's sorted hits to row `to`, each triangle once; returns how many are left.
 
     A triangle that is in several leaves was hit several times, with the same bits.
@@ -247,7 +247,7 @@ def sort_packet(hits, ends, used, has_duplicates):
                 t, u, v, prim_id = _take(rows, first + k)
                 _insert(rows, first, first + k, t, u, v, prim_id)
         if has_duplicates:
-            to += _drop_twins(rows, first, ray_count, to)
+            to += _remove_duplicates(rows, first, ray_count, to)
         else:
             to += ray_count
         first += ray_count

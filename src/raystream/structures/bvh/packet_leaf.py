@@ -17,9 +17,9 @@ from raystream.kernels.triangle_lanes import (
     signs_agree,
     slab_interval,
 )
+from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
 from raystream.structures.bvh.packet_hits import collect
 from raystream.structures.bvh.packet_rays import Group, three
-from raystream.structures.bvh.wide import NodeLanes, leaf_address, leaf_end
 
 __all__ = [
     "ALL",
@@ -100,7 +100,7 @@ def group_range(packet, planes, t_min, groups):
     while True:
         group = Group(packet, g)
         t_in, t_out = _group_interval(group, planes)
-        if any_lane(maximum(t_in, t_min) <= minimum(t_out, group.live_t)):
+        if any_lane(maximum(t_in, t_min) <= minimum(t_out, group.t_active)):
             if step == _U1:
                 first, step = g, _DOWN
                 g, end = end, g
@@ -166,7 +166,7 @@ def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
         far[_Z, lane],
     )
     t_in, t_out = _group_interval(group, own)
-    nearest, t_min = group.live_t, group.t_min
+    nearest, t_min = group.t_active, group.t_min
     candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
     if not any_lane(candidates):
         return False
@@ -197,9 +197,9 @@ def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
         return False
     group.prim_id = select(taken, prim_id, best)
     if goal == ANY:
-        group.live_t = select(taken, f32x16(-_INF), nearest)
+        group.t_active = select(taken, f32x16(-_INF), nearest)
         return True
-    group.live_t = select(taken, t, nearest)
+    group.t_active = select(taken, t, nearest)
     group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
     return True
 
@@ -239,7 +239,7 @@ def visit_leaf(packet, child, leaves, box, rays, groups, planes, goal, hits):
         for g in range(groups.first, groups.last + _U1):
             group = Group(packet, g)
             t_in, t_out = _group_interval(group, box)
-            if any_lane(maximum(t_in, rays.t_min) <= minimum(t_out, group.live_t)):
+            if any_lane(maximum(t_in, rays.t_min) <= minimum(t_out, group.t_active)):
                 for lane in range(count):
                     if _test_triangle(group, g, block, own, lane, rays, goal, hits):
                         has_hit = True

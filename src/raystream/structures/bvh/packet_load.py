@@ -39,7 +39,7 @@ from raystream.kernels.ray_source import (
 )
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
-    NO_KIND,
+    NO_CLASS,
     NO_PRIM,
     Group,
     GroupLanes,
@@ -225,7 +225,7 @@ def _prepare_group(group, max_coordinate):
     zero = i32x16(np.int32(0))
     axis = select(is_z, zero + np.int32(2), select(is_y, zero + np.int32(1), zero))
     can_hit = group.t_min <= group.t
-    group.kind = select(can_hit, octant | axis, zero + NO_KIND)
+    group.direction_class = select(can_hit, octant | axis, zero + NO_CLASS)
     group.prim_id, group.u, group.v = i32x16(NO_PRIM), f32x16(_ZERO), f32x16(_ZERO)
 
 

@@ -31,7 +31,7 @@ from raystream.kernels.ray_source import RaySource
 __all__ = [
     "GROUP",
     "GROUPS",
-    "NO_KIND",
+    "NO_CLASS",
     "NO_PRIM",
     "PACKET_BYTES",
     "PACKET_RAYS",
@@ -61,11 +61,11 @@ _FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
     ("shear", "f4", (3, 16)),
     ("t_min", "f4", (16,)),
     ("t", "f4", (16,)),  # t_max, then the nearest hit's
-    ("live_t", "f4", (16,)),  # the same for the rays of the pass, -inf for others
+    ("t_active", "f4", (16,)),  # the same for the rays of the pass, -inf for others
     ("prim_id", "i4", (16,)),
     ("u", "f4", (16,)),
     ("v", "f4", (16,)),
-    ("kind", "i4", (16,)),  # octant and largest axis of the direction
+    ("direction_class", "i4", (16,)),  # octant and largest axis of the direction
     ("t_scale", "f4", (16,)),
     # In groups with a ray that took the slow path into the local frame.
     ("slow_t_scale", "f8", (16,)),
@@ -80,7 +80,7 @@ GroupLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _FIELDS])
 PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
 
 NO_PRIM = np.int32(2**31 - 1)
-NO_KIND = np.int32(-1)
+NO_CLASS = np.int32(-1)
 
 _INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)

@@ -33,7 +33,7 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.triangle_lanes import slab_interval
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
-from raystream.structures.bvh.wide import (
+from raystream.structures.bvh.node_layout import (
     BOX_FLIP,
     CHILDREN,
     LANE,

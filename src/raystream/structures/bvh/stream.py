@@ -50,6 +50,16 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.layout import MAX_DEPTH, STACK_SIZE
+from raystream.structures.bvh.node_layout import (
+    KEY_LANES,
+    LANE,
+    Node,
+    NodeLanes,
+    leaf_address,
+    leaf_end,
+    prefetch_child,
+    sort_keys,
+)
 from raystream.structures.bvh.stream_rays import (
     FILL_BYTES,
     STREAM_BYTES,
@@ -60,16 +70,6 @@ from raystream.structures.bvh.stream_rays import (
     fill,
     stream_rays,
     write_results,
-)
-from raystream.structures.bvh.wide import (
-    KEY_LANES,
-    LANE,
-    Node,
-    NodeLanes,
-    leaf_address,
-    leaf_end,
-    prefetch_child,
-    sort_keys,
 )
 
 __all__ = ["trace_streams"]

@@ -1,4 +1,4 @@
-"""Growing the binary tree over a range of records on one thread."""
+"""Growing the binary tree over a range of references on one thread."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import numpy as np
 
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, f32x8, load, scratch, store
-from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES
-from raystream.structures.bvh.collapse import collapse_subtree
-from raystream.structures.bvh.records import RECORD_BYTES
-from raystream.structures.bvh.tree import (
+from raystream.structures.bvh.binary_tree import (
     PENDING_STACK_BYTES,
     Link,
     Pending,
@@ -17,24 +14,27 @@ from raystream.structures.bvh.tree import (
     put_node,
     split,
 )
+from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES
+from raystream.structures.bvh.collapse import collapse_subtree
+from raystream.structures.bvh.prim_refs import REF_BYTES
 
 __all__ = ["grow_subtree", "split_once"]
 
 
 @kernel
-def split_once(records, begin, end, use_sides, bounds, part_bounds):
+def split_once(refs, begin, end, use_sides, bounds, part_bounds):
     """Split one range in two.
 
     Parameters
     ----------
-    records : ndarray of shape (A, 8), float32
+    refs : ndarray of shape (A, 8), float32
         Those of the range are reordered.
     begin, end : int
-        The range, of at least two records.
+        The range, of at least two references.
     use_sides : bool
         Else they are halved by count.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the records, and around their middles.
+        Boxes around the references, and around their middles.
     part_bounds : ndarray of shape (2, 2, 8), float32
         Written: the same for both parts.
 
@@ -45,9 +45,9 @@ def split_once(records, begin, end, use_sides, bounds, part_bounds):
     """
     if begin == end:
         return begin
-    middles = load(f32x8, address(bounds) + np.uint64(RECORD_BYTES))
+    middles = load(f32x8, address(bounds) + np.uint64(REF_BYTES))
     middle, left, left_middles, right, right_middles = split(
-        address(records),
+        address(refs),
         np.int32(begin),
         np.int32(end),
         middles,
@@ -58,9 +58,9 @@ def split_once(records, begin, end, use_sides, bounds, part_bounds):
     )
     to = address(part_bounds)
     store(to, left)
-    store(to + np.uint64(RECORD_BYTES), left_middles)
-    store(to + np.uint64(2 * RECORD_BYTES), right)
-    store(to + np.uint64(3 * RECORD_BYTES), right_middles)
+    store(to + np.uint64(REF_BYTES), left_middles)
+    store(to + np.uint64(2 * REF_BYTES), right)
+    store(to + np.uint64(3 * REF_BYTES), right_middles)
     return np.int64(middle)
 
 
@@ -71,13 +71,13 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     Parameters
     ----------
     tree : BinaryTree
-        Records of the range are reordered. Its tree gets the rows from 2 begin on, parents before
-        their children.
+        References of the range are reordered. Its tree gets the rows from 2 begin on, parents
+        before children.
     span : Span
     depth : int
         Nodes above the range.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the records, and around their middles.
+        Boxes around the references, and around their middles.
     settings : BuildSettings
     costs : ndarray of shape (2 (end - begin), 8), float32
         Scratch.
@@ -87,14 +87,14 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     begin, end, small = span.begin, span.end, settings.min_split_size
     if begin == end:
         return
-    record_at, box_at, link_at = address(tree.records), address(tree.boxes), address(tree.links)
+    ref_at, box_at, link_at = address(tree.refs), address(tree.boxes), address(tree.links)
     sah_depth, plain_size = settings.sah_depth, settings.plain_size
     bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
     stack = scratch(PENDING_STACK_BYTES)
     root = np.int32(2 * begin)
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
-    middles = load(f32x8, bound_at + np.uint64(RECORD_BYTES))
+    middles = load(f32x8, bound_at + np.uint64(REF_BYTES))
     top = push_pending(stack, np.uint64(0), middles, root, begin, end, depth, end)
     node_end = np.int32(root + 1)
     while top != np.uint64(0):
@@ -105,7 +105,7 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
             continue
         node, level = pending.node, pending.depth
         middle, left, left_middles, right, right_middles = split(
-            record_at, first, last, pending.middles, level < sah_depth, plain_size, bins, sums
+            ref_at, first, last, pending.middles, level < sah_depth, plain_size, bins, sums
         )
         link = Link(link_at, np.uint64(node))
         link.left, link.right = node_end, np.int32(node_end + 1)

@@ -41,7 +41,7 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.wide import (
+from raystream.structures.bvh.node_layout import (
     LANE,
     Node,
     leaf_address,

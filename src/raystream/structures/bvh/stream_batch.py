@@ -11,7 +11,8 @@ from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures.bvh.layout import TreeAddresses
-from raystream.structures.bvh.ray_order import (
+from raystream.structures.bvh.stream import trace_streams
+from raystream.structures.bvh.stream_order import (
     COUNT_BYTES,
     SORTED_CHUNK,
     SortedRays,
@@ -19,7 +20,6 @@ from raystream.structures.bvh.ray_order import (
     place_keys,
     place_rays,
 )
-from raystream.structures.bvh.stream import trace_streams
 
 __all__ = ["SORTED_RAYS", "trace_sorted"]
 

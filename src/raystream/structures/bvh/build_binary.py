@@ -1,6 +1,6 @@
 """Growing the binary tree on all threads.
 
-Large ranges of records are split one after another, with all threads on each; middle ones each
+Large ranges of references are split one after another, with all threads on each; middle ones each
 by one thread; small ones become subtrees, each built to the end by one thread. What is large
 depends on the number of triangles alone, so the tree is the same for any number of threads.
 """
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.aligned import aligned_array
+from raystream.structures.bvh.binary_tree import LINK_INTS, BinaryTree, BuildSettings, Span
 from raystream.structures.bvh.collapse import COST_FLOATS, collapse_top
-from raystream.structures.bvh.emit import READ_AHEAD
-from raystream.structures.bvh.records import RECORD_FLOATS, make_records
-from raystream.structures.bvh.spatial import PAD, Space, grow_spatially, split_spatially
+from raystream.structures.bvh.parallel_split import split_large
+from raystream.structures.bvh.prim_refs import REF_FLOATS, make_refs
+from raystream.structures.bvh.spatial_splits import PAD, Space, grow_spatially, split_spatially
 from raystream.structures.bvh.subtree import grow_subtree, split_once
-from raystream.structures.bvh.top import split_large
-from raystream.structures.bvh.tree import LINK_INTS, BinaryTree, BuildSettings, Span
+from raystream.structures.bvh.write_wide import READ_AHEAD
 
 __all__ = ["Tree", "grow_tree"]
 
@@ -52,14 +52,14 @@ class Tree(NamedTuple):
 
 @dataclass
 class _Range:
-    """A range of records: split in two, or to be a subtree; `limit` is the end of its room."""
+    """A range of references: split in two, or to be a subtree; `limit` is the end of its room."""
 
     begin: int
     end: int
     limit: int
     depth: int
     bounds: NDArray[np.float32]
-    records: NDArray[np.float32]
+    refs: NDArray[np.float32]
     parts: tuple[_Range, _Range] | None = None
     row: int = 0
 
@@ -80,14 +80,14 @@ class _Range:
         self,
         ends: tuple[int, int, int],
         bounds: NDArray[np.float32],
-        records: NDArray[np.float32],
+        refs: NDArray[np.float32],
     ) -> tuple[_Range, _Range]:
         """Make the parts, of the end of the left one, and begin and end of the right one."""
         left_end, right_begin, right_end = ends
         depth = self.depth + 1
         self.parts = (
-            _Range(self.begin, left_end, right_begin, depth, bounds[0], records),
-            _Range(right_begin, right_end, self.limit, depth, bounds[1], records),
+            _Range(self.begin, left_end, right_begin, depth, bounds[0], refs),
+            _Range(right_begin, right_end, self.limit, depth, bounds[1], refs),
         )
         return self.parts
 
@@ -115,18 +115,18 @@ class _Grower:
         self.settings = settings
         self.count = len(triangles.prim_ids)
         room = self.count + int(settings.spare_share * self.count)
-        # `emit` reads a few records beyond the last.
-        self.records = aligned_array(room + READ_AHEAD, RECORD_FLOATS)[:room]
+        # `write_trees` reads a few references beyond the last.
+        self.refs = aligned_array(room + READ_AHEAD, REF_FLOATS)[:room]
         self.tree = BinaryTree(
-            self.records,
-            np.empty((2 * room, RECORD_FLOATS), np.float32),
+            self.refs,
+            np.empty((2 * room, REF_FLOATS), np.float32),
             np.empty((2 * room, LINK_INTS), np.int32),
         )
         # About 64 subtrees or more, of 1 to 10 ms each.
         self.subtree_size = min(max(1 << 12, self.count >> 6), 1 << 16)
 
     def grow(self, progress: Progress | None) -> Tree:
-        root = self._make_records()
+        root = self._make_refs()
         size = root.bounds[0, 4:7] + root.bounds[0, :3]
         area = np.float32(size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
         pad = np.float32(self.triangles.max_coordinate * PAD)
@@ -153,30 +153,30 @@ class _Grower:
             self.settings,
         )
 
-    def _make_records(self) -> _Range:
+    def _make_refs(self) -> _Range:
         corners, prim_ids = self.triangles.corners, self.triangles.prim_ids
         bounds = np.full((-(-self.count // _CHUNK), 2, 8), -np.inf, np.float32)
 
         def body(begin: int, end: int) -> None:
-            make_records(begin, end, corners, prim_ids, self.records, bounds[begin // _CHUNK])
+            make_refs(begin, end, corners, prim_ids, self.refs, bounds[begin // _CHUNK])
 
         parallel_for(body, self.count, _CHUNK)
-        return _Range(0, self.count, len(self.records), 0, bounds.max(axis=0), self.records)
+        return _Range(0, self.count, len(self.refs), 0, bounds.max(axis=0), self.refs)
 
     def _split_large(self, ranges: list[_Range]) -> list[_Range]:
         """Split the largest ranges; adds their parts to `ranges`, returns the others."""
         (root,) = ranges
         if root.size <= _LARGE or root.limit > root.end:
             return [root]
-        # Records move from one array to the other at each split.
-        spare = aligned_array(len(self.records), RECORD_FLOATS)
+        # References move from one array to the other at each split.
+        spare = aligned_array(len(self.refs), REF_FLOATS)
         pending, others = [root], []
         while pending:
             part = pending.pop()
             result = None
-            target = spare if part.records is self.records else self.records
+            target = spare if part.refs is self.refs else self.refs
             if part.size > _LARGE and part.depth < self.settings.sah_depth:
-                result = split_large(part.records, target, part.begin, part.end, part.bounds[1])
+                result = split_large(part.refs, target, part.begin, part.end, part.bounds[1])
             if result is None:
                 others.append(part)
                 continue
@@ -189,13 +189,13 @@ class _Grower:
     def _split_middle(self, level: list[_Range], ranges: list[_Range]) -> None:
         """Split ranges, each on one thread, until all are small; adds the parts to `ranges`."""
         while level := [part for part in level if part.size > self.subtree_size]:
-            bounds = np.empty((len(level), 2, 2, RECORD_FLOATS), np.float32)
+            bounds = np.empty((len(level), 2, 2, REF_FLOATS), np.float32)
             ends = np.zeros((len(level), 3), np.int64)
             self._split_each(level, bounds, ends)
             level = [
                 part
                 for i, whole in enumerate(level)
-                for part in whole.split(tuple(ends[i].tolist()), bounds[i], whole.records)
+                for part in whole.split(tuple(ends[i].tolist()), bounds[i], whole.refs)
             ]
             ranges += level
 
@@ -206,12 +206,10 @@ class _Grower:
             use_sides = part.depth < self.settings.sah_depth
             if self.settings.spare_share == 0.0:
                 span = part.begin, part.end
-                ends[:2] = split_once(part.records, *span, use_sides, part.bounds, bounds)
+                ends[:2] = split_once(part.refs, *span, use_sides, part.bounds, bounds)
                 ends[2] = part.end
                 return
-            split_spatially(
-                part.records, part.span, use_sides, part.bounds, self.space, bounds, ends
-            )
+            split_spatially(part.refs, part.span, use_sides, part.bounds, self.space, bounds, ends)
 
         def body(begin: int, end: int) -> None:
             if begin == end:
@@ -223,7 +221,7 @@ class _Grower:
 
     def _nothing(self) -> _Range:
         """A range for calls that only compile."""
-        return _Range(0, 0, 0, 0, np.zeros((2, 8), np.float32), self.records)
+        return _Range(0, 0, 0, 0, np.zeros((2, 8), np.float32), self.refs)
 
     def _grow_subtrees(
         self, subtrees: list[_Range], costs: NDArray[np.float32], progress: Progress | None
@@ -234,8 +232,8 @@ class _Grower:
         free: list[NDArray[np.float32]] = []  # scratch, one for each thread
 
         def grow(part: _Range, scratch: NDArray[np.float32]) -> None:
-            if part.records is not self.records:
-                self.records[part.begin : part.end] = part.records[part.begin : part.end]
+            if part.refs is not self.refs:
+                self.refs[part.begin : part.end] = part.refs[part.begin : part.end]
             where, result = (self.tree, part.span, part.depth, part.bounds), costs[part.row]
             if self.settings.spare_share == 0.0:
                 grow_subtree(*where, self.settings, scratch, result)

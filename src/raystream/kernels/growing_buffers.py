@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-__all__ = ["Buffers", "Gatherer"]
+__all__ = ["Buffers", "GrowingBuffers"]
 
 
 class Buffers(Protocol):
@@ -19,7 +19,7 @@ class Buffers(Protocol):
 B = TypeVar("B", bound=Buffers)
 
 
-class Gatherer(Generic[B]):
+class GrowingBuffers(Generic[B]):
     """Runs a kernel that stops where its buffers are full, until all is done.
 
     Parameters

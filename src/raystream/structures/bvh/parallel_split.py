@@ -1,4 +1,4 @@
-"""Splitting a large range of records with all threads on it."""
+"""Splitting a large range of references with all threads on it."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.threads import parallel_for
+from raystream.structures.bvh.binary_tree import is_left, side_test
 from raystream.structures.bvh.binning import (
     BIN_COUNT,
     SUMS_BYTES,
     bin_frame,
-    bin_records,
+    bin_refs,
     clear_bins,
     find_split,
 )
-from raystream.structures.bvh.records import RECORD_BYTES, RECORD_FLOATS, middle_bounds, no_box
-from raystream.structures.bvh.tree import is_left, side_test
+from raystream.structures.bvh.prim_refs import REF_BYTES, REF_FLOATS, empty_box, middle_bounds
 
 __all__ = ["split_large"]
 
-#: Records that one call of a kernel gets.
+#: References that one call of a kernel gets.
 _CHUNK = 1 << 15
 
 
 def split_large(
-    records: NDArray[np.float32],
+    refs: NDArray[np.float32],
     target: NDArray[np.float32],
     begin: int,
     end: int,
     middles: NDArray[np.float32],
 ) -> tuple[int, NDArray[np.float32]] | None:
-    """Split a range in two by the surface area heuristic, moving its records to `target`.
+    """Split a range in two by the surface area heuristic, moving its references to `target`.
 
     Parameters
     ----------
-    records, target : ndarray of shape (A, 8), float32
+    refs, target : ndarray of shape (A, 8), float32
     begin, end : int
     middles : ndarray of shape (8,), float32
         Box around their middles.
@@ -56,15 +56,15 @@ def split_large(
     middle : int
         Where the first part ends.
     part_bounds : ndarray of shape (2, 2, 8), float32
-        Boxes around each part's records, and around their middles.
+        Boxes around each part's references, and around their middles.
 
-    None if nothing tells the records apart; nothing is moved then.
+    None if nothing tells the references apart; nothing is moved then.
     """
     chunk_count = -(-(end - begin) // _CHUNK)
-    bins = np.empty((chunk_count, 3, BIN_COUNT, RECORD_FLOATS), np.float32)
+    bins = np.empty((chunk_count, 3, BIN_COUNT, REF_FLOATS), np.float32)
 
     def fill(first: int, last: int) -> None:
-        _fill_bins(begin + first, begin + last, records, middles, bins[first // _CHUNK])
+        _fill_bins(begin + first, begin + last, refs, middles, bins[first // _CHUNK])
 
     parallel_for(fill, end - begin, _CHUNK)
     whole = bins.max(axis=0)
@@ -78,14 +78,14 @@ def split_large(
     sizes[-1] = end - begin - _CHUNK * (chunk_count - 1)
     left_ends = begin + np.cumsum(left_counts)
     right_ends = middle + np.cumsum(sizes - left_counts)
-    chunk_bounds = np.full((chunk_count, 2, 2, RECORD_FLOATS), -np.inf, np.float32)
+    chunk_bounds = np.full((chunk_count, 2, 2, REF_FLOATS), -np.inf, np.float32)
 
     def move(first: int, last: int) -> None:
         chunk = first // _CHUNK
         _move(
             begin + first,
             begin + last,
-            records,
+            refs,
             target,
             middles,
             (axis, position),
@@ -99,15 +99,15 @@ def split_large(
 
 
 @kernel
-def _fill_bins(begin, end, records, middles, bins):
+def _fill_bins(begin, end, refs, middles, bins):
     if begin == end:
         return
-    bin_at, record_at = address(bins), address(records)
+    bin_at, ref_at = address(bins), address(refs)
     start, scale = bin_frame(load(f32x8, address(middles)), np.int32(BIN_COUNT))
     clear_bins(bin_at, np.int32(BIN_COUNT))
-    first = record_at + np.uint64(begin) * np.uint64(RECORD_BYTES)
-    last = record_at + np.uint64(end) * np.uint64(RECORD_BYTES)
-    bin_records(first, last, start, scale, bin_at)
+    first = ref_at + np.uint64(begin) * np.uint64(REF_BYTES)
+    last = ref_at + np.uint64(end) * np.uint64(REF_BYTES)
+    bin_refs(first, last, start, scale, bin_at)
 
 
 @kernel
@@ -117,8 +117,8 @@ def _find_split(bins):
 
 
 @kernel
-def _move(begin, end, records, target, middles, split, left_row, right_row, bounds):
-    """Move the records of a chunk to their side's rows, from left_row and right_row on.
+def _move(begin, end, refs, target, middles, split, left_row, right_row, bounds):
+    """Move the references of a chunk to their side's rows, from left_row and right_row on.
 
     `split` is the axis and the position in its bins.
     """
@@ -126,28 +126,28 @@ def _move(begin, end, records, target, middles, split, left_row, right_row, boun
         return
     axis = np.int32(split[0])
     test = side_test(load(f32x8, address(middles)), np.int32(BIN_COUNT), axis, np.int32(split[1]))
-    nothing = no_box()
+    nothing = empty_box()
     left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
-    record_at, target_at = address(records), address(target)
-    at = record_at + np.uint64(begin) * np.uint64(RECORD_BYTES)
-    last = record_at + np.uint64(end) * np.uint64(RECORD_BYTES)
-    left_at = target_at + np.uint64(left_row) * np.uint64(RECORD_BYTES)
-    right_at = target_at + np.uint64(right_row) * np.uint64(RECORD_BYTES)
+    ref_at, target_at = address(refs), address(target)
+    at = ref_at + np.uint64(begin) * np.uint64(REF_BYTES)
+    last = ref_at + np.uint64(end) * np.uint64(REF_BYTES)
+    left_at = target_at + np.uint64(left_row) * np.uint64(REF_BYTES)
+    right_at = target_at + np.uint64(right_row) * np.uint64(REF_BYTES)
     while at != last:
-        record = load(f32x8, at)
-        goes_left = is_left(record, test, axis)
+        ref = load(f32x8, at)
+        goes_left = is_left(ref, test, axis)
         on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
-        middle = middle_bounds(record)
-        left = maximum(left, select(on_left, record, nothing))
+        middle = middle_bounds(ref)
+        left = maximum(left, select(on_left, ref, nothing))
         left_middles = maximum(left_middles, select(on_left, middle, nothing))
-        right = maximum(right, select(on_left, nothing, record))
+        right = maximum(right, select(on_left, nothing, ref))
         right_middles = maximum(right_middles, select(on_left, nothing, middle))
-        store(right_at + (left_at - right_at) * goes_left, record)
-        left_at += goes_left * np.uint64(RECORD_BYTES)
-        right_at += (np.uint64(1) - goes_left) * np.uint64(RECORD_BYTES)
-        at += np.uint64(RECORD_BYTES)
+        store(right_at + (left_at - right_at) * goes_left, ref)
+        left_at += goes_left * np.uint64(REF_BYTES)
+        right_at += (np.uint64(1) - goes_left) * np.uint64(REF_BYTES)
+        at += np.uint64(REF_BYTES)
     to = address(bounds)
     store(to, left)
-    store(to + np.uint64(RECORD_BYTES), left_middles)
-    store(to + np.uint64(2 * RECORD_BYTES), right)
-    store(to + np.uint64(3 * RECORD_BYTES), right_middles)
+    store(to + np.uint64(REF_BYTES), left_middles)
+    store(to + np.uint64(2 * REF_BYTES), right)
+    store(to + np.uint64(3 * REF_BYTES), right_middles)

@@ -12,7 +12,7 @@ from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
 
-__all__ = ["Coherence", "choose", "probe"]
+__all__ = ["Coherence", "choose_kernel", "probe"]
 
 #: Groups of 16 rays that are looked at: some ten microseconds, for any batch.
 _SAMPLES = 24
@@ -79,7 +79,7 @@ def probe(source: RaySource, order: PacketOrder, frame: SceneFrame, byte_count: 
     return Coherence(*(share / max(groups, 1) for share in shares))
 
 
-def choose(
+def choose_kernel(
     coherence: Coherence, count: int, byte_count: int
 ) -> Literal["packet", "stream", "wavefront"]:
     """The kernel for rays of a coherence.

@@ -8,8 +8,8 @@ import pytest
 import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.kernels.ray_source import RaySource
+from raystream.structures.bvh.coherence import Coherence, choose_kernel, probe
 from raystream.structures.bvh.packet_rays import PacketOrder
-from raystream.structures.bvh.probe import Coherence, choose, probe
 
 
 @pytest.fixture(scope="module")
@@ -67,4 +67,4 @@ def test_what_is_close_depends_on_the_size_of_triangles(frame, rng):
     ],
 )
 def test_choice(coherence, count, byte_count, kernel):
-    assert choose(coherence, count, byte_count) == kernel
+    assert choose_kernel(coherence, count, byte_count) == kernel

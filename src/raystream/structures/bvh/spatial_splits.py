@@ -1,7 +1,7 @@
-"""Splits of space: records on both sides of a plane are cut in two.
+"""Splits of space: references on both sides of a plane are cut in two.
 
 A long triangle makes every box it is in a large one. Where the two sides of the best split of
-a range overlap, planes are tried too: a triangle that a plane cuts gets a record on either
+a range overlap, planes are tried too: a triangle that a plane cuts gets a ref on either
 side, with a box around the part that is there. The cost decides, and room: each range has a
 share of spare rows, which cuts use up.
 
@@ -32,18 +32,7 @@ from raystream.jit.simd import (
     select,
     store,
 )
-from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES, block_count
-from raystream.structures.bvh.collapse import collapse_subtree
-from raystream.structures.bvh.cut import PAD, SIDE_AT, cut_record
-from raystream.structures.bvh.records import (
-    RECORD_BYTES,
-    half_area,
-    middle_bounds,
-    no_box,
-    swap_halves,
-)
-from raystream.structures.bvh.slabs import EXIT_BYTES, SLAB_BYTES, find_plane, is_empty
-from raystream.structures.bvh.tree import (
+from raystream.structures.bvh.binary_tree import (
     PENDING_STACK_BYTES,
     Link,
     Pending,
@@ -52,6 +41,24 @@ from raystream.structures.bvh.tree import (
     push_pending,
     put_node,
     split,
+)
+from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES, block_count
+from raystream.structures.bvh.collapse import collapse_subtree
+from raystream.structures.bvh.prim_refs import (
+    REF_BYTES,
+    empty_box,
+    half_area,
+    middle_bounds,
+    swap_halves,
+)
+from raystream.structures.bvh.spatial_bins import (
+    EXIT_BYTES,
+    PAD,
+    SIDE_AT,
+    SLAB_BYTES,
+    clip_ref,
+    find_plane,
+    is_empty,
 )
 
 __all__ = ["PAD", "Space", "grow_spatially", "split_spatially"]
@@ -66,7 +73,7 @@ _OWN_OVERLAP = np.float32(0.1)
 #: A split in space must cost less than this, in units of the other split's cost.
 _GAIN = np.float32(0.99)
 
-#: Sides of a record.
+#: Sides of a reference.
 _LEFT, _RIGHT = np.float32(2.0), np.float32(3.0)
 
 _ZERO = np.float32(0.0)
@@ -123,24 +130,24 @@ def _meet(left, right):
 
 
 @device_call
-def _choose_sides(records, span, axis, position, cutter):
-    """Give each record a side, and both sides of the plane a record of those it cuts.
+def _choose_sides(refs, span, axis, position, cutter):
+    """Give each reference a side, and both sides of the plane a reference of those it cuts.
 
-    Returns the end of the records, at most the limit of their range.
+    Returns the end of the references, at most the limit of their range.
     """
     begin, end, limit = span.begin, span.end, span.limit
-    left, right = scratch(RECORD_BYTES), scratch(RECORD_BYTES)
+    left, right = scratch(REF_BYTES), scratch(REF_BYTES)
     axis_at = np.uint64(axis) * np.uint64(4)
     for i in range(np.uint64(begin), np.uint64(end)):
-        at = records + i * np.uint64(RECORD_BYTES)
+        at = refs + i * np.uint64(REF_BYTES)
         low = -load(np.float32, at + axis_at)
         high = load(np.float32, at + axis_at + np.uint64(16))
         goes_left = low + high < position + position
         if low < position and high > position and end < limit:
-            cut_record(at, cutter.corners, np.uint64(axis), position, cutter.pad, left, right)
+            clip_ref(at, cutter.corners, np.uint64(axis), position, cutter.pad, left, right)
             if not is_empty(left) and not is_empty(right):
                 store(at, load(f32x8, left))
-                added = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+                added = refs + np.uint64(end) * np.uint64(REF_BYTES)
                 store(added, load(f32x8, right))
                 store(added + np.uint64(SIDE_AT), _RIGHT)
                 end = np.int32(end + np.int32(1))
@@ -150,44 +157,44 @@ def _choose_sides(records, span, axis, position, cutter):
 
 
 @device
-def _partition_by_side(records, begin, end):
-    """Move the records of the left side to the front; returns as `tree.partition` does."""
-    nothing, not_last = no_box(), lanes_from_bits(mask8, 127)
+def _partition_by_side(refs, begin, end):
+    """Move the references of the left side to the front; returns as `tree.partition` does."""
+    nothing, not_last = empty_box(), lanes_from_bits(mask8, 127)
     one = f32x8(np.float32(1.0))
     left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
-    at = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
-    last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+    at = refs + np.uint64(begin) * np.uint64(REF_BYTES)
+    last = refs + np.uint64(end) * np.uint64(REF_BYTES)
     border = at
     while at != last:
-        record = load(f32x8, at)
-        goes_left = lane(record, 7) == _LEFT
-        record = select(not_last, record, one)
-        middle = middle_bounds(record)
+        ref = load(f32x8, at)
+        goes_left = lane(ref, 7) == _LEFT
+        ref = select(not_last, ref, one)
+        middle = middle_bounds(ref)
         store(at, load(f32x8, border))
-        store(border, record)
+        store(border, ref)
         if goes_left:
-            left, left_middles = maximum(left, record), maximum(left_middles, middle)
-            border += np.uint64(RECORD_BYTES)
+            left, left_middles = maximum(left, ref), maximum(left_middles, middle)
+            border += np.uint64(REF_BYTES)
         else:
-            right, right_middles = maximum(right, record), maximum(right_middles, middle)
-        at += np.uint64(RECORD_BYTES)
-    middle_row = np.int32((border - records) >> np.uint64(5))
+            right, right_middles = maximum(right, ref), maximum(right_middles, middle)
+        at += np.uint64(REF_BYTES)
+    middle_row = np.int32((border - refs) >> np.uint64(5))
     return middle_row, left, left_middles, right, right_middles
 
 
 @device
-def _split(records, span, box, middles, use_sides, tries, cutter, memory):
+def _split(refs, span, box, middles, use_sides, tries, cutter, memory):
     """Split a range in two, in space if that is better.
 
     Parameters
     ----------
-    records : uint64
-        Address of all records.
+    refs : uint64
+        Address of all references.
     span : Span
     box : uint64
         Address of the range's box.
     middles : f32x8
-        Box around the records' middles.
+        Box around the references' middles.
     use_sides : bool
         Else it is halved by count.
     tries : bool
@@ -198,12 +205,12 @@ def _split(records, span, box, middles, use_sides, tries, cutter, memory):
     Returns
     -------
     left_end, right_begin, right_end : int32
-        The records of the parts; the left one's room ends where the right one begins.
+        The references of the parts; the left one's room ends where the right one begins.
     left, left_middles, right, right_middles : f32x8
     """
     begin, end, limit = span.begin, span.end, span.limit
     middle, left, left_middles, right, right_middles = split(
-        records, begin, end, middles, use_sides, 0, memory.bins, memory.sums
+        refs, begin, end, middles, use_sides, 0, memory.bins, memory.sums
     )
     overlap = _meet(left, right)
     overlaps = (
@@ -213,26 +220,24 @@ def _split(records, span, box, middles, use_sides, tries, cutter, memory):
         cost = half_area(left) * block_count(middle - begin)
         cost += half_area(right) * block_count(end - middle)
         axis, position, plane_cost, cut_count = find_plane(
-            records, begin, end, box, cutter.corners, cutter.pad, memory.slabs, memory.exits
+            refs, begin, end, box, cutter.corners, cutter.pad, memory.slabs, memory.exits
         )
         if plane_cost < cost * _GAIN and cut_count <= limit - end:
-            end = _choose_sides(records, span, axis, position, cutter)
-            middle, left, left_middles, right, right_middles = _partition_by_side(
-                records, begin, end
-            )
+            end = _choose_sides(refs, span, axis, position, cutter)
+            middle, left, left_middles, right, right_middles = _partition_by_side(refs, begin, end)
             if middle in (begin, end):
-                middle, left, left_middles, right, right_middles = halve(records, begin, end)
+                middle, left, left_middles, right, right_middles = halve(refs, begin, end)
     right_begin, right_end = middle, end
     if tries and limit > end:
         # Spare rows go to both sides in proportion: the right side moves up.
         spare = np.int64(limit - end) * np.int64(middle - begin) // np.int64(end - begin)
         moved = min(np.int32(spare), np.int32(end - middle))
-        source = records + np.uint64(middle) * np.uint64(RECORD_BYTES)
-        target = records + np.uint64(end + np.int32(spare) - moved) * np.uint64(RECORD_BYTES)
+        source = refs + np.uint64(middle) * np.uint64(REF_BYTES)
+        target = refs + np.uint64(end + np.int32(spare) - moved) * np.uint64(REF_BYTES)
         for i in range(np.uint64(moved)):
             store(
-                target + i * np.uint64(RECORD_BYTES),
-                load(f32x8, source + i * np.uint64(RECORD_BYTES)),
+                target + i * np.uint64(REF_BYTES),
+                load(f32x8, source + i * np.uint64(REF_BYTES)),
             )
         right_begin = np.int32(middle + np.int32(spare))
         right_end = np.int32(end + np.int32(spare))
@@ -240,19 +245,19 @@ def _split(records, span, box, middles, use_sides, tries, cutter, memory):
 
 
 @kernel
-def split_spatially(records, span, use_sides, bounds, space, part_bounds, ends):
+def split_spatially(refs, span, use_sides, bounds, space, part_bounds, ends):
     """Split one range in two.
 
     Parameters
     ----------
-    records : ndarray of shape (A, 8), float32
+    refs : ndarray of shape (A, 8), float32
         Those of the range are reordered, and some added.
     span : Span
-        At least two records.
+        At least two references.
     use_sides : bool
         Else it is halved by count.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the records, and around their middles.
+        Boxes around the references, and around their middles.
     space : Space
     part_bounds : ndarray of shape (2, 2, 8), float32
         Written: the bounds of both parts.
@@ -263,10 +268,10 @@ def split_spatially(records, span, use_sides, bounds, space, part_bounds, ends):
         return
     bound_at = address(bounds)
     left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
-        address(records),
+        address(refs),
         Span(np.int32(span.begin), np.int32(span.end), np.int32(span.limit)),
         bound_at,
-        load(f32x8, bound_at + np.uint64(RECORD_BYTES)),
+        load(f32x8, bound_at + np.uint64(REF_BYTES)),
         use_sides,
         True,
         _cutter(space),
@@ -276,9 +281,9 @@ def split_spatially(records, span, use_sides, bounds, space, part_bounds, ends):
     )
     to = address(part_bounds)
     store(to, left)
-    store(to + np.uint64(RECORD_BYTES), left_middles)
-    store(to + np.uint64(2 * RECORD_BYTES), right)
-    store(to + np.uint64(3 * RECORD_BYTES), right_middles)
+    store(to + np.uint64(REF_BYTES), left_middles)
+    store(to + np.uint64(2 * REF_BYTES), right)
+    store(to + np.uint64(3 * REF_BYTES), right_middles)
     ends[0], ends[1], ends[2] = left_end, right_begin, right_end
 
 
@@ -289,7 +294,7 @@ def grow_spatially(tree, span, depth, bounds, space, settings, costs, root_costs
     if begin == end:
         return
     small, max_leaf_size = settings.min_split_size, settings.max_leaf_size
-    record_at, box_at, link_at = address(tree.records), address(tree.boxes), address(tree.links)
+    ref_at, box_at, link_at = address(tree.refs), address(tree.boxes), address(tree.links)
     memory = _Scratch(
         scratch(BINS_BYTES), scratch(SUMS_BYTES), scratch(SLAB_BYTES), scratch(EXIT_BYTES)
     )
@@ -298,7 +303,7 @@ def grow_spatially(tree, span, depth, bounds, space, settings, costs, root_costs
     root = np.int32(2 * begin)
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
-    middles = load(f32x8, bound_at + np.uint64(RECORD_BYTES))
+    middles = load(f32x8, bound_at + np.uint64(REF_BYTES))
     top = push_pending(stack, np.uint64(0), middles, root, begin, end, depth, limit)
     node_end = np.int32(root + 1)
     while top != np.uint64(0):
@@ -311,9 +316,9 @@ def grow_spatially(tree, span, depth, bounds, space, settings, costs, root_costs
         # What may become one leaf stays together, without spare rows in between.
         tries = last - first > max_leaf_size
         left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
-            record_at,
+            ref_at,
             Span(first, last, room),
-            box_at + np.uint64(node) * np.uint64(RECORD_BYTES),
+            box_at + np.uint64(node) * np.uint64(REF_BYTES),
             pending.middles,
             level < settings.sah_depth,
             tries,

@@ -12,9 +12,9 @@ from raystream.core.query import Query
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, i32x16, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.collect import HitArrays
-from raystream.kernels.growing import Gatherer
+from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hit_batch import HitBatch
+from raystream.kernels.hits import HitArrays
 from raystream.kernels.ray import world_t
 from raystream.kernels.sink import Sink
 from raystream.structures.bvh.layout import TreeAddresses
@@ -136,7 +136,7 @@ def visit_all(
             visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
         return int(reached)
 
-    body = Gatherer(PacketBuffers.of, fill, FIRST_CAPACITY)
+    body = GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY)
     packet_count = source.order.packet_count
     parallel_for(body, packet_count, _share(packet_count, PACKETS_PER_CALL), progress)
 

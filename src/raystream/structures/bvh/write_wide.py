@@ -17,12 +17,12 @@ from raystream.kernels.leaf_block import (
     clear_block,
     write_triangle,
 )
+from raystream.structures.bvh.binary_tree import MAX_TREE_DEPTH, Link
 from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
-from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
-from raystream.structures.bvh.tree import MAX_TREE_DEPTH, Link
+from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
 
-__all__ = ["READ_AHEAD", "Deferred", "WideTrees", "clear_node", "emit", "set_lane"]
+__all__ = ["READ_AHEAD", "Deferred", "WideTrees", "clear_node", "set_lane", "write_trees"]
 
 #: A wide node to be written: its binary node, its row, its depth (int32).
 _PENDING = np.dtype([("node", "i4"), ("row", "i4"), ("depth", "i4")])
@@ -33,7 +33,7 @@ _CHILDREN_BYTES = 4 * WIDTH
 
 _INF = np.float32(np.inf)
 
-#: Records after a leaf's that are read too: their triangles will be copied soon.
+#: References after a leaf's that are read too: their triangles will be copied soon.
 READ_AHEAD = 8
 
 
@@ -111,39 +111,37 @@ def set_lane(node, lane, box, child):
 
 
 @device_call
-def _unique(record, count):
-    """Move one record of each triangle to the front; returns how many there are."""
+def _unique(ref, count):
+    """Move one reference of each triangle to the front; returns how many there are."""
     kept = np.int32(0)
     for i in range(count):
-        moved = load(f32x8, record + np.uint64(i) * np.uint64(RECORD_BYTES))
-        prim_id = load(
-            np.int32, record + np.uint64(i) * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
-        )
+        moved = load(f32x8, ref + np.uint64(i) * np.uint64(REF_BYTES))
+        prim_id = load(np.int32, ref + np.uint64(i) * np.uint64(REF_BYTES) + np.uint64(FIRST_AT))
         found = False
         for k in range(kept):
-            at = record + np.uint64(k) * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+            at = ref + np.uint64(k) * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
             found = found or load(np.int32, at) == prim_id
         if not found:
             # Changes places, lest anything is lost: a leaf is listed more than once.
-            place = record + np.uint64(kept) * np.uint64(RECORD_BYTES)
-            store(record + np.uint64(i) * np.uint64(RECORD_BYTES), load(f32x8, place))
+            place = ref + np.uint64(kept) * np.uint64(REF_BYTES)
+            store(ref + np.uint64(i) * np.uint64(REF_BYTES), load(f32x8, place))
             store(place, moved)
             kept = np.int32(kept + np.int32(1))
     return kept
 
 
 @device_call
-def _write_leaf(record, count, corners, to):
+def _write_leaf(ref, count, corners, to):
     """Write the blocks of a leaf from address `to` on."""
     for i in range(np.uint64(count)):
         lane = i & np.uint64(BLOCK_SIZE - 1)
         block = to + (i >> np.uint64(2)) * BLOCK
         if lane == np.uint64(0) and np.uint64(count) - i < np.uint64(BLOCK_SIZE):
             clear_block(block)
-        id_at = record + i * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+        id_at = ref + i * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
         prim_id = load(np.int32, id_at)
-        # Corners are far apart: ask for those of a later record, often of another leaf.
-        later = load(np.int32, id_at + np.uint64(READ_AHEAD * RECORD_BYTES))
+        # Corners are far apart: ask for those of a later reference, often of another leaf.
+        later = load(np.int32, id_at + np.uint64(READ_AHEAD * REF_BYTES))
         later_corner = corners + np.uint64(later) * TRIANGLE_BYTES
         prefetch(later_corner)
         prefetch(later_corner + (TRIANGLE_BYTES - np.uint64(4)))
@@ -151,7 +149,7 @@ def _write_leaf(record, count, corners, to):
 
 
 @kernel
-def emit(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide):
+def write_trees(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide):
     """Count, or write, the wide trees below some binary nodes.
 
     Parameters
@@ -163,7 +161,7 @@ def emit(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide
     deferred : Deferred
         Written when counting, read when writing.
     has_duplicates : bool
-        Whether a triangle may have several records: a leaf has only one of it.
+        Whether a triangle may have several references: a leaf has only one of it.
     write : bool
         Else only counted.
     tree : BinaryTree
@@ -172,8 +170,8 @@ def emit(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide
     wide : BvhArrays
         Written.
     """
-    record_at, corner_at, box_at, link_at = (
-        address(tree.records),
+    ref_at, corner_at, box_at, link_at = (
+        address(tree.refs),
         address(corners),
         address(tree.boxes),
         address(tree.links),
@@ -216,19 +214,19 @@ def emit(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide
             for k in range(lane_count):
                 child = load(np.int32, children + k * np.uint64(4))
                 is_top = Link(link_at, np.uint64(child)).is_top != np.int32(0)
-                box = box_at + np.uint64(child) * np.uint64(RECORD_BYTES)
+                box = box_at + np.uint64(child) * np.uint64(REF_BYTES)
                 if is_leaf(link_at, child):
-                    record = record_at + np.uint64(
-                        load(np.int32, box + np.uint64(FIRST_AT))
-                    ) * np.uint64(RECORD_BYTES)
+                    ref = ref_at + np.uint64(load(np.int32, box + np.uint64(FIRST_AT))) * np.uint64(
+                        REF_BYTES
+                    )
                     count = load(np.int32, box + np.uint64(COUNT_AT))
                     if has_duplicates:
-                        count = _unique(record, count)
+                        count = _unique(ref, count)
                     blocks = np.int32((count + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
                     if write:
                         set_lane(to, k, box, ~((block_end << np.int32(3)) | (blocks - np.int32(1))))
                         _write_leaf(
-                            record,
+                            ref,
                             count,
                             corner_at,
                             leaf_at + np.uint64(block_end) * BLOCK,

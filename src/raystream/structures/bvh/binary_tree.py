@@ -1,10 +1,10 @@
 """The binary tree that the builder makes first, and the splits that grow it.
 
-A binary tree over A records has up to 2 A - 1 nodes. Those of the range of records from b to e
-lie within rows 2 b to 2 e - 1, so that threads fill the tree without agreeing on anything.
+A binary tree over A references has up to 2 A - 1 nodes. Those of the references from b to e lie
+within rows 2 b to 2 e - 1, so that threads fill the tree without synchronising.
 
-A node's box is a row of eight float32 like a record: -low x, y, z, first record (int32 bits);
-high x, y, z, record count (int32 bits). Its links are a row of four int32: left child, right
+A node's box is a row of eight float32 like a ref: -low x, y, z, first ref (int32 bits);
+high x, y, z, ref count (int32 bits). Its links are a row of four int32: left child, right
 child, and what `collapse` decides; the left child of a leaf is -1.
 """
 
@@ -33,18 +33,18 @@ from raystream.jit.views import view
 from raystream.structures.bvh.binning import (
     BIN_COUNT,
     bin_frame,
-    bin_records,
+    bin_refs,
     clear_bins,
     find_split,
 )
-from raystream.structures.bvh.records import (
+from raystream.structures.bvh.prim_refs import (
     COUNT_AT,
     FIRST_AT,
-    RECORD_BYTES,
+    REF_BYTES,
+    empty_box,
     high_half,
     low_half,
     middle_bounds,
-    no_box,
 )
 
 __all__ = [
@@ -80,7 +80,7 @@ HALVING_LEVELS = 32
 #: A pending range of a builder's stack.
 _PENDING = np.dtype(
     [
-        ("middles", "f4", 8),  # the box around its records' middles
+        ("middles", "f4", 8),  # the box around its refs' middles
         ("node", "i4"),
         ("begin", "i4"),
         ("end", "i4"),
@@ -96,22 +96,22 @@ _INF = np.float32(np.inf)
 
 
 class BinaryTree(NamedTuple):
-    """Arrays of a binary tree over A records.
+    """Arrays of a binary tree over A references.
 
     Attributes
     ----------
-    records : ndarray of shape (A, 8), float32
-        See `records`.
+    refs : ndarray of shape (A, 8), float32
+        See `references`.
     boxes, links : ndarray of shape (2 A, 8), float32, and (2 A, 4), int32
     """
 
-    records: NDArray[np.float32]
+    refs: NDArray[np.float32]
     boxes: NDArray[np.float32]
     links: NDArray[np.int32]
 
 
 class Span(NamedTuple):
-    """A range of records.
+    """A range of references.
 
     Attributes
     ----------
@@ -131,15 +131,15 @@ class BuildSettings(NamedTuple):
     Attributes
     ----------
     min_split_size : int
-        Ranges of at most this many records are not split.
+        Ranges of at most this many references are not split.
     plain_size : int
         Those of at most this many are split in the middle, others by the surface area heuristic.
     max_leaf_size : int
-        Most records in a leaf.
+        Most references in a leaf.
     sah_depth : int
         From this depth on ranges are halved by count.
     spare_share : float
-        Most records that spatial splits add, per triangle; 0 for no such splits.
+        Most references that spatial splits add, per triangle; 0 for no such splits.
     costs : tuple of two float32
         Relative time of visiting a node, and of testing a block of 4 triangles.
     """
@@ -154,8 +154,8 @@ class BuildSettings(NamedTuple):
 
 @device
 def put_node(boxes, links, node, box, begin, end):
-    """Write a leaf of the records from begin to end; returns nothing."""
-    at = boxes + np.uint64(node) * np.uint64(RECORD_BYTES)
+    """Write a leaf of the references from begin to end; returns nothing."""
+    at = boxes + np.uint64(node) * np.uint64(REF_BYTES)
     store(at, box)
     store(at + np.uint64(FIRST_AT), np.int32(begin))
     store(at + np.uint64(COUNT_AT), np.int32(end - begin))
@@ -165,7 +165,7 @@ def put_node(boxes, links, node, box, begin, end):
 
 @device
 def choose_bin_count(count):
-    """Bins for a range: few records do not fill many."""
+    """Bins for a range: few references do not fill many."""
     return min(np.int32(BIN_COUNT), np.int32(4) + (np.int32(count) >> np.int32(2)))
 
 
@@ -178,73 +178,73 @@ def side_test(middles, bin_count, axis, position):
 
 
 @device
-def is_left(record, test, axis):
-    """1 if a record's middle is in a bin below the split's position, else 0; uint64.
+def is_left(ref, test, axis):
+    """1 if a reference's middle is in a bin below the split's position, else 0; uint64.
 
     From the bit of a mask and not a comparison of numbers, lest the compiler makes a branch
     of it, which is mispredicted half of the time.
     """
     start, scale, bound = test
-    below = ((high_half(record) - low_half(record) - start) * scale) < bound
+    below = ((high_half(ref) - low_half(ref) - start) * scale) < bound
     return mask_bits(below) >> np.uint64(axis)
 
 
 @device
-def partition(records, begin, end, middles, bin_count, axis, position):
-    """Move the records of bins below `position` to the front.
+def partition(refs, begin, end, middles, bin_count, axis, position):
+    """Move the references of bins below `position` to the front.
 
     Returns
     -------
     middle : int32
         Where they end.
     left, left_middles, right, right_middles : f32x8
-        Boxes around the records of both sides, and around their middles.
+        Boxes around the references of both sides, and around their middles.
     """
     test = side_test(middles, bin_count, axis, position)
-    nothing = no_box()
+    nothing = empty_box()
     left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
-    at = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
-    last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+    at = refs + np.uint64(begin) * np.uint64(REF_BYTES)
+    last = refs + np.uint64(end) * np.uint64(REF_BYTES)
     border = at
-    # Each record changes places with the first of the right side, which moves on if the
-    # record is left.
+    # Each reference changes places with the first of the right side, which moves on if the
+    # reference is left.
     while at != last:
-        record = load(f32x8, at)
-        goes_left = is_left(record, test, axis)
+        ref = load(f32x8, at)
+        goes_left = is_left(ref, test, axis)
         on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
-        middle = middle_bounds(record)
-        left = maximum(left, select(on_left, record, nothing))
+        middle = middle_bounds(ref)
+        left = maximum(left, select(on_left, ref, nothing))
         left_middles = maximum(left_middles, select(on_left, middle, nothing))
-        right = maximum(right, select(on_left, nothing, record))
+        right = maximum(right, select(on_left, nothing, ref))
         right_middles = maximum(right_middles, select(on_left, nothing, middle))
         store(at, load(f32x8, border))
-        store(border, record)
-        border += goes_left * np.uint64(RECORD_BYTES)
-        at += np.uint64(RECORD_BYTES)
-    middle = np.int32((border - records) >> np.uint64(5))
+        store(border, ref)
+        border += goes_left * np.uint64(REF_BYTES)
+        at += np.uint64(REF_BYTES)
+    middle = np.int32((border - refs) >> np.uint64(5))
     return middle, left, left_middles, right, right_middles
 
 
 @device
-def halve(records, begin, end):
+def halve(refs, begin, end):
     """Split a range in the middle; returns as `partition` does."""
     middle = np.int32(begin + ((end - begin) >> 1))
-    left, left_middles = bounds_of(records, begin, middle)
-    right, right_middles = bounds_of(records, middle, end)
+    left, left_middles = bounds_of(refs, begin, middle)
+    right, right_middles = bounds_of(refs, middle, end)
     return middle, left, left_middles, right, right_middles
 
 
 @device
-def bounds_of(records, begin, end):
-    """Boxes around records, and around their middles."""
-    box, middles = no_box(), no_box()
-    at = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
-    last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
+def bounds_of(refs, begin, end):
+    """Boxes around references, and around their middles."""
+    box, middles = empty_box(), empty_box()
+    at = refs + np.uint64(begin) * np.uint64(REF_BYTES)
+    last = refs + np.uint64(end) * np.uint64(REF_BYTES)
     while at != last:
-        record = load(f32x8, at)
-        box = maximum(box, record)
-        middles = maximum(middles, middle_bounds(record))
-        at += np.uint64(RECORD_BYTES)
+        ref = load(f32x8, at)
+        box = maximum(box, ref)
+        middles = maximum(middles, middle_bounds(ref))
+        at += np.uint64(REF_BYTES)
     return box, middles
 
 
@@ -260,13 +260,13 @@ def longest_axis(middles):
 
 
 @device
-def split(records, begin, end, middles, use_sides, plain_size, bins, sums):
+def split(refs, begin, end, middles, use_sides, plain_size, bins, sums):
     """Split a range in two; returns as `partition` does.
 
     Parameters
     ----------
-    records : uint64
-        Address of all records.
+    refs : uint64
+        Address of all references.
     begin, end : int32
         The range, of at least two.
     middles : f32x8
@@ -287,13 +287,13 @@ def split(records, begin, end, middles, use_sides, plain_size, bins, sums):
             bin_count = choose_bin_count(end - begin)
             start, scale = bin_frame(middles, bin_count)
             clear_bins(bins, bin_count)
-            first = records + np.uint64(begin) * np.uint64(RECORD_BYTES)
-            last = records + np.uint64(end) * np.uint64(RECORD_BYTES)
-            bin_records(first, last, start, scale, bins)
+            first = refs + np.uint64(begin) * np.uint64(REF_BYTES)
+            last = refs + np.uint64(end) * np.uint64(REF_BYTES)
+            bin_refs(first, last, start, scale, bins)
             axis, position = find_split(bins, bin_count, sums)
     if axis < np.int32(0):
-        return halve(records, begin, end)
-    return partition(records, begin, end, middles, bin_count, axis, position)
+        return halve(refs, begin, end)
+    return partition(refs, begin, end, middles, bin_count, axis, position)
 
 
 @device

@@ -1,8 +1,8 @@
-"""Records: what the builder moves about, 32 bytes for each triangle.
+"""References: what the builder moves about, 32 bytes for each triangle.
 
-A record is eight float32: -low x, -low y, -low z, the prim_id's bits; high x, high y, high z,
-1. With the low corner negated, one `maximum` of two records gives the box around both. Boxes
-are kept in the same form; their lane 3 means nothing, and lane 7 may count records.
+A reference is eight float32: -low x, -low y, -low z, the prim_id's bits; high x, high y, high z,
+1. With the low corner negated, one `maximum` of two refs gives the box around both. Boxes
+are kept in the same form; their lane 3 means nothing, and lane 7 may count refs.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from raystream.jit.simd import (
 __all__ = [
     "COUNT_AT",
     "FIRST_AT",
-    "RECORD_BYTES",
-    "RECORD_FLOATS",
+    "REF_BYTES",
+    "REF_FLOATS",
+    "empty_bin",
+    "empty_box",
     "half_area",
     "high_half",
     "low_half",
-    "make_records",
+    "make_refs",
     "middle_bounds",
-    "no_box",
-    "nothing",
-    "with_record",
-    "write_record",
+    "union",
+    "write_ref",
 ]
 
-RECORD_BYTES = 32
-RECORD_FLOATS = 8
+REF_BYTES = 32
+REF_FLOATS = 8
 
-#: Where a record has its prim_id, and a tree node its first record and its record count.
+#: Where a reference has its prim_id, and a tree node its first reference and its reference count.
 FIRST_AT = 12
 COUNT_AT = 28
 
@@ -56,21 +56,21 @@ high_half = permutation(4, 5, 6, 7)
 
 
 @device
-def no_box():
+def empty_box():
     """The box around nothing."""
     return f32x8(-_INF)
 
 
 @device
-def nothing():
+def empty_bin():
     """The box around nothing, with a count of 0."""
     return select(_not_last(), f32x8(-_INF), f32x8(np.float32(0.0)))
 
 
 @device
-def with_record(box, record):
-    """The box around a box and a record, or another box; counts are added."""
-    return select(_not_last(), maximum(box, record), box + record)
+def union(box, ref):
+    """The box around a box and a reference, or another box; counts are added."""
+    return select(_not_last(), maximum(box, ref), box + ref)
 
 
 @device
@@ -79,9 +79,9 @@ def _not_last():
 
 
 @device
-def middle_bounds(record):
-    """The box around one point: twice the middle of a record's box."""
-    return record - swap_halves(record)
+def middle_bounds(ref):
+    """The box around one point: twice the middle of a reference's box."""
+    return ref - swap_halves(ref)
 
 
 @device
@@ -93,8 +93,8 @@ def half_area(box):
 
 
 @device
-def write_record(corners, prim_id, to):
-    """Write the record of a triangle, whose corners are among those at an address."""
+def write_ref(corners, prim_id, to):
+    """Write the reference of a triangle, whose corners are among those at an address."""
     three, one = lanes_from_bits(mask4, 7), f32x4(np.float32(1.0))
     at = corners + np.uint64(prim_id) * np.uint64(36)
     # Each vertex with the number before or after it as a fourth lane: nothing beyond
@@ -111,8 +111,8 @@ def write_record(corners, prim_id, to):
 
 
 @kernel
-def make_records(begin, end, corners, prim_ids, records, bounds):
-    """Fill rows begin to end of `records`, and two boxes: around them, around their middles.
+def make_refs(begin, end, corners, prim_ids, refs, bounds):
+    """Fill rows begin to end of `references`, and two boxes: around them, around their middles.
 
     Parameters
     ----------
@@ -120,19 +120,19 @@ def make_records(begin, end, corners, prim_ids, records, bounds):
     corners : ndarray of shape (F, 3, 3), float32
     prim_ids : ndarray of shape (A,), int32
         Rows of `corners`.
-    records : ndarray of shape (A, 8), float32
+    refs : ndarray of shape (A, 8), float32
     bounds : ndarray of shape (2, 8), float32
     """
-    box, middles = no_box(), no_box()
-    corner_address, record_address = address(corners), address(records)
+    box, middles = empty_box(), empty_box()
+    corner_address, ref_address = address(corners), address(refs)
     for i in range(np.uint64(begin), np.uint64(end)):
-        to = record_address + i * np.uint64(RECORD_BYTES)
-        write_record(corner_address, np.int32(prim_ids[i]), to)
-        record = load(f32x8, to)
-        box = maximum(box, record)
-        middles = maximum(middles, middle_bounds(record))
+        to = ref_address + i * np.uint64(REF_BYTES)
+        write_ref(corner_address, np.int32(prim_ids[i]), to)
+        ref = load(f32x8, to)
+        box = maximum(box, ref)
+        middles = maximum(middles, middle_bounds(ref))
     store(address(bounds), box)
-    store(address(bounds) + np.uint64(RECORD_BYTES), middles)
+    store(address(bounds) + np.uint64(REF_BYTES), middles)
 
 
 _last_three = permutation(1, 2, 3, 3)
