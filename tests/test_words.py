@@ -18,7 +18,6 @@ NOT_YET = (
     "src/raystream/cuda",
     "src/raystream/graphics",
     "src/raystream/jit",
-    "src/raystream/kernels",
     "src/raystream/lab",
     "src/raystream/machines",
     "src/raystream/programs",
