@@ -1,4 +1,4 @@
-"""The binary tree that the builder makes first, and the splits that grow it.
+"""The binary tree that the builder makes first: its arrays, and how ranges are split.
 
 A binary tree over A references has up to 2 A - 1 nodes. Those of the references from b to e lie
 within rows 2 b to 2 e - 1, so that threads fill the tree without synchronising.
@@ -41,10 +41,10 @@ from raystream.structures.bvh.prim_refs import (
     COUNT_AT,
     FIRST_AT,
     REF_BYTES,
+    centroid_bounds,
     empty_box,
     high_half,
     low_half,
-    middle_bounds,
 )
 
 __all__ = [
@@ -72,20 +72,20 @@ Link = view(_LINK)
 LINK_BYTES = _LINK.itemsize
 LINK_INTS = LINK_BYTES // 4
 
-#: Nodes on the longest path: at most 31 levels of halving by count are needed for any number
-#: of triangles that prim_id can name.
+#: Nodes on the longest path: halving by count takes at most 31 levels for any number of triangles
+#: that prim_id can number.
 MAX_TREE_DEPTH = 128
 HALVING_LEVELS = 32
 
-#: A pending range of a builder's stack.
+#: A pending range on a builder's stack.
 _PENDING = np.dtype(
     [
-        ("middles", "f4", 8),  # the box around its refs' middles
+        ("centroids", "f4", 8),  # bounds of its references' centroids
         ("node", "i4"),
         ("begin", "i4"),
         ("end", "i4"),
         ("depth", "i4"),
-        ("limit", "i4"),  # the end of its room
+        ("limit", "i4"),  # see `Span`
         ("unused", "V12"),
     ]
 )
@@ -101,7 +101,7 @@ class BinaryTree(NamedTuple):
     Attributes
     ----------
     refs : ndarray of shape (A, 8), float32
-        See `references`.
+        See `prim_refs`.
     boxes, links : ndarray of shape (2 A, 8), float32, and (2 A, 4), int32
     """
 
@@ -117,7 +117,7 @@ class Span(NamedTuple):
     ----------
     begin, end : int
     limit : int
-        The end of the rows that it may use: its own and spare ones.
+        End of its rows, with spare ones for spatial splits.
     """
 
     begin: int
@@ -139,9 +139,9 @@ class BuildSettings(NamedTuple):
     sah_depth : int
         From this depth on ranges are halved by count.
     spare_share : float
-        Most references that spatial splits add, per triangle; 0 for no such splits.
+        Most references that spatial splits add, per triangle; 0 for none.
     costs : tuple of two float32
-        Relative time of visiting a node, and of testing a block of 4 triangles.
+        Relative times of a node step and of the test of a block of 4 triangles.
     """
 
     min_split_size: int
@@ -154,7 +154,7 @@ class BuildSettings(NamedTuple):
 
 @device
 def put_node(boxes, links, node, box, begin, end):
-    """Write a leaf of the references from begin to end; returns nothing."""
+    """Write a leaf of the references from begin to end."""
     at = boxes + np.uint64(node) * np.uint64(REF_BYTES)
     store(at, box)
     store(at + np.uint64(FIRST_AT), np.int32(begin))
@@ -165,24 +165,24 @@ def put_node(boxes, links, node, box, begin, end):
 
 @device
 def choose_bin_count(count):
-    """Bins for a range: few references do not fill many."""
+    """Bins for a range of references: fewer for a small one."""
     return min(np.int32(BIN_COUNT), np.int32(4) + (np.int32(count) >> np.int32(2)))
 
 
 @device
-def side_test(middles, bin_count, axis, position):
-    """What `is_left` needs for a split: where bins begin, their scale, and bounds."""
-    start, scale = bin_frame(middles, bin_count)
+def side_test(centroids, bin_count, axis, position):
+    """The constants of `is_left` for a split: start and scale of the bins, and bounds."""
+    start, scale = bin_frame(centroids, bin_count)
     on_axis = lanes_from_bits(mask4, np.uint64(1) << np.uint64(axis))
     return start, scale, select(on_axis, f32x4(np.float32(position)), f32x4(-_INF))
 
 
 @device
 def is_left(ref, test, axis):
-    """1 if a reference's middle is in a bin below the split's position, else 0; uint64.
+    """1 if a reference's centroid is in a bin below the split's position, else 0; uint64.
 
-    From the bit of a mask and not a comparison of numbers, lest the compiler makes a branch
-    of it, which is mispredicted half of the time.
+    From a bit of a mask: compilers turn a scalar comparison into a branch, which is mispredicted
+    half of the time.
     """
     start, scale, bound = test
     below = ((high_half(ref) - low_half(ref) - start) * scale) < bound
@@ -190,68 +190,67 @@ def is_left(ref, test, axis):
 
 
 @device
-def partition(refs, begin, end, middles, bin_count, axis, position):
+def partition(refs, begin, end, centroids, bin_count, axis, position):
     """Move the references of bins below `position` to the front.
 
     Returns
     -------
     middle : int32
-        Where they end.
-    left, left_middles, right, right_middles : f32x8
-        Boxes around the references of both sides, and around their middles.
+        End of the left part.
+    left, left_centroids, right, right_centroids : f32x8
+        Bounds of the references of both sides, and of their centroids.
     """
-    test = side_test(middles, bin_count, axis, position)
+    test = side_test(centroids, bin_count, axis, position)
     nothing = empty_box()
-    left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
+    left, left_centroids, right, right_centroids = nothing, nothing, nothing, nothing
     at = refs + np.uint64(begin) * np.uint64(REF_BYTES)
     last = refs + np.uint64(end) * np.uint64(REF_BYTES)
     border = at
-    # Each reference changes places with the first of the right side, which moves on if the
-    # reference is left.
+    # Swap each reference with the first of the right side; the border advances past left ones.
     while at != last:
         ref = load(f32x8, at)
         goes_left = is_left(ref, test, axis)
         on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
-        middle = middle_bounds(ref)
+        centroid = centroid_bounds(ref)
         left = maximum(left, select(on_left, ref, nothing))
-        left_middles = maximum(left_middles, select(on_left, middle, nothing))
+        left_centroids = maximum(left_centroids, select(on_left, centroid, nothing))
         right = maximum(right, select(on_left, nothing, ref))
-        right_middles = maximum(right_middles, select(on_left, nothing, middle))
+        right_centroids = maximum(right_centroids, select(on_left, nothing, centroid))
         store(at, load(f32x8, border))
         store(border, ref)
         border += goes_left * np.uint64(REF_BYTES)
         at += np.uint64(REF_BYTES)
     middle = np.int32((border - refs) >> np.uint64(5))
-    return middle, left, left_middles, right, right_middles
+    return middle, left, left_centroids, right, right_centroids
 
 
 @device
 def halve(refs, begin, end):
-    """Split a range in the middle; returns as `partition` does."""
+    """Split a range by count; returns the same as `partition`."""
     middle = np.int32(begin + ((end - begin) >> 1))
-    left, left_middles = bounds_of(refs, begin, middle)
-    right, right_middles = bounds_of(refs, middle, end)
-    return middle, left, left_middles, right, right_middles
+    left, left_centroids = bounds_of(refs, begin, middle)
+    right, right_centroids = bounds_of(refs, middle, end)
+    return middle, left, left_centroids, right, right_centroids
 
 
 @device
 def bounds_of(refs, begin, end):
-    """Boxes around references, and around their middles."""
-    box, middles = empty_box(), empty_box()
+    """Bounds of references, and of their centroids."""
+    box, centroids = empty_box(), empty_box()
     at = refs + np.uint64(begin) * np.uint64(REF_BYTES)
     last = refs + np.uint64(end) * np.uint64(REF_BYTES)
     while at != last:
         ref = load(f32x8, at)
         box = maximum(box, ref)
-        middles = maximum(middles, middle_bounds(ref))
+        centroids = maximum(centroids, centroid_bounds(ref))
         at += np.uint64(REF_BYTES)
-    return box, middles
+    return box, centroids
 
 
 @device
-def longest_axis(middles):
-    """The axis along which middles differ most, -1 if they do not."""
-    _, scale = bin_frame(middles, 2)
+def longest_axis(centroids):
+    """The axis along which centroids differ most, -1 if all are equal."""
+    _, scale = bin_frame(centroids, 2)
     axis, least = np.int32(-1), _INF
     for k in range(np.int32(3)):
         if np.float32(0.0) < lane(scale, k) < least:
@@ -260,32 +259,32 @@ def longest_axis(middles):
 
 
 @device
-def split(refs, begin, end, middles, use_sides, plain_size, bins, sums):
-    """Split a range in two; returns as `partition` does.
+def split(refs, begin, end, centroids, use_sides, plain_size, bins, sums):
+    """Split a range in two; returns the same as `partition`.
 
     Parameters
     ----------
     refs : uint64
         Address of all references.
     begin, end : int32
-        The range, of at least two.
-    middles : f32x8
-        Box around their middles.
+        The range: at least two references.
+    centroids : f32x8
+        Bounds of their centroids.
     use_sides : bool
-        Else they are halved by count; as they are if nothing tells them apart.
+        Else the range is halved by count, as it is if all centroids are equal.
     plain_size : int
-        So many or fewer are split in the middle of their longest side, others where the
-        surface area heuristic says.
+        Ranges of at most this many are split in the middle of their longest axis, others by the
+        surface area heuristic.
     bins, sums : uint64
         Addresses of BINS_BYTES and SUMS_BYTES of scratch.
     """
     axis, position, bin_count = np.int32(-1), np.int32(1), np.int32(2)
     if use_sides:
         if end - begin <= plain_size:
-            axis = longest_axis(middles)
+            axis = longest_axis(centroids)
         else:
             bin_count = choose_bin_count(end - begin)
-            start, scale = bin_frame(middles, bin_count)
+            start, scale = bin_frame(centroids, bin_count)
             clear_bins(bins, bin_count)
             first = refs + np.uint64(begin) * np.uint64(REF_BYTES)
             last = refs + np.uint64(end) * np.uint64(REF_BYTES)
@@ -293,14 +292,14 @@ def split(refs, begin, end, middles, use_sides, plain_size, bins, sums):
             axis, position = find_split(bins, bin_count, sums)
     if axis < np.int32(0):
         return halve(refs, begin, end)
-    return partition(refs, begin, end, middles, bin_count, axis, position)
+    return partition(refs, begin, end, centroids, bin_count, axis, position)
 
 
 @device
-def push_pending(stack, top, middles, node, begin, end, depth, limit):
-    """Put a range on the stack; returns its height."""
+def push_pending(stack, top, centroids, node, begin, end, depth, limit):
+    """Push a range on the stack; returns its height."""
     pending = Pending(stack, top)
-    pending.middles, pending.node = middles, np.int32(node)
+    pending.centroids, pending.node = centroids, np.int32(node)
     pending.begin, pending.end = np.int32(begin), np.int32(end)
     pending.depth, pending.limit = np.int32(depth), np.int32(limit)
     return top + np.uint64(1)

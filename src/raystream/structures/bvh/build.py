@@ -1,4 +1,4 @@
-"""Building the BVH: a binary tree, collapsed, and written as a wide one; on all threads."""
+"""Build the BVH on all threads: a binary tree, which is collapsed and written as a wide one."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ from raystream.structures.bvh.write_wide import Deferred, WideTrees, write_trees
 
 __all__ = ["QUALITIES", "build_arrays"]
 
-#: Size of ranges that are not split; that are split without a search; share of references that
-#: splits in space may add.
+#: `min_split_size`, `plain_size` and `spare_share` of `BuildSettings`.
 QUALITIES = {"fast": (4, 1024, 0.0), "balanced": (4, 0, 0.0), "high": (2, 0, 0.3)}
 
-#: Relative time of visiting a node, and of testing a block of 4 triangles.
+#: Relative times of a node step and of a block test.
 _COSTS = (np.float32(1.0), np.float32(1.0))
 
-#: Wide trees that one call of `write_trees` gets.
+#: Wide trees per call of `write_trees`.
 _TREES_PER_CALL = 4
 
 
@@ -39,7 +38,7 @@ def build_arrays(
     ----------
     triangles : Triangles
     quality : {"fast", "balanced", "high"}
-        "high" splits space too: a triangle may then be in several leaves.
+        "high" adds spatial splits: a triangle may then be in several leaves.
     max_leaf_size : int
         Most triangles in a leaf, 1 to 32.
     progress : callable, optional
@@ -48,7 +47,7 @@ def build_arrays(
     Returns
     -------
     BvhArrays
-        The same ones for any number of threads.
+        The same for any number of threads.
 
     Raises
     ------
@@ -63,8 +62,8 @@ def build_arrays(
     if len(triangles.prim_ids) == 0:
         return _make_arrays(0, 0)
     small, plain_size, spare_share = QUALITIES[quality]
-    # A path has far fewer wide nodes than binary ones, but nothing forces it to: if the tree
-    # got too deep, a binary tree that is not deeper than allowed is made.
+    # Paths have far fewer wide nodes than binary ones, but that is not guaranteed: if the wide
+    # tree is too deep, build a binary tree within the limit.
     for tree_depth in (MAX_TREE_DEPTH, MAX_DEPTH):
         settings = BuildSettings(
             min_split_size=min(small, max_leaf_size),
@@ -88,9 +87,9 @@ def _make_arrays(node_count: int, block_count: int) -> BvhArrays:
 
 
 class _Writer:
-    """Counts the rows of a wide tree, and then writes them.
+    """Count the rows of a wide tree, then write them.
 
-    The top of the tree is written by itself, and then the trees that hang below it in parallel.
+    First the top of the tree, then the subtrees below it in parallel.
     """
 
     def __init__(self, tree: Tree, corners: NDArray[np.float32], has_duplicates: bool) -> None:
@@ -119,7 +118,7 @@ class _Writer:
         return arrays
 
     def _emit(self, trees: WideTrees, deferred: Deferred, arrays: BvhArrays | None) -> None:
-        """Count, or write to `arrays`."""
+        """Count, or write to `arrays` if given."""
         wide = _make_arrays(0, 0) if arrays is None else arrays
 
         def body(begin: int, end: int) -> None:

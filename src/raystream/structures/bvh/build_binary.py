@@ -1,8 +1,8 @@
-"""Growing the binary tree on all threads.
+"""Build the binary tree on all threads.
 
-Large ranges of references are split one after another, with all threads on each; middle ones each
-by one thread; small ones become subtrees, each built to the end by one thread. What is large
-depends on the number of triangles alone, so the tree is the same for any number of threads.
+Large ranges of references are split one after another by all threads; medium ones by one thread
+each; small ones become subtrees, each built by one thread. The limits depend on the number of
+triangles only, so the tree is the same for any number of threads.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ __all__ = ["Tree", "grow_tree"]
 #: Ranges of more triangles are split by all threads together.
 _LARGE = 1 << 17
 
-#: Triangles that one call of a loop over all triangles gets.
+#: Triangles per call of a loop over all triangles.
 _CHUNK = 1 << 16
 
 
 class Tree(NamedTuple):
-    """A binary tree that has been built, with decisions about its collapse.
+    """A finished binary tree, with the decisions about its collapse.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Tree(NamedTuple):
 
 @dataclass
 class _Range:
-    """A range of references: split in two, or to be a subtree; `limit` is the end of its room."""
+    """A range of references, to be split or to become a subtree; see `Span`."""
 
     begin: int
     end: int
@@ -73,7 +73,7 @@ class _Range:
 
     @property
     def node(self) -> int:
-        """Row of its root: between those of the parts, or the first of its own."""
+        """Row of its root: between the rows of its parts, or its first row."""
         return 2 * self.parts[1].begin - 1 if self.parts else 2 * self.begin
 
     def split(
@@ -82,7 +82,7 @@ class _Range:
         bounds: NDArray[np.float32],
         refs: NDArray[np.float32],
     ) -> tuple[_Range, _Range]:
-        """Make the parts, of the end of the left one, and begin and end of the right one."""
+        """Make the parts from the end of the left one, and begin and end of the right one."""
         left_end, right_begin, right_end = ends
         depth = self.depth + 1
         self.parts = (
@@ -93,7 +93,7 @@ class _Range:
 
 
 def grow_tree(triangles: Triangles, settings: BuildSettings, progress: Progress | None) -> Tree:
-    """Grow a binary tree over the solid triangles, at least one.
+    """Build a binary tree over the solid triangles, at least one.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class _Grower:
         self.settings = settings
         self.count = len(triangles.prim_ids)
         room = self.count + int(settings.spare_share * self.count)
-        # `write_trees` reads a few references beyond the last.
+        # `write_trees` reads a few references past the last.
         self.refs = aligned_array(room + READ_AHEAD, REF_FLOATS)[:room]
         self.tree = BinaryTree(
             self.refs,
@@ -164,11 +164,11 @@ class _Grower:
         return _Range(0, self.count, len(self.refs), 0, bounds.max(axis=0), self.refs)
 
     def _split_large(self, ranges: list[_Range]) -> list[_Range]:
-        """Split the largest ranges; adds their parts to `ranges`, returns the others."""
+        """Split the large ranges; append their parts to `ranges`, return the others."""
         (root,) = ranges
         if root.size <= _LARGE or root.limit > root.end:
             return [root]
-        # References move from one array to the other at each split.
+        # References move between two arrays at each split.
         spare = aligned_array(len(self.refs), REF_FLOATS)
         pending, others = [root], []
         while pending:
@@ -187,7 +187,7 @@ class _Grower:
         return others
 
     def _split_middle(self, level: list[_Range], ranges: list[_Range]) -> None:
-        """Split ranges, each on one thread, until all are small; adds the parts to `ranges`."""
+        """Split ranges until all are small, one thread each; append the parts to `ranges`."""
         while level := [part for part in level if part.size > self.subtree_size]:
             bounds = np.empty((len(level), 2, 2, REF_FLOATS), np.float32)
             ends = np.zeros((len(level), 3), np.int64)
@@ -220,13 +220,13 @@ class _Grower:
         parallel_for(body, len(level), 1)
 
     def _nothing(self) -> _Range:
-        """A range for calls that only compile."""
+        """An empty range, for calls that only compile."""
         return _Range(0, 0, 0, 0, np.zeros((2, 8), np.float32), self.refs)
 
     def _grow_subtrees(
         self, subtrees: list[_Range], costs: NDArray[np.float32], progress: Progress | None
     ) -> None:
-        # Large ones first, so that threads end together.
+        # Largest first, so that the threads finish together.
         subtrees.sort(key=lambda part: -part.size)
         most_nodes = 2 * max(part.limit - part.begin for part in subtrees)
         free: list[NDArray[np.float32]] = []  # scratch, one for each thread

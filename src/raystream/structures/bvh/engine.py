@@ -1,4 +1,4 @@
-"""Which kernel traces a batch, and how the batch is shared among the threads."""
+"""Choose the kernel for a batch of rays, and run it on all threads."""
 
 from __future__ import annotations
 
@@ -30,28 +30,27 @@ __all__ = [
     "visit_batch",
 ]
 
-#: How a BVH may be traced: chosen for each batch; many single rays in flight; packets of
-#: rays; streams of rays of one octant; one ray after another.
+#: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of rays of
+#: one octant; one ray after another.
 KERNELS = Bvh.choices("kernel")
 
-#: Batches of so many rays are traced by the calling thread: to wake another takes longer.
+#: Batches of at most this many rays are traced by the calling thread: waking others takes longer.
 SMALL_BATCH = 1024
 
-#: Rays that a call of a kernel gets: at least so many that its start and its end, where not
-#: all of a wavefront's places are taken, do not count; at most so many that the threads
-#: finish together, and Ctrl-C is noticed.
+#: Rays per call of a kernel: enough to hide the start and the end of a call, where not all slots of
+#: a wavefront are in use; few enough that the threads finish together and Ctrl-C is noticed.
 LEAST_CHUNK = 1024
 MOST_CHUNK = 8192
 
 #: The same for packets of 256 rays.
 MOST_PACKETS = 64
 
-#: Trees of more bytes do not stay in the cache: their nodes are asked for beforehand.
+#: Larger trees do not stay in the cache: their nodes are prefetched.
 PREFETCHED_BYTES = 1 << 21
 
 
 class Tree(NamedTuple):
-    """What all kernels are given of a tree: numbers, made once.
+    """A tree as the kernels take it.
 
     Attributes
     ----------
@@ -66,12 +65,12 @@ class Tree(NamedTuple):
 
     @property
     def prefetching(self) -> bool:
-        """Whether nodes are asked for before they are needed."""
+        """Whether nodes are prefetched."""
         return self.byte_count > PREFETCHED_BYTES
 
     @classmethod
     def of(cls, arrays: BvhArrays, frame: SceneFrame) -> Tree:
-        """The numbers of a tree, whose arrays the caller keeps."""
+        """A tree whose arrays the caller keeps alive."""
         nodes, leaves = (array.ctypes.data if len(array) else 0 for array in arrays)
         byte_count = sum(array.nbytes for array in arrays)
         return cls(TreeAddresses(np.uint64(nodes), np.uint64(leaves)), frame, byte_count)
@@ -97,8 +96,8 @@ def trace_batch(
     progress : callable, optional
         Called with (rays done, rays).
     kernel : {"auto", "wavefront", "packet", "stream"}
-        A batch of at most `SMALL_BATCH` rays takes the wavefront, unless another is asked
-        for; a larger one, what a look at some of its rays suggests.
+        "auto" takes the wavefront for at most `SMALL_BATCH` rays; for more, the kernel that suits
+        a sample of them.
     """
     count = len(batch)
     if kernel == "auto" and count <= SMALL_BATCH:
@@ -106,7 +105,7 @@ def trace_batch(
     source, kept = RaySource.of(
         batch.origins, batch.directions, batch.limits, kernel != "wavefront"
     )
-    if kernel == "wavefront":  # the least that a small batch can do
+    if kernel == "wavefront":  # without further preparation, for small batches
         _trace_wavefront(tree, count, source, wants_any, results, progress)
         return
     order = PacketOrder.of(batch.shape)
@@ -133,7 +132,7 @@ def visit_batch(
     progress: Progress | None,
     only_if_narrow: bool,
 ) -> bool:
-    """Give all hits of each ray to the sink's visitor, by packets.
+    """Deliver all hits of each ray to the sink's visitor, by packets.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Splitting a large range of references with all threads on it."""
+"""Split a large range of references on all threads."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from raystream.structures.bvh.binning import (
     clear_bins,
     find_split,
 )
-from raystream.structures.bvh.prim_refs import REF_BYTES, REF_FLOATS, empty_box, middle_bounds
+from raystream.structures.bvh.prim_refs import REF_BYTES, REF_FLOATS, centroid_bounds, empty_box
 
 __all__ = ["split_large"]
 
-#: References that one call of a kernel gets.
+#: References per call of a kernel.
 _CHUNK = 1 << 15
 
 
@@ -40,7 +40,7 @@ def split_large(
     target: NDArray[np.float32],
     begin: int,
     end: int,
-    middles: NDArray[np.float32],
+    centroids: NDArray[np.float32],
 ) -> tuple[int, NDArray[np.float32]] | None:
     """Split a range in two by the surface area heuristic, moving its references to `target`.
 
@@ -48,23 +48,23 @@ def split_large(
     ----------
     refs, target : ndarray of shape (A, 8), float32
     begin, end : int
-    middles : ndarray of shape (8,), float32
-        Box around their middles.
+    centroids : ndarray of shape (8,), float32
+        Bounds of their centroids.
 
     Returns
     -------
     middle : int
-        Where the first part ends.
+        End of the first part.
     part_bounds : ndarray of shape (2, 2, 8), float32
-        Boxes around each part's references, and around their middles.
+        Bounds of each part's references, and of their centroids.
 
-    None if nothing tells the references apart; nothing is moved then.
+    None if all centroids are equal; nothing is moved then.
     """
     chunk_count = -(-(end - begin) // _CHUNK)
     bins = np.empty((chunk_count, 3, BIN_COUNT, REF_FLOATS), np.float32)
 
     def fill(first: int, last: int) -> None:
-        _fill_bins(begin + first, begin + last, refs, middles, bins[first // _CHUNK])
+        _fill_bins(begin + first, begin + last, refs, centroids, bins[first // _CHUNK])
 
     parallel_for(fill, end - begin, _CHUNK)
     whole = bins.max(axis=0)
@@ -87,7 +87,7 @@ def split_large(
             begin + last,
             refs,
             target,
-            middles,
+            centroids,
             (axis, position),
             left_ends[chunk] - left_counts[chunk],
             right_ends[chunk] - (sizes[chunk] - left_counts[chunk]),
@@ -99,11 +99,11 @@ def split_large(
 
 
 @kernel
-def _fill_bins(begin, end, refs, middles, bins):
+def _fill_bins(begin, end, refs, centroids, bins):
     if begin == end:
         return
     bin_at, ref_at = address(bins), address(refs)
-    start, scale = bin_frame(load(f32x8, address(middles)), np.int32(BIN_COUNT))
+    start, scale = bin_frame(load(f32x8, address(centroids)), np.int32(BIN_COUNT))
     clear_bins(bin_at, np.int32(BIN_COUNT))
     first = ref_at + np.uint64(begin) * np.uint64(REF_BYTES)
     last = ref_at + np.uint64(end) * np.uint64(REF_BYTES)
@@ -117,17 +117,17 @@ def _find_split(bins):
 
 
 @kernel
-def _move(begin, end, refs, target, middles, split, left_row, right_row, bounds):
-    """Move the references of a chunk to their side's rows, from left_row and right_row on.
+def _move(begin, end, refs, target, centroids, split, left_row, right_row, bounds):
+    """Move the references of a chunk to their side: rows from left_row and right_row on.
 
     `split` is the axis and the position in its bins.
     """
     if begin == end:
         return
     axis = np.int32(split[0])
-    test = side_test(load(f32x8, address(middles)), np.int32(BIN_COUNT), axis, np.int32(split[1]))
+    test = side_test(load(f32x8, address(centroids)), np.int32(BIN_COUNT), axis, np.int32(split[1]))
     nothing = empty_box()
-    left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
+    left, left_centroids, right, right_centroids = nothing, nothing, nothing, nothing
     ref_at, target_at = address(refs), address(target)
     at = ref_at + np.uint64(begin) * np.uint64(REF_BYTES)
     last = ref_at + np.uint64(end) * np.uint64(REF_BYTES)
@@ -137,17 +137,17 @@ def _move(begin, end, refs, target, middles, split, left_row, right_row, bounds)
         ref = load(f32x8, at)
         goes_left = is_left(ref, test, axis)
         on_left = lanes_from_bits(mask8, np.uint64(0) - goes_left)
-        middle = middle_bounds(ref)
+        centroid = centroid_bounds(ref)
         left = maximum(left, select(on_left, ref, nothing))
-        left_middles = maximum(left_middles, select(on_left, middle, nothing))
+        left_centroids = maximum(left_centroids, select(on_left, centroid, nothing))
         right = maximum(right, select(on_left, nothing, ref))
-        right_middles = maximum(right_middles, select(on_left, nothing, middle))
+        right_centroids = maximum(right_centroids, select(on_left, nothing, centroid))
         store(right_at + (left_at - right_at) * goes_left, ref)
         left_at += goes_left * np.uint64(REF_BYTES)
         right_at += (np.uint64(1) - goes_left) * np.uint64(REF_BYTES)
         at += np.uint64(REF_BYTES)
     to = address(bounds)
     store(to, left)
-    store(to + np.uint64(REF_BYTES), left_middles)
+    store(to + np.uint64(REF_BYTES), left_centroids)
     store(to + np.uint64(2 * REF_BYTES), right)
-    store(to + np.uint64(3 * REF_BYTES), right_middles)
+    store(to + np.uint64(3 * REF_BYTES), right_centroids)

@@ -1,8 +1,8 @@
-"""References: what the builder moves about, 32 bytes for each triangle.
+"""Primitive references, which the builder sorts: 32 bytes per triangle, a box and its prim_id.
 
 A reference is eight float32: -low x, -low y, -low z, the prim_id's bits; high x, high y, high z,
-1. With the low corner negated, one `maximum` of two refs gives the box around both. Boxes
-are kept in the same form; their lane 3 means nothing, and lane 7 may count refs.
+1. With the low corner negated, the `maximum` of two references is the box around both. Boxes have
+the same form; their lane 3 is unused, and lane 7 may count references.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ __all__ = [
     "FIRST_AT",
     "REF_BYTES",
     "REF_FLOATS",
+    "centroid_bounds",
     "empty_bin",
     "empty_box",
     "half_area",
     "high_half",
     "low_half",
     "make_refs",
-    "middle_bounds",
     "union",
     "write_ref",
 ]
@@ -44,7 +44,7 @@ __all__ = [
 REF_BYTES = 32
 REF_FLOATS = 8
 
-#: Where a reference has its prim_id, and a tree node its first reference and its reference count.
+#: Byte offsets of a reference's prim_id, and of a tree node's first reference and their number.
 FIRST_AT = 12
 COUNT_AT = 28
 
@@ -57,19 +57,19 @@ high_half = permutation(4, 5, 6, 7)
 
 @device
 def empty_box():
-    """The box around nothing."""
+    """The empty box."""
     return f32x8(-_INF)
 
 
 @device
 def empty_bin():
-    """The box around nothing, with a count of 0."""
+    """The empty box, with a count of 0."""
     return select(_not_last(), f32x8(-_INF), f32x8(np.float32(0.0)))
 
 
 @device
 def union(box, ref):
-    """The box around a box and a reference, or another box; counts are added."""
+    """The union of a box with a reference or another box; counts are added."""
     return select(_not_last(), maximum(box, ref), box + ref)
 
 
@@ -79,14 +79,14 @@ def _not_last():
 
 
 @device
-def middle_bounds(ref):
-    """The box around one point: twice the middle of a reference's box."""
+def centroid_bounds(ref):
+    """The bounds of a point: twice the centroid of a reference's box."""
     return ref - swap_halves(ref)
 
 
 @device
 def half_area(box):
-    """Half the surface of a box."""
+    """Half the surface area of a box."""
     size = box + swap_halves(box)
     x, y, z = lane(size, 0), lane(size, 1), lane(size, 2)
     return x * y + y * z + z * x
@@ -94,11 +94,10 @@ def half_area(box):
 
 @device
 def write_ref(corners, prim_id, to):
-    """Write the reference of a triangle, whose corners are among those at an address."""
+    """Write the reference of a triangle; `corners` is the address of all triangles' corners."""
     three, one = lanes_from_bits(mask4, 7), f32x4(np.float32(1.0))
     at = corners + np.uint64(prim_id) * np.uint64(36)
-    # Each vertex with the number before or after it as a fourth lane: nothing beyond
-    # the triangle is read.
+    # The fourth lane of each vertex is a neighbour in the triangle: nothing past it is read.
     a = load(f32x4, at)
     b = load(f32x4, at + np.uint64(12))
     c = _last_three(load(f32x4, at + np.uint64(20)))
@@ -112,7 +111,7 @@ def write_ref(corners, prim_id, to):
 
 @kernel
 def make_refs(begin, end, corners, prim_ids, refs, bounds):
-    """Fill rows begin to end of `references`, and two boxes: around them, around their middles.
+    """Fill rows begin to end of `refs`, and two boxes: bounds of these and of their centroids.
 
     Parameters
     ----------
@@ -123,16 +122,16 @@ def make_refs(begin, end, corners, prim_ids, refs, bounds):
     refs : ndarray of shape (A, 8), float32
     bounds : ndarray of shape (2, 8), float32
     """
-    box, middles = empty_box(), empty_box()
+    box, centroids = empty_box(), empty_box()
     corner_address, ref_address = address(corners), address(refs)
     for i in range(np.uint64(begin), np.uint64(end)):
         to = ref_address + i * np.uint64(REF_BYTES)
         write_ref(corner_address, np.int32(prim_ids[i]), to)
         ref = load(f32x8, to)
         box = maximum(box, ref)
-        middles = maximum(middles, middle_bounds(ref))
+        centroids = maximum(centroids, centroid_bounds(ref))
     store(address(bounds), box)
-    store(address(bounds) + np.uint64(REF_BYTES), middles)
+    store(address(bounds) + np.uint64(REF_BYTES), centroids)
 
 
 _last_three = permutation(1, 2, 3, 3)

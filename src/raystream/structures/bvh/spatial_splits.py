@@ -1,9 +1,9 @@
-"""Splits of space: references on both sides of a plane are cut in two.
+"""Spatial splits: references that straddle a plane are cut in two.
 
-A long triangle makes every box it is in a large one. Where the two sides of the best split of
-a range overlap, planes are tried too: a triangle that a plane cuts gets a ref on either
-side, with a box around the part that is there. The cost decides, and room: each range has a
-share of spare rows, which cuts use up.
+A long triangle makes large boxes. Where the two sides of the best object split of a range overlap,
+planes are tried too: a triangle that a plane cuts gets a reference on either side, with a box
+around its part there. The cheaper split is taken, if there is room: each range has spare rows for
+the added references.
 
 References
 ----------
@@ -46,16 +46,16 @@ from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES, block_count
 from raystream.structures.bvh.collapse import collapse_subtree
 from raystream.structures.bvh.prim_refs import (
     REF_BYTES,
+    centroid_bounds,
     empty_box,
     half_area,
-    middle_bounds,
     swap_halves,
 )
 from raystream.structures.bvh.spatial_bins import (
     EXIT_BYTES,
     PAD,
     SIDE_AT,
-    SLAB_BYTES,
+    SPATIAL_BIN_BYTES,
     clip_ref,
     find_plane,
     is_empty,
@@ -63,14 +63,14 @@ from raystream.structures.bvh.spatial_bins import (
 
 __all__ = ["PAD", "Space", "grow_spatially", "split_spatially"]
 
-#: Planes are tried where the sides of the best split overlap by more than this part of the
-#: scene's area: elsewhere they gain little.
+#: Planes are tried where the sides of the best object split overlap by more than this fraction of
+#: the scene's area: elsewhere they gain little.
 _OVERLAP = np.float32(1e-5)
 
-#: And by more than this part of the range's own area.
+#: And by more than this fraction of the range's own area.
 _OWN_OVERLAP = np.float32(0.1)
 
-#: A split in space must cost less than this, in units of the other split's cost.
+#: A spatial split must cost less than this, relative to the object split.
 _GAIN = np.float32(0.99)
 
 #: Sides of a reference.
@@ -80,7 +80,7 @@ _ZERO = np.float32(0.0)
 
 
 class Space(NamedTuple):
-    """What spatial splits need of a scene.
+    """The scene, for spatial splits.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Space(NamedTuple):
     pad : float32
         `PAD` in the scene's unit.
     area : float32
-        Half the surface of its box.
+        Half the surface area of its box.
     """
 
     corners: NDArray[np.float32]
@@ -101,12 +101,12 @@ class _Scratch(NamedTuple):
 
     bins: np.uint64
     sums: np.uint64
-    slabs: np.uint64
+    spatial_bins: np.uint64
     exits: np.uint64
 
 
 class _Cutter(NamedTuple):
-    """`Space` without arrays: address of the corners, pad, and least overlap for a split."""
+    """`Space` without its array: address of the corners, pad, and least overlap to try planes."""
 
     corners: np.uint64
     pad: np.float32
@@ -120,7 +120,7 @@ def _cutter(space):
 
 @device
 def _meet(left, right):
-    """Half the surface of what two boxes have in common; 0 if nothing."""
+    """Half the surface area of the intersection of two boxes; 0 if it is empty."""
     both = minimum(left, right)
     size = both + swap_halves(both)
     x, y, z = lane(size, 0), lane(size, 1), lane(size, 2)
@@ -131,9 +131,9 @@ def _meet(left, right):
 
 @device_call
 def _choose_sides(refs, span, axis, position, cutter):
-    """Give each reference a side, and both sides of the plane a reference of those it cuts.
+    """Assign each reference to a side, and cut those that straddle the plane.
 
-    Returns the end of the references, at most the limit of their range.
+    Returns the new end of the references.
     """
     begin, end, limit = span.begin, span.end, span.limit
     left, right = scratch(REF_BYTES), scratch(REF_BYTES)
@@ -158,10 +158,10 @@ def _choose_sides(refs, span, axis, position, cutter):
 
 @device
 def _partition_by_side(refs, begin, end):
-    """Move the references of the left side to the front; returns as `tree.partition` does."""
+    """Move the references of the left side to the front; returns the same as `partition`."""
     nothing, not_last = empty_box(), lanes_from_bits(mask8, 127)
     one = f32x8(np.float32(1.0))
-    left, left_middles, right, right_middles = nothing, nothing, nothing, nothing
+    left, left_centroids, right, right_centroids = nothing, nothing, nothing, nothing
     at = refs + np.uint64(begin) * np.uint64(REF_BYTES)
     last = refs + np.uint64(end) * np.uint64(REF_BYTES)
     border = at
@@ -169,22 +169,22 @@ def _partition_by_side(refs, begin, end):
         ref = load(f32x8, at)
         goes_left = lane(ref, 7) == _LEFT
         ref = select(not_last, ref, one)
-        middle = middle_bounds(ref)
+        centroid = centroid_bounds(ref)
         store(at, load(f32x8, border))
         store(border, ref)
         if goes_left:
-            left, left_middles = maximum(left, ref), maximum(left_middles, middle)
+            left, left_centroids = maximum(left, ref), maximum(left_centroids, centroid)
             border += np.uint64(REF_BYTES)
         else:
-            right, right_middles = maximum(right, ref), maximum(right_middles, middle)
+            right, right_centroids = maximum(right, ref), maximum(right_centroids, centroid)
         at += np.uint64(REF_BYTES)
     middle_row = np.int32((border - refs) >> np.uint64(5))
-    return middle_row, left, left_middles, right, right_middles
+    return middle_row, left, left_centroids, right, right_centroids
 
 
 @device
-def _split(refs, span, box, middles, use_sides, tries, cutter, memory):
-    """Split a range in two, in space if that is better.
+def _split(refs, span, box, centroids, use_sides, tries, cutter, memory):
+    """Split a range in two by the cheaper of an object split and a spatial split.
 
     Parameters
     ----------
@@ -193,10 +193,10 @@ def _split(refs, span, box, middles, use_sides, tries, cutter, memory):
     span : Span
     box : uint64
         Address of the range's box.
-    middles : f32x8
-        Box around the references' middles.
+    centroids : f32x8
+        Bounds of the references' centroids.
     use_sides : bool
-        Else it is halved by count.
+        Else halve it by count.
     tries : bool
         Whether to try spatial splits.
     cutter : _Cutter
@@ -205,12 +205,12 @@ def _split(refs, span, box, middles, use_sides, tries, cutter, memory):
     Returns
     -------
     left_end, right_begin, right_end : int32
-        The references of the parts; the left one's room ends where the right one begins.
-    left, left_middles, right, right_middles : f32x8
+        The references of the parts; the left one's rows end where the right one begins.
+    left, left_centroids, right, right_centroids : f32x8
     """
     begin, end, limit = span.begin, span.end, span.limit
-    middle, left, left_middles, right, right_middles = split(
-        refs, begin, end, middles, use_sides, 0, memory.bins, memory.sums
+    middle, left, left_centroids, right, right_centroids = split(
+        refs, begin, end, centroids, use_sides, 0, memory.bins, memory.sums
     )
     overlap = _meet(left, right)
     overlaps = (
@@ -220,16 +220,18 @@ def _split(refs, span, box, middles, use_sides, tries, cutter, memory):
         cost = half_area(left) * block_count(middle - begin)
         cost += half_area(right) * block_count(end - middle)
         axis, position, plane_cost, cut_count = find_plane(
-            refs, begin, end, box, cutter.corners, cutter.pad, memory.slabs, memory.exits
+            refs, begin, end, box, cutter.corners, cutter.pad, memory.spatial_bins, memory.exits
         )
         if plane_cost < cost * _GAIN and cut_count <= limit - end:
             end = _choose_sides(refs, span, axis, position, cutter)
-            middle, left, left_middles, right, right_middles = _partition_by_side(refs, begin, end)
+            middle, left, left_centroids, right, right_centroids = _partition_by_side(
+                refs, begin, end
+            )
             if middle in (begin, end):
-                middle, left, left_middles, right, right_middles = halve(refs, begin, end)
+                middle, left, left_centroids, right, right_centroids = halve(refs, begin, end)
     right_begin, right_end = middle, end
     if tries and limit > end:
-        # Spare rows go to both sides in proportion: the right side moves up.
+        # Divide spare rows in proportion to the sizes: the right side moves up.
         spare = np.int64(limit - end) * np.int64(middle - begin) // np.int64(end - begin)
         moved = min(np.int32(spare), np.int32(end - middle))
         source = refs + np.uint64(middle) * np.uint64(REF_BYTES)
@@ -241,7 +243,7 @@ def _split(refs, span, box, middles, use_sides, tries, cutter, memory):
             )
         right_begin = np.int32(middle + np.int32(spare))
         right_end = np.int32(end + np.int32(spare))
-    return middle, right_begin, right_end, left, left_middles, right, right_middles
+    return middle, right_begin, right_end, left, left_centroids, right, right_centroids
 
 
 @kernel
@@ -257,7 +259,7 @@ def split_spatially(refs, span, use_sides, bounds, space, part_bounds, ends):
     use_sides : bool
         Else it is halved by count.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the references, and around their middles.
+        Boxes around the references, and around their centroids.
     space : Space
     part_bounds : ndarray of shape (2, 2, 8), float32
         Written: the bounds of both parts.
@@ -267,7 +269,7 @@ def split_spatially(refs, span, use_sides, bounds, space, part_bounds, ends):
     if span.begin == span.end:
         return
     bound_at = address(bounds)
-    left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
+    left_end, right_begin, right_end, left, left_centroids, right, right_centroids = _split(
         address(refs),
         Span(np.int32(span.begin), np.int32(span.end), np.int32(span.limit)),
         bound_at,
@@ -276,35 +278,38 @@ def split_spatially(refs, span, use_sides, bounds, space, part_bounds, ends):
         True,
         _cutter(space),
         _Scratch(
-            scratch(BINS_BYTES), scratch(SUMS_BYTES), scratch(SLAB_BYTES), scratch(EXIT_BYTES)
+            scratch(BINS_BYTES),
+            scratch(SUMS_BYTES),
+            scratch(SPATIAL_BIN_BYTES),
+            scratch(EXIT_BYTES),
         ),
     )
     to = address(part_bounds)
     store(to, left)
-    store(to + np.uint64(REF_BYTES), left_middles)
+    store(to + np.uint64(REF_BYTES), left_centroids)
     store(to + np.uint64(2 * REF_BYTES), right)
-    store(to + np.uint64(3 * REF_BYTES), right_middles)
+    store(to + np.uint64(3 * REF_BYTES), right_centroids)
     ends[0], ends[1], ends[2] = left_end, right_begin, right_end
 
 
 @kernel
 def grow_spatially(tree, span, depth, bounds, space, settings, costs, root_costs):
-    """Build all of the binary tree over a range; as `grow_subtree` and `split_spatially`."""
+    """Build the binary tree over a range with spatial splits; see `grow_subtree`."""
     begin, end, limit = span.begin, span.end, span.limit
     if begin == end:
         return
     small, max_leaf_size = settings.min_split_size, settings.max_leaf_size
     ref_at, box_at, link_at = address(tree.refs), address(tree.boxes), address(tree.links)
     memory = _Scratch(
-        scratch(BINS_BYTES), scratch(SUMS_BYTES), scratch(SLAB_BYTES), scratch(EXIT_BYTES)
+        scratch(BINS_BYTES), scratch(SUMS_BYTES), scratch(SPATIAL_BIN_BYTES), scratch(EXIT_BYTES)
     )
     cutter = _cutter(space)
     stack = scratch(PENDING_STACK_BYTES)
     root = np.int32(2 * begin)
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
-    middles = load(f32x8, bound_at + np.uint64(REF_BYTES))
-    top = push_pending(stack, np.uint64(0), middles, root, begin, end, depth, limit)
+    centroids = load(f32x8, bound_at + np.uint64(REF_BYTES))
+    top = push_pending(stack, np.uint64(0), centroids, root, begin, end, depth, limit)
     node_end = np.int32(root + 1)
     while top != np.uint64(0):
         top -= np.uint64(1)
@@ -313,13 +318,13 @@ def grow_spatially(tree, span, depth, bounds, space, settings, costs, root_costs
         if last - first <= small:
             continue
         room, node, level = pending.limit, pending.node, pending.depth
-        # What may become one leaf stays together, without spare rows in between.
+        # A range that may become one leaf stays together, without spare rows in between.
         tries = last - first > max_leaf_size
-        left_end, right_begin, right_end, left, left_middles, right, right_middles = _split(
+        left_end, right_begin, right_end, left, left_centroids, right, right_centroids = _split(
             ref_at,
             Span(first, last, room),
             box_at + np.uint64(node) * np.uint64(REF_BYTES),
-            pending.middles,
+            pending.centroids,
             level < settings.sah_depth,
             tries,
             cutter,
@@ -330,10 +335,10 @@ def grow_spatially(tree, span, depth, bounds, space, settings, costs, root_costs
         put_node(box_at, link_at, node_end, left, first, left_end)
         put_node(box_at, link_at, node_end + 1, right, right_begin, right_end)
         top = push_pending(
-            stack, top, right_middles, node_end + 1, right_begin, right_end, level + 1, room
+            stack, top, right_centroids, node_end + 1, right_begin, right_end, level + 1, room
         )
         top = push_pending(
-            stack, top, left_middles, node_end, first, left_end, level + 1, right_begin
+            stack, top, left_centroids, node_end, first, left_end, level + 1, right_begin
         )
         node_end = np.int32(node_end + 2)
     merged = collapse_subtree(box_at, link_at, root, node_end, settings, address(costs))

@@ -1,4 +1,4 @@
-"""Growing the binary tree over a range of references on one thread."""
+"""Build the binary tree over a range of references on one thread."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ def split_once(refs, begin, end, use_sides, bounds, part_bounds):
     refs : ndarray of shape (A, 8), float32
         Those of the range are reordered.
     begin, end : int
-        The range, of at least two references.
+        The range: at least two references.
     use_sides : bool
-        Else they are halved by count.
+        Else the range is halved by count.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the references, and around their middles.
+        Boxes around the references, and around their centroids.
     part_bounds : ndarray of shape (2, 2, 8), float32
-        Written: the same for both parts.
+        Written: the same of both parts.
 
     Returns
     -------
     int
-        Where the first part ends.
+        End of the first part.
     """
     if begin == end:
         return begin
-    middles = load(f32x8, address(bounds) + np.uint64(REF_BYTES))
-    middle, left, left_middles, right, right_middles = split(
+    centroids = load(f32x8, address(bounds) + np.uint64(REF_BYTES))
+    middle, left, left_centroids, right, right_centroids = split(
         address(refs),
         np.int32(begin),
         np.int32(end),
-        middles,
+        centroids,
         use_sides,
         0,
         scratch(BINS_BYTES),
@@ -58,15 +58,15 @@ def split_once(refs, begin, end, use_sides, bounds, part_bounds):
     )
     to = address(part_bounds)
     store(to, left)
-    store(to + np.uint64(REF_BYTES), left_middles)
+    store(to + np.uint64(REF_BYTES), left_centroids)
     store(to + np.uint64(2 * REF_BYTES), right)
-    store(to + np.uint64(3 * REF_BYTES), right_middles)
+    store(to + np.uint64(3 * REF_BYTES), right_centroids)
     return np.int64(middle)
 
 
 @kernel
 def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
-    """Build all of the binary tree over a range, and decide how it will be collapsed.
+    """Build the binary tree over a range, and decide how it will be collapsed.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     depth : int
         Nodes above the range.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the references, and around their middles.
+        Boxes around the references, and around their centroids.
     settings : BuildSettings
     costs : ndarray of shape (2 (end - begin), 8), float32
         Scratch.
@@ -94,8 +94,8 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
     root = np.int32(2 * begin)
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
-    middles = load(f32x8, bound_at + np.uint64(REF_BYTES))
-    top = push_pending(stack, np.uint64(0), middles, root, begin, end, depth, end)
+    centroids = load(f32x8, bound_at + np.uint64(REF_BYTES))
+    top = push_pending(stack, np.uint64(0), centroids, root, begin, end, depth, end)
     node_end = np.int32(root + 1)
     while top != np.uint64(0):
         top -= np.uint64(1)
@@ -104,15 +104,15 @@ def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
         if last - first <= small:
             continue
         node, level = pending.node, pending.depth
-        middle, left, left_middles, right, right_middles = split(
-            ref_at, first, last, pending.middles, level < sah_depth, plain_size, bins, sums
+        middle, left, left_centroids, right, right_centroids = split(
+            ref_at, first, last, pending.centroids, level < sah_depth, plain_size, bins, sums
         )
         link = Link(link_at, np.uint64(node))
         link.left, link.right = node_end, np.int32(node_end + 1)
         put_node(box_at, link_at, node_end, left, first, middle)
         put_node(box_at, link_at, node_end + 1, right, middle, last)
-        top = push_pending(stack, top, right_middles, node_end + 1, middle, last, level + 1, last)
-        top = push_pending(stack, top, left_middles, node_end, first, middle, level + 1, middle)
+        top = push_pending(stack, top, right_centroids, node_end + 1, middle, last, level + 1, last)
+        top = push_pending(stack, top, left_centroids, node_end, first, middle, level + 1, middle)
         node_end = np.int32(node_end + 2)
     merged = collapse_subtree(box_at, link_at, root, node_end, settings, address(costs))
     store(address(root_costs), merged)

@@ -1,4 +1,4 @@
-"""Writing the nodes and leaves of the wide tree."""
+"""Write the nodes and leaves of the wide tree."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
 
 __all__ = ["READ_AHEAD", "Deferred", "WideTrees", "clear_node", "set_lane", "write_trees"]
 
-#: A wide node to be written: its binary node, its row, its depth (int32).
+#: A wide node to be written: its binary node, row and depth.
 _PENDING = np.dtype([("node", "i4"), ("row", "i4"), ("depth", "i4")])
 _Pending = view(_PENDING)
 _PENDING_STACK_BYTES = (WIDTH * MAX_TREE_DEPTH + 1) * _PENDING.itemsize
@@ -33,7 +33,7 @@ _CHILDREN_BYTES = 4 * WIDTH
 
 _INF = np.float32(np.inf)
 
-#: References after a leaf's that are read too: their triangles will be copied soon.
+#: Distance in references at which corners are prefetched.
 READ_AHEAD = 8
 
 
@@ -49,7 +49,7 @@ class WideTrees(NamedTuple):
     first_nodes, first_blocks : ndarray of shape (K,), int64
         Where each one's nodes and leaf blocks go.
     counts : ndarray of shape (K, 4), int64
-        Nodes, blocks, depth of the deepest node, and children deferred.
+        Nodes, blocks, depth of the deepest node, and deferred children.
     """
 
     roots: NDArray[np.int32]
@@ -60,19 +60,19 @@ class WideTrees(NamedTuple):
 
     @classmethod
     def of(cls, roots: NDArray[np.int32], depths: NDArray[np.int32]) -> WideTrees:
-        """Trees that have not been counted."""
+        """Trees with zeroed counts."""
         count = len(roots)
         firsts = np.zeros(count, np.int64), np.zeros(count, np.int64)
         return cls(roots, depths, *firsts, np.zeros((count, 4), np.int64))
 
 
 class Deferred(NamedTuple):
-    """Children that do not belong to the top of the tree and are not written with it.
+    """Children below the top of the tree, which are not written with it.
 
     Attributes
     ----------
     nodes : ndarray of shape (D,), int32
-        Binary nodes. D is large enough for all; 0 if none are deferred.
+        Binary nodes; D is 0 to defer none.
     rows : ndarray of shape (D,), int64
         Rows of their wide nodes.
     depths : ndarray of shape (D,), int32
@@ -85,7 +85,7 @@ class Deferred(NamedTuple):
 
     @classmethod
     def of(cls, room: int) -> Deferred:
-        """Room for children."""
+        """Room for a number of children."""
         return cls(np.empty(room, np.int32), np.zeros(room, np.int64), np.empty(room, np.int32))
 
 
@@ -112,7 +112,7 @@ def set_lane(node, lane, box, child):
 
 @device_call
 def _unique(ref, count):
-    """Move one reference of each triangle to the front; returns how many there are."""
+    """Move one reference of each triangle to the front; returns their number."""
     kept = np.int32(0)
     for i in range(count):
         moved = load(f32x8, ref + np.uint64(i) * np.uint64(REF_BYTES))
@@ -122,7 +122,7 @@ def _unique(ref, count):
             at = ref + np.uint64(k) * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
             found = found or load(np.int32, at) == prim_id
         if not found:
-            # Changes places, lest anything is lost: a leaf is listed more than once.
+            # Swap, not overwrite: each leaf is visited twice, to count and to write.
             place = ref + np.uint64(kept) * np.uint64(REF_BYTES)
             store(ref + np.uint64(i) * np.uint64(REF_BYTES), load(f32x8, place))
             store(place, moved)
@@ -132,7 +132,7 @@ def _unique(ref, count):
 
 @device_call
 def _write_leaf(ref, count, corners, to):
-    """Write the blocks of a leaf from address `to` on."""
+    """Write the blocks of a leaf to address `to`."""
     for i in range(np.uint64(count)):
         lane = i & np.uint64(BLOCK_SIZE - 1)
         block = to + (i >> np.uint64(2)) * BLOCK
@@ -140,7 +140,7 @@ def _write_leaf(ref, count, corners, to):
             clear_block(block)
         id_at = ref + i * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
         prim_id = load(np.int32, id_at)
-        # Corners are far apart: ask for those of a later reference, often of another leaf.
+        # Corners are far apart: prefetch those of a later reference, often of another leaf.
         later = load(np.int32, id_at + np.uint64(READ_AHEAD * REF_BYTES))
         later_corner = corners + np.uint64(later) * TRIANGLE_BYTES
         prefetch(later_corner)
@@ -150,20 +150,20 @@ def _write_leaf(ref, count, corners, to):
 
 @kernel
 def write_trees(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide):
-    """Count, or write, the wide trees below some binary nodes.
+    """Count or write the wide trees below some binary nodes.
 
     Parameters
     ----------
     begin, end : int
         Which of `trees`.
     trees : WideTrees
-        Counted, or written where their counts say.
+        Counts are written, or the trees from `first_nodes` and `first_blocks` on.
     deferred : Deferred
         Written when counting, read when writing.
     has_duplicates : bool
-        Whether a triangle may have several references: a leaf has only one of it.
+        Whether a triangle may have several references: a leaf has each triangle once.
     write : bool
-        Else only counted.
+        Else only count.
     tree : BinaryTree
     corners : ndarray of shape (F, 3, 3), float32
         Of all triangles.
