@@ -25,7 +25,7 @@ from raystream.cuda.bvh.kernels import lay_out
 from raystream.cuda.catalogue import catalogue_of
 from raystream.cuda.structures import kernels_of
 from raystream.jit.cuda import CAPABILITIES
-from raystream.kernels.collect import HitArrays
+from raystream.kernels.hits import HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.tally import COLUMNS, new_tallies
 

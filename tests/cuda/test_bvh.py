@@ -27,7 +27,7 @@ from raystream.cuda.bvh.pairs import depth_of
 from raystream.cuda.bvh.slots import assign_slots
 from raystream.cuda.structures import kernels_of
 from raystream.cuda.threads import SeenTables
-from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.structures import build_structure
 from strategies import meshes, scenes_and_rays

@@ -24,7 +24,7 @@ from raystream.cuda.structures import kernels_of
 from raystream.jit.cpu import FLAGS, device
 from raystream.jit.simd import load, store
 from raystream.jit.warp import active_mask, ballot
-from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.tally import new_tallies
 from raystream.structures import build_structure

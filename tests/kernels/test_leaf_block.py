@@ -8,7 +8,7 @@ from conftest import assert_same_bits
 from meshes import lattice_soup, soup
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
-from raystream.kernels.collect import HitArrays, hit_addresses
+from raystream.kernels.hits import HitArrays, hit_addresses
 from raystream.kernels.leaf_block import (
     BLOCK,
     BLOCK_FLOATS,

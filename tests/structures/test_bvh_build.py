@@ -11,7 +11,7 @@ from raystream.kernels.aligned import aligned_array
 from raystream.structures.bvh.build import QUALITIES, build_arrays
 from raystream.structures.bvh.layout import MAX_DEPTH, BvhArrays, check_arrays
 from raystream.structures.bvh.refit import refit
-from raystream.structures.bvh.spatial import PAD
+from raystream.structures.bvh.spatial_splits import PAD
 from raystream.structures.bvh.statistics import statistics
 
 

@@ -12,7 +12,7 @@ from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, scratch
-from raystream.kernels.collect import HitArrays, hit_addresses, sort_hits
+from raystream.kernels.hits import HitArrays, hit_addresses, sort_hits
 from raystream.kernels.leaf_block import BLOCK, block_ray, intersect_block, triangle_count
 from raystream.kernels.local_frame import LocalRays
 from raystream.kernels.ray import SceneFrame, prepare_ray

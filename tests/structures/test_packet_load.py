@@ -9,7 +9,7 @@ from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, narrow, store
 from raystream.kernels.ray_source import RaySource
 from raystream.structures.bvh.packet_load import load_origins
-from raystream.structures.bvh.packet_rays import GROUPS, group_rows, packet_order
+from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
 
 
 @kernel
@@ -31,6 +31,6 @@ def test_the_first_rays_of_a_batch():
     batch = RayBatch(origins, np.ones((16, 3), np.float32))
     source, kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
     out = np.zeros(16, np.float32)
-    assert _load_the_first(source, packet_order((16,))[0], out) == 16
+    assert _load_the_first(source, PacketOrder.of((16,)), out) == 16
     assert out.tolist() == origins[:, 0].tolist()
     del kept

@@ -13,7 +13,7 @@ from raystream.core.query import UNLIMITED, Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.cpu import device
 from raystream.jit.simd import store
-from raystream.kernels.collect import HitArrays
+from raystream.kernels.hits import HitArrays
 from raystream.kernels.queries import ray_queries
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.search import is_full

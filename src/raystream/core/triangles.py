@@ -139,7 +139,7 @@ class Triangles:
         Returns
         -------
         Triangles
-            See `kernels.moving.move_triangles`, which computes the arguments.
+            See `kernels.move_triangles.move_triangles`, which computes the arguments.
         """
         triangles = Triangles.__new__(Triangles)
         triangles.corners, triangles.mesh_splits = corners, self.mesh_splits

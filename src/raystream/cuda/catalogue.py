@@ -19,7 +19,7 @@ from raystream.cuda.scan import NOTE
 from raystream.cuda.structures import kernels_of
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import Compiled, RangeKernel
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.scene.scene import Scene

@@ -19,7 +19,7 @@ from raystream.cuda.threads import SeenTables, ThreadQueries
 from raystream.cuda.triangles import DeviceTriangles
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel, StreamScope, stream_of
 from raystream.jit.threads import Progress
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import ResultAddresses
 

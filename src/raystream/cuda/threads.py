@@ -14,7 +14,7 @@ import numpy as np
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.queries import Goal, RayScene, finish_first, finish_rows, ray_search
 from raystream.kernels.search import SeenSet, clear_seen
 from raystream.kernels.tally import ROW, SHADINGS, add_to

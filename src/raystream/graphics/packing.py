@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raystream.kernels.collect import HitArrays
+from raystream.kernels.hits import HitArrays
 from raystream.kernels.local_frame import LocalRays
 
 __all__ = [

@@ -1,1 +1,1 @@
-"""Device functions that every structure shares: ray set-up, slab test, triangle test, queries."""
+"""Kernels that all structures share: ray preparation, slab and triangle tests, query loops."""

@@ -12,10 +12,7 @@ ALIGNMENT = 64
 
 
 def aligned_array(row_count: int, row_floats: int) -> NDArray[np.float32]:
-    """An array of shape (row_count, row_floats), float32, that starts at a cache line.
-
-    Its content is undefined.
-    """
+    """Uninitialised float32 array of shape (row_count, row_floats) that begins at a cache line."""
     byte_count = row_count * row_floats * 4
     memory = np.empty(byte_count + ALIGNMENT, np.uint8)
     skipped = -memory.ctypes.data % ALIGNMENT

@@ -1,4 +1,4 @@
-"""HitBatch: hits in the batches in which a traversal finds them, for multi-hit and programs."""
+"""Batches of hits, as a traversal delivers them to multi-hit queries and programs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
 from raystream.jit.threads import parallel_for, thread_count
-from raystream.kernels.collect import HitArrays, count_rows, place_rows
+from raystream.kernels.hits import HitArrays, count_rows, place_rows
 
 __all__ = [
     "CHECKED_HITS",
@@ -21,20 +21,18 @@ __all__ = [
     "for_each_chunk",
 ]
 
-#: Hits for which it is worth asking the system whether it has the memory, which takes longer
-#: than a small query.
+#: From this many hits on the free memory is checked, which takes longer than a small query.
 CHECKED_HITS = 1 << 20
 
-#: Rays of a part of an answer that lies in memory as a whole: at least, at most.
+#: Fewest and most rays of a chunk of a result that is in memory.
 LEAST_PART, MOST_PART = 1 << 13, 1 << 17
 
-
-#: Of rays that follow each other, as kernels take them.
+#: `ids` of consecutive rays, for kernels.
 _NO_IDS = np.empty(0, np.int64)
 
 
 class HitBatch(NamedTuple):
-    """Hits of some rays of a batch.
+    """Hits of some of the rays of a query.
 
     Attributes
     ----------
@@ -44,9 +42,9 @@ class HitBatch(NamedTuple):
         The i-th ray's rows are splits[i] to splits[i + 1]. None if each ray has one row,
         whose prim_id may be -1; or each hit has its own entry in `ids`.
     ids : ndarray of shape (n,), int64, or None
-        The rays' indices in the batch; None if they follow each other. Without splits: int32.
+        The rays' indices in the batch; None if they are consecutive. Without splits: int32.
     first : int
-        The first one's index, if they follow each other.
+        The first one's index, if they are consecutive.
     """
 
     hits: HitArrays
@@ -66,11 +64,11 @@ class HitBatch(NamedTuple):
 
     @property
     def rays(self) -> slice | NDArray[np.int64] | NDArray[np.int32]:
-        """The rays' indices in the batch, as NumPy takes them."""
+        """The rays' indices in the batch, to index arrays with."""
         return slice(self.first, self.first + len(self)) if self.ids is None else self.ids
 
 
-#: Takes hits, from several threads at a time; their memory is used again afterwards.
+#: Called from several threads; the hits' memory is reused after the call.
 HitVisitor = Callable[[HitBatch], object]
 
 
@@ -90,7 +88,7 @@ def for_each_chunk(found: HitBatch, visitor: HitVisitor) -> None:
 
 
 def allocate_hits(count: int) -> HitArrays:
-    """Make room for the hits of `multi_hit`; raises MemoryError if there is not so much."""
+    """Allocate the hits of `multi_hit`; raises MemoryError if there is not enough memory."""
     if count >= CHECKED_HITS:
         _check_hits(count)
     return HitArrays.empty(count)
@@ -102,7 +100,7 @@ def _check_hits(count: int) -> None:
 
 
 class HitAccumulator:
-    """Copies batches of hits until all are there.
+    """Copies of batches of hits, joined at the end.
 
     Parameters
     ----------
@@ -119,13 +117,13 @@ class HitAccumulator:
         count_rows(np.zeros(1, np.int64), _NO_IDS, 0, self._counts)  # compile on this thread
 
     def take(self, found: HitBatch, again: bool = False) -> None:
-        """Copy a part with splits; a `HitVisitor`.
+        """Copy a batch with splits; a `HitVisitor`.
 
         Parameters
         ----------
         found : HitBatch
         again : bool
-            Whether its rays were in parts before, whose hits come first.
+            Whether its rays had hits in earlier batches, which come first.
         """
         splits = found.splits
         assert splits is not None
@@ -134,7 +132,7 @@ class HitAccumulator:
         if begin == end:
             return
         self._found += end - begin
-        if self._found >= self._unchecked:  # room for `whole`, while there still is some
+        if self._found >= self._unchecked:  # before the memory for `whole` runs out
             self._unchecked = self._found + CHECKED_HITS
             _check_hits(self._found)
         ids = _NO_IDS if found.ids is None else found.ids.astype(np.int64)

@@ -1,10 +1,9 @@
 """The leaf block: four triangles side by side. Its layout, its writer and its test.
 
-The leaves of the BVH, the kd-tree and the graph are rows of blocks, and a ray meets the triangles
-in them here and nowhere else, on the CPU and on CUDA, on both machines. The BVH's kernels for many
-rays at once (`structures.bvh`: wavefront, packet, stream) read the same blocks but test them with
-their own code: other lanes are side by side there, 16 rays against one triangle, or rays whose
-numbers lie in records of memory.
+The leaves of the BVH, the kd-tree and the graph are rows of blocks. Single rays are tested against
+them here and nowhere else, on the CPU and on CUDA, on both machines. The BVH's kernels for many
+rays (`structures.bvh`: wavefront, packet, stream) read the same blocks with code of their own:
+their lanes are 16 rays against one triangle, or their rays are records in memory.
 """
 
 from __future__ import annotations
@@ -71,18 +70,17 @@ __all__ = [
     "write_triangle",
 ]
 
-#: Triangles in a block. It holds four numbers each, one for each triangle: x, y, z of vertex 0,
-#: of vertex 1 and of vertex 2; then `prim_id`, as the bits of an int32. A triangle that is absent
-#: has prim_id -1 and coordinates NaN; those are the last ones of their block.
+#: Triangles in a block. It holds vectors of four numbers, one per triangle: x, y, z of vertex 0,
+#: of vertex 1 and of vertex 2; then `prim_id`, as the bits of an int32. Unused lanes have
+#: prim_id -1 and coordinates NaN; they are the last ones of their block.
 BLOCK_SIZE = 4
 
-#: A block: rows of coordinates by corner and axis, then the triangles' numbers; and the same,
-#: triangle by triangle.
+#: A block: coordinates by corner and axis, then prim_ids; and the same with a lane index.
 _BLOCK = np.dtype([("corners", "f4", (3, 3, 4)), ("prim_ids", "i4", (4, 1))])
 Block = view(_BLOCK)
 BlockLanes = view([("corners", "f4", (3, 3, 4, 1)), ("prim_ids", "i4", (4, 1))])
 
-#: Hits of a block's triangles; and the same, triangle by triangle.
+#: Hits of a block's triangles; and the same with a lane index.
 HITS = np.dtype([("t", "f4", 4), ("u", "f4", 4), ("v", "f4", 4)])
 Hits = view(HITS)
 HitLanes = view([("t", "f4", (4, 1)), ("u", "f4", (4, 1)), ("v", "f4", (4, 1))])
@@ -91,18 +89,18 @@ HitLanes = view([("t", "f4", (4, 1)), ("u", "f4", (4, 1)), ("v", "f4", (4, 1))])
 BLOCK_BYTES = _BLOCK.itemsize
 BLOCK_FLOATS = BLOCK_BYTES // 4
 
-#: Bytes of a block; of its four coordinates of one axis; where its second and third corners and
-#: its triangles' numbers begin.
+#: Bytes of a block and of its coordinates along one axis; offsets of its second and third corners
+#: and of its prim_ids.
 BLOCK = np.uint64(BLOCK_BYTES)
 AXIS = np.uint64(16)
 SECOND = np.uint64(48)
 THIRD = np.uint64(96)
 PRIM_IDS = np.uint64(144)
 
-#: From the corners of one triangle to those of the next, where all triangles' corners are.
+#: Stride of the array of all triangles' corners.
 TRIANGLE_BYTES = np.uint64(36)
 
-#: Blocks that one call of the kernel that fills them gets.
+#: Blocks that one call of `_fill_blocks` writes.
 _CHUNK = 1 << 14
 
 _NONE = np.uint64(0)
@@ -131,7 +129,7 @@ def clear_block(block):
 
 @device
 def write_corners(block, lane, prim_id, corners):
-    """Copy the corners of a triangle, from those of all triangles, to a lane of a block."""
+    """Copy the corners of a triangle to a lane of a block."""
     at, corner = block + (lane << _WORD), corners + np.uint64(prim_id) * TRIANGLE_BYTES
     for k in range(np.uint64(9)):
         store(at + k * AXIS, load(np.float32, corner + (k << _WORD)))
@@ -157,7 +155,7 @@ def write_triangle(block, lane, prim_id, corners):
 
 @device
 def write_block(block, prim_ids, corners):
-    """Write the triangles whose four numbers are at an address; -1 where there is none."""
+    """Write the triangles whose four prim_ids are at an address; -1 for an unused lane."""
     clear_block(block)
     for lane in range(_LANES):
         prim_id = load(np.int32, prim_ids + (lane << _WORD))
@@ -187,14 +185,14 @@ def filled_blocks(prim_ids: NDArray[np.int32], corners: NDArray[np.float32]) -> 
     Parameters
     ----------
     prim_ids : ndarray of shape (B, 4), int32
-        The triangles of each block; -1 where there is none.
+        The triangles of each block; -1 for an unused lane.
     corners : ndarray of shape (F, 3, 3), float32
-        Those of all triangles.
+        Of all triangles.
 
     Returns
     -------
     ndarray of shape (B, 40), float32
-        It begins at a cache line.
+        Aligned to a cache line.
     """
     blocks = aligned_array(len(prim_ids), BLOCK_FLOATS)
 
@@ -210,7 +208,7 @@ def filled_blocks(prim_ids: NDArray[np.int32], corners: NDArray[np.float32]) -> 
 
 @device
 def blocks_end(block, count):
-    """Address after the blocks of `count` triangles, of which the first is at `block`."""
+    """Address after the blocks of `count` triangles that begin at `block`."""
     return block + ((count + _LANES - _ONE) >> _TWO) * BLOCK
 
 
@@ -221,12 +219,12 @@ def triangle_count(block):
 
 
 class BlockRay(NamedTuple):
-    """What a block's test needs of a ray; triples are in the order of its frame.
+    """A ray as the block test takes it; triples are in the order of its frame.
 
     Attributes
     ----------
     axis : triple of uint64
-        Where a corner has the coordinates of an axis, in bytes.
+        Byte offset of each axis in a corner.
     inv, near, far : triple of float32
         Reciprocal direction, and the constants of the slab distances.
     origin, direction, shear : triple of float32
@@ -248,7 +246,7 @@ def _in_frame(ray, x, y, z):
 
 @device
 def block_ray(ray):
-    """What `intersect_block` needs of a `kernels.ray.Ray`."""
+    """The `BlockRay` of a `kernels.ray.Ray`."""
     return BlockRay(
         (ray.kx * AXIS, ray.ky * AXIS, ray.kz * AXIS),
         (
@@ -316,9 +314,10 @@ def _test_block(block, ray, t_min, t_far, surfaces, lanes):
     candidates = candidates & (t_in <= t_out) & (t_in <= t_far) & (t_out >= t_min)
     if not any_lane(candidates):
         return _NONE
-    # The distance before the weights: a ray that leaves a surface meets its triangle behind its
-    # origin, and needs none. (Single bounce, ambient occlusion and shadow rays on the bunny and
-    # conference, one thread of a Zen 5: 1.03 to 1.05 times as fast; primary rays: the same.)
+    # The distance before the barycentrics, which a ray that leaves a surface does not need: it
+    # meets the surface's triangle behind its origin. (Single bounce, ambient occlusion and shadow
+    # rays on the bunny and conference, one thread of a Zen 5: 1.03 to 1.05 times as fast; primary
+    # rays: the same.)
     d = ray.direction
     t = plane_distance(
         (widen(a[0]), widen(a[1]), widen(a[2])),

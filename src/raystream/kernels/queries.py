@@ -1,4 +1,8 @@
-"""The queries as loops over rays, around any structure's traversal."""
+"""The queries as loops over rays, around any structure's traversal.
+
+The threads of CUDA (`cuda.threads`) are made of the same functions for a ray: `ray_search`, and
+those that write its results.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from raystream.core.query import Kind, Query
 from raystream.core.rays import RayStatus
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, load, scratch, store
-from raystream.kernels.collect import HitAddresses, hit_addresses, sort_hits
+from raystream.kernels.hits import HitAddresses, hit_addresses, sort_hits
 from raystream.kernels.ray import SceneFrame, prepare_ray, world_t
 from raystream.kernels.ray_source import RaySource, ResultAddresses, load_ray
 from raystream.kernels.search import LEAST_ROOM, SeenSet, begin_search, clear_seen
@@ -38,12 +42,12 @@ _ZERO = np.float32(0.0)
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
 
-#: How much more room a ray gets whose set of triangles seen was too small.
+#: Growth of a set of triangles seen that was too small.
 _GROWTH = np.uint64(8)
 
 
 class RayScene(NamedTuple):
-    """What all rays of a query share.
+    """The arguments that all rays of a query share.
 
     Attributes
     ----------
@@ -52,9 +56,9 @@ class RayScene(NamedTuple):
     arrays : NamedTuple
         The structure's arrays.
     stack : uint64
-        Address of the memory that the traversal needs.
+        Address of the traversal's memory.
     status : uint64 or None
-        Address of the first ray's status, a byte each; written for invalid rays only.
+        Address of the first ray's status, a byte; written for invalid rays only.
     """
 
     source: RaySource
@@ -65,7 +69,7 @@ class RayScene(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What is wanted of one ray: see `kernels.search.Search`."""
+    """The goal of one ray's search: see `kernels.search.Search`."""
 
     capacity: np.uint64
     hits: HitAddresses | None
@@ -82,7 +86,7 @@ def _note_status(at, i, status):
 
 
 def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
-    """Make the search of one ray around a structure's traversal.
+    """Make the search of a single ray with a structure's traversal.
 
     Parameters
     ----------
@@ -93,7 +97,7 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
     -------
     device function
         ``search_ray(i, scene, goal) -> (search, ray)`` for ray i of a `RayScene` and a `Goal`: the
-        search when it is over, and the `LocalRay`.
+        finished search and the `LocalRay`.
     """
 
     @device
@@ -119,14 +123,14 @@ def ray_search(traverse: Callable[..., Any]) -> Callable[..., Any]:
 
 @device
 def finish_first(out, i, count, ray):
-    """Write a miss where ray i has no hit, else its hit's distance in world direction lengths.
+    """Convert the t of ray i's hit to world direction lengths, or write a miss.
 
     Parameters
     ----------
     out : ResultAddresses or HitAddresses
     i : uint64
     count : uint64
-        Hits that were found.
+        Hits found.
     ray : LocalRay
     """
     at = i << _WORD
@@ -141,7 +145,7 @@ def finish_first(out, i, count, ray):
 
 @device
 def finish_rows(hits, first, count, ray, sorts):
-    """Sort a ray's hits by t, then prim_id, if `sorts`; distances in world direction lengths."""
+    """Convert the t of a ray's hits to world direction lengths; if `sorts`, sort them."""
     if sorts:
         sort_hits(hits, first, count)
     for row in range(first, first + count):
@@ -150,18 +154,18 @@ def finish_rows(hits, first, count, ray, sorts):
 
 
 class Wanted(NamedTuple):
-    """What is wanted of every ray.
+    """The goal of a query that finds several hits per ray.
 
     Attributes
     ----------
     repeats : bool
-        The structure lists a triangle more than once.
+        The structure has duplicates.
     surfaces : bool
         See `kernels.triangle.intersect`.
     limit : uint64
-        Most hits of a ray.
+        Most hits per ray.
     sorts : bool
-        Hits by t, then prim_id.
+        Hits are sorted by t, then prim_id.
     """
 
     repeats: bool
@@ -176,11 +180,11 @@ class Wanted(NamedTuple):
 
 
 class RayQueries(NamedTuple):
-    """Compiled loops over the rays begin to end; all share one traversal.
+    """Compiled loops over the rays begin to end, with one traversal.
 
     Each takes ``(begin, end, source, frame, arrays, tallies, ...)``: a `RaySource`, the
-    `SceneFrame` of its rays, the structure's arrays, and an array of counts or None, which counts
-    nothing, at no cost. What ray i meets is added to row i, see `kernels.tally`.
+    `SceneFrame` of its rays, the structure's arrays, and the rays' tallies (`kernels.tally`), or
+    None for no counting, at no cost.
 
     Attributes
     ----------
@@ -193,11 +197,11 @@ class RayQueries(NamedTuple):
     multi_hit : (..., wanted, splits, hits)
         Writes the nearest splits[i + 1] - splits[i] hits of ray i, sorted, from row splits[i] of
         `hits` (HitArrays) on.
-    gather : (begin, end, source, frame, arrays, status, wanted, splits, hits)
-        Writes the nearest hits of each ray into rows 0 to splits[end - begin] of `hits`.
-        Returns the first ray that is not done: `end`, or one that finds no room in `hits`.
+    collect_hits : (begin, end, source, frame, arrays, status, wanted, splits, hits)
+        Writes the nearest hits of each ray to rows 0 to splits[end - begin] of `hits`. Returns the
+        first ray that is not done: `end`, or one whose hits do not fit.
 
-    Distances are in world direction lengths. `status` is the address of a byte for each ray,
+    Distances are in world direction lengths. `status` is the address of a byte per ray,
     written for invalid ones. `wanted` is a `Wanted`.
     """
 
@@ -205,7 +209,7 @@ class RayQueries(NamedTuple):
     any_hit: Callable[..., None]
     count_hits: Callable[..., None]
     multi_hit: Callable[..., None]
-    gather: Callable[..., int]
+    collect_hits: Callable[..., int]
 
 
 def output_of(query: Query, sink: Sink, repeats: bool) -> tuple[Any, ...]:
@@ -232,7 +236,7 @@ def _no_set(table):
 
 @device
 def _new_table(repeats):
-    """Memory of a set for triangles seen; without places where none is needed."""
+    """Memory of a set of triangles seen; without slots unless the structure repeats some."""
     table = np.empty((LEAST_ROOM if repeats else _NONE) + _ONE, np.int32)
     clear_seen(_seen_at(table))
     return table
@@ -253,18 +257,17 @@ def ray_queries(
     Parameters
     ----------
     traverse : device function
-        ``traverse(view, ray, search, stack)`` visits every triangle of `view`, the structure's
-        `arrays`, whose hit with `ray` the search may want, offers their hits to it
-        (`kernels.search`), and returns the search. It may be given one that has hits already,
-        from elsewhere, but none that is full; it returns as soon as it `is_full`. What it meets
-        it adds to ``search.counters`` (`kernels.tally`).
+        ``traverse(view, ray, search, stack)`` offers the hits of `ray` with the triangles of
+        `view`, the structure's `arrays`, to the search (`kernels.search`), and returns it. It may
+        leave out hits that cannot change the result. The search may have hits from elsewhere, but
+        is not full; traversal returns as soon as it `is_full`. Steps and tests are added to
+        ``search.counters`` (`kernels.tally`).
     stack_bytes : int
-        Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8.
-        What a traversal leaves there, the next ray's finds; before the first ray, the first
-        8 bytes are 0.
+        Size of the memory at the address `stack`, which is aligned to 64 bytes; at least 8. It
+        keeps its contents from ray to ray; before the first ray, the first 8 bytes are 0.
     has_duplicates : bool
-        Whether the traversal may offer a triangle more than once: then searches for several hits
-        remember the triangles of their hits, where `repeats` is true.
+        Whether the traversal may offer a triangle more than once: searches for several hits then
+        keep a set of the triangles seen, where `repeats` is true.
 
     Returns
     -------
@@ -344,7 +347,7 @@ def ray_queries(
                 table = _new_table(True)
 
     @kernel
-    def gather(begin, end, source, frame, arrays, status, wanted, splits, hits):
+    def collect_hits(begin, end, source, frame, arrays, status, wanted, splits, hits):
         stack = scratch(stack_bytes)
         store(stack, _NONE)
         scene = RayScene(source, frame, arrays, stack, status)
@@ -371,4 +374,4 @@ def ray_queries(
             splits[i + _ONE - np.uint64(begin)] = row
         return np.int64(end)
 
-    return RayQueries(first_hit, any_hit, count_hits, multi_hit, gather)
+    return RayQueries(first_hit, any_hit, count_hits, multi_hit, collect_hits)

@@ -1,8 +1,8 @@
 """One ray: from world space to the scene's local frame, prepared for box and triangle tests.
 
-The move is done in float64 (design decision 3): translating by the scene's centre, scaling
-directions by a power of two, and advancing origins that lie far outside to the scene's box.
-Then float32 suffices for the rest.
+The way to the local frame is in float64 (design decision 3): translation by the scene's centre,
+directions scaled by a power of two, and origins far outside advanced to the scene's box. Then
+float32 suffices.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ __all__ = [
 _VALID = np.uint8(RayStatus.VALID)
 _INVALID = np.uint8(RayStatus.INVALID)
 
-#: Origins further outside the scene's box than this many times its largest coordinate are
-#: advanced: nearer ones lose at most three bits of float32 to the distance.
+#: Origins are advanced if they are further outside the scene's box than this many times its largest
+#: coordinate: nearer ones lose at most three bits of float32 to the distance.
 FAR = 4.0
 
 #: Coordinates beyond this make a ray invalid: squares of them must stay finite in float64.
 _MAX_COORDINATE = 2.0**200
 
-#: A box is grown by this much of (largest scene coordinate + largest origin coordinate).
+#: Boxes are padded by this much of (largest scene coordinate + largest origin coordinate).
 #: Rounding moves a vertex in the ray's frame by at most about 12 units of 2**-24 of that
-#: sum, so an accepted ray may pass that far outside its triangle's box; 16 units cover it.
+#: sum, so a ray that hits may pass that far outside its triangle's box; 16 units cover it.
 PAD = np.float32(2.0**-20)
 
-#: Direction components below this fraction of the largest one are taken as this in slab
-#: tests: their reciprocal stays finite, and zero needs no case of its own (0 x inf is NaN).
+#: Direction components are clamped to at least this fraction of the largest one in slab tests:
+#: reciprocals stay finite, and zero is no special case (0 x inf is NaN).
 #: Over a length of 2**20 scene sizes such a ray moves by less than the padding.
 TINY_DIRECTION = np.float32(2.0**-40)
 
@@ -60,8 +60,8 @@ _LARGEST = np.float32(np.finfo(np.float32).max)
 class SceneFrame(NamedTuple):
     """The local frame of a scene, see `core.triangles.Triangles`.
 
-    It holds no arrays: kernels hand it on for each ray, and an array costs two atomic
-    operations each time that it is handed to a function.
+    It holds no arrays: kernels pass it on for each ray, and passing an array costs two atomic
+    operations.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class SceneFrame(NamedTuple):
 
     @classmethod
     def identity(cls, triangles: Triangles) -> SceneFrame:
-        """The frame for rays that are local already."""
+        """The frame of rays that are local already."""
         return cls.of(triangles)._replace(center=(0.0, 0.0, 0.0), scale=1.0, inverse_scale=1.0)
 
 
@@ -105,8 +105,8 @@ class LocalRay(NamedTuple):
     t_min, t_max : float32
         Closed interval in local direction lengths; empty for a ray that cannot hit.
     t_scale, t_offset : float64
-        World t = local t * t_scale + t_offset. The t_scale is a power of two, the t_offset zero
-        but for an origin that was advanced.
+        World t = local t * t_scale + t_offset. The scale is a power of two, the offset zero
+        unless the origin was advanced.
     status : uint8
         A `RayStatus`.
     """
@@ -126,7 +126,7 @@ class LocalRay(NamedTuple):
 
 @device
 def world_t(t, t_scale, t_offset):
-    """A local distance in world direction lengths, as it is reported."""
+    """A local distance as it is reported, in world direction lengths."""
     world = np.float32(np.float64(t) * t_scale + t_offset)
     # A distance beyond float32 is still a hit: only a miss is infinite.
     return min(max(world, -_LARGEST), _LARGEST)
@@ -134,16 +134,16 @@ def world_t(t, t_scale, t_offset):
 
 @device
 def _next(t, toward):
-    """The float32 next to t, above it if `toward` is positive, else below."""
+    """The next float32 above t if `toward` is positive, else below."""
     return next_float_up(t) if toward > 0 else -next_float_up(-t)
 
 
 @device_call
 def _local_limit(t, t_scale, t_offset, toward):
-    """The outermost local distance whose reported value is still within the limit t.
+    """The outermost local distance whose reported value is within the limit t.
 
     `toward` is +1 for an upper limit and -1 for a lower one. Reported distances are rounded
-    to float32, so hits at exactly the limit must be looked for up to half a step beyond it.
+    to float32, so a hit at exactly the limit may lie up to half a step beyond it.
     """
     no_inline()
     if not (abs(t) < _INF):
@@ -153,7 +153,7 @@ def _local_limit(t, t_scale, t_offset, toward):
         return exact
     step = np.float64(_next(t, toward)) - np.float64(t)
     limit = np.float32((np.float64(t) + 0.5 * step - t_offset) / t_scale)
-    # The two roundings above are off by a few steps at most.
+    # The two roundings above are off by at most a few steps.
     for _ in range(4):
         beyond = _next(limit, toward)
         if (world_t(beyond, t_scale, t_offset) - t) * np.float32(toward) > 0.0:
@@ -168,13 +168,13 @@ def _local_limit(t, t_scale, t_offset, toward):
 
 @device
 def _outside_by(o, low, high):
-    """How far a coordinate lies outside its side of the scene's box, if it does."""
+    """Distance of a coordinate from the scene's box; negative inside."""
     return max(np.float64(low) - o, o - np.float64(high))
 
 
 @device_call
 def _crossing(o, d, low, high, margin):
-    """Where a line is between two planes, grown by a margin: (t_in, t_out)."""
+    """Interval (t_in, t_out) of a line between two planes that a margin moves apart."""
     to_low = np.float64(low) - margin - o
     to_high = np.float64(high) + margin - o
     if d == 0.0:
@@ -185,7 +185,7 @@ def _crossing(o, d, low, high, margin):
 
 @device_call
 def _entry(ox, oy, oz, dx, dy, dz, frame):
-    """Where the line enters the scene's box grown by the scene's size; inf if it misses it."""
+    """Distance at which a line enters the scene's box, padded by its size; inf for a miss."""
     no_inline()
     margin = np.float64(frame.max_coordinate)
     low, high = frame.low, frame.high
@@ -198,7 +198,7 @@ def _entry(ox, oy, oz, dx, dy, dz, frame):
 
 @device
 def _miss(status):
-    """A ray with an empty interval, which any kernel may trace."""
+    """A ray with an empty interval, safe to trace."""
     return LocalRay(
         _ZERO, _ZERO, _ZERO, _ONE, _ONE, _ONE, _INF, -_INF, np.float64(1.0), np.float64(0.0), status
     )
@@ -220,7 +220,7 @@ def _is_valid(ox, oy, oz, dx, dy, dz, t_min, t_max):
 
 @device_call
 def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
-    """Turn a ray into a local one.
+    """Transform a ray to the local frame.
 
     Parameters
     ----------
@@ -240,23 +240,23 @@ def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
         return _miss(_INVALID)
 
     # Step 1: move by the centre; scale so that the largest component is in [1, 2).
-    # A component that vanishes on the way is below 2**-149 of the largest one.
+    # A component that underflows is below 2**-149 of the largest one.
     ox = (ox - frame.center[0]) * frame.scale
     oy = (oy - frame.center[1]) * frame.scale
     oz = (oz - frame.center[2]) * frame.scale
     exponent = math.frexp(max(abs(dx), abs(dy), abs(dz)))[1]
-    # Products with a power of two are exact; in two steps it stays a float64 even for the
+    # Products with a power of two are exact; in two steps no factor overflows, even for the
     # smallest directions.
     half = math.ldexp(1.0, (1 - exponent) // 2)
     rest = math.ldexp(1.0, (1 - exponent) - (1 - exponent) // 2)
     dx = dx * half * rest
     dy = dy * half * rest
     dz = dz * half * rest
-    # Beyond 2**800 distances leave float32 anyway; the bound keeps the t_scale finite.
+    # Beyond 2**800 distances leave float32 anyway; the bound keeps t_scale finite.
     t_scale = math.ldexp(1.0 / frame.scale, max(-800, min(1 - exponent, 800)))
 
-    # Step 2: advance an origin that lies far outside. A second step corrects what the first
-    # one's rounding leaves of a long way: float64 keeps 2**-53 of it.
+    # Step 2: advance an origin that is far outside. A second step corrects the rounding error of
+    # the first, which is 2**-53 of the distance.
     t_offset = 0.0
     low, high = frame.low, frame.high
     outside = max(
@@ -283,7 +283,7 @@ def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
         np.float32(dx),
         np.float32(dy),
         np.float32(dz),
-        # Adding zero turns -0 into 0, whose bits are in the order of the numbers.
+        # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
         _local_limit(t_min, t_scale, t_offset, -1) + _ZERO,
         _local_limit(t_max, t_scale, t_offset, 1) + _ZERO,
         t_scale,
@@ -293,12 +293,12 @@ def to_local(ox, oy, oz, dx, dy, dz, t_min, t_max, frame):
 
 
 class Ray(NamedTuple):
-    """A ray with all that does not depend on a box or a triangle computed once.
+    """A prepared ray: all that does not depend on a box or a triangle, computed once.
 
     Attributes
     ----------
     kx, ky, kz : int
-        Axes of the frame: kz is the largest direction component's, kx and ky follow in
+        Axes of the frame: kz is that of the largest direction component; kx and ky follow in
         cyclic order.
     ox, oy, oz : float32
         Origin, in the order of the frame (so ``oz`` lies along kz).
@@ -339,13 +339,13 @@ class Ray(NamedTuple):
 
 @device
 def component(k, x, y, z):
-    """What belongs to axis k."""
+    """The component of axis k."""
     return x if k == np.uint64(0) else (y if k == np.uint64(1) else z)
 
 
 @device
 def _reciprocal(d, tiny):
-    # copysign, not a comparison: -0 points to the negative side, as its neighbours do.
+    # copysign, not a comparison: -0 counts as negative, like its neighbours.
     return copy_sign(_ONE / max(abs(d), tiny), d)
 
 
@@ -377,8 +377,8 @@ def prepare_ray(ox, oy, oz, dx, dy, dz, max_coordinate):
     kx = kz + np.uint64(1) if kz < np.uint64(2) else np.uint64(0)
     ky = kx + np.uint64(1) if kx < np.uint64(2) else np.uint64(0)
 
-    # Step 2: slab constants. The padding moves each near plane towards the origin and each
-    # far plane away from it, so it takes the direction's sign.
+    # Step 2: slab constants. Padding moves near planes towards the origin and far planes away
+    # from it, so it has the direction's sign.
     tiny = largest * TINY_DIRECTION
     reach = max(abs(ox), abs(oy), abs(oz))
     pad = PAD * (max_coordinate + reach)

@@ -1,9 +1,8 @@
-"""Rays as the caller gave them, turned into local ones as they are traced.
+"""Addresses of a query's rays and results; a ray is read and made local when it is traced.
 
-Batches are not copied: kernels read the caller's arrays by address, and do for each ray what
-`kernels.ray.to_local` does. Nearly all rays take a short way of the same result; those
-that cannot (float64 directions, far origins, extreme lengths, limits that float32 does not
-keep, invalid numbers) call it.
+Batches are not copied: kernels read the caller's arrays by address. Nearly all rays take a fast
+path with the result of `kernels.ray.to_local`; the others (float64 directions, far origins,
+extreme lengths, limits that float32 cannot represent, invalid numbers) call it.
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ _ZERO = np.float32(0.0)
 _Y = np.uint64(4)
 _Z = np.uint64(8)
 
-#: Origins whose local coordinates are within this many times the scene's largest are surely
-#: not so far outside that `to_local` would advance them, however it rounds.
+#: `to_local` does not advance origins whose local coordinates are within this many times the
+#: scene's largest, however it rounds.
 NEAR_REACH = np.float32(FAR - 1.1)
 
-# Biased exponents of direction lengths, in float64, that one product brings into [1, 2): all
-# that float32 has, and few that it has not.
+# Biased float64 exponents of direction lengths that one product scales to [1, 2): all that
+# float32 has, and few more.
 MANTISSA_BITS = np.int64(52)
 POWER_EXPONENT = np.int64(2046)
 LEAST_EXPONENT = np.int64(1023 - 149)
@@ -48,17 +47,17 @@ MOST_EXPONENT = np.int64(1023 + 127)
 
 
 class RaySource(NamedTuple):
-    """Where rays lie: addresses of the first ray's numbers, and bytes from one ray to the next.
+    """Rays in memory: addresses of the first ray's components, and strides in bytes.
 
     Attributes
     ----------
     origins, directions : int
-        Three adjacent numbers a ray, world space: float32, or float64 where
+        Three adjacent numbers per ray, world space: float32, or float64 where
         `origins_are_double` or `directions_are_double` is true.
     t_min, t_max : int
-        One float32 number a ray.
+        One float32 per ray.
     origin_step, direction_step, t_min_step, t_max_step : int
-        0 where one value serves all rays.
+        0 where all rays share one value.
     """
 
     origins: np.uint64
@@ -80,18 +79,18 @@ class RaySource(NamedTuple):
         limits: Sequence[NDArray[np.float32]],
         packed: bool = False,
     ) -> tuple[RaySource, object]:
-        """Where rays lie, and what must be kept until they are traced.
+        """The source of arrays, and the objects to keep alive until the rays are traced.
 
         Parameters
         ----------
         origins, directions, limits
-            As a `RayBatch` has them.
+            As in a `RayBatch`.
         packed : bool
-            Rays follow each other without gaps, or one value serves them all.
+            Rays must be adjacent, or share one value.
         """
         origins, directions = _readable(origins, packed), _readable(directions, packed)
         t_min, t_max = (_readable(limit, packed) for limit in limits)
-        # One array of numbers takes less time than one number after another.
+        # Faster as one array than one by one.
         o, o_step, d, d_step, low, low_step, high, high_step = np.array(
             (*_place(origins), *_place(directions), *_place(t_min), *_place(t_max)), np.uint64
         )
@@ -103,7 +102,7 @@ class RaySource(NamedTuple):
 
 
 def _readable(array: NDArray[Any], packed: bool) -> NDArray[Any]:
-    """An array whose rows are adjacent, aligned numbers; itself if it is one."""
+    """The array, or a copy whose rows are adjacent, aligned numbers."""
     flags = array.flags
     if flags.c_contiguous and flags.aligned:
         return array
@@ -115,29 +114,28 @@ def _readable(array: NDArray[Any], packed: bool) -> NDArray[Any]:
 
 
 def _place(array: NDArray[Any]) -> tuple[int, int]:
-    """Address, and bytes from row to row, modulo 2**64 if backward."""
+    """Address, and stride in bytes, modulo 2**64 if negative."""
     known = _PLACES.get(id(array))
     if known is not None:
         return known
     return array.ctypes.data, (array.strides[0] % 2**64 if len(array) > 1 else 0)
 
 
-#: Places of arrays that are never freed, by id: asking NumPy takes a microsecond.
+#: Places of arrays that are never freed, by id: NumPy needs a microsecond for an address.
 _PLACES = {id(array): (array.ctypes.data, 0) for array in DEFAULT_LIMITS.values()}
 
 
 class ResultAddresses(NamedTuple):
-    """Where results go: addresses of the first ray's.
+    """Results in memory: addresses of the first ray's.
 
     Attributes
     ----------
     t, u, v, prim_id : int
-        A float32 or int32 number a ray; written if the nearest hits are wanted. t counts in
-        world direction lengths.
+        A float32 or int32 per ray, of first-hit queries. t is in world direction lengths.
     seen : int
-        A byte a ray, 1 where anything was hit; written if any hit is wanted.
+        A byte per ray, of any-hit queries: 1 for a hit.
     status : int
-        A byte a ray, a `RayStatus`; written for invalid rays only.
+        A byte per ray, a `RayStatus`; written for invalid rays only.
     """
 
     t: np.uint64
@@ -149,14 +147,14 @@ class ResultAddresses(NamedTuple):
 
     @classmethod
     def of_first(cls, memory: NDArray[np.float32], status: NDArray[np.uint8]) -> ResultAddresses:
-        """Where the nearest hits go: the rows of an array; see `HitArrays.rows_of`."""
+        """Results of a first-hit query: the rows of an array; see `HitArrays.rows_of`."""
         at, step = memory.ctypes.data, memory.strides[0]
         places = at, at + step, at + 2 * step, at + 3 * step, 0, status.ctypes.data
         return cls(*np.array(places, np.uint64))
 
     @classmethod
     def of_any(cls, seen: NDArray[np.bool_], status: NDArray[np.uint8]) -> ResultAddresses:
-        """Where it goes whether anything is hit; the caller keeps the arrays."""
+        """Results of an any-hit query; the caller keeps the arrays alive."""
         return cls(*np.array((0, 0, 0, 0, seen.ctypes.data, status.ctypes.data), np.uint64))
 
 
@@ -215,11 +213,11 @@ def load_ray(source, i, frame):
         and abs(oy) <= reach
         and abs(oz) <= reach
     ):
-        # 2**(1023 - exponent) brings the largest component into [1, 2).
+        # 2**(1023 - exponent) scales the largest component to [1, 2).
         power = bits_as_float((POWER_EXPONENT - exponent) << MANTISSA_BITS)
         t_scale = power * frame.inverse_scale
         inverse = bits_as_float(exponent << MANTISSA_BITS) * frame.scale
-        # Adding zero turns -0 into 0, whose bits are in the order of the numbers.
+        # Adding zero turns -0 into 0: the bits of positive numbers are in the numbers' order.
         low = np.float32(np.float64(t_min) * inverse) + _ZERO
         high = np.float32(np.float64(t_max) * inverse) + _ZERO
         if np.float64(low) * t_scale == t_min and np.float64(high) * t_scale == t_max:

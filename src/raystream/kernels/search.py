@@ -1,11 +1,11 @@
-"""A search as one value: the interval that is left, the hits so far, and when it is over.
+"""The search of one ray as a value: its interval, the hits so far, and when it is over.
 
-A query loop begins a search, a structure's traversal takes it and returns it, and each leaf on the
-way offers its hits to it. Nothing else knows what a query wants. A search that was begun elsewhere
-goes on in any structure: only `offer` changes its count and its t_far.
+A query loop begins a search, a structure's traversal takes and returns it, and each leaf offers
+its hits to it; no other code depends on the query. A search that was begun in one structure can be
+continued in another: only `offer` changes its count and its t_far.
 
-Members that may be None are known when a kernel is compiled, and code for None is left out. That
-holds for arguments alone, so each such member is asked about by a function that takes it as one.
+Whether an optional member is None is known when a kernel is compiled, and code for None is left
+out. That holds for arguments only, so a function that takes the member as its argument tests it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
-from raystream.kernels.collect import HitAddresses, keep_hit
+from raystream.kernels.hits import HitAddresses, keep_hit
 
 __all__ = [
     "ADDED",
@@ -34,16 +34,16 @@ __all__ = [
     "wants_any",
 ]
 
-#: What `mark_seen` answers.
+#: Results of `mark_seen`.
 SEEN, ADDED, FULL = np.uint64(0), np.uint64(1), np.uint64(2)
 
-#: Places of the smallest set: a power of two.
+#: Slots of the smallest set: a power of two.
 LEAST_ROOM = np.uint64(64)
 
 _FREE = np.int32(-1)
 _WORD = np.uint64(2)  # a number's four bytes, as a shift
 
-#: Spreads the bits of a number over the upper half of a product: 2**64 / golden ratio.
+#: Multiplier of the hash: 2**64 / golden ratio mixes a number's bits into the product's upper half.
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 _UPPER = np.uint64(32)
 
@@ -52,15 +52,15 @@ _ONE = np.uint64(1)
 
 
 class SeenSet(NamedTuple):
-    """A set of triangles in memory; the caller keeps it alive.
+    """A hash set of triangles, for structures that list one more than once; the caller owns it.
 
     Attributes
     ----------
     table : uint64
-        Address of `room` + 1 int32: the places, and how many of them are taken.
+        Address of `room` + 1 int32: the slots, and the number in use.
     room : uint64
-        Places, a power of two; half as many triangles can be added. 0 for a set that remembers
-        nothing, and needs no memory.
+        Slots, a power of two; half as many triangles fit. A set with 0 slots stays empty and
+        needs no memory.
     """
 
     table: np.uint64
@@ -88,8 +88,8 @@ def mark_seen(seen, prim_id):
     Returns
     -------
     uint64
-        `ADDED`, `SEEN` if it was there already, or `FULL` if there is no room: then the ray
-        has to be traced again with a larger set.
+        `ADDED`, `SEEN` if it was in the set, or `FULL` if there is no room: then the ray must be
+        traced again with a larger set.
     """
     table, room = seen.table, seen.room
     if room == _NONE:
@@ -113,10 +113,9 @@ def mark_seen(seen, prim_id):
 
 
 class Search(NamedTuple):
-    """What a ray looks for, and what it has found.
+    """The goal of a ray's search, and its results so far.
 
-    Addresses and numbers alone: an array as a member costs two atomic operations wherever a
-    search is made.
+    Addresses and numbers only: an array member costs two atomic operations per new search.
 
     Attributes
     ----------
@@ -125,17 +124,17 @@ class Search(NamedTuple):
     hit_count : uint64
         Hits kept or counted.
     capacity : uint64
-        Most hits that are wanted, at least 1.
+        Most hits to find, at least 1.
     hits : HitAddresses or None
-        Where the nearest hits are kept; None if they are only counted.
+        The nearest hits; None if hits are only counted.
     first_row : uint64
-        The first of the `capacity` rows of `hits` that are this ray's.
+        The first of this ray's `capacity` rows of `hits`.
     surfaces : bool
         The rule at edges and vertices, see `kernels.triangle.intersect`.
     seen : SeenSet or None
-        The triangles hit so far, for structures that list some more than once.
+        The triangles hit so far, for structures with duplicates.
     has_overflowed : bool
-        `seen` is too small for this ray: the search has to be repeated with a larger one.
+        `seen` is too small for this ray: repeat the search with a larger one.
     counters : uint64 or None
         Address of the ray's counts, see `kernels.tally`.
     """
@@ -154,13 +153,13 @@ class Search(NamedTuple):
 
 @device
 def begin_search(t_min, t_max, capacity, hits, first_row, surfaces, seen, counters):
-    """A search that has found nothing yet; see `Search` for the arguments."""
+    """A search without hits; see `Search` for the arguments."""
     return Search(t_min, t_max, _NONE, capacity, hits, first_row, surfaces, seen, False, counters)
 
 
 @device
 def _changed(search, count, t_far, has_overflowed):
-    """The same search with other results: the one place that makes a search of another."""
+    """The same search with other results."""
     return Search(
         search.t_min,
         t_far,
@@ -230,7 +229,7 @@ def _is_counted(hits):
 
 @device
 def is_full(search):
-    """Whether no hit, wherever it is, can change the result: the traversal returns."""
+    """Whether no further hit can change the result: the traversal returns."""
     is_enough = search.hit_count == search.capacity and _is_counted(search.hits)
     return is_enough or search.has_overflowed
 
@@ -239,13 +238,12 @@ def is_full(search):
 def is_over(search, t_out):
     """Whether no hit at t_out or beyond can change the result.
 
-    For traversals that visit cells in order. A search that only counts is over when it
-    `is_full`, and not before.
+    For traversals that visit cells in order. A counting search is over when it `is_full`.
     """
     return search.hit_count == search.capacity and search.t_far < t_out
 
 
 @device
 def wants_any(search):
-    """Whether one hit is wanted, no matter which."""
+    """Whether this is an any-hit search."""
     return search.capacity == _ONE and _is_counted(search.hits)

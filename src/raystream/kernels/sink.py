@@ -1,4 +1,4 @@
-"""Sink: where the answers of a query go."""
+"""Sink: the memory for a query's results."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.query import Kind, Query
-from raystream.kernels.collect import HitArrays, aligned_rows
 from raystream.kernels.hit_batch import HitBatch, HitVisitor, for_each_chunk
+from raystream.kernels.hits import HitArrays, aligned_rows
 from raystream.kernels.tally import new_tallies
 
 __all__ = ["Sink"]
 
 
 class Sink:
-    """Where the answers of a query go: made before it runs, read afterwards.
+    """The results of a query: allocated before it runs, read afterwards.
 
-    Which of the attributes there are depends on the kind of the query.
+    The kind of the query determines which attributes exist.
 
     Attributes
     ----------
     status : ndarray of shape (N,), uint8
-        A `RayStatus` for each ray: VALID before, changed for invalid ones.
+        A `RayStatus` per ray: VALID before the query, changed for invalid ones.
     hits : HitArrays
         Of `Kind.FIRST_HIT`, row i is ray i's: a miss has t = inf and prim_id = -1. Of
         `Kind.MULTI_HIT`, all rows. World distances, in direction lengths.
     memory : ndarray of shape (4, M), float32
-        What the rows of `Kind.FIRST_HIT` are views of, aligned to cache lines.
+        The memory of the rows of `Kind.FIRST_HIT`, aligned to cache lines.
     seen : ndarray of shape (N,), bool
         Of `Kind.ANY_HIT`: whether anything is in the ray's way.
     counts : ndarray of shape (N,), int64
@@ -36,12 +36,12 @@ class Sink:
     splits : ndarray of shape (N + 1,), int64
         Of `Kind.MULTI_HIT`: ray i owns the rows splits[i] to splits[i + 1].
     visitor : callable
-        Of `Kind.MULTI_HIT`: if given, it gets the hits in batches, and there are no `splits`
-        and `hits`. Called on several threads.
+        Of `Kind.MULTI_HIT`: if given, it takes the hits in batches, and `splits` and `hits` are
+        not set. Called from several threads.
     records : ndarray of shape (N,) or (N, k)
         Of `Kind.TRACE`: each ray's payload, changed in place; None if the program takes none.
     tallies : ndarray of shape (N, 8), uint32
-        If the query counts: what each ray meets is added to its row; see `kernels.tally`.
+        If the query counts: each ray's counts are added to its row; see `kernels.tally`.
     """
 
     hits: HitArrays
@@ -83,7 +83,7 @@ class Sink:
         records: NDArray[Any] | None = None,
         status: NDArray[np.uint8] | None = None,
     ) -> Sink:
-        """Memory for the answers of a query of `count` rays; its own status unless given."""
+        """Allocate the results of a query of `count` rays; also the status unless given."""
         sink = cls(
             np.zeros(count, np.uint8) if status is None else status,
             records=records,
@@ -100,7 +100,7 @@ class Sink:
         return sink
 
     def part(self, rows: slice) -> Sink:
-        """The same memory, of some consecutive rays; of `Kind.MULTI_HIT`, with all hits."""
+        """A view of some consecutive rays; of `Kind.MULTI_HIT`, with all hits."""
         tallies = None if self.tallies is None else self.tallies[rows]
         part = Sink(self.status[rows], tallies=tallies)
         if hasattr(self, "splits"):
@@ -114,7 +114,7 @@ class Sink:
         return part
 
     def put(self, splits: NDArray[np.int64], hits: HitArrays) -> None:
-        """Take all hits of `Kind.MULTI_HIT` at once."""
+        """Store or deliver all hits of `Kind.MULTI_HIT`."""
         if self.visitor is None:
             self.splits, self.hits = splits, hits
         else:

@@ -14,11 +14,11 @@ _ZERO = np.float32(0.0)
 
 @device
 def box_interval(ray, low_x, low_y, low_z, high_x, high_y, high_z):
-    """Distances at which a ray enters and leaves a box grown by the ray's padding.
+    """Distances at which a ray enters and leaves a box that is grown by the ray's padding.
 
     Each distance is one fused multiply-add of a plane, which rounds once and so is
-    monotone in the plane: a box inside another has an interval inside the other's, bit for
-    bit. Traversal rests on that, so every structure uses this function and no other.
+    monotone in the plane: a box inside another one has an interval inside the other's, bit for
+    bit. Traversal depends on that, so every structure uses this function and no other.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Tallies: what rays met on their way, counted while they are traced.
+"""Tallies: counts of the steps, tests and other events of each ray.
 
-A ray's tally is a row of counts, and kernels take its address, or None for a ray that nobody
-counts: code for None is left out when a kernel is compiled, so that not counting costs nothing.
+Kernels take the address of a ray's row of counts, or None for no counting: code for None is left
+out when a kernel is compiled, so not counting costs nothing.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
     "tally_of",
 ]
 
-#: What is counted, in the order of a row: see `machines.counters.RayCounters`.
+#: The counts of a row in order: see `machines.counters.RayCounters`.
 COLUMNS = (
     "steps",
     "leaves",
@@ -43,7 +43,7 @@ COLUMNS = (
     "link_nodes",
 )
 
-#: Where in a row the counts are, in bytes.
+#: Byte offsets of the counts in a row.
 STEPS, LEAVES, TESTS, RESTARTS, BACKTRACKS, BACKTRACK_STEPS, SHADINGS, LINK_NODES = (
     np.uint64(4 * k) for k in range(len(COLUMNS))
 )
@@ -53,13 +53,13 @@ ROW = np.uint64(32)
 
 
 def new_tallies(count: int) -> NDArray[np.uint32]:
-    """Tallies of zero for rays, of shape (count, 8)."""
+    """Zeroed tallies for rays, of shape (count, 8)."""
     return np.zeros((count, int(ROW) // 4), np.uint32)
 
 
 @device
 def tally_of(tallies, i):
-    """The tally of ray i: its address; or None if `tallies` is None."""
+    """Address of the tally of ray i; None if `tallies` is None."""
     return row_address(tallies, np.uint64(i))
 
 
@@ -74,13 +74,13 @@ def add_to(tally, column, more):
 
 @device
 def save_counts(tally, to):
-    """Write what was counted of a ray to an address, of 32 bytes, unless its tally is None."""
+    """Copy a tally to an address with room for 32 bytes, unless it is None."""
     if tally is not None:
         store(to, load(i32x8, tally))
 
 
 @device
 def restore_counts(tally, saved):
-    """Forget what was counted of a ray since `save_counts`."""
+    """Restore a tally from its copy by `save_counts`, unless it is None."""
     if tally is not None:
         store(tally, load(i32x8, saved))

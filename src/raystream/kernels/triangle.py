@@ -1,17 +1,17 @@
-"""The one triangle test: watertight, and the same bits wherever it runs.
+"""The triangle test: watertight, and the same bits on every device.
 
 The ray's frame has the ray as its z axis. A vertex goes there by a translation and a shear,
 whose result (its image) depends on the vertex and the ray alone; so triangles that share a
 vertex or an edge see the same numbers, and no ray slips between them. The edge functions
 U, V, W are the orientations of two images with the origin. Rounding is monotone, so the sign
 that float32 gives to a difference of two products is right unless it gives exactly zero; that
-turns most triangles away. What is left is weighed in float64, where the products of float32
-numbers are exact: on a thin triangle the float32 differences keep their sign but lose their
-size. No multiply-add may be fused here: it would round the two products of an edge
+culls most triangles. The barycentrics of the others are computed in float64, where products of
+float32 numbers are exact: on a thin triangle the float32 differences keep their sign but not
+their size. No multiply-add may be fused here: it would round the two products of an edge
 differently, and the two triangles at the edge would disagree.
 
 Sources: Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", Journal of Computer
-Graphics Techniques 2(1), 2013. The sign argument, the weights in float64 and the clamp to the
+Graphics Techniques 2(1), 2013. The sign argument, the float64 barycentrics and the clamp to the
 triangle's own box are ours: see docs/decisions.
 """
 
@@ -57,11 +57,10 @@ def _own_interval(ray, a, b, c):
 
 @device
 def _plane_distance(ray, a, b, c):
-    """Distance to the plane of corners in the order of the frame, in float64 as they are.
+    """Distance to the plane of corners in the order of the frame, in float64.
 
     The corners' images would do for small triangles. But they are rounded at the size of the
-    triangle: near a corner of the ray's own neighbourhood, a ground of many kilometres would
-    lose all digits of a distance of a metre.
+    triangle: on a ground plane of many kilometres a distance of a metre would lose all digits.
     """
     ax, ay, az = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
     px, py, pz = b[0] - ax, b[1] - ay, b[2] - az
@@ -74,8 +73,8 @@ def _plane_distance(ray, a, b, c):
 
 
 @device_call
-def _owns_edges(ax, ay, bx, by, cx, cy, U, V, W):
-    """Whether this triangle is the one that a ray crosses, of those at an edge or vertex."""
+def _owns_edge(ax, ay, bx, by, cx, cy, U, V, W):
+    """Whether a ray through an edge or vertex crosses this one of the triangles there."""
     sign_u = U if U != 0.0 else _top_left_sign(cx, cy, bx, by)
     sign_v = V if V != 0.0 else _top_left_sign(ax, ay, cx, cy)
     sign_w = W if W != 0.0 else _top_left_sign(bx, by, ax, ay)
@@ -94,16 +93,16 @@ def intersect(ray, corners, i, surfaces):
     i : int
         Row of `corners`.
     surfaces : bool
-        What a ray meets that passes exactly through an edge or a vertex: every triangle
-        there (False), or one for each time that it crosses the surface (True).
+        Whether a ray exactly through an edge or a vertex hits every triangle there (False), or
+        one per crossing of the surface (True).
 
     Returns
     -------
     hit : bool
-        Whether the line through the ray meets the triangle, at any t.
+        Whether the ray's line hits the triangle, at any t.
     t, u, v : float32
-        Distance, clamped to the triangle's own padded slab interval, so that it lies in
-        the interval of every box around the triangle; weights of vertices 1 and 2.
+        Distance, clamped to the triangle's own padded slab interval, so that it lies in the
+        interval of every box around the triangle; barycentric weights of vertices 1 and 2.
     """
     a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
     in_frame = (
@@ -116,7 +115,7 @@ def intersect(ray, corners, i, surfaces):
 
 @device
 def intersect_corners(ray, a, b, c, surfaces):
-    """As `intersect`, of corners that were read: tuples of three float32, local frame."""
+    """Like `intersect`, with the corners as tuples of three float32, local frame."""
     kx, ky, kz = ray.kx, ray.ky, ray.kz
     in_frame = (
         (component(kx, *a), component(ky, *a), component(kz, *a)),
@@ -128,7 +127,7 @@ def intersect_corners(ray, a, b, c, surfaces):
 
 @device
 def _intersect(ray, a, b, c, in_frame, surfaces):
-    """The test, of corners in the world's order and in the frame's."""
+    """The test, with corners in the order of the axes and in the frame's."""
     p, q, r = in_frame
     az = p[2] - ray.oz
     bz = q[2] - ray.oz
@@ -140,14 +139,14 @@ def _intersect(ray, a, b, c, in_frame, surfaces):
     cx = (r[0] - ray.ox) - ray.sx * cz
     cy = (r[1] - ray.oy) - ray.sy * cz
 
-    # Step 1: signs in float32. Different ones are surely different.
+    # Step 1: signs in float32. Those that differ, differ exactly too.
     U = _edge(cx, cy, bx, by)
     V = _edge(ax, ay, cx, cy)
     W = _edge(bx, by, ax, ay)
     if min(U, V, W) < _ZERO and max(U, V, W) > _ZERO:
         return False, _INF, _ZERO, _ZERO
 
-    # Step 2: weights in float64. All have one sign, so their sum loses nothing.
+    # Step 2: edge functions in float64. All have one sign, so their sum does not cancel.
     ax, ay, bx = np.float64(ax), np.float64(ay), np.float64(bx)
     by, cx, cy = np.float64(by), np.float64(cx), np.float64(cy)
     U = _edge(cx, cy, bx, by)
@@ -159,12 +158,12 @@ def _intersect(ray, a, b, c, in_frame, surfaces):
             return False, _INF, _ZERO, _ZERO
         if low == 0.0 and high == 0.0:  # seen edge-on
             return False, _INF, _ZERO, _ZERO
-        if surfaces and not _owns_edges(ax, ay, bx, by, cx, cy, U, V, W):
+        if surfaces and not _owns_edge(ax, ay, bx, by, cx, cy, U, V, W):
             return False, _INF, _ZERO, _ZERO
     scale = 1.0 / (U + V + W)
 
-    # Step 3: the distance to the plane, clamped. (Seen edge-on it is not finite, and the
-    # clamp, written so that a NaN becomes t_in, decides.) Adding zero turns -0 into 0.
+    # Step 3: the distance to the plane, clamped. (Edge-on it is not finite; the clamp turns a NaN
+    # into t_in.) Adding zero turns -0 into 0.
     t = _plane_distance(ray, p, q, r)
     t_in, t_out = _own_interval(ray, a, b, c)
     t = t if t > t_in else t_in

@@ -1,8 +1,8 @@
-"""The triangle test of `kernels.triangle` on many lanes: triangles of a ray, or rays of a packet.
+"""The triangle test of `kernels.triangle` in SIMD lanes: triangles of a ray, or rays of a packet.
 
-Each function takes vectors of any width, or numbers that are the same for all lanes, and does
-the same operations in the same order as the scalar test, so the bits are the same. See there
-for why it is watertight; nothing here may be fused or reordered.
+Each function takes vectors of any width, or scalars for all lanes, and does the operations of the
+scalar test in the same order, so the bits are the same. See there for why it is watertight;
+nothing here may be fused or reordered.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ZERO64 = np.float64(0.0)
 
 
 class ShearedVertices(NamedTuple):
-    """Corners a, b, c of triangles in the rays' frame.
+    """Vertices a, b, c of triangles in the rays' frame: the ray is the z axis.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def _edge(ax, ay, bx, by):
 
 @device
 def signs_agree(sheared):
-    """Mask of the lanes whose edge functions do not surely differ in sign; NaN is not one."""
+    """Mask of the lanes whose edge functions may have one sign; NaN is culled."""
     U = _edge(sheared.cx, sheared.cy, sheared.bx, sheared.by)
     V = _edge(sheared.ax, sheared.ay, sheared.cx, sheared.cy)
     W = _edge(sheared.bx, sheared.by, sheared.ax, sheared.ay)
@@ -94,9 +94,9 @@ def slab_interval(near_x, near_y, near_z, far_x, far_y, far_z, inv, near, far):
     Parameters
     ----------
     near_x, near_y, near_z, far_x, far_y, far_z : float32 vector
-        The plane that a ray meets first and last, for each axis.
+        The first and the last plane of each axis along the ray.
     inv, near, far : tuple of three float32 vectors or numbers
-        Reciprocal direction and the constants of the slab, for each axis.
+        Reciprocal direction and slab constants of each axis.
 
     Returns
     -------
@@ -120,12 +120,12 @@ def plane_distance(a, b, c, o, d):
     Parameters
     ----------
     a, b, c, o, d : tuple of three float64 vectors or numbers
-        Corners, origin and direction, in the order of the frame: float32 numbers.
+        Corners, origin and direction, in the order of the frame; float32 values.
 
     Returns
     -------
     float32 vector
-        Not yet clamped; not finite where the triangle is seen edge-on.
+        Not clamped; not finite for a triangle seen edge-on.
     """
     px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -143,7 +143,7 @@ def _top_left_sign(ax, ay, bx, by):
 
 @device
 def barycentrics(sheared, surfaces):
-    """Weights in float64; see step 2 of `kernels.triangle.intersect`.
+    """Barycentric weights from float64; see step 2 of `kernels.triangle.intersect`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A list of triangles, tested one after another: a cell of a grid, or a whole scene."""
+"""The test of a list of triangles: a cell of a grid, or a whole scene."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def intersect_list(references, corners, begin, end, ray, search, t_in, t_out):
     Parameters
     ----------
     references, corners : uint64
-        Addresses of the lists' triangles (their `prim_id`, int32), and of the corners of all
-        triangles of the scene (9 float32 each).
+        Addresses of the lists (`prim_id`, int32), and of the corners of all triangles of the
+        scene (9 float32 each).
     begin, end : uint64
         The list's references.
     ray : Ray

@@ -9,9 +9,9 @@ import numpy as np
 from raystream.core.query import Kind, Query
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.collect import HitArrays
-from raystream.kernels.growing import Gatherer
+from raystream.kernels.growing_buffers import GrowingBuffers
 from raystream.kernels.hit_batch import HitAccumulator, HitBatch, allocate_hits
+from raystream.kernels.hits import HitArrays
 from raystream.kernels.queries import Wanted, output_of
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
@@ -26,7 +26,7 @@ FIRST_CAPACITY = 1 << 14
 
 
 class HitRows(NamedTuple):
-    """Buffers for `RayQueries.gather`."""
+    """Buffers for `RayQueries.collect_hits`."""
 
     hits: HitArrays
     capacity: int
@@ -122,12 +122,12 @@ class Branching(Backend):
 
         def fill(begin: int, end: int, rows: HitRows) -> int:
             splits = np.empty(end - begin + 1, np.int64)
-            reached = structure.queries.gather(begin, end, *shared, wanted, splits, rows.hits)
+            reached = structure.queries.collect_hits(begin, end, *shared, wanted, splits, rows.hits)
             if reached > begin:
                 visitor(HitBatch(rows.hits, splits[: reached - begin + 1], None, begin))
             return int(reached)
 
-        body = Gatherer(HitRows.of, fill, FIRST_CAPACITY)
+        body = GrowingBuffers(HitRows.of, fill, FIRST_CAPACITY)
         parallel_for(body, len(rays), self._chunk(len(rays)), progress)
         del kept
 

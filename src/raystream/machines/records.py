@@ -9,7 +9,7 @@ import numpy as np
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import prepare_ray
 from raystream.kernels.tally import ROW, add_to
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from raystream.core.choices import DeviceOptions, MachineOptions
 from raystream.jit.threads import Progress
-from raystream.kernels.moving import move_triangles
+from raystream.kernels.move_triangles import move_triangles
 from raystream.machines.backend import Backend
 from raystream.machines.chosen import Chosen, choose
 from raystream.machines.devices import device_of

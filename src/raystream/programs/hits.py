@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from raystream.core.triangles import Triangles
 from raystream.jit.cpu import device
 from raystream.jit.simd import load, store
-from raystream.kernels.collect import HitArrays
+from raystream.kernels.hits import HitArrays
 from raystream.kernels.ray_source import RaySource
 
 __all__ = [

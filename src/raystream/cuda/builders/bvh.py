@@ -21,9 +21,8 @@ from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.jit.threads import Progress
 from raystream.kernels.aligned import aligned_array
 from raystream.structures.base import Structure, UpdateReport
-from raystream.structures.bvh.layout import BvhArrays
+from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
-from raystream.structures.bvh.steps import TreeAddresses
 from raystream.structures.bvh.structure import BvhStructure, hittable_corners
 
 __all__ = ["DeviceBvh", "build_bvh"]

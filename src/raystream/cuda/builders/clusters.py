@@ -17,7 +17,7 @@ from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import f32x8, load, maximum, store
-from raystream.structures.bvh.records import FIRST_AT, RECORD_BYTES, half_area
+from raystream.structures.bvh.prim_refs import FIRST_AT, REF_BYTES, half_area
 
 __all__ = ["KERNELS", "RADIUS", "merge_clusters"]
 
@@ -41,8 +41,8 @@ _INF = np.float32(np.inf)
 @kernel
 def _begin_cluster(i, nodes, clusters):
     """Make a cluster of leaf i."""
-    at = clusters + i * np.uint64(RECORD_BYTES)
-    store(at, load(f32x8, nodes.boxes + i * np.uint64(RECORD_BYTES)))
+    at = clusters + i * np.uint64(REF_BYTES)
+    store(at, load(f32x8, nodes.boxes + i * np.uint64(REF_BYTES)))
     store(at + np.uint64(FIRST_AT), np.int32(i))
 
 
@@ -60,13 +60,13 @@ def _find_match(i, count_at, clusters, radius, by_place, matches):
     if by_place:
         match = i ^ _ONE if (i ^ _ONE) < count else i
     else:
-        own = load(f32x8, clusters + i * np.uint64(RECORD_BYTES))
+        own = load(f32x8, clusters + i * np.uint64(REF_BYTES))
         least = _INF
         first = i - min(i, radius)
         last = min(i + radius, count - _ONE)
         for j in range(first, last + _ONE):
             if j != i:
-                other = load(f32x8, clusters + j * np.uint64(RECORD_BYTES))
+                other = load(f32x8, clusters + j * np.uint64(REF_BYTES))
                 area = half_area(maximum(own, other))
                 if area < least or match == i or (area == least and (i ^ j) < (i ^ match)):
                     match, least = j, area
@@ -97,19 +97,19 @@ def _merge(i, count_at, bound, leaf_count, matches, places, nodes, clusters, to,
         store(to_count_at, after & np.uint64(0xFFFFFFFF))
     if i >= count or own == after:
         return
-    at = clusters + i * np.uint64(RECORD_BYTES)
-    new = to + (own & np.uint64(0xFFFFFFFF)) * np.uint64(RECORD_BYTES)
+    at = clusters + i * np.uint64(REF_BYTES)
+    new = to + (own & np.uint64(0xFFFFFFFF)) * np.uint64(REF_BYTES)
     row = np.uint64(load(np.int32, at + np.uint64(FIRST_AT)))
     if (own >> _UPPER) == (after >> _UPPER):
         store(new, load(f32x8, at))
         store(new + np.uint64(FIRST_AT), np.int32(row))
         return
     match = np.uint64(load(np.uint32, matches + (i << _WORD)))
-    other_at = clusters + match * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+    other_at = clusters + match * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
     # So many nodes were made before this round as there are fewer clusters than leaves.
     made = leaf_count + (leaf_count - count) + (own >> _UPPER)
     join(nodes, made, row, np.uint64(load(np.int32, other_at)))
-    store(new, load(f32x8, nodes.boxes + made * np.uint64(RECORD_BYTES)))
+    store(new, load(f32x8, nodes.boxes + made * np.uint64(REF_BYTES)))
     store(new + np.uint64(FIRST_AT), np.int32(made))
 
 
@@ -152,7 +152,7 @@ def merge_clusters(gpu: Gpu, nodes: Nodes, radius: int = RADIUS) -> int:
         If there is no memory for it: 80 bytes for each leaf.
     """
     bound = nodes.leaf_count
-    clusters, to = (gpu.empty("clusters", (bound, RECORD_BYTES), np.uint8) for _ in range(2))
+    clusters, to = (gpu.empty("clusters", (bound, REF_BYTES), np.uint8) for _ in range(2))
     matches = gpu.empty("matches", bound, np.uint32)
     places = gpu.empty("places", bound + 1, np.uint64)
     counts, to_counts = (_number(gpu, bound) for _ in range(2))

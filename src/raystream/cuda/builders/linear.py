@@ -17,7 +17,7 @@ from raystream.jit.atomics import atomic_add, fence
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
-from raystream.structures.bvh.tree import Link
+from raystream.structures.bvh.binary_tree import Link
 
 __all__ = ["KERNELS", "link_by_keys"]
 

@@ -1,8 +1,8 @@
 """Records in the order of a curve through space: the leaves of a linear BVH.
 
-Nodes are rows, as in `structures.bvh.tree`: the leaves come first, in the order of their keys, and
-then what is above them. A leaf's row has its prim_id where an inner node would have its first
-record.
+Nodes are rows, as in `structures.bvh.binary_tree`: the leaves come first, in the order of their
+keys, then the nodes above them. A leaf's row has its prim_id where an inner node would have its
+first record.
 
 References
 ----------
@@ -21,9 +21,9 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
 from raystream.jit.simd import f32x8, load, maximum, scratch, store
+from raystream.structures.bvh.binary_tree import LINK_BYTES, Link
 from raystream.structures.bvh.collapse import COST_BYTES, leaf_costs, merge_costs
-from raystream.structures.bvh.records import COUNT_AT, RECORD_BYTES, write_record
-from raystream.structures.bvh.tree import LINK_BYTES, Link
+from raystream.structures.bvh.prim_refs import COUNT_AT, REF_BYTES, write_ref
 
 __all__ = [
     "COARSE_BITS",
@@ -54,7 +54,7 @@ class NodesAt(NamedTuple):
     Attributes
     ----------
     boxes, links, costs : uint64
-        See `structures.bvh.tree` and `structures.bvh.collapse`.
+        See `structures.bvh.binary_tree` and `structures.bvh.collapse`.
     max_leaf_size : int64
     """
 
@@ -90,7 +90,7 @@ class Nodes(NamedTuple):
             If there is none: 80 bytes for each node.
         """
         rows = 2 * count
-        boxes = gpu.empty("boxes", (rows, RECORD_BYTES), np.uint8)
+        boxes = gpu.empty("boxes", (rows, REF_BYTES), np.uint8)
         links = gpu.empty("links", (rows, LINK_BYTES), np.uint8)
         costs = gpu.empty("costs", (rows, COST_BYTES), np.uint8)
         addresses = boxes.address, links.address, costs.address
@@ -148,7 +148,7 @@ def _make_key(i, corners, prim_ids, frame, keys, values):
     """Write the key of the triangle in row i of `prim_ids`, and its prim_id."""
     prim_id = load(np.int32, prim_ids + (i << _WORD))
     record = scratch(32)
-    write_record(corners, prim_id, record)
+    write_ref(corners, prim_id, record)
     key = np.uint64(0)
     for axis in range(_AXES):
         at = record + (axis << _WORD)
@@ -161,8 +161,8 @@ def _make_key(i, corners, prim_ids, frame, keys, values):
 @kernel
 def _make_leaf(i, corners, values, nodes):
     """Write row i of the tree: a leaf of one triangle."""
-    box = nodes.boxes + i * np.uint64(RECORD_BYTES)
-    write_record(corners, load(np.int32, values + (i << _WORD)), box)
+    box = nodes.boxes + i * np.uint64(REF_BYTES)
+    write_ref(corners, load(np.int32, values + (i << _WORD)), box)
     store(box + np.uint64(COUNT_AT), np.int32(1))
     link = Link(nodes.links, i)
     link.left, link.is_top = np.int32(-1), np.int32(0)
@@ -172,10 +172,10 @@ def _make_leaf(i, corners, values, nodes):
 @device
 def join(nodes, row, left, right):
     """Write an inner node in a row: its children are two rows that are written."""
-    box = nodes.boxes + row * np.uint64(RECORD_BYTES)
+    box = nodes.boxes + row * np.uint64(REF_BYTES)
     link = Link(nodes.links, row)
-    left_box = nodes.boxes + left * np.uint64(RECORD_BYTES)
-    right_box = nodes.boxes + right * np.uint64(RECORD_BYTES)
+    left_box = nodes.boxes + left * np.uint64(REF_BYTES)
+    right_box = nodes.boxes + right * np.uint64(REF_BYTES)
     count = load(np.int32, left_box + np.uint64(COUNT_AT))
     count += load(np.int32, right_box + np.uint64(COUNT_AT))
     store(box, maximum(load(f32x8, left_box), load(f32x8, right_box)))

@@ -17,8 +17,8 @@ from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
 from raystream.jit.simd import load, scratch, store
 from raystream.kernels.leaf_block import BLOCK, BLOCK_FLOATS, clear_block, write_triangle
+from raystream.structures.bvh.binary_tree import Link
 from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
-from raystream.structures.bvh.emit import clear_node, set_lane
 from raystream.structures.bvh.layout import (
     MAX_BLOCKS,
     MAX_DEPTH,
@@ -26,8 +26,8 @@ from raystream.structures.bvh.layout import (
     NODE_FLOATS,
 )
 from raystream.structures.bvh.options import MAX_LEAF_SIZE
-from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
-from raystream.structures.bvh.tree import Link
+from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
+from raystream.structures.bvh.write_wide import clear_node, set_lane
 
 __all__ = ["KERNELS", "TooDeepError", "WideTree", "make_wide"]
 
@@ -66,7 +66,7 @@ class WideTree(NamedTuple):
 @device
 def _block_count(boxes, row):
     """Leaf blocks of a binary node that becomes a leaf."""
-    count = load(np.int32, boxes + row * np.uint64(RECORD_BYTES) + np.uint64(COUNT_AT))
+    count = load(np.int32, boxes + row * np.uint64(REF_BYTES) + np.uint64(COUNT_AT))
     return (np.uint64(count) + _IN_BLOCK) >> np.uint64(2)
 
 
@@ -138,7 +138,7 @@ def _write_leaf(nodes, root, corners, leaf):
         link = Link(nodes.links, row)
         left = link.left
         if left < np.int32(0):
-            box = nodes.boxes + row * np.uint64(RECORD_BYTES)
+            box = nodes.boxes + row * np.uint64(REF_BYTES)
             _write_triangle(load(np.int32, box + np.uint64(FIRST_AT)), place, corners, leaf)
             place += _ONE
         else:
@@ -158,7 +158,7 @@ def _write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves
     clear_node(to)
     for k in range(_fill_lanes(nodes, root, row == _NONE, lanes)):
         child = _lane(lanes, k)
-        box = nodes.boxes + np.uint64(child) * np.uint64(RECORD_BYTES)
+        box = nodes.boxes + np.uint64(child) * np.uint64(REF_BYTES)
         if is_leaf(nodes.links, child):
             own = np.int32(_block_count(nodes.boxes, np.uint64(child)))
             link = ~((np.int32(block) << np.int32(3)) | (own - np.int32(1)))

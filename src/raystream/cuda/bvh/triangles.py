@@ -15,7 +15,7 @@ from raystream.kernels.leaf_block import BLOCK, BLOCK_SIZE, PRIM_IDS
 from raystream.kernels.search import offer
 from raystream.kernels.tally import TESTS, add_to
 from raystream.kernels.triangle import intersect_corners
-from raystream.structures.bvh.wide import leaf_address, leaf_end
+from raystream.structures.bvh.node_layout import leaf_address, leaf_end
 
 __all__ = ["TRIANGLE", "TRIANGLE_FLOATS", "copy_leaf", "test_triangle"]
 

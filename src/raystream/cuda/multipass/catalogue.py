@@ -11,7 +11,7 @@ from raystream.cuda.multipass.kernels import rays
 from raystream.cuda.multipass.kernels.choose import DECIDE, DECIDE_IN_LOOP
 from raystream.cuda.multipass.passes import pass_of
 from raystream.jit.cuda import RangeKernel
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.machines.records import StepArguments
 from raystream.machines.schedulers import USUAL_THRESHOLD

@@ -28,7 +28,7 @@ from raystream.cuda.multipass.ray_streams import HitGoal, RayStreams, ray_bytes
 from raystream.cuda.multipass.tree import ResidentSteps
 from raystream.cuda.parts import HostQuery, parts_of
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
-from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.sink import Sink
 from raystream.machines.backend import Backend, Capabilities
 from raystream.machines.passes import Passes

@@ -22,7 +22,7 @@ from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import STREAMS, columns_of, pass_of
 from raystream.jit.cuda import DeviceLoop, Gpu, Launch
 from raystream.jit.cuda.scan import Scan
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.tally import new_tallies
 from raystream.machines.records import RayState, StepArguments
 from raystream.machines.steps.base import StepKernel, Steps

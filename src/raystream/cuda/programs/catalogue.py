@@ -11,7 +11,7 @@ from raystream.cuda.programs import steps
 from raystream.cuda.programs.device_program import DeviceProgram
 from raystream.cuda.programs.records import aligned_dtype
 from raystream.jit.cuda import RangeKernel
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource
 from raystream.programs.decisions import Decision

@@ -13,7 +13,7 @@ from raystream.jit.fingerprint import fingerprint
 from raystream.jit.from_source import kernel_from_source
 from raystream.jit.intrinsics import record_at
 from raystream.jit.user_loops import as_device
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
 from raystream.programs.program import check_function
 from raystream.programs.rows import SkipsAt

@@ -19,7 +19,7 @@ from raystream.cuda.programs.steps import IS_HIT, NOTE_INVALID
 from raystream.cuda.query_inputs import QueryInputs
 from raystream.jit.cuda import DeviceArray, StreamScope
 from raystream.jit.threads import Progress
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.programs.filters import Filter
 from raystream.programs.texts import Goal
 

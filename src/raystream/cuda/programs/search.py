@@ -21,7 +21,7 @@ from raystream.cuda.scan import add_up
 from raystream.cuda.tables import with_tables
 from raystream.cuda.threads import SeenTables
 from raystream.jit.cuda import DeviceArray, StreamScope
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.programs.hits import RaysAt, RowsAt, SceneAt
 from raystream.programs.rows import SkipsAt

@@ -18,7 +18,7 @@ from raystream.cuda.rendering.kernels import (
 )
 from raystream.cuda.rendering.tables import plain
 from raystream.jit.cuda import RangeKernel
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.rendering.sampling.sampler import Sampler
 from raystream.rendering.shading.camera_rays import view_of
 from raystream.rendering.shading.light_tables import lights_of

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cuda import DeviceArray
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import RaySource
 from raystream.rendering.shading.streams import StreamAddresses
 

@@ -1,5 +1,5 @@
 // Keeping the nearest hits of a ray: a heap whose root is the last one, sorted at the end. As
-// raystream/kernels/collect.py. A ray's rows are its own, so no other invocation touches them.
+// raystream/kernels/hits.py. A ray's rows are its own, so no other invocation touches them.
 
 fn row_before(a: Row, b: Row) -> bool {
     return is_before(a.t, a.prim_id, b.t, b.prim_id);

@@ -1,4 +1,4 @@
-// What a ray has found, and what it still wants. As raystream/kernels/collect.py.
+// What a ray has found, and what it still wants. As raystream/kernels/hits.py.
 
 const FIRST_HIT: u32 = 0u;
 const ANY_HIT: u32 = 1u;

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.jit.inspect import Code, assume, compile_code
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.machines.ray_streams import declared_as
 from raystream.machines.records import FOUND, RAY, WANTED, StepArguments
 from raystream.machines.steps import Steps

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.rays import RayBatch
-from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.local_frame import LocalRays
 from raystream.lab.kernels.record_code import first_hit_query
 from raystream.machines.ray_block import blocks

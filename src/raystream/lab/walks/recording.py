@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from raystream.core.memory import check_memory
 from raystream.core.rays import RayBatch
 from raystream.jit.threads import Progress, parallel_for, part_of
-from raystream.kernels.collect import HitAddresses, HitArrays
+from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.tally import new_tallies
 from raystream.lab.walks.record_loop import search_loop, visits_of
 from raystream.lab.walks.walks import Walks

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
 from raystream.jit.simd import address, as_int32, mask_bits, popcount, scatter
-from raystream.kernels.collect import HitAddresses
+from raystream.kernels.hits import HitAddresses
 from raystream.rendering.shading.points import spawned
 from raystream.rendering.shading.rows import (
     append_numbers,

@@ -1,4 +1,4 @@
-"""Choosing where to split a set of records: the surface area heuristic over bins."""
+"""Binned SAH: where to split a range of primitive references."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.kernels.leaf_block import BLOCK_SIZE
-from raystream.structures.bvh.records import (
-    RECORD_BYTES,
+from raystream.structures.bvh.prim_refs import (
+    REF_BYTES,
+    empty_bin,
     half_area,
     high_half,
     low_half,
-    nothing,
-    with_record,
+    union,
 )
 
 __all__ = [
@@ -31,20 +31,20 @@ __all__ = [
     "BIN_COUNT",
     "SUMS_BYTES",
     "bin_frame",
-    "bin_records",
+    "bin_refs",
     "block_count",
     "clear_bins",
     "find_split",
 ]
 
-#: Most bins along an axis. 16 find splits within a few per cent of an exact sweep's cost.
+#: Most bins per axis. 16 find splits within a few per cent of an exact sweep's cost.
 BIN_COUNT = 16
 
-#: Bins: a box for each bin, all of one axis, then of the next.
-_AXIS_BYTES = BIN_COUNT * RECORD_BYTES
+#: Bins: a box for each bin, axis after axis.
+_AXIS_BYTES = BIN_COUNT * REF_BYTES
 BINS_BYTES = 3 * _AXIS_BYTES
 
-#: What `find_split` keeps of its sweep from the right: a cost for each bin.
+#: Costs of `find_split`'s sweep from the right, one per bin.
 SUMS_BYTES = BIN_COUNT * 4
 
 _INF = np.float32(np.inf)
@@ -52,17 +52,17 @@ _ZERO = np.float32(0.0)
 
 
 @device
-def bin_frame(middles, bin_count):
-    """Where bins begin, and bins in a unit of twice the middle, for each axis.
+def bin_frame(centroids, bin_count):
+    """Start and scale of the bins of each axis, in units of twice the centroid.
 
-    The scale is 0 on an axis that cannot be split: all middles are the same there.
+    The scale is 0 on an axis that cannot be split: all centroids are the same there.
     """
-    low, high = low_half(middles), high_half(middles)
-    # Lane 3 has a prim_id's bits in it: an ordinary number there instead, since arithmetic on
+    low, high = low_half(centroids), high_half(centroids)
+    # Lane 3 has the bits of a prim_id: replace them by a normal number, since arithmetic on
     # subnormal ones is slow.
     three, one = lanes_from_bits(mask4, 7), f32x4(np.float32(1.0))
     extent = select(three, low + high, one)
-    # Slightly less than the count, so that the last middle falls into the last bin. A
+    # Slightly less than the count, so that the last centroid falls into the last bin. A
     # subnormal extent has no finite reciprocal: such an axis is not split.
     scale = f32x4(np.float32(0.9999) * np.float32(bin_count)) / extent
     scale = select(extent > _ZERO, scale, f32x4(_ZERO))
@@ -74,29 +74,29 @@ def bin_frame(middles, bin_count):
 def clear_bins(bins, bin_count):
     """Empty the first bins of each axis."""
     for k in range(np.uint64(bin_count)):
-        at = bins + k * np.uint64(RECORD_BYTES)
-        store(at, nothing())
-        store(at + np.uint64(_AXIS_BYTES), nothing())
-        store(at + np.uint64(2 * _AXIS_BYTES), nothing())
+        at = bins + k * np.uint64(REF_BYTES)
+        store(at, empty_bin())
+        store(at + np.uint64(_AXIS_BYTES), empty_bin())
+        store(at + np.uint64(2 * _AXIS_BYTES), empty_bin())
 
 
 @device
-def bin_records(at, end, start, scale, bins):
-    """Put the records from address `at` to `end` into the bins of all three axes."""
+def bin_refs(at, end, start, scale, bins):
+    """Add the references from address `at` to `end` to the bins of all three axes."""
     while at != end:
-        record = load(f32x8, at)
-        places = i32x4((high_half(record) - low_half(record) - start) * scale)
+        ref = load(f32x8, at)
+        places = i32x4((high_half(ref) - low_half(ref) - start) * scale)
         for axis in range(np.uint64(3)):
             to = bins + axis * np.uint64(_AXIS_BYTES)
-            to += np.uint64(lane(places, axis)) * np.uint64(RECORD_BYTES)
-            store(to, with_record(load(f32x8, to), record))
-        at += np.uint64(RECORD_BYTES)
+            to += np.uint64(lane(places, axis)) * np.uint64(REF_BYTES)
+            store(to, union(load(f32x8, to), ref))
+        at += np.uint64(REF_BYTES)
 
 
 @device
-def block_count(record_count):
-    """Leaf blocks that hold so many triangles, as float32."""
-    return np.float32((np.int32(record_count) + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
+def block_count(ref_count):
+    """Leaf blocks for a number of triangles, as float32."""
+    return np.float32((np.int32(ref_count) + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
 
 
 @device
@@ -106,7 +106,7 @@ def _cost(box):
 
 @device_call
 def find_split(bins, bin_count, sums):
-    """Find the split of least cost: sum over both sides of area times leaf blocks.
+    """Find the split with the least SAH cost: area times leaf blocks, summed over both sides.
 
     Parameters
     ----------
@@ -119,22 +119,22 @@ def find_split(bins, bin_count, sums):
     Returns
     -------
     axis, position : int32
-        Records in bins below `position` go left; axis is -1 if no split separates anything.
+        References in bins below `position` go left; axis is -1 if no split separates any.
     """
     best_axis, best_position, best_cost = np.int32(-1), np.int32(0), _INF
     for axis in range(np.int32(3)):
         boxes = bins + np.uint64(axis) * np.uint64(_AXIS_BYTES)
-        side = nothing()
+        side = empty_bin()
         k = np.uint64(bin_count - 1)
         while k != np.uint64(0):
-            side = with_record(side, load(f32x8, boxes + k * np.uint64(RECORD_BYTES)))
+            side = union(side, load(f32x8, boxes + k * np.uint64(REF_BYTES)))
             store(sums + k * np.uint64(4), _cost(side))
             k -= np.uint64(1)
-        side = nothing()
+        side = empty_bin()
         while k != np.uint64(bin_count - 1):
-            side = with_record(side, load(f32x8, boxes + k * np.uint64(RECORD_BYTES)))
+            side = union(side, load(f32x8, boxes + k * np.uint64(REF_BYTES)))
             k += np.uint64(1)
-            # The cost of an empty side is NaN, of infinity times zero.
+            # The cost of an empty side is NaN: infinity times zero.
             cost = _cost(side) + load(np.float32, sums + k * np.uint64(4))
             if cost < best_cost:
                 best_axis, best_position, best_cost = axis, np.int32(k), cost

@@ -1,4 +1,4 @@
-"""Building the BVH: a binary tree, collapsed, and written as a wide one; on all threads."""
+"""Build the BVH on all threads: a binary tree, which is collapsed and written as a wide one."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ from raystream.core.triangles import Triangles
 from raystream.jit.threads import Progress, parallel_for
 from raystream.kernels.aligned import aligned_array
 from raystream.kernels.leaf_block import BLOCK_FLOATS
-from raystream.structures.bvh.emit import emit
-from raystream.structures.bvh.grow import Method, Tree, grow_tree
+from raystream.structures.bvh.binary_tree import HALVING_LEVELS, MAX_TREE_DEPTH, BuildSettings
+from raystream.structures.bvh.build_binary import Tree, grow_tree
 from raystream.structures.bvh.layout import MAX_BLOCKS, MAX_DEPTH, NODE_FLOATS, WIDTH, BvhArrays
-from raystream.structures.bvh.tree import HALVING_LEVELS, MAX_TREE_DEPTH
+from raystream.structures.bvh.write_wide import Deferred, WideTrees, write_trees
 
 __all__ = ["QUALITIES", "build_arrays"]
 
-#: Size of ranges that are not split; that are split without a search; share of records that
-#: splits in space may add.
+#: `min_split_size`, `plain_size` and `spare_share` of `BuildSettings`.
 QUALITIES = {"fast": (4, 1024, 0.0), "balanced": (4, 0, 0.0), "high": (2, 0, 0.3)}
 
-#: Wide trees that one call of `emit` gets.
+#: Relative times of a node step and of a block test.
+_COSTS = (np.float32(1.0), np.float32(1.0))
+
+#: Wide trees per call of `write_trees`.
 _TREES_PER_CALL = 4
 
 
@@ -36,7 +38,7 @@ def build_arrays(
     ----------
     triangles : Triangles
     quality : {"fast", "balanced", "high"}
-        "high" splits space too: a triangle may then be in several leaves.
+        "high" adds spatial splits: a triangle may then be in several leaves.
     max_leaf_size : int
         Most triangles in a leaf, 1 to 32.
     progress : callable, optional
@@ -45,7 +47,7 @@ def build_arrays(
     Returns
     -------
     BvhArrays
-        The same ones for any number of threads.
+        The same for any number of threads.
 
     Raises
     ------
@@ -60,17 +62,18 @@ def build_arrays(
     if len(triangles.prim_ids) == 0:
         return _make_arrays(0, 0)
     small, plain_size, spare_share = QUALITIES[quality]
-    # A path has far fewer wide nodes than binary ones, but nothing forces it to: if the tree
-    # got too deep, a binary tree that is not deeper than allowed is made.
+    # Paths have far fewer wide nodes than binary ones, but that is not guaranteed: if the wide
+    # tree is too deep, build a binary tree within the limit.
     for tree_depth in (MAX_TREE_DEPTH, MAX_DEPTH):
-        method = Method(
-            small=min(small, max_leaf_size),
+        settings = BuildSettings(
+            min_split_size=min(small, max_leaf_size),
             plain_size=plain_size,
             max_leaf_size=max_leaf_size,
             sah_depth=tree_depth - HALVING_LEVELS,
             spare_share=spare_share,
+            costs=_COSTS,
         )
-        tree = grow_tree(triangles, method, progress)
+        tree = grow_tree(triangles, settings, progress)
         writer = _Writer(tree, triangles.corners, spare_share > 0.0)
         if writer.depth <= MAX_DEPTH:
             break
@@ -83,42 +86,22 @@ def _make_arrays(node_count: int, block_count: int) -> BvhArrays:
     )
 
 
-class _Trees:
-    """Wide trees to be written: binary roots, nodes above each, and where each begins."""
-
-    def __init__(self, roots: NDArray[np.int32], depths: NDArray[np.int32]) -> None:
-        self.roots = roots
-        self.depths = depths
-        self.first_nodes = np.zeros(len(roots), np.int64)
-        self.first_blocks = np.zeros(len(roots), np.int64)
-        self.counts = np.zeros((len(roots), 4), np.int64)
-
-
-class _Deferred:
-    """Children of the top of the tree: binary nodes, their depths, and their rows."""
-
-    def __init__(self, room: int) -> None:
-        self.nodes = np.empty(room, np.int32)
-        self.rows = np.zeros(room, np.int64)
-        self.depths = np.empty(room, np.int32)
-
-
 class _Writer:
-    """Counts the rows of a wide tree, and then writes them.
+    """Count the rows of a wide tree, then write them.
 
-    The top of the tree is written by itself, and then the trees that hang below it in parallel.
+    First the top of the tree, then the subtrees below it in parallel.
     """
 
     def __init__(self, tree: Tree, corners: NDArray[np.float32], has_duplicates: bool) -> None:
         self.tree = tree
         self.corners = corners
         self.has_duplicates = has_duplicates
-        self.top = _Trees(np.array([tree.root], np.int32), np.zeros(1, np.int32))
-        self.deferred = _Deferred(WIDTH * tree.top_count)
+        self.top = WideTrees.of(np.array([tree.root], np.int32), np.zeros(1, np.int32))
+        self.deferred = Deferred.of(WIDTH * tree.top_count)
         self._emit(self.top, self.deferred, None)
         found = int(self.top.counts[0, 3])
-        self.below = _Trees(self.deferred.nodes[:found], self.deferred.depths[:found])
-        self._emit(self.below, _Deferred(0), None)
+        self.below = WideTrees.of(self.deferred.nodes[:found], self.deferred.depths[:found])
+        self._emit(self.below, Deferred.of(0), None)
         counts = np.concatenate([self.top.counts, self.below.counts])
         self.depth = int(counts[:, 2].max())
         ends = np.cumsum(counts, axis=0)
@@ -131,33 +114,24 @@ class _Writer:
             raise ValueError(f"{self.block_count:,} leaf blocks are more than {MAX_BLOCKS:,}")
         arrays = _make_arrays(self.node_count, self.block_count)
         self._emit(self.top, self.deferred, arrays)
-        self._emit(self.below, _Deferred(0), arrays)
+        self._emit(self.below, Deferred.of(0), arrays)
         return arrays
 
-    def _emit(self, trees: _Trees, deferred: _Deferred, arrays: BvhArrays | None) -> None:
-        """Count, or write to `arrays`."""
-        nodes, leaves = _make_arrays(0, 0) if arrays is None else arrays
+    def _emit(self, trees: WideTrees, deferred: Deferred, arrays: BvhArrays | None) -> None:
+        """Count, or write to `arrays` if given."""
+        wide = _make_arrays(0, 0) if arrays is None else arrays
 
         def body(begin: int, end: int) -> None:
-            emit(
+            write_trees(
                 begin,
                 end,
-                trees.roots,
-                trees.first_nodes,
-                trees.first_blocks,
-                trees.depths,
-                trees.counts,
-                deferred.nodes,
-                deferred.rows,
-                deferred.depths,
+                trees,
+                deferred,
                 self.has_duplicates,
                 arrays is not None,
-                self.tree.records,
+                self.tree.arrays,
                 self.corners,
-                self.tree.boxes,
-                self.tree.links,
-                nodes,
-                leaves,
+                wide,
             )
 
         parallel_for(body, len(trees.roots), _TREES_PER_CALL)

@@ -1,9 +1,9 @@
-"""Which nodes of the binary tree become nodes, or leaves, of the wide one.
+"""Collapse the binary tree: which of its nodes become nodes or leaves of the wide one.
 
-A wide node has eight lanes. Dynamic programming, from the leaves to the root, finds for every
-binary node the least cost of its tree in 1, 2 ... 8 lanes of a node above it: in one lane as a
-leaf or as a wide node; in more by giving some lanes to each of its children. That is the best
-that can be made of the given binary tree.
+A wide node has eight lanes. Dynamic programming from the leaves to the root finds, for every
+binary node, the least cost of its subtree in 1 to 8 lanes of a wide node: in one lane as a leaf or
+a wide node, in more by dividing the lanes among its children. The result is optimal for the given
+binary tree.
 
 References
 ----------
@@ -30,10 +30,10 @@ from raystream.jit.simd import (
     store,
 )
 from raystream.jit.views import view
+from raystream.structures.bvh.binary_tree import Link
 from raystream.structures.bvh.binning import block_count
 from raystream.structures.bvh.layout import WIDTH
-from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES, half_area
-from raystream.structures.bvh.tree import Link
+from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES, half_area
 
 __all__ = [
     "COST_BYTES",
@@ -51,15 +51,15 @@ __all__ = [
 COST_BYTES = 32
 COST_FLOATS = WIDTH
 
-#: Scratch of `list_children`: nodes, and how many lanes each may fill.
+#: Scratch of `list_children`: nodes, and the lanes that each may fill.
 _LISTED = np.dtype([("node", "i4"), ("lanes", "i4")])
 _Listed = view(_LISTED)
 LISTING_BYTES = _LISTED.itemsize * (WIDTH + 1)
 
 _INF = np.float32(np.inf)
 
-#: A decision: for n lanes, n = 2 to 8, how many the left child gets: three bits at 3 (n - 2),
-#: 0 if one lane is as good; and whether one lane is a leaf.
+#: A decision: for n = 2 to 8 lanes the number that the left child gets, three bits at 3 (n - 2),
+#: 0 if one lane is as good; and whether a single lane is a leaf.
 _IS_LEAF = 1 << 21
 
 _up_a_lane = permutation(0, 0, 1, 2, 3, 4, 5, 6)
@@ -74,7 +74,7 @@ def leaf_costs(box, block_price):
 
 @device_call
 def merge_costs(box, link, left, right, max_leaf_size, prices):
-    """Costs of an inner node, from those of its children; writes the decision into its link.
+    """Costs of an inner node from those of its children; writes the decision into its link.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
     prices : tuple of float32
         Of a node and of a leaf block.
     """
-    # best: lane i has the least cost in i + 1 lanes that both children share.
+    # best: lane i is the least cost in i + 1 lanes that the children share.
     best, choice = f32x8(_INF), i32x8(np.int32(1))
     not_first, nothing = lanes_from_bits(mask8, 254), f32x8(_INF)
     moved = right
@@ -104,7 +104,7 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
     leaf_cost = area * block_count(count) * prices[1] if count <= max_leaf_size else _INF
     decision = np.int32(_IS_LEAF) if leaf_cost <= node_cost else np.int32(0)
     one = f32x8(min(leaf_cost, node_cost))
-    # In all eight lanes the children always share: that is what it is to be a wide node.
+    # Eight lanes are always shared: that is a wide node.
     not_last = lanes_from_bits(mask8, 127)
     choice = select((one <= best) & not_last, i32x8(np.int32(0)), choice)
     for k in range(np.int32(2), np.int32(WIDTH + 1)):
@@ -114,41 +114,41 @@ def merge_costs(box, link, left, right, max_leaf_size, prices):
 
 
 @device
-def collapse_subtree(boxes, links, root, node_end, max_leaf_size, prices, costs):
-    """Decide about the nodes from root to node_end; returns the costs of the root.
+def collapse_subtree(boxes, links, root, node_end, settings, costs):
+    """Decide the collapse of the nodes from root to node_end; returns the costs of the root.
 
     Parameters
     ----------
     boxes, links : uint64
         Addresses of the tree.
     root, node_end : int32
-    max_leaf_size : int
-    prices : tuple of float32
+    settings : BuildSettings
     costs : uint64
-        Address of scratch for the costs of these nodes.
+        Address of scratch for the nodes' costs.
     """
     cost_at = costs - np.uint64(root) * np.uint64(COST_BYTES)
     node = np.uint64(node_end)
-    # Children come after their parents: backwards, their costs are known.
+    # Children come after their parents: go backwards.
     while node != np.uint64(root):
         node -= np.uint64(1)
         link = Link(links, node)
         left_node = link.left
-        box = boxes + node * np.uint64(RECORD_BYTES)
+        box = boxes + node * np.uint64(REF_BYTES)
         to = cost_at + node * np.uint64(COST_BYTES)
         if left_node < np.int32(0):
-            store(to, leaf_costs(box, prices[1]))
+            store(to, leaf_costs(box, settings.costs[1]))
         else:
             right_node = link.right
             left = load(f32x8, cost_at + np.uint64(left_node) * np.uint64(COST_BYTES))
             right = load(f32x8, cost_at + np.uint64(right_node) * np.uint64(COST_BYTES))
-            store(to, merge_costs(box, link, left, right, max_leaf_size, prices))
+            merged = merge_costs(box, link, left, right, settings.max_leaf_size, settings.costs)
+            store(to, merged)
     return load(f32x8, costs)
 
 
 @device
 def is_leaf(links, node):
-    """Whether a binary node in one lane is a leaf."""
+    """Whether a binary node that fills one lane is a leaf."""
     link = Link(links, np.uint64(node))
     if link.left < np.int32(0):
         return True
@@ -157,7 +157,7 @@ def is_leaf(links, node):
 
 @device_call
 def list_children(links, node, pending, to):
-    """List the binary nodes that fill the lanes of a wide node.
+    """List the binary nodes in the lanes of a wide node.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def list_children(links, node, pending, to):
     Returns
     -------
     uint64
-        How many there are.
+        Their number.
     """
     count = np.uint64(0)
     root = _Listed(pending)
@@ -196,36 +196,34 @@ def list_children(links, node, pending, to):
 
 
 @kernel
-def collapse_top(parts, nodes, spans, bounds, costs, boxes, links, max_leaf_size, prices):
-    """Write the nodes above the subtrees, and decide how they will be collapsed.
+def collapse_top(parts, nodes, spans, bounds, costs, tree, settings):
+    """Write the nodes above the subtrees, and decide their collapse.
 
     Parameters
     ----------
     parts : ndarray of shape (U, 2), int32
-        Rows of a range's two parts in these arrays, later than its own; -1 of a subtree.
+        Rows of a range's two parts in these arrays, after its own; -1 for a subtree.
     nodes : ndarray of shape (U,), int32
         Row of each range's root in the tree.
     spans : ndarray of shape (U, 2), int32
-        Its first record, and how many.
+        Its first reference, and their number.
     bounds : ndarray of shape (U, 8), float32
-        Boxes around the records.
+        Boxes around the references.
     costs : ndarray of shape (U, 8), float32
-        Those of subtrees are given; the others are written.
-    boxes, links : ndarray
-        The tree.
-    max_leaf_size, prices
-        See `merge_costs`.
+        Given for subtrees; written for the others.
+    tree : BinaryTree
+    settings : BuildSettings
     """
-    cost_at = address(costs)
+    cost_at, box_at, link_at = address(costs), address(tree.boxes), address(tree.links)
     for i in range(np.uint64(len(parts))):
         row = np.uint64(len(parts)) - np.uint64(1) - i
         if parts[row, 0] < 0:
             continue
         left, right = np.uint64(parts[row, 0]), np.uint64(parts[row, 1])
         node = np.uint64(nodes[row])
-        box = address(boxes) + node * np.uint64(RECORD_BYTES)
-        link = Link(address(links), node)
-        store(box, load(f32x8, address(bounds) + row * np.uint64(RECORD_BYTES)))
+        box = box_at + node * np.uint64(REF_BYTES)
+        link = Link(link_at, node)
+        store(box, load(f32x8, address(bounds) + row * np.uint64(REF_BYTES)))
         store(box + np.uint64(FIRST_AT), np.int32(spans[row, 0]))
         store(box + np.uint64(COUNT_AT), np.int32(spans[row, 1]))
         link.left, link.right = np.int32(nodes[left]), np.int32(nodes[right])
@@ -235,7 +233,7 @@ def collapse_top(parts, nodes, spans, bounds, costs, boxes, links, max_leaf_size
             link,
             load(f32x8, cost_at + left * np.uint64(COST_BYTES)),
             load(f32x8, cost_at + right * np.uint64(COST_BYTES)),
-            max_leaf_size,
-            prices,
+            settings.max_leaf_size,
+            settings.costs,
         )
         store(cost_at + row * np.uint64(COST_BYTES), merged)

@@ -1,4 +1,4 @@
-"""Which kernel traces a batch, and how the batch is shared among the threads."""
+"""Choose the kernel for a batch of rays, and run it on all threads."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from raystream.jit.threads import Progress, parallel_for, thread_count
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
 from raystream.kernels.sink import Sink
-from raystream.structures.bvh.layout import BvhArrays
+from raystream.structures.bvh.coherence import choose_kernel, probe
+from raystream.structures.bvh.layout import BvhArrays, TreeAddresses
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.packet import trace_packets
-from raystream.structures.bvh.packet_all import count_all, visit_all
-from raystream.structures.bvh.packet_rays import PacketOrder, packet_order
-from raystream.structures.bvh.probe import choose, probe
-from raystream.structures.bvh.sorted_batch import trace_sorted
-from raystream.structures.bvh.steps import TreeAddresses
+from raystream.structures.bvh.packet_multi_hit import count_all, visit_all
+from raystream.structures.bvh.packet_rays import PacketOrder, PacketSource
+from raystream.structures.bvh.stream_batch import trace_sorted
 from raystream.structures.bvh.wavefront import trace_wavefront
 
 __all__ = [
@@ -31,58 +30,50 @@ __all__ = [
     "visit_batch",
 ]
 
-#: How a BVH may be traced: chosen for each batch; many single rays in flight; packets of
-#: rays; streams of rays of one octant; one ray after another.
+#: Kernels: chosen for each batch; many single rays in flight; packets of rays; streams of rays of
+#: one octant; one ray after another.
 KERNELS = Bvh.choices("kernel")
 
-#: Batches of so many rays are traced by the calling thread: to wake another takes longer.
+#: Batches of at most this many rays are traced by the calling thread: waking others takes longer.
 SMALL_BATCH = 1024
 
-#: Rays that a call of a kernel gets: at least so many that its start and its end, where not
-#: all of a wavefront's places are taken, do not count; at most so many that the threads
-#: finish together, and Ctrl-C is noticed.
+#: Rays per call of a kernel: enough to hide the start and the end of a call, where not all slots of
+#: a wavefront are in use; few enough that the threads finish together and Ctrl-C is noticed.
 LEAST_CHUNK = 1024
 MOST_CHUNK = 8192
 
 #: The same for packets of 256 rays.
 MOST_PACKETS = 64
 
-#: Trees of more bytes do not stay in the cache: their nodes are asked for beforehand.
+#: Larger trees do not stay in the cache: their nodes are prefetched.
 PREFETCHED_BYTES = 1 << 21
 
 
 class Tree(NamedTuple):
-    """What all kernels are given of a tree: numbers, made once.
+    """A tree as the kernels take it.
 
     Attributes
     ----------
     addresses : TreeAddresses
-    max_coordinate : float32
     frame : SceneFrame
     byte_count : int
     """
 
     addresses: TreeAddresses
-    max_coordinate: np.float32
     frame: SceneFrame
     byte_count: int
 
     @property
     def prefetching(self) -> bool:
-        """Whether nodes are asked for before they are needed."""
+        """Whether nodes are prefetched."""
         return self.byte_count > PREFETCHED_BYTES
 
     @classmethod
     def of(cls, arrays: BvhArrays, frame: SceneFrame) -> Tree:
-        """The numbers of a tree, whose arrays the caller keeps."""
+        """A tree whose arrays the caller keeps alive."""
         nodes, leaves = (array.ctypes.data if len(array) else 0 for array in arrays)
         byte_count = sum(array.nbytes for array in arrays)
-        return cls(
-            TreeAddresses(np.uint64(nodes), np.uint64(leaves)),
-            frame.max_coordinate,
-            frame,
-            byte_count,
-        )
+        return cls(TreeAddresses(np.uint64(nodes), np.uint64(leaves)), frame, byte_count)
 
 
 def trace_batch(
@@ -105,8 +96,8 @@ def trace_batch(
     progress : callable, optional
         Called with (rays done, rays).
     kernel : {"auto", "wavefront", "packet", "stream"}
-        A batch of at most `SMALL_BATCH` rays takes the wavefront, unless another is asked
-        for; a larger one, what a look at some of its rays suggests.
+        "auto" takes the wavefront for at most `SMALL_BATCH` rays; for more, the kernel that suits
+        a sample of them.
     """
     count = len(batch)
     if kernel == "auto" and count <= SMALL_BATCH:
@@ -114,20 +105,21 @@ def trace_batch(
     source, kept = RaySource.of(
         batch.origins, batch.directions, batch.limits, kernel != "wavefront"
     )
-    if kernel == "wavefront":  # the least that a small batch can do
+    if kernel == "wavefront":  # without further preparation, for small batches
         _trace_wavefront(tree, count, source, wants_any, results, progress)
         return
-    order, packet_count = packet_order(batch.shape)
+    order = PacketOrder.of(batch.shape)
     if kernel == "auto" and count:
-        found = probe(source, order, packet_count, tree.frame, tree.byte_count)
-        kernel = choose(found, count, tree.byte_count)
+        found = probe(source, order, tree.frame, tree.byte_count)
+        kernel = choose_kernel(found, count, tree.byte_count)
     if kernel == "wavefront":
         _trace_wavefront(tree, count, source, wants_any, results, progress)
     elif kernel == "stream":
-        (nodes, leaves), frame = tree.addresses, tree.frame
-        trace_sorted(nodes, leaves, frame, count, source, wants_any, results, progress)
+        addresses, frame = tree.addresses, tree.frame
+        trace_sorted(addresses, frame, count, source, wants_any, results, progress)
     else:
-        _trace_packets(tree, order, packet_count, source, wants_any, results, progress)
+        packets = PacketSource(source, order, tree.frame, results.status)
+        _trace_packets(tree, packets, wants_any, results, progress)
     del kept  # the kernels read it by address
 
 
@@ -140,7 +132,7 @@ def visit_batch(
     progress: Progress | None,
     only_if_narrow: bool,
 ) -> bool:
-    """Give all hits of each ray to the sink's visitor, by packets.
+    """Deliver all hits of each ray to the sink's visitor, by packets.
 
     Parameters
     ----------
@@ -156,24 +148,11 @@ def visit_batch(
     only_if_narrow : bool
         Do nothing, and return False, unless packets suit the rays.
     """
-    source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, True)
-    order, packet_count = packet_order(rays.shape)
-    if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
+    source, kept = _packets_of(tree, rays, sink)
+    if only_if_narrow and not _suits_packets(tree, source):
         return False
-    assert sink.visitor is not None
-    visit_all(
-        tree.addresses,
-        tree.frame,
-        source,
-        order,
-        packet_count,
-        query.surfaces,
-        has_duplicates,
-        query.is_ordered,
-        sink.visitor,
-        sink.status,
-        _of_rays(progress, packet_count, len(rays)),
-    )
+    report = _of_rays(progress, source.order)
+    visit_all(tree.addresses, source, query, sink, has_duplicates, report)
     del kept
     return True
 
@@ -187,20 +166,25 @@ def count_batch(
     only_if_narrow: bool,
 ) -> bool:
     """Count all hits of each ray, by packets; see `visit_batch`."""
-    source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, True)
-    order, packet_count = packet_order(rays.shape)
-    if only_if_narrow and not _suits_packets(tree, source, order, packet_count):
+    source, kept = _packets_of(tree, rays, sink)
+    if only_if_narrow and not _suits_packets(tree, source):
         return False
-    report = _of_rays(progress, packet_count, len(rays))
-    own = tree.addresses, tree.frame, source, order, packet_count
-    sink.counts = count_all(*own, query.surfaces, sink.status, report)
+    report = _of_rays(progress, source.order)
+    sink.counts = count_all(tree.addresses, source, query, report)
     del kept
     return True
 
 
-def _suits_packets(tree: Tree, source: RaySource, order: PacketOrder, packet_count: int) -> bool:
-    found = probe(source, order, packet_count, tree.frame, tree.byte_count)
-    return choose(found, int(order.ray_count), tree.byte_count) == "packet"
+def _packets_of(tree: Tree, rays: RayBatch, sink: Sink) -> tuple[PacketSource, object]:
+    """A batch as packets, and the arrays to keep until they are traced."""
+    source, kept = RaySource.of(rays.origins, rays.directions, rays.limits, True)
+    status = np.uint64(sink.status.ctypes.data)
+    return PacketSource(source, PacketOrder.of(rays.shape), tree.frame, status), kept
+
+
+def _suits_packets(tree: Tree, source: PacketSource) -> bool:
+    found = probe(source.rays, source.order, tree.frame, tree.byte_count)
+    return choose_kernel(found, int(source.order.ray_count), tree.byte_count) == "packet"
 
 
 def _trace_wavefront(
@@ -211,22 +195,10 @@ def _trace_wavefront(
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
-    (nodes, leaves), frame = tree.addresses, tree.frame
-    max_coordinate, prefetching = tree.max_coordinate, tree.prefetching
+    addresses, frame, prefetching = tree.addresses, tree.frame, tree.prefetching
 
     def body(begin: int, end: int) -> None:
-        trace_wavefront(
-            begin,
-            end,
-            nodes,
-            leaves,
-            max_coordinate,
-            frame,
-            source,
-            wants_any,
-            prefetching,
-            results,
-        )
+        trace_wavefront(begin, end, addresses, frame, source, wants_any, prefetching, results)
 
     if count <= SMALL_BATCH and progress is None:
         body(0, count)
@@ -237,26 +209,24 @@ def _trace_wavefront(
 
 def _trace_packets(
     tree: Tree,
-    order: PacketOrder,
-    packet_count: int,
-    source: RaySource,
+    source: PacketSource,
     wants_any: bool,
     results: ResultAddresses,
     progress: Progress | None,
 ) -> None:
-    (nodes, leaves), frame = tree.addresses, tree.frame
+    addresses, packet_count = tree.addresses, source.order.packet_count
 
     def body(begin: int, end: int) -> None:
-        trace_packets(begin, end, nodes, leaves, frame, source, order, wants_any, results)
+        trace_packets(begin, end, addresses, source, wants_any, results)
 
     share = -(-packet_count // (8 * thread_count()))
-    report = _of_rays(progress, packet_count, int(order.ray_count))
+    report = _of_rays(progress, source.order)
     parallel_for(body, packet_count, max(4, min(share, MOST_PACKETS)), report)
 
 
-def _of_rays(progress: Progress | None, packet_count: int, ray_count: int) -> Progress | None:
-    """A progress callback for packets that tells the caller's one about rays."""
+def _of_rays(progress: Progress | None, order: PacketOrder) -> Progress | None:
+    """A callback that takes packets done, and reports rays done."""
     if progress is None:
         return None
-    whole = progress
-    return lambda done, _: whole(done * ray_count // max(packet_count, 1), ray_count)
+    whole, ray_count, packet_count = progress, int(order.ray_count), max(order.packet_count, 1)
+    return lambda done, _: whole(done * ray_count // packet_count, ray_count)

@@ -23,30 +23,31 @@ __all__ = [
     "STACK_SIZE",
     "WIDTH",
     "BvhArrays",
+    "TreeAddresses",
     "check_arrays",
 ]
 
 #: Children of a node.
 WIDTH = 8
 
-#: Size of a node, and where the 8 child links are in it (bytes).
+#: Size of a node, and byte offset of its 8 child links.
 NODE_BYTES = 256
 NODE_FLOATS = NODE_BYTES // 4
 CHILDREN_AT = 192
 
-#: Blocks of a leaf: its link has room for the count.
+#: Most blocks of a leaf: limited by the bits of its link.
 MAX_LEAF_BLOCKS = MAX_LEAF_SIZE // BLOCK_SIZE
 
-#: Blocks of a tree: their number takes 28 bits of a link.
+#: Most blocks of a tree: an index has 28 bits in a link.
 MAX_BLOCKS = 1 << 28
 
-#: Nodes on the longest path that the builder makes and the traversal can take.
+#: Nodes on the longest path, in the builder and the traversal.
 MAX_DEPTH = 64
 
 #: Each node on a path leaves at most 7 entries on the stack, and the last one 8.
 STACK_SIZE = (WIDTH - 1) * MAX_DEPTH + 1
 
-#: Where a block has its triangles' numbers, in words.
+#: Offset of the prim_ids in a block, in words.
 _IDS_AT = int(PRIM_IDS) // 4
 
 
@@ -58,13 +59,13 @@ class BvhArrays(NamedTuple):
     nodes : ndarray of shape (M, 64), float32
         Row 0 is the root. Eight numbers each, one for each child: low x, high x, low y,
         high y, low z, high z, all in the local frame; then the child itself, as the bits of
-        an int32: the row of a node, which is greater than the parent's, or for a leaf
+        an int32: the row of a node, greater than its parent's, or for a leaf
         ``~(first_block << 3 | block_count - 1)``. A child that is absent has an empty box
-        (low = inf, high = -inf), which no ray enters, and link 0; those are the last ones.
-        The last eight numbers are 0.
+        (low = inf, high = -inf), which no ray enters, and link 0; absent ones are last. The
+        last eight numbers are 0.
     leaves : ndarray of shape (B, 40), float32
-        Blocks, see `kernels.leaf_block`. A triangle that moved and cannot be hit any more
-        keeps its prim_id and has coordinates NaN.
+        Blocks, see `kernels.leaf_block`. A triangle that moved and can no longer be hit keeps
+        its prim_id and has coordinates NaN.
 
     Notes
     -----
@@ -81,8 +82,21 @@ class BvhArrays(NamedTuple):
 
     @property
     def prim_ids(self) -> NDArray[np.int32]:
-        """The triangles of the blocks, shape (B, 4), int32; -1 where there is none."""
+        """The triangles of the blocks, shape (B, 4), int32; -1 for unused lanes."""
         return self.leaves.view(np.int32)[:, _IDS_AT:]
+
+
+class TreeAddresses(NamedTuple):
+    """`BvhArrays` as kernels take them; the caller keeps the arrays alive.
+
+    Attributes
+    ----------
+    nodes, leaves : uint64
+        Addresses of the first node and the first leaf block; 0 for an empty tree.
+    """
+
+    nodes: np.uint64
+    leaves: np.uint64
 
 
 # Codes that `_check_tree` returns.
@@ -91,14 +105,14 @@ _BAD_CHILD, _BAD_LEAF, _BAD_ID, _BAD_LANE, _MISSING = -1, -2, -3, -4, -5
 
 @kernel
 def _check_tree(nodes, children, prim_ids, depths, wanted):
-    """Depth of the tree, or a negative code for what is wrong with it.
+    """Depth of the tree, or a negative error code.
 
-    `wanted` is true for each triangle that must be in a leaf; those found become false.
+    `wanted` is true for each triangle that must be in a leaf, and becomes false when it is found.
     """
     node_count, block_count = len(children), len(prim_ids)
     deepest = 0
     for node in range(node_count):
-        # Parents come before their children, so a node not reached by now never is.
+        # Parents come before their children, so a node not reached by now is unreachable.
         if node > 0 and depths[node] == 0:
             return _BAD_CHILD
         depth = depths[node] + 1
@@ -112,7 +126,7 @@ def _check_tree(nodes, children, prim_ids, depths, wanted):
                     if low != np.inf or high != -np.inf:
                         return _BAD_LANE
             elif child > 0:
-                # A greater index than the parent's: no cycle. Not seen yet: one parent.
+                # A greater index than the parent's: no cycle. Not seen before: one parent.
                 if child <= node or child >= node_count or depths[child] != 0:
                     return _BAD_CHILD
                 depths[child] = depth
@@ -139,7 +153,7 @@ def check_arrays(
     solid_ids: NDArray[np.int32],
     corners: NDArray[np.float32],
 ) -> BvhArrays:
-    """Check a tree from a file: no traversal of it may read out of bounds or not end.
+    """Check that any traversal of a tree from a file terminates and stays in bounds.
 
     Parameters
     ----------
@@ -148,7 +162,7 @@ def check_arrays(
     solid_ids : ndarray of shape (A,), int32
         The triangles that the tree must hold, in increasing order.
     corners : ndarray of shape (F, 3, 3), float32
-        What their corners must be.
+        Their expected corners.
 
     Returns
     -------
@@ -158,7 +172,7 @@ def check_arrays(
     Raises
     ------
     ValueError
-        What is wrong.
+        If the tree is invalid.
     """
     nodes = _aligned(take(arrays, "nodes", np.float32, (None, NODE_FLOATS)))
     leaves = _aligned(take(arrays, "leaves", np.float32, (None, BLOCK_FLOATS)))
@@ -185,7 +199,7 @@ def check_arrays(
 
 
 def _are_the_same(tree: BvhArrays, solid: NDArray[np.bool_], corners: NDArray[np.float32]) -> bool:
-    """Whether the leaves hold the scene's corners; NaN for triangles that cannot be hit."""
+    """Whether the leaves have the scene's corners, NaN for triangles that cannot be hit."""
     rows = 1 << 16  # bounds the temporaries
     for first in range(0, len(tree.leaves), rows):
         ids = tree.prim_ids[first : first + rows]

@@ -1,4 +1,4 @@
-"""Bvh: what others know of the bounding volume hierarchy."""
+"""Bvh: the options of the bounding volume hierarchy."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ MAX_LEAF_SIZE = 32
 @register_structure
 @dataclass(frozen=True, kw_only=True)
 class Bvh(StructureOptions):
-    """A bounding volume hierarchy whose nodes have eight children.
+    """A bounding volume hierarchy with eight children per node.
 
     Parameters
     ----------
     quality : {"fast", "balanced", "high"}
-        How much time the build may take for a tree that is traced faster.
+        Time spent on the build, for faster traversal.
     max_leaf_size : int
         Most triangles in a leaf, 1 to 32.
     kernel : {"auto", "wavefront", "packet", "stream", "single"}
-        How the CPU traces rays: ``"auto"`` chooses for each batch. All give the same bits; the
-        others are for measuring. A query that a kernel cannot answer takes another, and one
-        that counts what rays meet takes ``"single"``.
+        How the CPU traces rays; ``"auto"`` chooses for each batch. All give the same bits; the
+        others are for measurements. Queries that a kernel does not support take another one, and
+        those with ray counters take ``"single"``.
 
     Raises
     ------

@@ -40,11 +40,13 @@ from raystream.jit.simd import (
 from raystream.jit.views import address_of, view
 from raystream.kernels.ray import PAD
 from raystream.structures.bvh.layout import STACK_SIZE
+from raystream.structures.bvh.node_layout import NODE, Node, NodeLanes
 from raystream.structures.bvh.packet_hits import Collector
 from raystream.structures.bvh.packet_leaf import (
     ANY,
     FIRST,
     PLANES,
+    GroupRange,
     box_planes,
     group_range,
     visit_leaf,
@@ -52,13 +54,12 @@ from raystream.structures.bvh.packet_leaf import (
 from raystream.structures.bvh.packet_load import load_packet
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
-    NO_KIND,
+    NO_CLASS,
     PACKET_BYTES,
     Group,
     GroupLanes,
     store_packet,
 )
-from raystream.structures.bvh.wide import NODE, Node, NodeLanes
 
 __all__ = ["TRACE_BYTES", "trace_packet", "trace_packets"]
 
@@ -92,8 +93,8 @@ _MEMORY_BYTES = np.uint64(_MEMORY.itemsize)
 TRACE_BYTES = _MEMORY.itemsize + _ENTRY.itemsize * (STACK_SIZE + 8)
 
 
-class Bounds(NamedTuple):
-    """What all rays of a pass have in common, for each axis.
+class AxisBounds(NamedTuple):
+    """The interval ray of a pass along an axis.
 
     Attributes
     ----------
@@ -118,14 +119,35 @@ class Bounds(NamedTuple):
     back: bool
 
 
+class RayClass(NamedTuple):
+    """The rays of a pass: those of a packet with one octant and largest axis.
+
+    Attributes
+    ----------
+    x, y, z : AxisBounds
+    kx, ky, kz : uint64
+        Axes of their frames; see `kernels.ray.Ray`.
+    t_min : float32
+        The least of all rays.
+    """
+
+    x: AxisBounds
+    y: AxisBounds
+    z: AxisBounds
+    kx: np.uint64
+    ky: np.uint64
+    kz: np.uint64
+    t_min: np.float32
+
+
 @device
-def _extremes(packet, kind, axis):
-    """Bounds of the rays of a kind along an axis."""
+def _extremes(packet, direction_class, axis):
+    """Bounds of the rays of a direction_class along an axis."""
     least_inv, most_inv = f32x16(_INF), f32x16(-_INF)
     least_o, most_o = f32x16(_INF), f32x16(-_INF)
     for g in range(GROUPS):
         group = Group(packet, g)
-        mine = group.kind == kind
+        mine = group.direction_class == direction_class
         inv, o = group.inv[axis], group.origin[axis]
         least_inv = select(mine, minimum(inv, least_inv), least_inv)
         most_inv = select(mine, maximum(inv, most_inv), most_inv)
@@ -146,7 +168,7 @@ def _slab_bounds(axis, low, high, origin_low, origin_high, pad):
         from_near, from_far = origin_low - pad, origin_high + pad
     else:
         from_near, from_far = origin_high + pad, origin_low - pad
-    return Bounds(
+    return AxisBounds(
         near,
         near ^ _U1,
         low,
@@ -172,22 +194,35 @@ def _far_of(node, b):
 
 
 @device
-def _bounds(packet, kind, max_coordinate):
-    """Bounds of the rays of a kind, for each axis."""
-    lx, hx, olx, ohx = _extremes(packet, kind, _U0)
-    ly, hy, oly, ohy = _extremes(packet, kind, _U1)
-    lz, hz, olz, ohz = _extremes(packet, kind, _U2)
+def _ray_class(packet, direction_class, max_coordinate):
+    """Begin the pass of a direction_class: its rays become live; returns what they share."""
+    lx, hx, olx, ohx = _extremes(packet, direction_class, _U0)
+    ly, hy, oly, ohy = _extremes(packet, direction_class, _U1)
+    lz, hz, olz, ohz = _extremes(packet, direction_class, _U2)
     reach = max(abs(olx), abs(ohx), abs(oly), abs(ohy), abs(olz), abs(ohz))
     pad = _TWO * PAD * (max_coordinate + reach)
-    return (
+    kz = np.uint64(direction_class & np.int32(3))
+    kx = kz + _U1 if kz < _U2 else _U0
+    ky = kx + _U1 if kx < _U2 else _U0
+    t_min = f32x16(_INF)
+    for g in range(GROUPS):
+        group = Group(packet, g)
+        mine = group.direction_class == direction_class
+        group.t_active = select(mine, group.t, f32x16(-_INF))
+        t_min = select(mine, minimum(group.t_min, t_min), t_min)
+    return RayClass(
         _slab_bounds(_U0, lx, hx, olx, ohx, pad),
         _slab_bounds(_U1, ly, hy, oly, ohy, pad),
         _slab_bounds(_U2, lz, hz, olz, ohz, pad),
+        kx,
+        ky,
+        kz,
+        reduce_min(t_min),
     )
 
 
 @device
-def _enters(node, bounds, t_min, t_max):
+def _enters(node, rays, t_max):
     """Test a node's eight boxes against the interval ray.
 
     Returns
@@ -195,25 +230,25 @@ def _enters(node, bounds, t_min, t_max):
     t_in : f32x8
         At least so far away each box is entered.
     mask : mask8
-        The boxes that some ray may enter between `t_min` and `t_max`.
+        The boxes that some ray may enter between its t_min and `t_max`.
     """
-    x, y, z = bounds
+    x, y, z = rays.x, rays.y, rays.z
     t_in = maximum(maximum(_near_of(node, x), _near_of(node, y)), _near_of(node, z))
     t_out = minimum(minimum(_far_of(node, x), _far_of(node, y)), _far_of(node, z))
-    return t_in, maximum(t_in, t_min) <= minimum(t_out, t_max)
+    return t_in, maximum(t_in, rays.t_min) <= minimum(t_out, t_max)
 
 
 @device
 def _farthest(packet):
     """The farthest t that any live ray of the packet still looks at; -inf when none is."""
-    t = Group(packet, _U0).live_t
+    t = Group(packet, _U0).t_active
     for g in range(_U1, GROUPS):
-        t = maximum(Group(packet, g).live_t, t)
+        t = maximum(Group(packet, g).t_active, t)
     return reduce_max(t)
 
 
 @device
-def _push(stack, base, top, child, key, first, last, node, lane):
+def _push(stack, base, top, child, key, groups, node, lane):
     """Put a child on the stack, under those of its node that are nearer; returns the height."""
     at = top
     while at != base and _Entry(stack, at - _U1).key < key:
@@ -221,15 +256,15 @@ def _push(stack, base, top, child, key, first, last, node, lane):
         at -= _U1
     entry = _Entry(stack, at)
     entry.child, entry.key = child, key
-    entry.first, entry.last = np.uint16(first), np.uint16(last)
+    entry.first, entry.last = np.uint16(groups.first), np.uint16(groups.last)
     entry.node, entry.lane = node, np.uint32(lane)
     return top + _U1
 
 
 @device
-def _visit_node(packet, node, bounds, t_min, farthest, first, last, memory, stack, top):
+def _visit_node(packet, node, rays, farthest, groups, memory, stack, top):
     """Put a node's children that some ray enters on the stack; returns its height."""
-    t_in, entered = _enters(Node(node), bounds, t_min, farthest)
+    t_in, entered = _enters(Node(node), rays, farthest)
     bits = mask_bits(entered)
     if bits != _U0:
         memory.keys = float_as_bits(maximum(t_in, _ZERO))
@@ -238,44 +273,30 @@ def _visit_node(packet, node, bounds, t_min, farthest, first, last, memory, stac
         while bits != _U0:
             lane = count_trailing_zeros(bits)
             bits &= bits - _U1
-            planes = box_planes(node, lane, bounds)
-            begin, end = group_range(packet, planes, t_min, first, last)
-            if begin <= end:
-                top = _push(stack, base, top, children[lane], keys[lane], begin, end, node, lane)
+            planes = box_planes(node, lane, rays)
+            entering = group_range(packet, planes, rays.t_min, groups)
+            if entering.first <= entering.last:
+                top = _push(stack, base, top, children[lane], keys[lane], entering, node, lane)
     return top
 
 
 @device
-def _trace_kind(packet, kind, nodes, leaves, max_coordinate, memory, goal, hits):
-    """Trace the rays of one kind: the pass of a packet."""
-    bounds = _bounds(packet, kind, max_coordinate)
-    kz = np.uint64(kind & np.int32(3))
-    kx = kz + _U1 if kz < _U2 else _U0
-    ky = kx + _U1 if kx < _U2 else _U0
-    axes = kx, ky, kz
-    t_min_low = f32x16(_INF)
-    for g in range(GROUPS):
-        group = Group(packet, g)
-        mine = group.kind == kind
-        group.live_t = select(mine, group.t, f32x16(-_INF))
-        t_min_low = select(mine, minimum(group.t_min, t_min_low), t_min_low)
-    t_min = reduce_min(t_min_low)
+def _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits):
+    """Trace the rays of one direction_class: the pass of a packet."""
+    rays = _ray_class(packet, direction_class, max_coordinate)
     farthest = _farthest(packet)
     limit = float_as_bits(farthest) if farthest >= _ZERO else _NO_LIMIT
 
     stack, memory = memory + _MEMORY_BYTES, _Memory(memory)
-    top, child, node, lane, first, last = _U0, np.int32(0), _U0, _U0, _U0, GROUPS - _U1
+    top, child, node, lane = _U0, np.int32(0), _U0, _U0
+    groups = GroupRange(_U0, GROUPS - _U1)
     while True:
         if child >= np.int32(0):
-            node = nodes + np.uint64(child) * NODE
-            top = _visit_node(
-                packet, node, bounds, t_min, farthest, first, last, memory, stack, top
-            )
+            node = tree.nodes + np.uint64(child) * NODE
+            top = _visit_node(packet, node, rays, farthest, groups, memory, stack, top)
         else:
-            box, own = box_planes(node, lane, bounds), memory.planes
-            if visit_leaf(
-                packet, child, leaves, box, bounds, t_min, first, last, axes, own, goal, hits
-            ):
+            box, own = box_planes(node, lane, rays), memory.planes
+            if visit_leaf(packet, child, tree.leaves, box, rays, groups, own, goal, hits):
                 farthest = _farthest(packet)
                 if farthest == -_INF:
                     break
@@ -287,35 +308,35 @@ def _trace_kind(packet, kind, nodes, leaves, max_coordinate, memory, goal, hits)
             break
         top -= _U1
         entry = _Entry(stack, top)
-        child, first, last = entry.child, np.uint64(entry.first), np.uint64(entry.last)
+        child, groups = entry.child, GroupRange(np.uint64(entry.first), np.uint64(entry.last))
         node, lane = entry.node, np.uint64(entry.lane)
 
     for g in range(GROUPS):
         group = Group(packet, g)
-        mine = group.kind == kind
-        group.t = select(mine, group.live_t, group.t)
-        group.kind = select(mine, i32x16(NO_KIND), group.kind)
+        mine = group.direction_class == direction_class
+        group.t = select(mine, group.t_active, group.t)
+        group.direction_class = select(mine, i32x16(NO_CLASS), group.direction_class)
 
 
 @device
-def _next_kind(packet):
-    """The kind of the first ray that has not been traced, or NO_KIND."""
+def _next_class(packet):
+    """The direction_class of the first ray that has not been traced, or NO_CLASS."""
     for g in range(GROUPS):
-        bits = mask_bits(Group(packet, g).kind != NO_KIND)
+        bits = mask_bits(Group(packet, g).direction_class != NO_CLASS)
         if bits != _U0:
-            return GroupLanes(packet, g).kind[count_trailing_zeros(bits)]
-    return NO_KIND
+            return GroupLanes(packet, g).direction_class[count_trailing_zeros(bits)]
+    return NO_CLASS
 
 
 @device
-def trace_packet(packet, nodes, leaves, max_coordinate, memory, goal, hits):
+def trace_packet(packet, tree, max_coordinate, memory, goal, hits):
     """Trace a packet that was loaded.
 
     Parameters
     ----------
     packet : uint64
         Address, see `packet_rays`.
-    nodes, leaves : uint64
+    tree : TreeAddresses
     max_coordinate : float32
     memory : uint64
         Address of `TRACE_BYTES` bytes.
@@ -324,24 +345,22 @@ def trace_packet(packet, nodes, leaves, max_coordinate, memory, goal, hits):
     hits : Collector
         Of the hits, if all of them are wanted.
     """
-    kind = _next_kind(packet)
-    while kind != NO_KIND:
-        _trace_kind(packet, kind, nodes, leaves, max_coordinate, memory, goal, hits)
-        kind = _next_kind(packet)
+    direction_class = _next_class(packet)
+    while direction_class != NO_CLASS:
+        _trace_class(packet, direction_class, tree, max_coordinate, memory, goal, hits)
+        direction_class = _next_class(packet)
 
 
 @kernel
-def trace_packets(begin, end, nodes, leaves, frame, source, order, wants_any, out):
+def trace_packets(begin, end, tree, source, wants_any, out):
     """Trace packets begin to end.
 
     Parameters
     ----------
     begin, end : int
-    nodes, leaves : int
-        Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
-    frame : SceneFrame
-    source : RaySource
-    order : PacketOrder
+    tree : TreeAddresses
+        Not empty.
+    source : PacketSource
     wants_any : bool
         Find whether there is a hit, else the nearest one.
     out : ResultAddresses
@@ -351,6 +370,6 @@ def trace_packets(begin, end, nodes, leaves, frame, source, order, wants_any, ou
     goal = ANY if wants_any else FIRST
     nowhere = Collector(_U0)
     for number in range(np.uint64(begin), np.uint64(end)):
-        slow_groups = load_packet(packet, number, order, source, frame, out.status)
-        trace_packet(packet, nodes, leaves, frame.max_coordinate, memory, goal, nowhere)
-        store_packet(packet, number, order, slow_groups, wants_any, out)
+        slow_groups = load_packet(packet, number, source)
+        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, nowhere)
+        store_packet(packet, number, source.order, slow_groups, wants_any, out)

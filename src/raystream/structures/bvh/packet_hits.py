@@ -28,10 +28,12 @@ __all__ = [
 ]
 
 #: Addresses of buffers: of hits as they are found, of hits in the order of rays, of those rays'
-#: numbers and of where their rows end.
+#: numbers and of where their rows end; then the number of hits that they hold.
 _FOUND = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8"), ("ray", "u8")])
 _ROWS = np.dtype([("t", "u8"), ("u", "u8"), ("v", "u8"), ("prim_id", "u8")])
-BUFFERS = np.dtype([("found", _FOUND), ("rows", _ROWS), ("ray_ids", "u8"), ("splits", "u8")])
+BUFFERS = np.dtype(
+    [("found", _FOUND), ("rows", _ROWS), ("ray_ids", "u8"), ("splits", "u8"), ("capacity", "u8")]
+)
 Buffers = view(BUFFERS)
 
 _COLLECTOR = np.dtype(
@@ -176,7 +178,7 @@ def _insert(rows, first, row, t, u, v, prim_id):
 
 
 @device_call
-def _drop_twins(rows, first, count, to):
+def _remove_duplicates(rows, first, count, to):
     """Move a ray's sorted hits to row `to`, each triangle once; returns how many are left.
 
     A triangle that is in several leaves was hit several times, with the same bits.
@@ -245,7 +247,7 @@ def sort_packet(hits, ends, used, has_duplicates):
                 t, u, v, prim_id = _take(rows, first + k)
                 _insert(rows, first, first + k, t, u, v, prim_id)
         if has_duplicates:
-            to += _drop_twins(rows, first, ray_count, to)
+            to += _remove_duplicates(rows, first, ray_count, to)
         else:
             to += ray_count
         first += ray_count

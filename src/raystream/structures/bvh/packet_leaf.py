@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from raystream.jit.cpu import device
@@ -15,9 +17,9 @@ from raystream.kernels.triangle_lanes import (
     signs_agree,
     slab_interval,
 )
+from raystream.structures.bvh.node_layout import NodeLanes, leaf_address, leaf_end
 from raystream.structures.bvh.packet_hits import collect
 from raystream.structures.bvh.packet_rays import Group, three
-from raystream.structures.bvh.wide import NodeLanes, leaf_address, leaf_end
 
 __all__ = [
     "ALL",
@@ -26,6 +28,7 @@ __all__ = [
     "FIRST",
     "PLANES",
     "SURFACES",
+    "GroupRange",
     "box_planes",
     "group_range",
     "visit_leaf",
@@ -49,10 +52,17 @@ _FIRST, _SECOND, _THIRD = np.uint64(0), np.uint64(1), np.uint64(2)
 _DOWN = np.uint64(2**64 - 1)
 
 
+class GroupRange(NamedTuple):
+    """Groups of a packet, from the first to the last; none if ``first > last``."""
+
+    first: np.uint64
+    last: np.uint64
+
+
 @device
-def box_planes(node, lane, bounds):
-    """Near x, y, z and far x, y, z of a box of the node at an address."""
-    x, y, z = bounds
+def box_planes(node, lane, rays):
+    """Near x, y, z and far x, y, z of a box of the node at an address, for a `RayClass`."""
+    x, y, z = rays.x, rays.y, rays.z
     planes = NodeLanes(node).planes
     return (
         planes[x.near, lane],
@@ -82,33 +92,31 @@ def _group_interval(group, planes):
 
 
 @device
-def group_range(packet, planes, t_min, first, last):
-    """The first and the last group from `first` to `last` of which a ray enters a box.
-
-    Returns first > last if there is none.
-    """
-    g, end, step = first, last, _U1
+def group_range(packet, planes, t_min, groups):
+    """The first and the last of some groups with a ray that enters a box, as a `GroupRange`."""
+    first = g = groups.first
+    end, step = groups.last, _U1
     # Up to the first one, then down to the last one.
     while True:
         group = Group(packet, g)
         t_in, t_out = _group_interval(group, planes)
-        if any_lane(maximum(t_in, t_min) <= minimum(t_out, group.live_t)):
+        if any_lane(maximum(t_in, t_min) <= minimum(t_out, group.t_active)):
             if step == _U1:
                 first, step = g, _DOWN
                 g, end = end, g
                 if g != end:
                     continue
-            return first, g
+            return GroupRange(first, g)
         if g == end:
             # Going down, the first one is known to enter.
-            return (_U1, _U0) if step == _U1 else (first, first)
+            return GroupRange(_U1, _U0) if step == _U1 else GroupRange(first, first)
         g += step
 
 
 @device
-def _own_planes(planes, block, bounds):
+def _own_planes(planes, block, rays):
     """Near and far planes of four triangles' own boxes."""
-    x, y, z = bounds
+    x, y, z = rays.x, rays.y, rays.z
     near, far, corners = planes.near, planes.far, block.corners
     for axis in range(np.uint64(3)):
         a, b, c = corners[_FIRST, axis], corners[_SECOND, axis], corners[_THIRD, axis]
@@ -130,9 +138,9 @@ def _points64(rows, kx, ky, kz):
 
 
 @device
-def _test_triangle(group, g, block, planes, lane, axes, goal, hits):
+def _test_triangle(group, g, block, planes, lane, rays, goal, hits):
     """Test a block's triangle against a group; returns whether any ray has a nearer hit."""
-    kx, ky, kz = axes
+    kx, ky, kz = rays.kx, rays.ky, rays.kz
     corners = block.corners
     ax, ay, az = corners[_FIRST, kx, lane], corners[_FIRST, ky, lane], corners[_FIRST, kz, lane]
     bx, by, bz = corners[_SECOND, kx, lane], corners[_SECOND, ky, lane], corners[_SECOND, kz, lane]
@@ -158,7 +166,7 @@ def _test_triangle(group, g, block, planes, lane, axes, goal, hits):
         far[_Z, lane],
     )
     t_in, t_out = _group_interval(group, own)
-    nearest, t_min = group.live_t, group.t_min
+    nearest, t_min = group.t_active, group.t_min
     candidates = candidates & (t_in <= t_out) & (t_in <= nearest) & (t_out >= t_min)
     if not any_lane(candidates):
         return False
@@ -189,34 +197,51 @@ def _test_triangle(group, g, block, planes, lane, axes, goal, hits):
         return False
     group.prim_id = select(taken, prim_id, best)
     if goal == ANY:
-        group.live_t = select(taken, f32x16(-_INF), nearest)
+        group.t_active = select(taken, f32x16(-_INF), nearest)
         return True
-    group.live_t = select(taken, t, nearest)
+    group.t_active = select(taken, t, nearest)
     group.u, group.v = select(taken, u, group.u), select(taken, v, group.v)
     return True
 
 
 @device
-def visit_leaf(packet, child, leaves, box, bounds, t_min, first, last, axes, planes, goal, hits):
-    """Test a leaf's triangles against the groups `first` to `last`; whether there was a hit."""
+def visit_leaf(packet, child, leaves, box, rays, groups, planes, goal, hits):
+    """Test a leaf's triangles against groups of a packet; returns whether any ray has a hit.
+
+    Parameters
+    ----------
+    packet : uint64
+    child : int32
+        The leaf's link.
+    leaves : uint64
+    box : tuple of six float32
+        Its planes, see `box_planes`.
+    rays : RayClass
+    groups : GroupRange
+        Those that enter the box.
+    planes : view of PLANES
+        Scratch.
+    goal, hits
+        See `packet.trace_packet`.
+    """
     at = leaf_address(leaves, child)
     end = leaf_end(at, child)
     own = _PlaneLanes(address_of(planes))
     has_hit = False
     while at != end:
         block = BlockLanes(at)
-        _own_planes(planes, Block(at), bounds)
+        _own_planes(planes, Block(at), rays)
         count = _U1
         while count != np.uint64(4):
             if block.prim_ids[count] < np.int32(0):
                 break
             count += _U1
-        for g in range(first, last + _U1):
+        for g in range(groups.first, groups.last + _U1):
             group = Group(packet, g)
             t_in, t_out = _group_interval(group, box)
-            if any_lane(maximum(t_in, t_min) <= minimum(t_out, group.live_t)):
+            if any_lane(maximum(t_in, rays.t_min) <= minimum(t_out, group.t_active)):
                 for lane in range(count):
-                    if _test_triangle(group, g, block, own, lane, axes, goal, hits):
+                    if _test_triangle(group, g, block, own, lane, rays, goal, hits):
                         has_hit = True
         at += BLOCK
     return has_hit

@@ -39,7 +39,7 @@ from raystream.kernels.ray_source import (
 )
 from raystream.structures.bvh.packet_rays import (
     GROUPS,
-    NO_KIND,
+    NO_CLASS,
     NO_PRIM,
     Group,
     GroupLanes,
@@ -225,7 +225,7 @@ def _prepare_group(group, max_coordinate):
     zero = i32x16(np.int32(0))
     axis = select(is_z, zero + np.int32(2), select(is_y, zero + np.int32(1), zero))
     can_hit = group.t_min <= group.t
-    group.kind = select(can_hit, octant | axis, zero + NO_KIND)
+    group.direction_class = select(can_hit, octant | axis, zero + NO_CLASS)
     group.prim_id, group.u, group.v = i32x16(NO_PRIM), f32x16(_ZERO), f32x16(_ZERO)
 
 
@@ -273,7 +273,7 @@ def load_rays(group, rays, t_min, t_max, source, frame, status):
 
 
 @device
-def load_packet(packet, number, order, source, frame, status):
+def load_packet(packet, number, source):
     """Load and prepare a packet.
 
     Parameters
@@ -281,13 +281,8 @@ def load_packet(packet, number, order, source, frame, status):
     packet : uint64
         Address of `PACKET_BYTES` bytes.
     number : uint64
-        Which packet of the batch.
-    order : PacketOrder
-    source : RaySource
-        Rays that follow each other lie 12 bytes apart, or 0.
-    frame : SceneFrame
-    status : uint64
-        Address of the batch's statuses; only invalid ones are written.
+        Index of the packet in the batch.
+    source : PacketSource
 
     Returns
     -------
@@ -296,7 +291,7 @@ def load_packet(packet, number, order, source, frame, status):
     """
     slow_groups = _U0
     for g in range(GROUPS):
-        first, count = group_rows(order, number, g)
-        if load_group(Group(packet, g), first, count, source, frame, status):
+        first, count = group_rows(source.order, number, g)
+        if load_group(Group(packet, g), first, count, source.rays, source.frame, source.status):
             slow_groups |= _U1 << g
     return slow_groups

@@ -25,20 +25,21 @@ from raystream.jit.simd import (
     store_nontemporal,
 )
 from raystream.jit.views import view
-from raystream.kernels.ray import world_t
+from raystream.kernels.ray import SceneFrame, world_t
+from raystream.kernels.ray_source import RaySource
 
 __all__ = [
     "GROUP",
     "GROUPS",
-    "NO_KIND",
+    "NO_CLASS",
     "NO_PRIM",
     "PACKET_BYTES",
     "PACKET_RAYS",
     "Group",
     "GroupLanes",
     "PacketOrder",
+    "PacketSource",
     "group_rows",
-    "packet_order",
     "store_packet",
     "three",
     "world_lanes",
@@ -60,11 +61,11 @@ _FIELDS: list[tuple[str, str, tuple[int, ...]]] = [
     ("shear", "f4", (3, 16)),
     ("t_min", "f4", (16,)),
     ("t", "f4", (16,)),  # t_max, then the nearest hit's
-    ("live_t", "f4", (16,)),  # the same for the rays of the pass, -inf for others
+    ("t_active", "f4", (16,)),  # the same for the rays of the pass, -inf for others
     ("prim_id", "i4", (16,)),
     ("u", "f4", (16,)),
     ("v", "f4", (16,)),
-    ("kind", "i4", (16,)),  # octant and largest axis of the direction
+    ("direction_class", "i4", (16,)),  # octant and largest axis of the direction
     ("t_scale", "f4", (16,)),
     # In groups with a ray that took the slow path into the local frame.
     ("slow_t_scale", "f8", (16,)),
@@ -79,7 +80,7 @@ GroupLanes = view([(name, kind, (*shape, 1)) for name, kind, shape in _FIELDS])
 PACKET_BYTES = GROUP.itemsize * PACKET_RAYS // 16
 
 NO_PRIM = np.int32(2**31 - 1)
-NO_KIND = np.int32(-1)
+NO_CLASS = np.int32(-1)
 
 _INF = np.float32(np.inf)
 _LARGEST = np.float32(np.finfo(np.float32).max)
@@ -108,19 +109,40 @@ class PacketOrder(NamedTuple):
     height: np.uint64
     ray_count: np.uint64
 
+    @classmethod
+    def of(cls, shape: tuple[int, ...]) -> PacketOrder:
+        """The packets of rays of a leading shape; its last two dimensions are an image's."""
+        count = math.prod(shape)
+        is_image = len(shape) >= 2 and shape[-1] >= int(_SIDE)
+        width, height = (shape[-1], count // shape[-1]) if is_image else (0, 0)
+        return cls(np.uint64(width), np.uint64(height), np.uint64(count))
 
-def packet_order(shape: tuple[int, ...]) -> tuple[PacketOrder, int]:
-    """How rays of a leading shape form packets of 256, and how many packets there are.
+    @property
+    def packet_count(self) -> int:
+        """Packets of the batch."""
+        if self.width == 0:
+            return -(-int(self.ray_count) // PACKET_RAYS)
+        side = int(_SIDE)
+        return -(-int(self.width) // side) * -(-int(self.height) // side)
 
-    The last two dimensions are taken as an image's rows and columns.
+
+class PacketSource(NamedTuple):
+    """The rays of a batch, to be loaded as packets.
+
+    Attributes
+    ----------
+    rays : RaySource
+        Rays that follow each other lie 12 bytes apart, or 0.
+    order : PacketOrder
+    frame : SceneFrame
+    status : uint64
+        Address of the batch's statuses; only invalid ones are written.
     """
-    count = math.prod(shape)
-    side = int(_SIDE)
-    if len(shape) < 2 or shape[-1] < side:
-        return PacketOrder(np.uint64(0), np.uint64(0), np.uint64(count)), -(-count // PACKET_RAYS)
-    width, height = shape[-1], count // shape[-1]
-    order = PacketOrder(np.uint64(width), np.uint64(height), np.uint64(count))
-    return order, -(-width // side) * -(-height // side)
+
+    rays: RaySource
+    order: PacketOrder
+    frame: SceneFrame
+    status: np.uint64
 
 
 @device

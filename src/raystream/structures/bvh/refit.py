@@ -1,4 +1,4 @@
-"""Moving the triangles of a finished tree: same nodes and leaves, new boxes."""
+"""Refit a finished tree to moved triangles: same nodes and leaves, new boxes."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH, BvhA
 
 __all__ = ["refit", "refit_leaves", "refit_node"]
 
-#: Nodes whose leaves one call of a kernel moves.
+#: Nodes per call of `_refit_leaves`.
 _CHUNK = 1 << 9
 
 _INF = np.float32(np.inf)
 
-#: From the low planes of an axis to those of the next, and from low to high ones.
+#: Stride of the axes in a node's planes, and offset from low to high planes.
 _AXIS_BYTES = 8 * WIDTH
 _PLANE_BYTES = 4 * WIDTH
 
 
 def refit(arrays: BvhArrays, corners: NDArray[np.float32]) -> None:
-    """Take over new positions of all triangles, in place.
+    """Refit to new positions of all triangles, in place.
 
     Parameters
     ----------
     arrays : BvhArrays
-        Changed; no query may run meanwhile.
+        Changed; no query may run at the same time.
     corners : ndarray of shape (F, 3, 3), float32
         By prim_id, local frame. One with a NaN is never hit.
 
     Notes
     -----
-    Boxes are the tightest around the triangles below them. Where a triangle is in several
-    leaves, each box is around all of it. Rays stay correct however far triangles move, but
-    take longer when neighbours part: compare `statistics` before and after.
+    Boxes are the tightest around the triangles below them; a triangle in several leaves is whole
+    in each of their boxes. Results stay correct however far triangles move, but rays take longer
+    when neighbours drift apart: compare `statistics` before and after.
     """
     nodes, leaves = arrays
     corners = np.ascontiguousarray(corners, np.float32)
@@ -85,9 +85,9 @@ def refit_leaves(node, corners, leaves, last_block):
         block = leaves + np.uint64(~link >> np.int32(3)) * BLOCK
         end_block = block + np.uint64((~link & np.int32(7)) + np.int32(1)) * BLOCK
         while block != end_block:
-            # The corners of the next leaf's triangles are far away: ask for them.
+            # The corners of the next leaf's triangles are far away in memory.
             if block + (BLOCK + BLOCK) < last_block:
-                _ask_for(block + (BLOCK + BLOCK), corners)
+                _prefetch_corners(block + (BLOCK + BLOCK), corners)
             _copy_corners(block, corners)
             block += BLOCK
         block = leaves + np.uint64(~link >> np.int32(3)) * BLOCK
@@ -95,7 +95,7 @@ def refit_leaves(node, corners, leaves, last_block):
             low, high = f32x4(_INF), f32x4(-_INF)
             at = block + axis * np.uint64(16)
             while at < end_block:
-                # NaN, of absent triangles, changes nothing: the second operand wins.
+                # NaN, of unused lanes, has no effect: the second operand wins.
                 for vertex in range(np.uint64(3)):
                     plane = load(f32x4, at + vertex * np.uint64(48))
                     low, high = minimum(plane, low), maximum(plane, high)
@@ -106,10 +106,10 @@ def refit_leaves(node, corners, leaves, last_block):
 
 
 @device
-def _ask_for(block, corners):
+def _prefetch_corners(block, corners):
     for k in range(np.uint64(BLOCK_SIZE)):
         prim_id = load(np.int32, block + PRIM_IDS + k * np.uint64(4))
-        # An absent one has -1: the address is of nothing, which is no error.
+        # For -1 the address is invalid, which a prefetch ignores.
         at = corners + np.uint64(prim_id) * TRIANGLE_BYTES
         prefetch(at)
         prefetch(at + (TRIANGLE_BYTES - np.uint64(4)))
@@ -126,18 +126,18 @@ def _copy_corners(block, corners):
 
 @kernel
 def _refit_nodes(nodes):
-    """Write the boxes of children that are nodes; those of leaves are right already."""
+    """Write the boxes of children that are nodes; those of leaves are up to date."""
     node_at = address(nodes)
     row = np.uint64(len(nodes))
     while row != np.uint64(0):
         row -= np.uint64(1)
-        # Children have greater rows: theirs are done.
+        # Children have greater rows, which are done.
         refit_node(node_at + row * np.uint64(NODE_BYTES), node_at)
 
 
 @device
 def refit_node(node, nodes):
-    """Write the boxes of those children of a node that are nodes, from their children's.
+    """Write the boxes of a node's children that are nodes, from their own children's.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Figures about a tree: how good it is, by the surface area heuristic."""
+"""Statistics of a tree: its size, and its quality by the surface area heuristic."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["statistics"]
 
 
 def statistics(arrays: BvhArrays) -> dict[str, float]:
-    """Counts, depth, and the expected cost of a random ray that meets the bounds.
+    """Counts, depth, and the expected cost of a random ray that hits the bounds.
 
     Parameters
     ----------
@@ -23,9 +23,9 @@ def statistics(arrays: BvhArrays) -> dict[str, float]:
     dict of str to float
         ``nodes``, ``leaf blocks``; ``lane fill``: children in a node, of 8; ``block fill``:
         triangles in a block, of 4; ``depth``: nodes on the longest path; ``references``:
-        triangles in all leaves, those in several counted as often; ``nodes per ray`` and
-        ``blocks per ray``: how many a random line through the bounds meets, hits or no hits
-        (nan where the scene has no area).
+        triangles in all leaves, with multiplicity; ``nodes per ray`` and ``blocks per ray``:
+        expected numbers on a random line through the bounds, whatever it hits (nan for a scene
+        without area).
     """
     nodes, leaves = arrays
     if len(nodes) == 0:

@@ -1,19 +1,17 @@
-"""The steps of a ray's search in the wide tree, each a function of a small state.
+"""The steps of a ray's traversal of the wide tree, each a function of a small state.
 
-A machine decides when to run which: `traversal.traverse` runs them fused, one ray from start to
-end; another may run each over many rays, with their stacks in memory in between.
+`traversal.traverse` runs them fused, one ray from start to end; the multipass machine runs each
+over many rays, with their stacks in memory.
 
-A search is a stack of children, with a key each: where the ray enters the child's box, with its
-lane in the lowest three bits, so that eight keys are sorted at once. Keys and children are two
-arrays, the halves of the stack. `begin` puts the root there, `next_entry` takes a child, and
-`visit` puts the children of a node there that the ray enters, or `kernels.leaf_block` tests a block
-of a leaf. Between these, a ray's state is how many bytes are on its stack, the child or block
-that is next, the hits counted, and the distance beyond which none is wanted.
+The stack has children with a key each: the distance at which the ray enters the child's box, with
+the lane in the lowest three bits, so that eight keys are sorted at once. Keys and children are two
+arrays, the halves of the stack. `begin` pushes the root, `next_entry` pops a child, and `visit`
+pushes the children of a node that the ray enters, or `kernels.leaf_block` tests a block of a leaf.
+Between steps, a ray's state is the bytes on its stack, the next child or block, the number of its
+hits, and the distance beyond which none is wanted.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -35,7 +33,7 @@ from raystream.jit.simd import (
 )
 from raystream.kernels.triangle_lanes import slab_interval
 from raystream.structures.bvh.layout import WIDTH, BvhArrays
-from raystream.structures.bvh.wide import (
+from raystream.structures.bvh.node_layout import (
     BOX_FLIP,
     CHILDREN,
     LANE,
@@ -48,7 +46,6 @@ from raystream.structures.bvh.wide import (
 )
 
 __all__ = [
-    "TreeAddresses",
     "begin",
     "is_leaf",
     "leaf_blocks",
@@ -71,26 +68,13 @@ _ODD = np.uint64(0b10101010)
 _SECOND_PAIRS = np.uint64(0b11001100)
 _UPPER = np.uint64(0b11110000)
 
-#: A half of a stack is a multiple of so many bytes, so that both are whole cache lines.
+#: A half of a stack is a multiple of this many bytes, so that both are whole cache lines.
 _HALF_LINE = 32
-
-
-class TreeAddresses(NamedTuple):
-    """`layout.BvhArrays` as kernels take them; whoever calls one keeps the arrays alive.
-
-    Attributes
-    ----------
-    nodes, leaves : uint64
-        Addresses of the first node and the first leaf block; 0 for an empty tree.
-    """
-
-    nodes: np.uint64
-    leaves: np.uint64
 
 
 @device
 def _lane_numbers():
-    """0 to 7: the compiler makes a constant of it."""
+    """0 to 7, a constant to the compiler."""
     none = i32x8(np.int32(0))
     low = select(lanes_from_bits(mask8, _ODD), i32x8(np.int32(1)), none)
     middle = select(lanes_from_bits(mask8, _SECOND_PAIRS), i32x8(np.int32(2)), none)
@@ -99,7 +83,7 @@ def _lane_numbers():
 
 @device
 def begin(tree, t_min, t_max, stack, half):
-    """Put the root on the stack, if there is anything to search.
+    """Push the root, if there is anything to search.
 
     Parameters
     ----------
@@ -114,7 +98,7 @@ def begin(tree, t_min, t_max, stack, half):
     Returns
     -------
     top : uint64
-        Bytes in a half that are in use; 0 for an empty stack.
+        Bytes in use of a half; 0 for an empty stack.
     """
     if tree.nodes == _NONE or not (t_min <= t_max):
         return _NONE
@@ -125,19 +109,19 @@ def begin(tree, t_min, t_max, stack, half):
 
 @device
 def next_entry(stack, half, top, t_far):
-    """Take the next child from the stack whose box the ray enters soon enough.
+    """Pop the next child whose box the ray enters within t_far.
 
     Parameters
     ----------
     stack, half, top : uint64
         See `begin`.
     t_far : float32
-        Hits beyond are not wanted: nor are boxes.
+        Hits beyond are not wanted.
 
     Returns
     -------
     found : bool
-        Else the search is at its end.
+        Whether there is one; else the search is over.
     child : int32
         A node or leaf; see `is_leaf`.
     top : uint64
@@ -165,13 +149,13 @@ def leaf_blocks(tree, child):
 
 @device
 def _first_planes(at, inv):
-    """Where in a node the planes that a ray meets first are, of the axis at `at` in a block."""
+    """Offset of the planes that a ray enters by, for the axis at offset `at` in a block."""
     return plane_offset(at >> _AXIS_SHIFT, inv)
 
 
 @device
 def visit(tree, child, line, t_min, t_far, stack, half, top):
-    """Put the children of a node that a ray enters on the stack, the nearest on top.
+    """Push the children of a node that a ray enters, the nearest last.
 
     Parameters
     ----------
@@ -204,7 +188,7 @@ def visit(tree, child, line, t_min, t_far, stack, half, top):
         line.far,
     )
     entered = maximum(t_in, t_min) <= minimum(t_out, t_far)
-    # Only the order of the bits of positive numbers is that of the numbers.
+    # Only the bits of positive numbers are in the numbers' order.
     key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | _lane_numbers()
     key = sort_keys(select(entered, key, i32x8(_NO_KEY)))
     store(stack + top, key)
@@ -213,7 +197,7 @@ def visit(tree, child, line, t_min, t_far, stack, half, top):
 
 
 def stack_half(tree: BvhArrays) -> int:
-    """Bytes that a half of a stack needs for any search in a tree.
+    """Bytes of half a stack that suffice for any search in a tree.
 
     Parameters
     ----------
@@ -230,7 +214,7 @@ def stack_half(tree: BvhArrays) -> int:
 
 @kernel
 def _most_entries(children):
-    """Entries that `visit` may write on one half: those below a node, and its eight lanes."""
+    """Most entries that `visit` writes to a half: those of other nodes, and eight lanes."""
     below = np.zeros(len(children), np.int64)
     most = 0
     for node in range(len(children)):  # parents come before their children

@@ -50,6 +50,16 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.layout import MAX_DEPTH, STACK_SIZE
+from raystream.structures.bvh.node_layout import (
+    KEY_LANES,
+    LANE,
+    Node,
+    NodeLanes,
+    leaf_address,
+    leaf_end,
+    prefetch_child,
+    sort_keys,
+)
 from raystream.structures.bvh.stream_rays import (
     FILL_BYTES,
     STREAM_BYTES,
@@ -60,16 +70,6 @@ from raystream.structures.bvh.stream_rays import (
     fill,
     stream_rays,
     write_results,
-)
-from raystream.structures.bvh.wide import (
-    KEY_LANES,
-    LANE,
-    Node,
-    NodeLanes,
-    leaf_address,
-    leaf_end,
-    prefetch_child,
-    sort_keys,
 )
 
 __all__ = ["trace_streams"]
@@ -280,7 +280,7 @@ def _keep_nearest(hot, cold, block, bits, lanes):
 
 
 @device
-def _trace_stream(octant, count, stream, nodes, leaves, stack, lists, hits, small, wants_any):
+def _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any):
     """Take a stream of rays through the tree."""
     back_x, back_y, back_z = octant & _U1, (octant >> _U1) & _U1, octant >> _U2
     backward = back_x != _U0, back_y != _U0, back_z != _U0
@@ -303,7 +303,7 @@ def _trace_stream(octant, count, stream, nodes, leaves, stack, lists, hits, smal
             if length == _U0:
                 continue
         if child < np.int32(0):
-            at = leaf_address(leaves, child)
+            at = leaf_address(tree.leaves, child)
             end = leaf_end(at, child)
             while at != end:
                 hit_count += _test_block(
@@ -312,18 +312,18 @@ def _trace_stream(octant, count, stream, nodes, leaves, stack, lists, hits, smal
                 at += BLOCK
             continue
         number = np.uint64(child)
-        t_in = _visit_node(Node(nodes, number), rays, length, stream.hot, x, y, z, hits)
+        t_in = _visit_node(Node(tree.nodes, number), rays, length, stream.hot, x, y, z, hits)
         entered = t_in < _INF
         if not any_lane(entered):
             continue
         # Lists of the children, the farthest first: the nearest ends up on the stack's top.
         key = (float_as_bits(maximum(t_in, _ZERO)) & _KEY_BITS) | lane_numbers(i32x8)
         small.t_in, small.keys = t_in, sort_keys(select(entered, key, i32x8(_LEAST_KEY)))
-        children = NodeLanes(nodes, number).children
+        children = NodeLanes(tree.nodes, number).children
         room = rays + length * LANE
         for k in range(popcount(mask_bits(entered))):
             lane = np.uint64(of_lane.keys[k] & KEY_LANES)
-            prefetch_child(children[lane], nodes, leaves)
+            prefetch_child(children[lane], tree.nodes, tree.leaves)
             written = _make_list(room, rays, hits, length, lane)
             entry = _Entry(stack, top)
             entry.child, entry.count, entry.rays = children[lane], np.uint32(written), room
@@ -333,14 +333,14 @@ def _trace_stream(octant, count, stream, nodes, leaves, stack, lists, hits, smal
 
 
 @kernel
-def trace_streams(begin, end, nodes, leaves, frame, source, rays, wants_any, out):
+def trace_streams(begin, end, tree, frame, source, rays, wants_any, out):
     """Trace sorted rays begin to end.
 
     Parameters
     ----------
     begin, end : int
-    nodes, leaves : int
-        Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
+    tree : TreeAddresses
+        Not empty.
     frame : SceneFrame
     source : RaySource
     rays : SortedRays
@@ -364,9 +364,7 @@ def trace_streams(begin, end, nodes, leaves, frame, source, rays, wants_any, out
         while at < min(octant_end, np.uint64(end)):
             count = min(min(octant_end, np.uint64(end)) - at, _CAPACITY)
             fill(stream, source, rays, at, count, frame, group, out.status)
-            _trace_stream(
-                octant, count, stream, nodes, leaves, stack, lists, hits, small, wants_any
-            )
+            _trace_stream(octant, count, stream, tree, stack, lists, hits, small, wants_any)
             write_results(stream, rays, at, count, wants_any, out)
             at += count
     # The memory must outlive its addresses.

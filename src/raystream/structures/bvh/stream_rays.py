@@ -17,7 +17,7 @@ from raystream.kernels.ray import world_t
 from raystream.structures.bvh.packet_load import load_rays
 from raystream.structures.bvh.packet_rays import GROUP, NO_PRIM, GroupLanes
 from raystream.structures.bvh.packet_rays import three as vectors
-from raystream.structures.bvh.ray_order import (
+from raystream.structures.bvh.stream_order import (
     COPIES_BYTES,
     copy_sixteen,
     load_copies,
@@ -147,7 +147,7 @@ def _in_frame(is_y, is_z, x, y, z):
 @device
 def _write_records(hot, cold, group):
     """Turn a prepared group into 16 records."""
-    kinds = group.kind & np.int32(3)
+    kinds = group.direction_class & np.int32(3)
     is_y, is_z = kinds == np.int32(1), kinds == np.int32(2)
     ox, oy, oz = vectors(group.origin)
     dx, dy, dz = vectors(group.direction)

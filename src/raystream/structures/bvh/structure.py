@@ -1,4 +1,4 @@
-"""BvhStructure: the bounding volume hierarchy as a structure."""
+"""BvhStructure: a built bounding volume hierarchy, and its queries."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from raystream.structures.bvh.engine import (
     trace_batch,
     visit_batch,
 )
-from raystream.structures.bvh.layout import BvhArrays, check_arrays
+from raystream.structures.bvh.layout import BvhArrays, TreeAddresses, check_arrays
 from raystream.structures.bvh.options import Bvh
 from raystream.structures.bvh.refit import refit
 from raystream.structures.bvh.statistics import statistics
-from raystream.structures.bvh.steps import TreeAddresses, stack_half
+from raystream.structures.bvh.steps import stack_half
 from raystream.structures.bvh.traversal import STACK_BYTES, traverse
 
 __all__ = ["BvhStructure", "hittable_corners", "trace_cost"]
 
 
 class BvhStructure(Structure):
-    """A bounding volume hierarchy as it was built; see `Bvh`.
+    """A bounding volume hierarchy that has been built; see `Bvh`.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class BvhStructure(Structure):
         self._has_duplicates = False
         entry_count = int(np.count_nonzero(tree.prim_ids >= 0))
         if entry_count != len(triangles.prim_ids):
-            # Some are in several leaves, or some that a moved tree holds cannot be hit now.
+            # Some are in several leaves, or cannot be hit any more after a refit.
             self._held_ids = np.unique(tree.prim_ids[tree.prim_ids >= 0])
             self._has_duplicates = entry_count != len(self._held_ids)
         self.report = BuildReport(
@@ -77,17 +77,17 @@ class BvhStructure(Structure):
 
     @cached_property
     def cost_when_built(self) -> float:
-        """Cost of tracing the tree before it was refitted; see `UpdateReport`."""
+        """Trace cost of the tree before any refit; see `UpdateReport`."""
         return trace_cost(self.tree)
 
     @property
     def kernel(self) -> str:
-        """How rays are traced."""
+        """The kernel that traces rays; see `Bvh`."""
         return self.options.kernel
 
     @property
     def arrays(self) -> TreeAddresses:
-        """Where the tree is; the structure keeps it."""
+        """Addresses of the tree, which the structure keeps alive."""
         return self._numbers.addresses
 
     @property
@@ -102,11 +102,11 @@ class BvhStructure(Structure):
 
     @cached_property
     def stack_half(self) -> int:
-        """Bytes of half the stack of a search, see `steps.begin`."""
+        """Bytes of half a search's stack; see `steps.begin`."""
         return stack_half(self.tree)
 
     def quality(self) -> dict[str, float]:
-        """Counts, depth, and the expected cost of a random ray that meets the bounds."""
+        """Counts, depth, and the expected cost of a random ray that hits the bounds."""
         return statistics(self.tree)
 
     def saved_arrays(self) -> dict[str, NDArray[Any]]:
@@ -117,7 +117,7 @@ class BvhStructure(Structure):
     def from_arrays(
         cls, triangles: Triangles, arrays: Mapping[str, NDArray[Any]], options: Bvh
     ) -> BvhStructure:
-        """Make a BVH of saved arrays; see `Structure.from_arrays`."""
+        """Make a BVH from saved arrays; see `Structure.from_arrays`."""
         started = time.perf_counter()
         tree = check_arrays(arrays, triangles.prim_ids, triangles.corners)
         structure = cls.__new__(cls)
@@ -127,12 +127,12 @@ class BvhStructure(Structure):
     def updated(
         self, triangles: Triangles, max_cost_growth: float, progress: Progress | None = None
     ) -> tuple[Structure, UpdateReport]:
-        """Refit the tree to moved triangles, or build it anew; see `Structure.updated`.
+        """Refit the tree to moved triangles, or rebuild it; see `Structure.updated`.
 
         Notes
         -----
-        The arrays are changed in place. Built anew is also a tree which lacks a triangle:
-        one that could not be hit when it was built, and can be now.
+        The arrays are changed in place. A tree that lacks a triangle, which could not be hit when
+        it was built and now can, is rebuilt.
         """
         started = time.perf_counter()
         old_cost = self.cost_when_built
@@ -151,7 +151,7 @@ class BvhStructure(Structure):
         return rebuilt, UpdateReport(True, time.perf_counter() - started, cost, cost)
 
     def _holds(self, triangles: Triangles) -> bool:
-        """Whether the tree has all that can be hit, in the same frame."""
+        """Whether the tree has all triangles that can be hit, in the same frame."""
         if triangles.scale != self.triangles.scale:
             return False
         if not np.array_equal(triangles.center, self.triangles.center):
@@ -163,7 +163,7 @@ class BvhStructure(Structure):
         return bool(is_held[triangles.prim_ids].all())
 
     def _moved(self, triangles: Triangles, started: float) -> BvhStructure:
-        """The structure of moved triangles, with the same arrays, which were refitted."""
+        """The structure of moved triangles, with the same, refitted arrays."""
         moved = BvhStructure.__new__(BvhStructure)
         moved.__dict__.update(self.__dict__)
         moved.__dict__.pop("frame", None)
@@ -176,7 +176,7 @@ class BvhStructure(Structure):
     def trace_batch(
         self, query: Query, rays: RayBatch, sink: Sink, progress: Progress | None = None
     ) -> bool:
-        """Answer a query with one of the kernels for many rays; see `engine`."""
+        """Run a query with one of the kernels for many rays; see `engine`."""
         kind, tree = query.kind, self._numbers
         if kind is Kind.FIRST_HIT or kind is Kind.ANY_HIT:
             if self._is_traced_singly():
@@ -199,18 +199,18 @@ class BvhStructure(Structure):
         )
 
     def _may_collect(self, batch: RayBatch, limit: int) -> bool:
-        """Whether packets could find the hits of a batch: all of them are wanted."""
+        """Whether packets may trace a batch: they find all hits."""
         if limit != UNLIMITED or len(self.tree.nodes) == 0 or len(batch) == 0:
             return False
         return self.kernel == "packet" or (self.kernel == "auto" and len(batch) > SMALL_BATCH)
 
     def _is_traced_singly(self) -> bool:
-        """By `traverse`, which takes empty trees too."""
+        """Whether `traverse` traces first and any hits; it takes empty trees too."""
         return self.kernel == "single" or len(self.tree.nodes) == 0
 
 
 def trace_cost(tree: BvhArrays) -> float:
-    """Nodes and leaf blocks that a random line through the bounds meets: about equal in price."""
+    """Expected node steps and block tests of a random line through the bounds."""
     figures = statistics(tree)
     return figures["nodes per ray"] + figures["blocks per ray"]
 

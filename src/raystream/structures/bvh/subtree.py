@@ -1,4 +1,4 @@
-"""Growing the binary tree over a range of records on one thread."""
+"""Build the binary tree over a range of references on one thread."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import numpy as np
 
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address, f32x8, load, scratch, store
-from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES
-from raystream.structures.bvh.collapse import collapse_subtree
-from raystream.structures.bvh.records import RECORD_BYTES
-from raystream.structures.bvh.tree import (
+from raystream.structures.bvh.binary_tree import (
     PENDING_STACK_BYTES,
     Link,
     Pending,
@@ -17,40 +14,43 @@ from raystream.structures.bvh.tree import (
     put_node,
     split,
 )
+from raystream.structures.bvh.binning import BINS_BYTES, SUMS_BYTES
+from raystream.structures.bvh.collapse import collapse_subtree
+from raystream.structures.bvh.prim_refs import REF_BYTES
 
 __all__ = ["grow_subtree", "split_once"]
 
 
 @kernel
-def split_once(records, begin, end, use_sides, bounds, part_bounds):
+def split_once(refs, begin, end, use_sides, bounds, part_bounds):
     """Split one range in two.
 
     Parameters
     ----------
-    records : ndarray of shape (A, 8), float32
+    refs : ndarray of shape (A, 8), float32
         Those of the range are reordered.
     begin, end : int
-        The range, of at least two records.
+        The range: at least two references.
     use_sides : bool
-        Else they are halved by count.
+        Else the range is halved by count.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the records, and around their middles.
+        Boxes around the references, and around their centroids.
     part_bounds : ndarray of shape (2, 2, 8), float32
-        Written: the same for both parts.
+        Written: the same of both parts.
 
     Returns
     -------
     int
-        Where the first part ends.
+        End of the first part.
     """
     if begin == end:
         return begin
-    middles = load(f32x8, address(bounds) + np.uint64(RECORD_BYTES))
-    middle, left, left_middles, right, right_middles = split(
-        address(records),
+    centroids = load(f32x8, address(bounds) + np.uint64(REF_BYTES))
+    middle, left, left_centroids, right, right_centroids = split(
+        address(refs),
         np.int32(begin),
         np.int32(end),
-        middles,
+        centroids,
         use_sides,
         0,
         scratch(BINS_BYTES),
@@ -58,67 +58,44 @@ def split_once(records, begin, end, use_sides, bounds, part_bounds):
     )
     to = address(part_bounds)
     store(to, left)
-    store(to + np.uint64(RECORD_BYTES), left_middles)
-    store(to + np.uint64(2 * RECORD_BYTES), right)
-    store(to + np.uint64(3 * RECORD_BYTES), right_middles)
+    store(to + np.uint64(REF_BYTES), left_centroids)
+    store(to + np.uint64(2 * REF_BYTES), right)
+    store(to + np.uint64(3 * REF_BYTES), right_centroids)
     return np.int64(middle)
 
 
 @kernel
-def grow_subtree(
-    records,
-    begin,
-    end,
-    depth,
-    sah_depth,
-    bounds,
-    boxes,
-    links,
-    small,
-    plain_size,
-    max_leaf_size,
-    prices,
-    costs,
-    root_costs,
-):
-    """Build all of the binary tree over a range, and decide how it will be collapsed.
+def grow_subtree(tree, span, depth, bounds, settings, costs, root_costs):
+    """Build the binary tree over a range, and decide how it will be collapsed.
 
     Parameters
     ----------
-    records : ndarray of shape (A, 8), float32
-        Those of the range are reordered.
-    begin, end : int
-        The range; its tree gets the rows from 2 begin on, parents before their children.
+    tree : BinaryTree
+        References of the range are reordered. Its tree gets the rows from 2 begin on, parents
+        before children.
+    span : Span
     depth : int
         Nodes above the range.
-    sah_depth : int
-        From this depth on ranges are halved by count.
     bounds : ndarray of shape (2, 8), float32
-        Boxes around the records, and around their middles.
-    boxes, links : ndarray of shape (2 A, 8), float32, and (2 A, 4), int32
-        The tree; see `tree`.
-    small : int
-        Ranges of so many records are not split.
-    plain_size : int
-        So many or fewer are split in the middle; see `tree.split`.
-    max_leaf_size : int
-    prices : tuple of float32
-        Of a node and of a leaf block; see `merge_costs`.
+        Boxes around the references, and around their centroids.
+    settings : BuildSettings
     costs : ndarray of shape (2 (end - begin), 8), float32
         Scratch.
     root_costs : ndarray of shape (8,), float32
         Written: the costs of the range's root.
     """
+    begin, end, small = span.begin, span.end, settings.min_split_size
     if begin == end:
         return
-    record_at, box_at, link_at = address(records), address(boxes), address(links)
+    ref_at, box_at, link_at = address(tree.refs), address(tree.boxes), address(tree.links)
+    sah_depth, plain_size = settings.sah_depth, settings.plain_size
     bins, sums = scratch(BINS_BYTES), scratch(SUMS_BYTES)
     stack = scratch(PENDING_STACK_BYTES)
     root = np.int32(2 * begin)
     bound_at = address(bounds)
     put_node(box_at, link_at, root, load(f32x8, bound_at), begin, end)
-    middles = load(f32x8, bound_at + np.uint64(RECORD_BYTES))
-    top = push_pending(stack, np.uint64(0), middles, root, begin, end, depth, end)
+    centroids = load(f32x8, bound_at + np.uint64(REF_BYTES))
+    top = push_pending(stack, np.uint64(0), centroids, root, begin, end, depth, end)
     node_end = np.int32(root + 1)
     while top != np.uint64(0):
         top -= np.uint64(1)
@@ -127,17 +104,15 @@ def grow_subtree(
         if last - first <= small:
             continue
         node, level = pending.node, pending.depth
-        middle, left, left_middles, right, right_middles = split(
-            record_at, first, last, pending.middles, level < sah_depth, plain_size, bins, sums
+        middle, left, left_centroids, right, right_centroids = split(
+            ref_at, first, last, pending.centroids, level < sah_depth, plain_size, bins, sums
         )
         link = Link(link_at, np.uint64(node))
         link.left, link.right = node_end, np.int32(node_end + 1)
         put_node(box_at, link_at, node_end, left, first, middle)
         put_node(box_at, link_at, node_end + 1, right, middle, last)
-        top = push_pending(stack, top, right_middles, node_end + 1, middle, last, level + 1, last)
-        top = push_pending(stack, top, left_middles, node_end, first, middle, level + 1, middle)
+        top = push_pending(stack, top, right_centroids, node_end + 1, middle, last, level + 1, last)
+        top = push_pending(stack, top, left_centroids, node_end, first, middle, level + 1, middle)
         node_end = np.int32(node_end + 2)
-    merged = collapse_subtree(
-        box_at, link_at, root, node_end, max_leaf_size, prices, address(costs)
-    )
+    merged = collapse_subtree(box_at, link_at, root, node_end, settings, address(costs))
     store(address(root_costs), merged)

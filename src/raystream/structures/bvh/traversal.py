@@ -1,4 +1,4 @@
-"""One ray through the wide tree: the steps of `steps`, fused. It answers every query."""
+"""Traversal of the wide tree by a single ray: the steps of `steps`, fused. For all queries."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ __all__ = ["STACK_BYTES", "traverse"]
 _ONE = np.uint64(1)
 _INF = np.float32(np.inf)
 
-#: Bytes of a half of the stack, for the deepest of trees.
+#: Bytes of half the stack, for the deepest tree.
 _HALF = np.uint64(-(-4 * STACK_SIZE // 64) * 64)
 
-#: Bytes of the stack that `traverse` is given.
+#: Bytes of the stack of `traverse`.
 STACK_BYTES = 2 * int(_HALF)
 
 
 @device
 def traverse(tree, ray, search, stack):
-    """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
+    """Traverse the tree with a ray; see `kernels.queries.ray_queries` for the arguments."""
     line = block_ray(ray)
     top = begin(tree, search.t_min, search.t_far, stack, _HALF)
     while True:

@@ -41,7 +41,7 @@ from raystream.kernels.triangle_lanes import (
     slab_interval,
 )
 from raystream.structures.bvh.layout import STACK_SIZE
-from raystream.structures.bvh.wide import (
+from raystream.structures.bvh.node_layout import (
     LANE,
     Node,
     leaf_address,
@@ -271,7 +271,7 @@ def _keep_nearest(slot, block, bits, lanes):
 
 
 @device
-def _next(slot, top, keys, children, nodes, leaves, prefetching):
+def _next(slot, top, keys, children, tree, prefetching):
     """Take the nearest child off the stack that may matter; returns its number."""
     limit = slot.t_key
     top -= LANE
@@ -280,23 +280,19 @@ def _next(slot, top, keys, children, nodes, leaves, prefetching):
     child = load(np.int32, children + top)
     slot.child, slot.top = child, top
     if prefetching:
-        prefetch_child(child, nodes, leaves)
+        prefetch_child(child, tree.nodes, tree.leaves)
     return child
 
 
 @kernel
-def trace_wavefront(
-    begin, end, nodes, leaves, max_coordinate, frame, source, wants_any, prefetching, out
-):
+def trace_wavefront(begin, end, tree, frame, source, wants_any, prefetching, out):
     """Trace rays begin to end.
 
     Parameters
     ----------
     begin, end : int
-    nodes, leaves : int
-        Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
-    max_coordinate : float32
-        Largest absolute coordinate of the scene.
+    tree : TreeAddresses
+        Not empty.
     frame : SceneFrame
     source : RaySource
     wants_any : bool
@@ -344,7 +340,7 @@ def trace_wavefront(
                     all_children + k * _STACK,
                     ray_next,
                     ray,
-                    max_coordinate,
+                    frame.max_coordinate,
                 )
                 ray_next += _ONE
                 store(inner + inner_size, k)
@@ -361,9 +357,9 @@ def trace_wavefront(
             at += _WORD
             slot = _Slot(slots, k)
             keys, children = all_keys + k * _STACK, all_children + k * _STACK
-            node = Node(nodes, np.uint64(slot.child))
+            node = Node(tree.nodes, np.uint64(slot.child))
             top = _visit_node(slot, node, keys, children, numbers)
-            child = _next(slot, top, keys, children, nodes, leaves, prefetching)
+            child = _next(slot, top, keys, children, tree, prefetching)
             # Without a branch: the slot goes to the end of all queues, one of which grows.
             is_leaf = np.uint64(child < np.int32(0))
             is_done = np.uint64(child == _BOTTOM)
@@ -385,9 +381,9 @@ def trace_wavefront(
             slot = _Slot(slots, k)
             keys, children = all_keys + k * _STACK, all_children + k * _STACK
             top = slot.top
-            if _visit_leaf(slot, leaves, lanes, wants_any):
+            if _visit_leaf(slot, tree.leaves, lanes, wants_any):
                 top = LANE
-            child = _next(slot, top, keys, children, nodes, leaves, prefetching)
+            child = _next(slot, top, keys, children, tree, prefetching)
             is_leaf = np.uint64(child < np.int32(0))
             is_done = np.uint64(child == _BOTTOM)
             store(inner + inner_size, k)

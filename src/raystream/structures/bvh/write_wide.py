@@ -1,8 +1,11 @@
-"""Writing the nodes and leaves of the wide tree."""
+"""Write the nodes and leaves of the wide tree."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, device_call, kernel
 from raystream.jit.simd import address, f32x8, i32x8, load, prefetch, scratch, store
@@ -14,14 +17,14 @@ from raystream.kernels.leaf_block import (
     clear_block,
     write_triangle,
 )
+from raystream.structures.bvh.binary_tree import MAX_TREE_DEPTH, Link
 from raystream.structures.bvh.collapse import LISTING_BYTES, is_leaf, list_children
 from raystream.structures.bvh.layout import CHILDREN_AT, NODE_BYTES, WIDTH
-from raystream.structures.bvh.records import COUNT_AT, FIRST_AT, RECORD_BYTES
-from raystream.structures.bvh.tree import MAX_TREE_DEPTH, Link
+from raystream.structures.bvh.prim_refs import COUNT_AT, FIRST_AT, REF_BYTES
 
-__all__ = ["READ_AHEAD", "clear_node", "emit", "set_lane"]
+__all__ = ["READ_AHEAD", "Deferred", "WideTrees", "clear_node", "set_lane", "write_trees"]
 
-#: A wide node to be written: its binary node, its row, its depth (int32).
+#: A wide node to be written: its binary node, row and depth.
 _PENDING = np.dtype([("node", "i4"), ("row", "i4"), ("depth", "i4")])
 _Pending = view(_PENDING)
 _PENDING_STACK_BYTES = (WIDTH * MAX_TREE_DEPTH + 1) * _PENDING.itemsize
@@ -30,8 +33,60 @@ _CHILDREN_BYTES = 4 * WIDTH
 
 _INF = np.float32(np.inf)
 
-#: Records after a leaf's that are read too: their triangles will be copied soon.
+#: Distance in references at which corners are prefetched.
 READ_AHEAD = 8
+
+
+class WideTrees(NamedTuple):
+    """K wide trees to be written, one for each of some binary nodes.
+
+    Attributes
+    ----------
+    roots : ndarray of shape (K,), int32
+        The binary nodes.
+    depths : ndarray of shape (K,), int32
+        Wide nodes above each one.
+    first_nodes, first_blocks : ndarray of shape (K,), int64
+        Where each one's nodes and leaf blocks go.
+    counts : ndarray of shape (K, 4), int64
+        Nodes, blocks, depth of the deepest node, and deferred children.
+    """
+
+    roots: NDArray[np.int32]
+    depths: NDArray[np.int32]
+    first_nodes: NDArray[np.int64]
+    first_blocks: NDArray[np.int64]
+    counts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, roots: NDArray[np.int32], depths: NDArray[np.int32]) -> WideTrees:
+        """Trees with zeroed counts."""
+        count = len(roots)
+        firsts = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        return cls(roots, depths, *firsts, np.zeros((count, 4), np.int64))
+
+
+class Deferred(NamedTuple):
+    """Children below the top of the tree, which are not written with it.
+
+    Attributes
+    ----------
+    nodes : ndarray of shape (D,), int32
+        Binary nodes; D is 0 to defer none.
+    rows : ndarray of shape (D,), int64
+        Rows of their wide nodes.
+    depths : ndarray of shape (D,), int32
+        Wide nodes above each one.
+    """
+
+    nodes: NDArray[np.int32]
+    rows: NDArray[np.int64]
+    depths: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, room: int) -> Deferred:
+        """Room for a number of children."""
+        return cls(np.empty(room, np.int32), np.zeros(room, np.int64), np.empty(room, np.int32))
 
 
 @device
@@ -56,39 +111,37 @@ def set_lane(node, lane, box, child):
 
 
 @device_call
-def _unique(record, count):
-    """Move one record of each triangle to the front; returns how many there are."""
+def _unique(ref, count):
+    """Move one reference of each triangle to the front; returns their number."""
     kept = np.int32(0)
     for i in range(count):
-        moved = load(f32x8, record + np.uint64(i) * np.uint64(RECORD_BYTES))
-        prim_id = load(
-            np.int32, record + np.uint64(i) * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
-        )
+        moved = load(f32x8, ref + np.uint64(i) * np.uint64(REF_BYTES))
+        prim_id = load(np.int32, ref + np.uint64(i) * np.uint64(REF_BYTES) + np.uint64(FIRST_AT))
         found = False
         for k in range(kept):
-            at = record + np.uint64(k) * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+            at = ref + np.uint64(k) * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
             found = found or load(np.int32, at) == prim_id
         if not found:
-            # Changes places, lest anything is lost: a leaf is listed more than once.
-            place = record + np.uint64(kept) * np.uint64(RECORD_BYTES)
-            store(record + np.uint64(i) * np.uint64(RECORD_BYTES), load(f32x8, place))
+            # Swap, not overwrite: each leaf is visited twice, to count and to write.
+            place = ref + np.uint64(kept) * np.uint64(REF_BYTES)
+            store(ref + np.uint64(i) * np.uint64(REF_BYTES), load(f32x8, place))
             store(place, moved)
             kept = np.int32(kept + np.int32(1))
     return kept
 
 
 @device_call
-def _write_leaf(record, count, corners, to):
-    """Write the blocks of a leaf from address `to` on."""
+def _write_leaf(ref, count, corners, to):
+    """Write the blocks of a leaf to address `to`."""
     for i in range(np.uint64(count)):
         lane = i & np.uint64(BLOCK_SIZE - 1)
         block = to + (i >> np.uint64(2)) * BLOCK
         if lane == np.uint64(0) and np.uint64(count) - i < np.uint64(BLOCK_SIZE):
             clear_block(block)
-        id_at = record + i * np.uint64(RECORD_BYTES) + np.uint64(FIRST_AT)
+        id_at = ref + i * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
         prim_id = load(np.int32, id_at)
-        # Corners are far apart: ask for those of a later record, often of another leaf.
-        later = load(np.int32, id_at + np.uint64(READ_AHEAD * RECORD_BYTES))
+        # Corners are far apart: prefetch those of a later reference, often of another leaf.
+        later = load(np.int32, id_at + np.uint64(READ_AHEAD * REF_BYTES))
         later_corner = corners + np.uint64(later) * TRIANGLE_BYTES
         prefetch(later_corner)
         prefetch(later_corner + (TRIANGLE_BYTES - np.uint64(4)))
@@ -96,73 +149,49 @@ def _write_leaf(record, count, corners, to):
 
 
 @kernel
-def emit(
-    begin,
-    end,
-    roots,
-    first_nodes,
-    first_blocks,
-    depths,
-    counts,
-    deferred,
-    deferred_rows,
-    deferred_depths,
-    has_duplicates,
-    write,
-    records,
-    corners,
-    boxes,
-    links,
-    nodes,
-    leaves,
-):
-    """Count, or write, the wide trees below some binary nodes.
+def write_trees(begin, end, trees, deferred, has_duplicates, write, tree, corners, wide):
+    """Count or write the wide trees below some binary nodes.
 
     Parameters
     ----------
     begin, end : int
-        Which rows of `roots`.
-    roots : ndarray of shape (K,), int32
-        Binary nodes that are the roots of wide trees.
-    first_nodes, first_blocks : ndarray of shape (K,), int64
-        Where each one's nodes and leaf blocks go.
-    depths : ndarray of shape (K,), int32
-        Nodes above each one.
-    counts : ndarray of shape (K, 4), int64
-        Written: nodes, blocks, depth of the deepest node, and children deferred.
-    deferred, deferred_rows, deferred_depths : ndarray of shape (D,), int32, int64, int32
-        If D is not 0, the children that are not at the top of the tree are not written here.
-        They are listed in `deferred` with their depth; when it is written, their rows are
-        taken from `deferred_rows`. D must suffice.
+        Which of `trees`.
+    trees : WideTrees
+        Counts are written, or the trees from `first_nodes` and `first_blocks` on.
+    deferred : Deferred
+        Written when counting, read when writing.
     has_duplicates : bool
-        Whether a triangle may have several records: a leaf has only one of it.
+        Whether a triangle may have several references: a leaf has each triangle once.
     write : bool
-        Else only counted.
-    records, corners, boxes, links : ndarray
-        Records; corners of all triangles; the binary tree.
-    nodes, leaves : ndarray
-        See `layout.BvhArrays`.
+        Else only count.
+    tree : BinaryTree
+    corners : ndarray of shape (F, 3, 3), float32
+        Of all triangles.
+    wide : BvhArrays
+        Written.
     """
-    record_at, corner_at, box_at, link_at = (
-        address(records),
+    ref_at, corner_at, box_at, link_at = (
+        address(tree.refs),
         address(corners),
-        address(boxes),
-        address(links),
+        address(tree.boxes),
+        address(tree.links),
     )
-    node_at, leaf_at = address(nodes), address(leaves)
+    node_at, leaf_at = address(wide.nodes), address(wide.leaves)
+    first_nodes, first_blocks, counts = trees.first_nodes, trees.first_blocks, trees.counts
+    deferred_nodes, deferred_rows, deferred_depths = deferred.nodes, deferred.rows, deferred.depths
     stack = scratch(_PENDING_STACK_BYTES)
     listing = scratch(LISTING_BYTES)
     children = scratch(_CHILDREN_BYTES)
-    defers = len(deferred) != 0
+    defers = len(deferred_nodes) != 0
     for task in range(np.uint64(begin), np.uint64(end)):
         node_end = np.int32(first_nodes[task])
         block_end = np.int32(first_blocks[task])
         first_node, first_block = node_end, block_end
         deepest = np.int32(0)
         deferred_count = np.uint64(0)
-        root = np.int32(roots[task])
+        root = np.int32(trees.roots[task])
         pending = _Pending(stack)
-        pending.node, pending.row, pending.depth = root, node_end, np.int32(depths[task])
+        pending.node, pending.row, pending.depth = root, node_end, np.int32(trees.depths[task])
         node_end = np.int32(node_end + 1)
         top = np.uint64(1)
         while top != np.uint64(0):
@@ -185,19 +214,19 @@ def emit(
             for k in range(lane_count):
                 child = load(np.int32, children + k * np.uint64(4))
                 is_top = Link(link_at, np.uint64(child)).is_top != np.int32(0)
-                box = box_at + np.uint64(child) * np.uint64(RECORD_BYTES)
+                box = box_at + np.uint64(child) * np.uint64(REF_BYTES)
                 if is_leaf(link_at, child):
-                    record = record_at + np.uint64(
-                        load(np.int32, box + np.uint64(FIRST_AT))
-                    ) * np.uint64(RECORD_BYTES)
+                    ref = ref_at + np.uint64(load(np.int32, box + np.uint64(FIRST_AT))) * np.uint64(
+                        REF_BYTES
+                    )
                     count = load(np.int32, box + np.uint64(COUNT_AT))
                     if has_duplicates:
-                        count = _unique(record, count)
+                        count = _unique(ref, count)
                     blocks = np.int32((count + np.int32(BLOCK_SIZE - 1)) >> np.int32(2))
                     if write:
                         set_lane(to, k, box, ~((block_end << np.int32(3)) | (blocks - np.int32(1))))
                         _write_leaf(
-                            record,
+                            ref,
                             count,
                             corner_at,
                             leaf_at + np.uint64(block_end) * BLOCK,
@@ -207,7 +236,7 @@ def emit(
                     if write:
                         set_lane(to, k, box, deferred_rows[deferred_count])
                     else:
-                        deferred[deferred_count] = child
+                        deferred_nodes[deferred_count] = child
                         deferred_depths[deferred_count] = depth
                     deferred_count += np.uint64(1)
                 else:

@@ -10,7 +10,9 @@ from raystream.jit.simd import f32x16, load, load_records, store, store_nontempo
 from raystream.jit.threads import Progress, parallel_for, part_of, thread_count
 from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, ResultAddresses
-from raystream.structures.bvh.ray_order import (
+from raystream.structures.bvh.layout import TreeAddresses
+from raystream.structures.bvh.stream import trace_streams
+from raystream.structures.bvh.stream_order import (
     COUNT_BYTES,
     SORTED_CHUNK,
     SortedRays,
@@ -18,7 +20,6 @@ from raystream.structures.bvh.ray_order import (
     place_keys,
     place_rays,
 )
-from raystream.structures.bvh.stream import trace_streams
 
 __all__ = ["SORTED_RAYS", "trace_sorted"]
 
@@ -40,8 +41,7 @@ _LINE_BITS = np.uint64(63)
 
 
 def trace_sorted(
-    nodes: np.uint64,
-    leaves: np.uint64,
+    tree: TreeAddresses,
     frame: SceneFrame,
     count: int,
     source: RaySource,
@@ -53,8 +53,8 @@ def trace_sorted(
 
     Parameters
     ----------
-    nodes, leaves : uint64
-        Addresses of the tree, see `layout.BvhArrays`; it must not be empty.
+    tree : TreeAddresses
+        Not empty.
     frame : SceneFrame
     count : int
     source : RaySource
@@ -72,7 +72,7 @@ def trace_sorted(
         sorted_rays = memory.sort(first, part, frame, source)
 
         def trace(begin: int, end: int, rays: SortedRays = sorted_rays) -> None:
-            trace_streams(begin, end, nodes, leaves, frame, source, rays, wants_any, results)
+            trace_streams(begin, end, tree, frame, source, rays, wants_any, results)
 
         parallel_for(trace, part, chunk, part_of(progress, first, count))
         if not wants_any:

@@ -1,4 +1,4 @@
-"""What the kernels need to know of the wide tree's bytes; see `layout` for its meaning."""
+"""Nodes, links and sort keys as kernels read them; see `layout` for the arrays."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ __all__ = [
     "t_key",
 ]
 
-#: Bytes of a node, of its planes of one axis, and from its low planes to its high ones.
+#: Bytes of a node and of its planes along one axis; offset from low to high planes.
 NODE = np.uint64(256)
 NODE_AXIS = np.uint64(64)
 BOX_FLIP = np.uint64(32)
 
-#: A node: of each axis low and high planes of its eight boxes, then its children; and the same,
-#: box by box.
+#: A node: low and high planes of its eight boxes for each axis, then links; and the same with a
+#: lane index.
 Node = view([("planes", "f4", (6, 8)), ("children", "i4", 8), ("unused", "V32")])
 NodeLanes = view([("planes", "f4", (6, 8, 1)), ("children", "i4", (8, 1)), ("unused", "V32")])
 
-#: Where a node's eight child numbers begin.
+#: Byte offset of a node's eight links.
 CHILDREN = np.uint64(192)
 
 #: Bytes of one lane.
@@ -78,7 +78,7 @@ def leaf_end(first, child):
 
 @device
 def prefetch_child(child, nodes, leaves):
-    """Have a node or leaf in the cache when its turn comes."""
+    """Prefetch a node or the start of a leaf."""
     at = leaf_address(leaves, child) if child < np.int32(0) else nodes + np.uint64(child) * NODE
     prefetch(at)
     prefetch(at + _LINE)
@@ -88,24 +88,24 @@ def prefetch_child(child, nodes, leaves):
 
 @device
 def plane_offset(axis, inv):
-    """Where in a node the planes of an axis are that a ray of this reciprocal meets first."""
+    """Byte offset of the planes of an axis that a ray with this reciprocal enters by."""
     return axis * NODE_AXIS + (BOX_FLIP if inv < _ZERO else _NONE)
 
 
 @device
 def plane_row(axis, inv):
-    """The row of a node's planes that a ray of this reciprocal meets first; see `Node`."""
+    """Row of the planes of an axis that a ray with this reciprocal enters by; see `Node`."""
     return (axis << _ONE) | (_ONE if inv < _ZERO else _NONE)
 
 
 @device
 def t_key(t):
-    """The largest sort key that may still matter; the lane bits of a key must not decide."""
+    """The largest sort key of a child within t, whatever its lane bits."""
     return np.int32(float_as_bits(t) | KEY_LANES) if t >= _ZERO else _NO_LIMIT
 
 
-# A network of 19 comparisons in 6 layers that sorts 8 lanes; in each layer, lanes change
-# places in pairs, and the lanes named by the bits keep the larger one.
+# A sorting network of 8 lanes: 19 comparisons in 6 layers. In each layer pairs of lanes are
+# exchanged, and the lanes in the mask keep the larger one.
 _swap_1 = permutation(2, 3, 0, 1, 6, 7, 4, 5)
 _swap_2 = permutation(4, 5, 6, 7, 0, 1, 2, 3)
 _swap_3 = permutation(1, 0, 3, 2, 5, 4, 7, 6)
@@ -127,7 +127,7 @@ def _layer(keys, moved, keep):
 
 @device
 def sort_keys(keys):
-    """Eight i32 lanes in descending order."""
+    """Sort eight i32 lanes in descending order."""
     keys = _layer(keys, _swap_1(keys), _KEEP_1)
     keys = _layer(keys, _swap_2(keys), _KEEP_2)
     keys = _layer(keys, _swap_3(keys), _KEEP_3)

@@ -32,8 +32,8 @@ from raystream.jit.simd import (
 )
 from raystream.jit.views import view
 from raystream.kernels.ray_source import RaySource
+from raystream.structures.bvh.node_layout import LANE
 from raystream.structures.bvh.packet_load import load_directions, load_origins
-from raystream.structures.bvh.wide import LANE
 
 __all__ = [
     "COPIES_BYTES",

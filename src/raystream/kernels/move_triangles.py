@@ -1,4 +1,4 @@
-"""Triangles whose vertices have moved, in the local frame that they had."""
+"""Triangles with moved vertices, in their old local frame."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from raystream.jit.threads import parallel_for
 
 __all__ = ["MAX_LOCAL", "move_triangles"]
 
-#: Local coordinates beyond this need another frame: float32 products of them would overflow.
+#: Local coordinates beyond this need a new frame: their float32 products would overflow.
 MAX_LOCAL = 2.0**40
 
 #: Faces that one call of the kernel moves.
 _CHUNK = 1 << 15
 
-# What became of a triangle.
+# State of a triangle.
 _SOLID, _DEGENERATE, _NONFINITE, _TOO_FAR = (np.uint8(kind) for kind in range(4))
 
 _NAN = np.float32(np.nan)
@@ -29,7 +29,7 @@ _NAN = np.float32(np.nan)
 def move_triangles(
     triangles: Triangles, meshes: Sequence[tuple[NDArray[Any], NDArray[np.int32]]]
 ) -> Triangles:
-    """Make the store of the same triangles with other vertices.
+    """Copy a triangle store with other vertices.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ def move_triangles(
     Returns
     -------
     Triangles
-        With the centre and scale of `triangles`; but a frame of its own if the vertices went
-        so far that float32 does not suffice in the old one.
+        With the centre and scale of `triangles`, or a new frame if float32 does not suffice for
+        the vertices in the old one.
     """
     count = len(triangles)
     corners = np.empty((count, 3, 3), np.float32)
@@ -74,7 +74,7 @@ def _is_usable(x):
 
 @kernel
 def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds):
-    """Move faces begin to end, all of one chunk, and find their bounds."""
+    """Move faces begin to end, a chunk, and compute their bounds."""
     chunk = begin // _CHUNK
     low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
     high_x, high_y, high_z = -low_x, -low_y, -low_z
@@ -113,7 +113,7 @@ def _move(begin, end, center, scale, vertices, faces, corners, kinds, bounds):
 
 @device
 def _has_area(ax, ay, az, bx, by, bz, cx, cy, cz):
-    """Whether the corners are not on one line: as `core.triangles` has it, bit for bit."""
+    """Whether the corners are not collinear: as in `core.triangles`, bit for bit."""
     x1 = np.float64(bx) - np.float64(ax)
     y1 = np.float64(by) - np.float64(ay)
     z1 = np.float64(bz) - np.float64(az)

@@ -5,7 +5,7 @@ import pytest
 
 from raystream.jit.cpu import kernel
 from raystream.jit.simd import address
-from raystream.kernels.collect import HitArrays, hit_addresses, keep_hit, sort_hits
+from raystream.kernels.hits import HitArrays, hit_addresses, keep_hit, sort_hits
 from raystream.kernels.search import ADDED, FULL, SEEN, SeenSet, clear_seen, mark_seen
 
 

@@ -8,8 +8,8 @@ import pytest
 import raystream as rs
 from raystream.core.rays import RayBatch
 from raystream.kernels.ray_source import RaySource
-from raystream.structures.bvh.packet_rays import packet_order
-from raystream.structures.bvh.probe import Coherence, choose, probe
+from raystream.structures.bvh.coherence import Coherence, choose_kernel, probe
+from raystream.structures.bvh.packet_rays import PacketOrder
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def frame():
 def look(frame, origins, directions, byte_count=100_000):
     batch = RayBatch(origins, directions, 0.0, np.inf)
     source, _kept = RaySource.of(batch.origins, batch.directions, batch.limits, True)
-    return probe(source, *packet_order(batch.shape), frame, byte_count)
+    return probe(source, PacketOrder.of(batch.shape), frame, byte_count)
 
 
 def points(frame, rng, count):
@@ -67,4 +67,4 @@ def test_what_is_close_depends_on_the_size_of_triangles(frame, rng):
     ],
 )
 def test_choice(coherence, count, byte_count, kernel):
-    assert choose(coherence, count, byte_count) == kernel
+    assert choose_kernel(coherence, count, byte_count) == kernel

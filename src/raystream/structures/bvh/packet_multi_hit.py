@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.core.memory import check_memory
+from raystream.core.query import Query
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address, i32x16, load, scratch, store
 from raystream.jit.threads import Progress, parallel_for, thread_count
-from raystream.kernels.collect import HitArrays
-from raystream.kernels.growing import Gatherer
-from raystream.kernels.hit_batch import HitBatch, HitVisitor
-from raystream.kernels.ray import SceneFrame, world_t
-from raystream.kernels.ray_source import RaySource
+from raystream.kernels.growing_buffers import GrowingBuffers
+from raystream.kernels.hit_batch import HitBatch
+from raystream.kernels.hits import HitArrays
+from raystream.kernels.ray import world_t
+from raystream.kernels.sink import Sink
+from raystream.structures.bvh.layout import TreeAddresses
 from raystream.structures.bvh.packet import TRACE_BYTES, trace_packet
 from raystream.structures.bvh.packet_hits import (
     BUFFERS,
@@ -35,7 +37,7 @@ from raystream.structures.bvh.packet_rays import (
     PACKET_RAYS,
     Group,
     GroupLanes,
-    PacketOrder,
+    PacketSource,
     group_rows,
 )
 
@@ -70,7 +72,7 @@ class PacketBuffers(NamedTuple):
         The rays in the order of `rows`, and where their rows end.
     capacity : int
     addresses : ndarray, uint64
-        Of all of them: `packet_hits.BUFFERS`.
+        Of all of them, and the capacity: `packet_hits.BUFFERS`.
     """
 
     found: NDArray[np.float32]
@@ -88,9 +90,8 @@ class PacketBuffers(NamedTuple):
         rays = PACKETS_PER_CALL * PACKET_RAYS
         found, rows = np.empty((5, capacity), np.float32), HitArrays.empty(capacity)
         ids, splits = np.empty(rays, np.int64), np.zeros(rays + 1, np.int64)
-        arrays = *found, *rows, ids, splits
-        addresses = np.array([array.ctypes.data for array in arrays], np.uint64)
-        return cls(found, rows, ids, splits, capacity, addresses)
+        addresses = [array.ctypes.data for array in (*found, *rows, ids, splits)]
+        return cls(found, rows, ids, splits, capacity, np.array([*addresses, capacity], np.uint64))
 
     def found_hits(self, count: int) -> HitBatch:
         """The hits as they were found."""
@@ -104,105 +105,67 @@ class PacketBuffers(NamedTuple):
 
 
 def visit_all(
-    addresses: tuple[np.uint64, np.uint64],
-    frame: SceneFrame,
-    source: RaySource,
-    order: PacketOrder,
-    packet_count: int,
-    surfaces: bool,
+    tree: TreeAddresses,
+    source: PacketSource,
+    query: Query,
+    sink: Sink,
     has_duplicates: bool,
-    is_ordered: bool,
-    visitor: HitVisitor,
-    status: NDArray[np.uint8],
     progress: Progress | None,
 ) -> None:
-    """Give all hits of the rays of a batch to a function, in parts.
+    """Give all hits of the rays of a batch to the sink's visitor, in parts.
 
     Parameters
     ----------
     has_duplicates : bool
         Whether a triangle may be in several leaves: hits are then in order anyway.
-    is_ordered, visitor
-        See `Query.is_ordered` and `Sink.visitor`.
+    progress : callable, optional
+        Called with (packets done, packets).
     """
-    goal = ALL + SURFACES if surfaces else ALL
-    # As they are found, 32 bits tell the rays of hits.
-    sorts = is_ordered or has_duplicates or int(order.ray_count) >= 2**31
+    goal = ALL + SURFACES if query.surfaces else ALL
+    # As they are found, hits have their rays as 32 bits.
+    sorts = query.is_ordered or has_duplicates or int(source.order.ray_count) >= 2**31
     nowhere = _U0
-    to = np.uint64(status.ctypes.data)
+    visitor = sink.visitor
+    assert visitor is not None
 
     def fill(begin: int, end: int, buffers: PacketBuffers) -> int:
         reached, used, ray_count = _collect_packets(
-            begin,
-            end,
-            *addresses,
-            frame,
-            source,
-            order,
-            goal,
-            sorts,
-            has_duplicates,
-            buffers.addresses,
-            buffers.capacity,
-            nowhere,
-            to,
+            begin, end, tree, source, goal, sorts, has_duplicates, buffers.addresses, nowhere
         )
         if used:
             visitor(buffers.sorted_hits(ray_count) if sorts else buffers.found_hits(used))
         return int(reached)
 
-    body = Gatherer(PacketBuffers.of, fill, FIRST_CAPACITY)
+    body = GrowingBuffers(PacketBuffers.of, fill, FIRST_CAPACITY)
+    packet_count = source.order.packet_count
     parallel_for(body, packet_count, _share(packet_count, PACKETS_PER_CALL), progress)
 
 
 def _share(packet_count: int, most: int) -> int:
-    """Packets that a call gets: so that the threads finish together."""
+    """Packets per call: so that the threads finish together."""
     return max(min(-(-packet_count // (8 * thread_count())), most), 8)
 
 
 def count_all(
-    addresses: tuple[np.uint64, np.uint64],
-    frame: SceneFrame,
-    source: RaySource,
-    order: PacketOrder,
-    packet_count: int,
-    surfaces: bool,
-    status: NDArray[np.uint8],
-    progress: Progress | None,
+    tree: TreeAddresses, source: PacketSource, query: Query, progress: Progress | None
 ) -> NDArray[np.int64]:
-    """Count the hits of the rays of a batch, of a tree without triangles listed twice."""
-    counts = np.zeros(int(order.ray_count), np.int64)
-    written = np.uint64(counts.ctypes.data), np.uint64(status.ctypes.data)
-    goal = COUNT + SURFACES if surfaces else COUNT
+    """Count the hits of the rays of a batch, of a tree without duplicates."""
+    counts = np.zeros(int(source.order.ray_count), np.int64)
+    at = np.uint64(counts.ctypes.data)
+    goal = COUNT + SURFACES if query.surfaces else COUNT
     nowhere = np.zeros(BUFFERS.itemsize // 8, np.uint64)
 
     def body(begin: int, end: int) -> None:
-        _collect_packets(
-            begin, end, *addresses, frame, source, order, goal, False, False, nowhere, 0, *written
-        )
+        _collect_packets(begin, end, tree, source, goal, False, False, nowhere, at)
 
+    packet_count = source.order.packet_count
     parallel_for(body, packet_count, _share(packet_count, COUNTED_PER_CALL), progress)
     return counts
 
 
 @kernel
-def _collect_packets(
-    begin,
-    end,
-    nodes,
-    leaves,
-    frame,
-    source,
-    order,
-    goal,
-    sorts,
-    has_duplicates,
-    buffers,
-    capacity,
-    counts,
-    status,
-):
-    """Collect or count the hits of packets begin to end, as far as the buffers reach.
+def _collect_packets(begin, end, tree, source, goal, sorts, has_duplicates, buffers, counts):
+    """Collect or count the hits of packets begin to end, until the buffers are full.
 
     Returns
     -------
@@ -213,18 +176,18 @@ def _collect_packets(
     memory = scratch(TRACE_BYTES)
     hits = Collector(scratch(COLLECTOR_BYTES))
     ends = Ends(scratch(ENDS_BYTES))
-    room, used, ray_count = np.uint64(capacity), _U0, _U0
+    written, order = Buffers(address(buffers)), source.order
+    room, used, ray_count = written.capacity, _U0, _U0
     hits.buffers, hits.capacity = address(buffers), room
-    written = Buffers(address(buffers))
     keeps = goal & _U1 == _U1
     for number in range(np.uint64(begin), np.uint64(end)):
-        slow_groups = load_packet(packet, number, order, source, frame, status)
+        slow_groups = load_packet(packet, number, source)
         hits.count = _U0 if sorts else used
         is_final = not sorts and slow_groups == _U0
         _number_rays(hits, number, order, is_final)
         if not keeps:
             _clear_counts(packet)
-        trace_packet(packet, nodes, leaves, frame.max_coordinate, memory, goal, hits)
+        trace_packet(packet, tree, source.frame.max_coordinate, memory, goal, hits)
         if not keeps:
             _store_counts(packet, number, order, counts)
             continue

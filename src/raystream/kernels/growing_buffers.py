@@ -1,11 +1,11 @@
-"""Gathering hits into buffers that grow where rays have many."""
+"""Hits in buffers that grow where rays have many."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-__all__ = ["Buffers", "Gatherer"]
+__all__ = ["Buffers", "GrowingBuffers"]
 
 
 class Buffers(Protocol):
@@ -13,28 +13,28 @@ class Buffers(Protocol):
 
     @property
     def capacity(self) -> int:
-        """Hits that it holds."""
+        """Hits that fit."""
 
 
 B = TypeVar("B", bound=Buffers)
 
 
-class Gatherer(Generic[B]):
-    """Runs a kernel that stops where its buffers are full, until all is done.
+class GrowingBuffers(Generic[B]):
+    """Run a kernel that stops when its buffers are full, until all is done.
 
     Parameters
     ----------
     make : callable
-        Makes buffers for so many hits; raises MemoryError if there is not so much.
+        Allocates buffers for a number of hits; raises MemoryError if that is too much.
     fill : callable
-        ``fill(begin, end, buffers)`` does what there is room for, hands it on, and returns
-        where it stopped. If that is `begin`, it gets larger buffers.
+        ``fill(begin, end, buffers)`` traces as many rays as the buffers allow, delivers their
+        hits, and returns where it stopped. If that is `begin`, it gets larger buffers.
     capacity : int
         Of the first buffers.
 
     Notes
     -----
-    Buffers are used again by whichever thread comes next.
+    Buffers are reused, by any thread.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Gatherer(Generic[B]):
         self._make = make
         self._fill = fill
         self._first_capacity = capacity
-        self._spare: list[B] = []  # one for each thread that is between two calls
+        self._spare: list[B] = []  # of the threads between two calls
 
     def __call__(self, begin: int, end: int) -> None:
         """Do all from begin to end; the body of a `parallel_for`."""

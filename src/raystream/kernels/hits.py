@@ -1,6 +1,6 @@
-"""Keeping the nearest hits of a ray: a heap, sorted at the end.
+"""Arrays of hits, and the heap that keeps the nearest hits of a ray.
 
-Hits are ordered by t, then by prim_id, so that the order never depends on the traversal.
+Hits are ordered by t, then prim_id, so the order never depends on the traversal.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _WORD = np.uint64(2)  # a number's four bytes, as a shift
 
 
 class HitArrays(NamedTuple):
-    """Where hits are written.
+    """Hits in memory, a column for each attribute.
 
     Attributes
     ----------
@@ -48,15 +48,15 @@ class HitArrays(NamedTuple):
         return HitArrays(self.t[rows], self.u[rows], self.v[rows], self.prim_id[rows])
 
     def copy_of(self, rows: slice) -> HitArrays:
-        """Some rows, in memory of their own."""
+        """Copies of some rows."""
         t, u, v, prim_id = self.part(rows)
         return HitArrays(t.copy(), u.copy(), v.copy(), prim_id.copy())
 
     @classmethod
     def empty(cls, count: int) -> HitArrays:
-        """Make arrays for `count` hits, not initialised, as parts of one piece of memory.
+        """Uninitialised arrays for `count` hits, as parts of one allocation.
 
-        NumPy asks for huge pages for pieces above 4 MB only.
+        NumPy requests huge pages for allocations above 4 MB only.
         """
         return cls.rows_of(np.empty((4, count), np.float32))
 
@@ -67,12 +67,12 @@ class HitArrays(NamedTuple):
         return cls(t, u, v, bits.view(np.int32))
 
 
-#: Rows of so many hits are made to begin at a cache line.
+#: Rows of at least this many hits are aligned to cache lines.
 _LONG_ROWS = 4096
 
 
 def aligned_rows(count: int) -> NDArray[np.float32]:
-    """An array of shape (4, count), not initialised, for `HitArrays.rows_of`.
+    """Uninitialised array of shape (4, count), for `HitArrays.rows_of`.
 
     Long rows begin at multiples of 64 bytes, so that kernels can write whole cache lines
     past the cache.
@@ -86,7 +86,7 @@ def aligned_rows(count: int) -> NDArray[np.float32]:
 
 
 class HitAddresses(NamedTuple):
-    """`HitArrays` as traversals take them: passing on an array costs two atomic operations.
+    """`HitArrays` for traversals, as addresses: passing an array costs two atomic operations.
 
     Attributes
     ----------
@@ -101,18 +101,18 @@ class HitAddresses(NamedTuple):
 
     @classmethod
     def of(cls, hits: HitArrays) -> HitAddresses:
-        """Where hits are; the caller keeps them."""
+        """Addresses of hits; the caller keeps the arrays alive."""
         return cls(*np.array([one.ctypes.data for one in hits], np.uint64))
 
     @classmethod
     def of_rows(cls, address: np.uint64, count: int) -> HitAddresses:
-        """Where the rows of an array of shape (4, count) at an address are."""
+        """Addresses of the rows of an array of shape (4, count)."""
         return cls(*(address + np.uint64(4 * count * k) for k in range(4)))
 
 
 @device
 def hit_addresses(out):
-    """Where a kernel's HitArrays are; its caller keeps them alive."""
+    """`HitAddresses` of a kernel's `HitArrays`, which its caller keeps alive."""
     return HitAddresses(address(out.t), address(out.u), address(out.v), address(out.prim_id))
 
 
@@ -153,7 +153,7 @@ def _before(t, prim_id, other_t, other_prim_id):
 
 @device
 def _sift_down(out, first, count, hole, t, u, v, prim_id):
-    """Put a hit into a heap whose root is its last hit, starting at an empty place."""
+    """Insert a hit into a max-heap, starting at an empty node."""
     while True:
         child = hole + hole + _ONE
         if child >= count:
@@ -174,26 +174,26 @@ def _sift_down(out, first, count, hole, t, u, v, prim_id):
 
 @device_call
 def keep_hit(out, first, count, capacity, t, u, v, prim_id, t_far):
-    """Offer a hit to the nearest ones kept so far.
+    """Keep a hit if it is among the `capacity` nearest ones so far.
 
     Parameters
     ----------
     out : HitAddresses
-        Rows first to first + count hold the hits kept, as a heap with the last hit first
-        once there are `capacity` of them, and in no order before.
+        Rows first to first + count hold the hits kept: a max-heap once there are `capacity`
+        of them, in no order before.
     first, count, capacity : uint64
-        Where the ray's rows begin, how many are used, and how many there are (at least 1).
+        The ray's first row, its rows in use, and all its rows (at least 1).
     t, u, v : float32
     prim_id : int32
     t_far : float32
-        Hits beyond are not wanted even if there is room for them.
+        Hits beyond are not wanted.
 
     Returns
     -------
     count : uint64
-        How many are kept now.
+        Rows in use now.
     t_far : float32
-        Hits beyond are no longer wanted.
+        Hits beyond are not wanted any more.
     """
     if count == capacity:
         if _before(t, prim_id, _t_of(out, first), _prim_id_of(out, first)):
@@ -218,7 +218,7 @@ def _make_heap(out, first, count):
 
 @device_call
 def sort_hits(out, first, count):
-    """Sort rows first to first + count by t, then prim_id, whatever their order was."""
+    """Sort rows first to first + count, in any order, by t, then prim_id."""
     _make_heap(out, first, count)
     last = count
     while last > _ONE:
@@ -231,7 +231,7 @@ def sort_hits(out, first, count):
 
 @kernel
 def copy_rows(begin, end, rows, firsts, counts, starts, out):
-    """Copy ``counts[i]`` rows from ``firsts[i]`` on to those of `out` from ``starts[i]`` on.
+    """Copy ``counts[i]`` rows, from row ``firsts[i]`` to row ``starts[i]`` of `out`.
 
     Parameters
     ----------
@@ -252,18 +252,18 @@ def copy_rows(begin, end, rows, firsts, counts, starts, out):
 
 @kernel
 def count_rows(splits, ids, first, counts):
-    """Add the numbers of rows of some rays to their counts.
+    """Add the hits of some rays to the rays' counts.
 
     Parameters
     ----------
     splits : ndarray of shape (n + 1,), int64
         The i-th ray's rows are splits[i] to splits[i + 1].
     ids : ndarray of shape (n,), int64
-        The rays' indices; empty if they follow each other.
+        The rays' indices; empty if they are consecutive.
     first : int
-        The first one's index, if they follow each other.
+        The first one's index, if they are consecutive.
     counts : ndarray of shape (N,), int64
-        Changed.
+        Changed in place.
     """
     for i in range(np.uint64(len(splits) - 1)):
         ray = np.uint64(ids[i]) if len(ids) else np.uint64(first) + i
@@ -272,7 +272,7 @@ def count_rows(splits, ids, first, counts):
 
 @kernel
 def place_rows(rows, splits, ids, first, nexts, out):
-    """Copy rows of some rays to those of their rays.
+    """Scatter the hits of some rays to their rows of the whole result.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def place_rows(rows, splits, ids, first, nexts, out):
     splits, ids, first
         See `count_rows`.
     nexts : ndarray of shape (N,), int64
-        Where each ray's rows go in `out`; moved on behind them.
+        The next free row of each ray in `out`; advanced.
     """
     for i in range(np.uint64(len(splits) - 1)):
         ray = np.uint64(ids[i]) if len(ids) else np.uint64(first) + i

@@ -1,4 +1,4 @@
-"""A look at some rays of a batch: which kernel suits them."""
+"""Sample the rays of a batch for coherence, and choose the kernel that suits them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from raystream.kernels.ray import SceneFrame
 from raystream.kernels.ray_source import RaySource, load_ray
 from raystream.structures.bvh.packet_rays import GROUPS, PacketOrder, group_rows
 
-__all__ = ["Coherence", "choose", "probe"]
+__all__ = ["Coherence", "choose_kernel", "probe"]
 
-#: Groups of 16 rays that are looked at: some ten microseconds, for any batch.
+#: Groups of 16 rays in a sample: about ten microseconds, for any batch.
 _SAMPLES = 24
 
 #: A group whose directions differ by less than this fraction of their length is narrow: a
@@ -24,18 +24,18 @@ _NARROW = np.float32(0.25)
 #: A group whose origins differ by less than this fraction of the scene's size starts near.
 _NEAR = np.float32(0.1)
 
-#: A group is close if its origins differ by less than so many triangles' size besides: a packet
-#: of rays that are further apart enters boxes that few of them enter. (Shadow rays in a forest
+#: A group is close if, besides, its origins differ by less than this many triangle sizes: a packet
+#: of rays that are further apart enters boxes that few of its rays enter. (Shadow rays in a forest
 #: of a million triangles, 14 triangles apart: streams are 1.8 times as fast as packets. In six
 #: other scenes, 0.1 to 2.5 triangles apart, packets are, or nearly.)
 _CLOSE = 4.0
 
-#: Bytes of a tree for each triangle, about.
+#: Approximate bytes of a tree per triangle.
 _TRIANGLE_BYTES = 110
 
-#: Streams pay off where many rays share a node: up to so many bytes of the tree for each ray,
-#: if rays start near each other and if they start anywhere. Beyond, hiding the memory's latency
-#: pays more. (Measured with 1,500 to 786,432 rays on trees of 8 MB and 110 MB.)
+#: Streams pay off where many rays share a node: up to this many bytes of the tree per ray, if rays
+#: start near each other and if they start anywhere. Beyond, hiding memory latency pays more.
+#: (Measured with 1,500 to 786,432 rays on trees of 8 MB and 110 MB.)
 _NEAR_BYTES = 8192
 _FAR_BYTES = 200
 
@@ -43,16 +43,16 @@ _U1 = np.uint64(1)
 
 
 class Coherence(NamedTuple):
-    """What a sample of groups of 16 rays has in common.
+    """Coherence of a sample of groups of 16 rays.
 
     Attributes
     ----------
     narrow : float
         Share of the groups with nearly the same direction.
     near : float
-        Share of the groups that start nearly at the same place.
+        Share of the groups with nearly the same origin.
     close : float
-        Share of the groups that start at a distance of few triangles.
+        Share of the groups whose origins are few triangles apart.
     """
 
     narrow: float
@@ -60,21 +60,14 @@ class Coherence(NamedTuple):
     close: float
 
 
-def probe(
-    source: RaySource,
-    order: PacketOrder,
-    packet_count: int,
-    frame: SceneFrame,
-    byte_count: int,
-) -> Coherence:
-    """Look at some rays of a batch.
+def probe(source: RaySource, order: PacketOrder, frame: SceneFrame, byte_count: int) -> Coherence:
+    """Sample the rays of a batch.
 
     Parameters
     ----------
     source : RaySource
     order : PacketOrder
-    packet_count : int
-        At least 1.
+        Of at least one packet.
     frame : SceneFrame
     byte_count : int
         Size of the tree.
@@ -82,11 +75,11 @@ def probe(
     # Of the scene's size, if the triangles covered the sides of its box.
     triangle_size = math.sqrt(6.0 * _TRIANGLE_BYTES / max(byte_count, 1))
     close = np.float32(min(_CLOSE * triangle_size, float(_NEAR)))
-    groups, *shares = _look(packet_count, source, order, frame, close)
+    groups, *shares = _look(order.packet_count, source, order, frame, close)
     return Coherence(*(share / max(groups, 1) for share in shares))
 
 
-def choose(
+def choose_kernel(
     coherence: Coherence, count: int, byte_count: int
 ) -> Literal["packet", "stream", "wavefront"]:
     """The kernel for rays of a coherence.
@@ -95,7 +88,7 @@ def choose(
     ----------
     coherence : Coherence
     count : int
-        How many rays.
+        Number of rays.
     byte_count : int
         Size of the tree.
     """
@@ -115,7 +108,7 @@ def _look(packet_count, source, order, frame, closeness):
         frame.high[0] - frame.low[0], frame.high[1] - frame.low[1], frame.high[2] - frame.low[2]
     )
     for sample in range(_SAMPLES):
-        # Spread over the batch, and over the rows of a tile.
+        # Spread over the batch and over the rows of a tile.
         number = np.uint64(sample * packet_count // _SAMPLES)
         first, count = group_rows(order, number, np.uint64(sample) % GROUPS)
         if count < np.uint64(2):
