@@ -17,7 +17,6 @@ SOURCE = ROOT / "src" / "raystream"
 NOT_YET = (
     "src/raystream/cuda",
     "src/raystream/graphics",
-    "src/raystream/jit",
     "src/raystream/kernels",
     "src/raystream/lab",
     "src/raystream/machines",
