@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numba import cuda, types
 
+from raystream.jit.constants import BYTES_32, BYTES_64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import Gpu
@@ -23,32 +24,29 @@ __all__ = ["BlockKernel", "Number", "get_32", "get_64", "put_32", "put_64"]
 #: An argument of a launch: a number or an address.
 Number = int | np.uint64
 
-_WORD = np.uint64(4)
-_LONG = np.uint64(8)
-
 
 @kernel
 def get_32(array, i):
     """Element i of an array of uint32 at an address, as a uint64."""
-    return np.uint64(load(np.uint32, array + i * _WORD))
+    return np.uint64(load(np.uint32, array + i * BYTES_32))
 
 
 @kernel
 def put_32(array, i, number):
     """Write element i of an array of uint32 at an address."""
-    store(array + i * _WORD, np.uint32(number))
+    store(array + i * BYTES_32, np.uint32(number))
 
 
 @kernel
 def get_64(array, i):
     """Element i of an array of uint64 at an address."""
-    return load(np.uint64, array + i * _LONG)
+    return load(np.uint64, array + i * BYTES_64)
 
 
 @kernel
 def put_64(array, i, number):
     """Write element i of an array of uint64 at an address."""
-    store(array + i * _LONG, number)
+    store(array + i * BYTES_64, number)
 
 
 class BlockKernel:

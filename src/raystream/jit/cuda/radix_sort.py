@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import cuda
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cuda.block_kernel import BlockKernel, get_32, get_64, put_32, put_64
 from raystream.jit.cuda.device_array import DeviceArray
 from raystream.jit.cuda.gpu import Gpu
@@ -31,8 +32,6 @@ DIGIT_BITS = 4
 _DIGITS = np.uint64(1 << DIGIT_BITS)
 _MASK = np.uint64((1 << DIGIT_BITS) - 1)
 _SHIFT = np.uint64(DIGIT_BITS)
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 
 
 class SortKernels(NamedTuple):
@@ -73,15 +72,15 @@ def _counting(get: Callable[..., Any], size: TileSize) -> Callable[..., Any]:
                 counters[e + (e >> _SHIFT)] += 1
         cuda.syncthreads()
         # Each digit's counters are summed over the threads by halving.
-        step = threads >> _ONE
-        while step != _NONE:
+        step = threads >> ONE_U64
+        while step != ZERO_U64:
             if t < step:
                 for digit in range(_DIGITS):
                     e = np.uint64(digit) * threads + t
                     other = e + step
                     counters[e + (e >> _SHIFT)] += counters[other + (other >> _SHIFT)]
             cuda.syncthreads()
-            step >>= _ONE
+            step >>= ONE_U64
         if t < _DIGITS:
             e = t * threads
             put_32(found, t * tiles + tile, np.uint64(counters[e + (e >> _SHIFT)]))
@@ -135,7 +134,7 @@ def _scattering(
             total += np.uint64(counters[e + (e >> _SHIFT)])
         sums[t] = total
         cuda.syncthreads()
-        step = _ONE
+        step = ONE_U64
         while step < threads:
             before = np.uint64(0)
             if t >= step:
@@ -143,7 +142,7 @@ def _scattering(
             cuda.syncthreads()
             sums[t] += np.uint32(before)
             cuda.syncthreads()
-            step <<= _ONE
+            step <<= ONE_U64
         running = np.uint64(sums[t]) - total
         for k in range(_DIGITS):
             e = t * _DIGITS + np.uint64(k)
@@ -165,7 +164,7 @@ def _scattering(
                 e = ((key >> shift) & _MASK) * threads + t
                 at = e + (e >> _SHIFT)
                 place = np.uint64(counters[at])
-                counters[at] = place + _ONE
+                counters[at] = place + ONE_U64
                 own_keys[place] = key
                 own_values[place] = get_32(values, i)
         cuda.syncthreads()

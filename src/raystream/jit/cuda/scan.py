@@ -14,6 +14,7 @@ import numpy as np
 from numba import cuda
 from numpy.typing import DTypeLike
 
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cuda.block_kernel import BlockKernel, Number, get_32, get_64, put_32, put_64
 from raystream.jit.cuda.device_array import DeviceArray
 from raystream.jit.cuda.gpu import Gpu
@@ -44,9 +45,6 @@ class TileSize(NamedTuple):
 
 #: Few threads in the simulator, where each one is a thread of the host.
 DEFAULT_TILE = TileSize(16, 64) if is_simulated() else TileSize()
-
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 
 
 class ScanKernels(NamedTuple):
@@ -82,13 +80,13 @@ def _adding(get: Callable[..., Any], size: TileSize) -> Callable[..., Any]:
                 total += np.uint64(get(values, i))
         shared[t] = total
         cuda.syncthreads()
-        step = threads >> _ONE
-        while step != _NONE:
+        step = threads >> ONE_U64
+        while step != ZERO_U64:
             if t < step:
                 shared[t] += shared[t + step]
             cuda.syncthreads()
-            step >>= _ONE
-        if t == _NONE:
+            step >>= ONE_U64
+        if t == ZERO_U64:
             put_64(sums, tile, shared[0])
 
     return add_tiles
@@ -112,7 +110,7 @@ def _scanning(
         shared[t] = total
         cuda.syncthreads()
         # Hillis-Steele scan of the threads' sums.
-        step = _ONE
+        step = ONE_U64
         while step < threads:
             before = np.uint64(0)
             if t >= step:
@@ -120,9 +118,9 @@ def _scanning(
             cuda.syncthreads()
             shared[t] += before
             cuda.syncthreads()
-            step <<= _ONE
+            step <<= ONE_U64
         running = shared[t] - total
-        if sums != _NONE:
+        if sums != NULL:
             running += np.uint64(get_64(sums, tile))
         for k in range(items):
             i = first + np.uint64(k)
@@ -130,7 +128,7 @@ def _scanning(
                 number = np.uint64(get(values, i))
                 put(out, i, running)
                 running += number
-                if i + _ONE == count:
+                if i + ONE_U64 == count:
                     put(out, count, running)
 
     return scan_tiles
