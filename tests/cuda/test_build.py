@@ -297,7 +297,7 @@ def test_no_triangles(device):
         ("bvh", {"max_leaf_size": 33}, "max_leaf_size: expected 1 to 32, got 33"),
         ("grid", {"levels": 2}, "levels: expected 1 where build='device', got 2"),
         ("grid", {"resolution": 0}, "resolution: expected 1 to"),
-        ("grid", {"gpu": 99}, "gpu: no device has the number 99"),
+        ("grid", {"gpu": 99}, "gpu: expected a number from 0 to 0, got 99"),
     ],
 )
 def test_options_are_checked(device, structure, options, message):

@@ -102,11 +102,11 @@ def test_sort_by_several_items_and_long_keys():
 @pytest.mark.parametrize("count", [100_000, 3_000_001])
 def test_long_arrays(count):
     keys = np.random.default_rng(2).integers(0, 2**30, count, np.uint32)
-    from raystream.jit.cuda.scan import USUAL_TILE
+    from raystream.jit.cuda.scan import DEFAULT_TILE
 
-    found, values = pairs_of(keys, 30, USUAL_TILE)
+    found, values = pairs_of(keys, 30, DEFAULT_TILE)
     order = np.argsort(keys, kind="stable")
     assert np.array_equal(found, keys[order])
     assert np.array_equal(values, order)
-    sums = scanned(keys.astype(np.int64), USUAL_TILE)
+    sums = scanned(keys.astype(np.int64), DEFAULT_TILE)
     assert np.array_equal(sums[1:], np.cumsum(keys, dtype=np.int64))

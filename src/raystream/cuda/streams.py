@@ -17,7 +17,7 @@ from raystream.core.errors import LoopLimitError
 from raystream.cuda.columns import NAMES, Columns, capacity_of
 from raystream.jit.atomics import atomic_add_aggregated
 from raystream.jit.cuda import (
-    MOST_DIMENSIONS,
+    MAX_DIMENSIONS,
     DeviceArray,
     Gpu,
     RangeKernel,
@@ -160,9 +160,9 @@ class CudaKernel:
         declared = kernel.declared
         self._streams = declared.streams()
         for gather in declared.gathers.values():
-            if len(gather.shape) > MOST_DIMENSIONS:
+            if len(gather.shape) > MAX_DIMENSIONS:
                 raise TypeError(
-                    f"{kernel.name}: device 'cuda' reads gather arrays of up to {MOST_DIMENSIONS} "
+                    f"{kernel.name}: device 'cuda' reads gather arrays of up to {MAX_DIMENSIONS} "
                     f"dimensions, not {len(gather.shape)}"
                 )
             memory.table(gather)

@@ -8,6 +8,7 @@ import numpy as np
 
 from raystream.cuda.builders import clusters, linear, lists, moving, records, wide
 from raystream.cuda.builders.graph.catalogue import graph_catalogue
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.cuda.block_kernel import BlockKernel
 from raystream.jit.cuda.radix_sort import sort_kernels
@@ -16,19 +17,17 @@ from raystream.structures.grid.lattice import Lattice
 
 __all__ = ["block_catalogue", "build_catalogue"]
 
-_AT = np.uint64(0)
-
 
 def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
     """Kernels by name, and arguments that are good for their types alone."""
     one = (1.0, 1.0, 1.0)
     lattice = lists.as_numbers(Lattice(one, one, one, (1, 1, 1), 1.0))
-    nodes = records.NodesAt(_AT, _AT, _AT, np.int64(1))
+    nodes = records.NodesAt(NULL, NULL, NULL, np.int64(1))
     number = np.float64(0.0)
-    frame = records.KeyFrame((number, number, number), number, _AT)
+    frame = records.KeyFrame((number, number, number), number, NULL)
 
     def at(count: int) -> tuple[np.uint64, ...]:
-        return (_AT,) * count
+        return (NULL,) * count
 
     chosen = [
         (lists.KERNELS.count_cells, (lattice, *at(3))),
@@ -38,12 +37,12 @@ def build_catalogue() -> dict[str, tuple[RangeKernel, tuple[Any, ...]]]:
         (records.KERNELS.make_leaf, (*at(2), nodes)),
         (linear.KERNELS.link, at(4)),
         (linear.KERNELS.clear, at(1)),
-        (linear.KERNELS.climb, (_AT, nodes, *at(2))),
-        (clusters.KERNELS.begin_cluster, (nodes, _AT)),
-        (clusters.KERNELS.find_match, (*at(3), False, _AT)),
+        (linear.KERNELS.climb, (NULL, nodes, *at(2))),
+        (clusters.KERNELS.begin_cluster, (nodes, NULL)),
+        (clusters.KERNELS.find_match, (*at(3), False, NULL)),
         (clusters.KERNELS.count_places, at(3)),
         (clusters.KERNELS.merge, (*at(5), nodes, *at(3))),
-        (wide.KERNELS.count_lanes, (_AT, nodes, *at(2))),
+        (wide.KERNELS.count_lanes, (NULL, nodes, *at(2))),
         (wide.KERNELS.give_rows, (*at(3), nodes, *at(4))),
         (wide.KERNELS.write_node, (nodes, *at(6))),
         (moving.KERNELS.move_leaves, at(4)),

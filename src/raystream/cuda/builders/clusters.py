@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.records import Nodes, join
+from raystream.jit.constants import BITS_32, INF_F32, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
@@ -29,13 +30,6 @@ RADIUS = 8
 #: in these, the next one matches clusters by their places: for want of anything else, since trees
 #: of such rounds are worse.
 _ROUNDS, _LEAST_SHARE = 4, 0.25
-
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_LONG = np.uint64(3)  # one of eight
-_UPPER = np.uint64(32)
-_INF = np.float32(np.inf)
 
 
 @kernel
@@ -58,56 +52,56 @@ def _find_match(i, count_at, clusters, radius, by_place, matches):
         return
     match = i
     if by_place:
-        match = i ^ _ONE if (i ^ _ONE) < count else i
+        match = i ^ ONE_U64 if (i ^ ONE_U64) < count else i
     else:
         own = load(f32x8, clusters + i * np.uint64(REF_BYTES))
-        least = _INF
+        least = INF_F32
         first = i - min(i, radius)
-        last = min(i + radius, count - _ONE)
-        for j in range(first, last + _ONE):
+        last = min(i + radius, count - ONE_U64)
+        for j in range(first, last + ONE_U64):
             if j != i:
                 other = load(f32x8, clusters + j * np.uint64(REF_BYTES))
                 area = half_area(maximum(own, other))
                 if area < least or match == i or (area == least and (i ^ j) < (i ^ match)):
                     match, least = j, area
-    store(matches + (i << _WORD), np.uint32(match))
+    store(matches + (i << SHIFT_32), np.uint32(match))
 
 
 @kernel
 def _count_places(i, count_at, matches, places):
     """Whether cluster i keeps a place (1), and makes a node (2**32), as the first of a pair."""
-    place = _NONE
+    place = ZERO_U64
     if i < load(np.uint64, count_at):
-        match = np.uint64(load(np.uint32, matches + (i << _WORD)))
-        is_pair = match != i and np.uint64(load(np.uint32, matches + (match << _WORD))) == i
+        match = np.uint64(load(np.uint32, matches + (i << SHIFT_32)))
+        is_pair = match != i and np.uint64(load(np.uint32, matches + (match << SHIFT_32))) == i
         if not is_pair:
-            place = _ONE
+            place = ONE_U64
         elif i < match:
-            place = _ONE | (_ONE << _UPPER)
-    store(places + (i << _LONG), place)
+            place = ONE_U64 | (ONE_U64 << BITS_32)
+    store(places + (i << SHIFT_64), place)
 
 
 @kernel
 def _merge(i, count_at, bound, leaf_count, matches, places, nodes, clusters, to, to_count_at):
     """Write cluster i, or the node that it makes with its match, where the scan says."""
     count = load(np.uint64, count_at)
-    own = load(np.uint64, places + (i << _LONG))
-    after = load(np.uint64, places + ((i + _ONE) << _LONG))
-    if i + _ONE == bound:
+    own = load(np.uint64, places + (i << SHIFT_64))
+    after = load(np.uint64, places + ((i + ONE_U64) << SHIFT_64))
+    if i + ONE_U64 == bound:
         store(to_count_at, after & np.uint64(0xFFFFFFFF))
     if i >= count or own == after:
         return
     at = clusters + i * np.uint64(REF_BYTES)
     new = to + (own & np.uint64(0xFFFFFFFF)) * np.uint64(REF_BYTES)
     row = np.uint64(load(np.int32, at + np.uint64(FIRST_AT)))
-    if (own >> _UPPER) == (after >> _UPPER):
+    if (own >> BITS_32) == (after >> BITS_32):
         store(new, load(f32x8, at))
         store(new + np.uint64(FIRST_AT), np.int32(row))
         return
-    match = np.uint64(load(np.uint32, matches + (i << _WORD)))
+    match = np.uint64(load(np.uint32, matches + (i << SHIFT_32)))
     other_at = clusters + match * np.uint64(REF_BYTES) + np.uint64(FIRST_AT)
     # So many nodes were made before this round as there are fewer clusters than leaves.
-    made = leaf_count + (leaf_count - count) + (own >> _UPPER)
+    made = leaf_count + (leaf_count - count) + (own >> BITS_32)
     join(nodes, made, row, np.uint64(load(np.int32, other_at)))
     store(new, load(f32x8, nodes.boxes + made * np.uint64(REF_BYTES)))
     store(new + np.uint64(FIRST_AT), np.int32(made))

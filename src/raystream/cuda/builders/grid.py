@@ -11,6 +11,7 @@ from raystream.core.triangles import Triangles
 from raystream.cuda.builders.device_resident import RebuiltOnDevice, finish
 from raystream.cuda.builders.lists import DeviceLists, build_lists
 from raystream.cuda.structures import Resident
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceArray, Gpu
 from raystream.structures.base import Structure
 from raystream.structures.grid.build import choose_and_build
@@ -20,8 +21,6 @@ from raystream.structures.grid.options import Grid
 from raystream.structures.grid.structure import GridStructure
 
 __all__ = ["DeviceGrid", "build_grid"]
-
-_NOWHERE = np.uint64(0)
 
 
 class DeviceGrid(RebuiltOnDevice, GridStructure):
@@ -60,7 +59,7 @@ class DeviceGrid(RebuiltOnDevice, GridStructure):
         )
         arrays = lists.splits, lists.references, corners
         addresses = [one.address for one in arrays]
-        tree = GridAddresses(low, high, size, counts, *addresses, *[_NOWHERE] * 4)
+        tree = GridAddresses(low, high, size, counts, *addresses, *[NULL] * 4)
         self.resident = Resident(tree, arrays)
         byte_count = 4 * (lists.splits.shape[0] + lists.references.shape[0])
         self.report = finish(gpu, byte_count, started)

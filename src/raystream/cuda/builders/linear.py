@@ -14,6 +14,7 @@ import numpy as np
 
 from raystream.cuda.builders.records import Nodes, join
 from raystream.jit.atomics import atomic_add, fence
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
@@ -21,32 +22,28 @@ from raystream.structures.bvh.binary_tree import Link
 
 __all__ = ["KERNELS", "link_by_keys"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_LONG = np.uint64(3)  # one of eight
 _BITS = np.uint64(64)
 
 
 @device
 def _leading_zeros(number):
     """Zeros above the highest bit of a uint64; 64 for 0."""
-    if number == _NONE:
+    if number == ZERO_U64:
         return _BITS
-    zeros, step = _NONE, np.uint64(32)
-    while step != _NONE:
-        if number >> (_BITS - step) == _NONE:
+    zeros, step = ZERO_U64, np.uint64(32)
+    while step != ZERO_U64:
+        if number >> (_BITS - step) == ZERO_U64:
             zeros += step
             number <<= step
-        step >>= _ONE
+        step >>= ONE_U64
     return zeros
 
 
 @device
 def _shared_bits(keys, i, j):
     """How many bits two keys begin with together; equal ones are told apart by their rows."""
-    differs = load(np.uint64, keys + (i << _LONG)) ^ load(np.uint64, keys + (j << _LONG))
-    if differs == _NONE:
+    differs = load(np.uint64, keys + (i << SHIFT_64)) ^ load(np.uint64, keys + (j << SHIFT_64))
+    if differs == ZERO_U64:
         return _BITS + _leading_zeros(i ^ j)
     return _leading_zeros(differs)
 
@@ -55,43 +52,43 @@ def _shared_bits(keys, i, j):
 def _last_row(keys, i, count, ahead):
     """The other end of the range of inner node i, which begins with row i and goes up or down."""
     if ahead:
-        room = count - _ONE - i
-        outside = _shared_bits(keys, i, i - _ONE) if i != _NONE else _NONE
-        is_first = i == _NONE
+        room = count - ONE_U64 - i
+        outside = _shared_bits(keys, i, i - ONE_U64) if i != ZERO_U64 else ZERO_U64
+        is_first = i == ZERO_U64
     else:
         room = i
-        outside = _shared_bits(keys, i, i + _ONE)
+        outside = _shared_bits(keys, i, i + ONE_U64)
         is_first = False
     # Rows that share more bits with row i than the row before it does: a bound, then the end.
-    step = _ONE
+    step = ONE_U64
     while step < room and (
         is_first or _shared_bits(keys, i, i + step if ahead else i - step) > outside
     ):
-        step <<= _ONE
-    length = _NONE
-    while step != _NONE:
+        step <<= ONE_U64
+    length = ZERO_U64
+    while step != ZERO_U64:
         tried = length + step
         if tried <= room and (
             is_first or _shared_bits(keys, i, i + tried if ahead else i - tried) > outside
         ):
             length = tried
-        step >>= _ONE
+        step >>= ONE_U64
     return i + length if ahead else i - length
 
 
 @kernel
 def _link(i, keys, count, links, parents):
     """Find the children of inner node i, in row count + i."""
-    ahead = i == _NONE
+    ahead = i == ZERO_U64
     if not ahead:
-        ahead = _shared_bits(keys, i, i + _ONE) > _shared_bits(keys, i, i - _ONE)
+        ahead = _shared_bits(keys, i, i + ONE_U64) > _shared_bits(keys, i, i - ONE_U64)
     other = _last_row(keys, i, count, ahead)
     first, last = min(i, other), max(i, other)
     # The last row that shares more bits with the first one than the last one does.
     shared = _shared_bits(keys, first, last)
     low, high = first, last
-    while high - low > _ONE:
-        middle = (low + high) >> _ONE
+    while high - low > ONE_U64:
+        middle = (low + high) >> ONE_U64
         if _shared_bits(keys, first, middle) > shared:
             low = middle
         else:
@@ -100,8 +97,8 @@ def _link(i, keys, count, links, parents):
     right = high if high == last else count + high
     link = Link(links, count + i)
     link.left, link.right = np.int32(left), np.int32(right)
-    store(parents + (left << _WORD), np.uint32(i))
-    store(parents + (right << _WORD), np.uint32(i))
+    store(parents + (left << SHIFT_32), np.uint32(i))
+    store(parents + (right << SHIFT_32), np.uint32(i))
 
 
 @kernel
@@ -109,9 +106,9 @@ def _climb(i, count, nodes, parents, visits):
     """Go up from leaf i, and write each inner node whose other child is written already."""
     row = i
     while row != count:  # the root's row
-        parent = np.uint64(load(np.uint32, parents + (row << _WORD)))
+        parent = np.uint64(load(np.uint32, parents + (row << SHIFT_32)))
         fence()
-        if atomic_add(visits + (parent << _WORD), np.uint32(1)) == np.uint32(0):
+        if atomic_add(visits + (parent << SHIFT_32), np.uint32(1)) == np.uint32(0):
             return  # whoever comes from the other child writes it
         fence()
         row = count + parent
@@ -121,7 +118,7 @@ def _climb(i, count, nodes, parents, visits):
 
 @kernel
 def _clear(i, visits):
-    store(visits + (i << _WORD), np.uint32(0))
+    store(visits + (i << SHIFT_32), np.uint32(0))
 
 
 class _Kernels(NamedTuple):

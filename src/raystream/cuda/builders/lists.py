@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raystream.core.triangles import Triangles
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
@@ -28,11 +29,6 @@ from raystream.structures.grid.lattice import Lattice
 from raystream.structures.grid.overlap import each_cell, range_along
 
 __all__ = ["KERNELS", "DeviceLists", "as_numbers", "build_lists"]
-
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_LONG = np.uint64(3)  # one of eight
 
 
 class DeviceLists(NamedTuple):
@@ -67,41 +63,41 @@ def _pass(_cell, _prim_id, _rank, _to):
 @device
 def _note(cell, prim_id, rank, to):
     begin, cells, ids = to
-    at = (begin + rank) << _WORD
+    at = (begin + rank) << SHIFT_32
     store(cells + at, np.uint32(cell))
     store(ids + at, np.uint32(prim_id))
 
 
 @device
 def _prim_id(prim_ids, i):
-    return np.uint64(load(np.int32, prim_ids + (i << _WORD)))
+    return np.uint64(load(np.int32, prim_ids + (i << SHIFT_32)))
 
 
 @kernel
 def _count_cells(i, lattice, corners, prim_ids, counts):
     """Count the cells of the triangle in row i of `prim_ids`."""
-    total = _visit(lattice, corners, _prim_id(prim_ids, i), _pass, _NONE)
-    store(counts + (i << _LONG), np.uint64(total))
+    total = _visit(lattice, corners, _prim_id(prim_ids, i), _pass, ZERO_U64)
+    store(counts + (i << SHIFT_64), np.uint64(total))
 
 
 @kernel
 def _fill_pairs(i, lattice, corners, prim_ids, begins, cells, ids):
     """Write the cells of the triangle in row i of `prim_ids`, from its row of `begins` on."""
-    begin = load(np.uint64, begins + (i << _LONG))
+    begin = load(np.uint64, begins + (i << SHIFT_64))
     _visit(lattice, corners, _prim_id(prim_ids, i), _note, (begin, cells, ids))
 
 
 @kernel
 def _find_split(i, cells, count, splits):
     """Find the first of the sorted `cells` that is not below i."""
-    low, high = _NONE, count
+    low, high = ZERO_U64, count
     while low < high:
-        middle = (low + high) >> _ONE
-        if np.uint64(load(np.uint32, cells + (middle << _WORD))) < i:
-            low = middle + _ONE
+        middle = (low + high) >> ONE_U64
+        if np.uint64(load(np.uint32, cells + (middle << SHIFT_32))) < i:
+            low = middle + ONE_U64
         else:
             high = middle
-    store(splits + (i << _WORD), np.uint32(low))
+    store(splits + (i << SHIFT_32), np.uint32(low))
 
 
 class _Kernels(NamedTuple):

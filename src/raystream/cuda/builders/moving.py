@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.wide import WideTree
+from raystream.jit.constants import SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
@@ -19,8 +20,6 @@ __all__ = ["KERNELS", "cost_of", "refit"]
 #: Threads that add up costs, each of some nodes.
 _ADDING_THREADS = 1 << 12
 
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_LONG = np.uint64(3)  # one of eight
 _AXIS_BYTES = np.uint64(64)
 _HIGH = np.uint64(32)
 
@@ -40,7 +39,7 @@ def _move_nodes(i, first, nodes):
 
 @device
 def _extent(node, lane, axis):
-    at = node + np.uint64(axis) * _AXIS_BYTES + (lane << _WORD)
+    at = node + np.uint64(axis) * _AXIS_BYTES + (lane << SHIFT_32)
     return np.float64(load(np.float32, at + _HIGH)) - np.float64(load(np.float32, at))
 
 
@@ -52,7 +51,7 @@ def _add_costs(i, thread_count, node_count, nodes, costs):
     while row < node_count:
         node = nodes + row * np.uint64(NODE_BYTES)
         for lane in range(np.uint64(WIDTH)):
-            link = load(np.int32, node + np.uint64(CHILDREN_AT) + (lane << _WORD))
+            link = load(np.int32, node + np.uint64(CHILDREN_AT) + (lane << SHIFT_32))
             x, y, z = _extent(node, lane, 0), _extent(node, lane, 1), _extent(node, lane, 2)
             area = x * y + y * z + z * x
             if link > np.int32(0):
@@ -60,7 +59,7 @@ def _add_costs(i, thread_count, node_count, nodes, costs):
             elif link < np.int32(0):
                 total += area * ((~link & np.int32(7)) + np.int32(1))
         row += thread_count
-    store(costs + (i << _LONG), total)
+    store(costs + (i << SHIFT_64), total)
 
 
 class _Kernels(NamedTuple):

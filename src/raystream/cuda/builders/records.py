@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.core.triangles import Triangles
+from raystream.jit.constants import ONE_U64, SHIFT_32, SHIFT_64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
@@ -42,9 +43,6 @@ FINE_BITS, COARSE_BITS = 16, 10
 #: Of a node and of a leaf block, as on the CPU.
 _PRICES = (np.float32(1.0), np.float32(1.0))
 
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_LONG = np.uint64(3)  # one of eight
 _AXES = np.uint64(3)
 
 
@@ -129,7 +127,7 @@ class KeyFrame(NamedTuple):
 def _step(place, low, frame):
     """Number of the step in which twice a place is."""
     steps = (place - low) * frame.scale
-    most = np.float64((_ONE << frame.bits) - _ONE)
+    most = np.float64((ONE_U64 << frame.bits) - ONE_U64)
     return np.uint64(np.int64(min(max(steps, 0.0), most)))
 
 
@@ -146,23 +144,23 @@ def _spread_bits(number):
 @kernel
 def _make_key(i, corners, prim_ids, frame, keys, values):
     """Write the key of the triangle in row i of `prim_ids`, and its prim_id."""
-    prim_id = load(np.int32, prim_ids + (i << _WORD))
+    prim_id = load(np.int32, prim_ids + (i << SHIFT_32))
     record = scratch(32)
     write_ref(corners, prim_id, record)
     key = np.uint64(0)
     for axis in range(_AXES):
-        at = record + (axis << _WORD)
+        at = record + (axis << SHIFT_32)
         low, high = np.float64(-load(np.float32, at)), load(np.float32, at + np.uint64(16))
         key |= _spread_bits(_step(low + np.float64(high), frame.low[axis], frame)) << axis
-    store(keys + (i << _LONG), key)
-    store(values + (i << _WORD), np.uint32(prim_id))
+    store(keys + (i << SHIFT_64), key)
+    store(values + (i << SHIFT_32), np.uint32(prim_id))
 
 
 @kernel
 def _make_leaf(i, corners, values, nodes):
     """Write row i of the tree: a leaf of one triangle."""
     box = nodes.boxes + i * np.uint64(REF_BYTES)
-    write_ref(corners, load(np.int32, values + (i << _WORD)), box)
+    write_ref(corners, load(np.int32, values + (i << SHIFT_32)), box)
     store(box + np.uint64(COUNT_AT), np.int32(1))
     link = Link(nodes.links, i)
     link.left, link.is_top = np.int32(-1), np.int32(0)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.records import Nodes
+from raystream.jit.constants import BITS_32, LOW_32, ONE_U64, SHIFT_32, SHIFT_64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
@@ -34,12 +35,6 @@ __all__ = ["KERNELS", "TooDeepError", "WideTree", "make_wide"]
 _LANES_BYTES = 32
 _WALK_BYTES = 4 * (MAX_LEAF_SIZE + 1)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_LONG = np.uint64(3)  # one of eight
-_UPPER = np.uint64(32)
-_LOWER = np.uint64(0xFFFFFFFF)
 _IN_BLOCK = np.uint64(3)
 
 
@@ -75,13 +70,13 @@ def _fill_lanes(nodes, root, is_first, lanes):
     """List the binary nodes in the lanes of a wide one, int32 each; returns how many."""
     if is_first and is_leaf(nodes.links, root):
         store(lanes, root)  # the whole tree is one leaf
-        return _ONE
+        return ONE_U64
     return list_children(nodes.links, root, scratch(LISTING_BYTES), lanes)
 
 
 @device
 def _lane(lanes, k):
-    return load(np.int32, lanes + (k << _WORD))
+    return load(np.int32, lanes + (k << SHIFT_32))
 
 
 @kernel
@@ -89,15 +84,15 @@ def _count_lanes(i, first, nodes, roots, counts):
     """Count the children of wide node first + i that are nodes (1), and leaf blocks (2**32)."""
     row = first + i
     lanes = scratch(_LANES_BYTES)
-    root = load(np.int32, roots + (row << _WORD))
-    found = _NONE
-    for k in range(_fill_lanes(nodes, root, row == _NONE, lanes)):
+    root = load(np.int32, roots + (row << SHIFT_32))
+    found = ZERO_U64
+    for k in range(_fill_lanes(nodes, root, row == ZERO_U64, lanes)):
         child = _lane(lanes, k)
         if is_leaf(nodes.links, child):
-            found += _block_count(nodes.boxes, np.uint64(child)) << _UPPER
+            found += _block_count(nodes.boxes, np.uint64(child)) << BITS_32
         else:
-            found += _ONE
-    store(counts + (i << _LONG), found)
+            found += ONE_U64
+    store(counts + (i << SHIFT_64), found)
 
 
 @kernel
@@ -105,23 +100,23 @@ def _give_rows(i, first, level_end, first_block, nodes, counts, roots, first_chi
     """Say where the children of wide node first + i go, and which binary nodes they are."""
     row = first + i
     lanes = scratch(_LANES_BYTES)
-    root = load(np.int32, roots + (row << _WORD))
-    before = load(np.uint64, counts + (i << _LONG))
-    child_row = level_end + (before & _LOWER)
-    store(first_children + (row << _WORD), np.uint32(child_row))
-    store(blocks + (row << _WORD), np.uint32(first_block + (before >> _UPPER)))
-    for k in range(_fill_lanes(nodes, root, row == _NONE, lanes)):
+    root = load(np.int32, roots + (row << SHIFT_32))
+    before = load(np.uint64, counts + (i << SHIFT_64))
+    child_row = level_end + (before & LOW_32)
+    store(first_children + (row << SHIFT_32), np.uint32(child_row))
+    store(blocks + (row << SHIFT_32), np.uint32(first_block + (before >> BITS_32)))
+    for k in range(_fill_lanes(nodes, root, row == ZERO_U64, lanes)):
         child = _lane(lanes, k)
         if not is_leaf(nodes.links, child):
-            store(roots + (child_row << _WORD), child)
-            child_row += _ONE
+            store(roots + (child_row << SHIFT_32), child)
+            child_row += ONE_U64
 
 
 @device
 def _write_triangle(prim_id, place, corners, leaf):
     """Copy a triangle to a place in the blocks of a leaf."""
     block = leaf + (place >> np.uint64(2)) * BLOCK
-    if place & _IN_BLOCK == _NONE:
+    if place & _IN_BLOCK == ZERO_U64:
         clear_block(block)
     write_triangle(block, place & _IN_BLOCK, prim_id, corners)
 
@@ -131,7 +126,7 @@ def _write_leaf(nodes, root, corners, leaf):
     """Write the triangles below a binary node to a leaf; it has at most `MAX_LEAF_SIZE`."""
     pending = scratch(_WALK_BYTES)
     store(pending, root)
-    top, place = pending + np.uint64(4), _NONE
+    top, place = pending + np.uint64(4), ZERO_U64
     while top != pending:
         top -= np.uint64(4)
         row = np.uint64(load(np.int32, top))
@@ -140,7 +135,7 @@ def _write_leaf(nodes, root, corners, leaf):
         if left < np.int32(0):
             box = nodes.boxes + row * np.uint64(REF_BYTES)
             _write_triangle(load(np.int32, box + np.uint64(FIRST_AT)), place, corners, leaf)
-            place += _ONE
+            place += ONE_U64
         else:
             store(top, link.right)
             store(top + np.uint64(4), left)
@@ -152,11 +147,11 @@ def _write_node(row, nodes, roots, first_children, blocks, corners, wide, leaves
     """Write a wide node, and its leaves."""
     to = wide + row * np.uint64(NODE_BYTES)
     lanes = scratch(_LANES_BYTES)
-    root = load(np.int32, roots + (row << _WORD))
-    child_row = load(np.uint32, first_children + (row << _WORD))
-    block = load(np.uint32, blocks + (row << _WORD))
+    root = load(np.int32, roots + (row << SHIFT_32))
+    child_row = load(np.uint32, first_children + (row << SHIFT_32))
+    block = load(np.uint32, blocks + (row << SHIFT_32))
     clear_node(to)
-    for k in range(_fill_lanes(nodes, root, row == _NONE, lanes)):
+    for k in range(_fill_lanes(nodes, root, row == ZERO_U64, lanes)):
         child = _lane(lanes, k)
         box = nodes.boxes + np.uint64(child) * np.uint64(REF_BYTES)
         if is_leaf(nodes.links, child):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
+from raystream.jit.constants import NULL, ONE_U64
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
 from raystream.kernels.search import is_full
@@ -22,8 +23,6 @@ from raystream.kernels.tally import LEAVES, STEPS, add_to
 
 __all__ = ["child_intervals", "pop", "traverse"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _ENTRY = np.uint64(4)
 _NODE = np.uint64(64)
 _ROOT = np.int32(0)
@@ -33,16 +32,16 @@ _DONE = np.int32(2**31 - 1)
 @device
 def traverse(tree, ray, search, stack):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
-    if tree.nodes == _NONE or not (search.t_min <= search.t_far):
+    if tree.nodes == NULL or not (search.t_min <= search.t_far):
         return search
     link, top = _ROOT, stack
     while link != _DONE:
         while link >= _ROOT and link != _DONE:
-            add_to(search.counters, STEPS, _ONE)
+            add_to(search.counters, STEPS, ONE_U64)
             at = tree.nodes + np.uint64(link) * _NODE
             link, top = _visit(at, ray, search.t_min, search.t_far, stack, top)
         while link < _ROOT:
-            add_to(search.counters, LEAVES, _ONE)
+            add_to(search.counters, LEAVES, ONE_U64)
             triangle = tree.triangles + np.uint64(~link) * TRIANGLE
             while True:
                 search, is_last = test_triangle(triangle, ray, search)

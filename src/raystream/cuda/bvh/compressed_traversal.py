@@ -22,6 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
+from raystream.jit.constants import NULL, ONE_U32, ONE_U64, ZERO_F32, ZERO_U32
 from raystream.jit.cpu import device
 from raystream.jit.simd import (
     bits_as_float,
@@ -39,14 +40,9 @@ from raystream.kernels.tally import LEAVES, STEPS, add_to
 
 __all__ = ["traverse"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _ENTRY = np.uint64(8)
 _NODE = np.uint64(80)
 _QUARTER = np.uint64(16)
-_ZERO = np.float32(0.0)
-_NO_BITS = np.uint32(0)
-_ONE_BIT = np.uint32(1)
 _BYTE = np.uint32(255)
 _EIGHT = np.uint32(8)
 _FIVE = np.uint32(5)
@@ -62,35 +58,35 @@ _LEAST = np.float32(2.0**-149)
 @device
 def traverse(tree, ray, search, stack):
     """Visit the boxes that a ray meets; see `kernels.queries.ray_queries` for the arguments."""
-    if tree.nodes == _NONE or not (search.t_min <= search.t_far):
+    if tree.nodes == NULL or not (search.t_min <= search.t_far):
         return search
     turned = _octant(ray)
     # The root, as the only child of a node.
-    base, inner, hits = _NO_BITS, _ONE_BIT, np.uint32(_ONE_BIT << turned)
+    base, inner, hits = ZERO_U32, ONE_U32, np.uint32(ONE_U32 << turned)
     top = stack
     while True:
         # Step 1: the nearest node of the group; the rest of it waits.
         bit = np.uint32(count_trailing_zeros(np.uint64(hits)))
-        hits = np.uint32(hits & (hits - _ONE_BIT))
-        before = np.uint32((_ONE_BIT << np.uint32(bit ^ turned)) - _ONE_BIT)
+        hits = np.uint32(hits & (hits - ONE_U32))
+        before = np.uint32((ONE_U32 << np.uint32(bit ^ turned)) - ONE_U32)
         node = np.uint64(base) + popcount(np.uint64(np.uint32(inner & before)))
-        if hits != _NO_BITS:
+        if hits != ZERO_U32:
             store(top, base)
             store(top + np.uint64(4), np.uint32((hits << _EIGHT) | inner))
             top += _ENTRY
-        add_to(search.counters, STEPS, _ONE)
+        add_to(search.counters, STEPS, ONE_U64)
         at = tree.nodes + node * _NODE
         base, inner, hits, triangle, pending = _visit(at, ray, turned, search)
         # Step 2: the triangles of its leaves.
         triangle = tree.triangles + triangle * TRIANGLE
-        while pending != _NO_BITS:
+        while pending != ZERO_U32:
             place = count_trailing_zeros(np.uint64(pending))
-            pending = np.uint32(pending & (pending - _ONE_BIT))
+            pending = np.uint32(pending & (pending - ONE_U32))
             search, _ = test_triangle(triangle + place * TRIANGLE, ray, search)
             if is_full(search):
                 return search
         # Step 3: the next group.
-        if hits == _NO_BITS:
+        if hits == ZERO_U32:
             if top == stack:
                 return search
             top -= _ENTRY
@@ -103,9 +99,9 @@ def traverse(tree, ray, search, stack):
 @device
 def _octant(ray):
     """Bit k is set if the ray's direction is negative along axis k."""
-    x = _ONE_BIT if ray.inv_x < _ZERO else _NO_BITS
-    y = np.uint32(2) if ray.inv_y < _ZERO else _NO_BITS
-    z = np.uint32(4) if ray.inv_z < _ZERO else _NO_BITS
+    x = ONE_U32 if ray.inv_x < ZERO_F32 else ZERO_U32
+    y = np.uint32(2) if ray.inv_y < ZERO_F32 else ZERO_U32
+    z = np.uint32(4) if ray.inv_z < ZERO_F32 else ZERO_U32
     return np.uint32(x | y | z)
 
 
@@ -144,11 +140,11 @@ def _visit(at, ray, turned, search):
             lane(head, 2), np.uint32(exponents >> np.uint32(16)), ray.inv_z, ray.near_z, ray.far_z
         ),
     )
-    back_x, back_y, back_z = ray.inv_x < _ZERO, ray.inv_y < _ZERO, ray.inv_z < _ZERO
-    hits, pending = _NO_BITS, _NO_BITS
+    back_x, back_y, back_z = ray.inv_x < ZERO_F32, ray.inv_y < ZERO_F32, ray.inv_z < ZERO_F32
+    hits, pending = ZERO_U32, ZERO_U32
     hits, pending = _visit_four(
         lane(links, 2),
-        _NO_BITS,
+        ZERO_U32,
         _ordered(back_x, lane(planes, 0), lane(more, 2)),
         _ordered(back_y, lane(planes, 2), lane(rest, 0)),
         _ordered(back_z, lane(more, 0), lane(rest, 2)),
@@ -197,13 +193,13 @@ def _visit_four(kinds, first, x, y, z, axes, turned, search, hits, pending):
             fma(_byte(y[1], shift), axes[1][0], axes[1][2]),
             fma(_byte(z[1], shift), axes[2][0], axes[2][2]),
         )
-        if kind != _NO_BITS and max(t_in, search.t_min) <= min(t_out, search.t_far):
+        if kind != ZERO_U32 and max(t_in, search.t_min) <= min(t_out, search.t_far):
             size = np.uint32(kind >> _FIVE)
             if size == _IS_NODE:
-                hits = np.uint32(hits | (_ONE_BIT << np.uint32((first + k) ^ turned)))
+                hits = np.uint32(hits | (ONE_U32 << np.uint32((first + k) ^ turned)))
             else:
-                add_to(search.counters, LEAVES, _ONE)
-                triangles = np.uint32((_ONE_BIT << size) - _ONE_BIT)
+                add_to(search.counters, LEAVES, ONE_U64)
+                triangles = np.uint32((ONE_U32 << size) - ONE_U32)
                 pending = np.uint32(pending | (triangles << np.uint32(kind & _OFFSET)))
     return hits, pending
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from raystream.cuda.bvh.binary_traversal import child_intervals, pop
 from raystream.cuda.bvh.triangles import TRIANGLE, test_triangle
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U32
 from raystream.jit.cpu import device
 from raystream.jit.simd import popcount, store
 from raystream.jit.warp import active_mask, ballot
@@ -30,13 +31,10 @@ from raystream.kernels.tally import LEAVES, STEPS, add_to
 
 __all__ = ["traverse"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _ENTRY = np.uint64(4)
 _NODE = np.uint64(64)
 _ROOT = np.int32(0)
 _DONE = np.int32(2**31 - 1)
-_NOBODY = np.uint32(0)
 
 
 @device
@@ -45,19 +43,19 @@ def traverse(tree, ray, search, stack):
 
     See `kernels.queries.ray_queries` for the arguments.
     """
-    if tree.nodes == _NONE or not (search.t_min <= search.t_far):
+    if tree.nodes == NULL or not (search.t_min <= search.t_far):
         return search
     voters = active_mask()
     is_searching = True
     link, top = _ROOT, stack
     while link != _DONE:
         if link >= _ROOT:
-            add_to(search.counters, STEPS, _ONE)
+            add_to(search.counters, STEPS, ONE_U64)
             at = tree.nodes + np.uint64(link) * _NODE
             t_min, t_far = search.t_min, search.t_far
             link, top = _visit(at, ray, t_min, t_far, is_searching, voters, stack, top)
             continue
-        add_to(search.counters, LEAVES, _ONE)
+        add_to(search.counters, LEAVES, ONE_U64)
         triangle = tree.triangles + np.uint64(~link) * TRIANGLE
         is_last = not is_searching
         while not is_last:
@@ -65,7 +63,7 @@ def traverse(tree, ray, search, stack):
             if is_full(search):
                 is_searching, is_last = False, True
             triangle += TRIANGLE
-        if ballot(voters, is_searching) == _NOBODY:
+        if ballot(voters, is_searching) == ZERO_U32:
             return search
         link, top = pop(stack, top)
     return search
@@ -98,16 +96,16 @@ def _visit(at, ray, t_min, t_far, is_searching, voters, stack, top):
     enters_right = is_searching and max(right[0], t_min) <= min(right[1], t_far)
     wants_right = enters_right and (not enters_left or right[0] < left[0])
     lefts, rights = ballot(voters, enters_left), ballot(voters, enters_right)
-    if (lefts | rights) == _NOBODY:
+    if (lefts | rights) == ZERO_U32:
         return pop(stack, top)
     for_right = ballot(voters, wants_right)
     everyone = np.uint64(np.uint32(lefts | rights))
     if popcount(np.uint64(for_right)) + popcount(np.uint64(for_right)) > popcount(everyone):
         near, far = far, near
         lefts, rights = rights, lefts
-    if lefts == _NOBODY:
+    if lefts == ZERO_U32:
         return far, top
-    if rights != _NOBODY:
+    if rights != ZERO_U32:
         store(top, far)
         top += _ENTRY
     return near, top

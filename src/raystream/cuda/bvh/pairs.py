@@ -6,6 +6,7 @@ import numpy as np
 
 from raystream.cuda.bvh.entries import COUNT, HIGH, LINK, LOW
 from raystream.cuda.bvh.triangles import TRIANGLE, copy_leaf
+from raystream.jit.constants import INF_F32, ONE_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.structures.bvh.layout import WIDTH
@@ -14,8 +15,6 @@ __all__ = ["depth_of", "write_pairs"]
 
 _SETS = 1 << WIDTH
 _LINKS = 12
-_ONE = np.uint64(1)
-_INF = np.float32(np.inf)
 
 
 @device
@@ -23,7 +22,7 @@ def _size(members):
     """How many children are in a set, up to 255."""
     size = 0
     while members != np.uint64(0):
-        members &= members - _ONE
+        members &= members - ONE_U64
         size += 1
     return size
 
@@ -42,7 +41,7 @@ def _choose(count, is_balanced, boxes, costs, choices):
 
     Costs are the areas of the boxes of all pairs.
     """
-    for members in range(_ONE, _ONE << count):
+    for members in range(ONE_U64, ONE_U64 << count):
         size = _size(members)
         if size == 1:
             costs[members] = 0.0
@@ -55,8 +54,8 @@ def _choose(count, is_balanced, boxes, costs, choices):
                 most += most
         least, choice = np.inf, np.uint64(0)
         # The lowest member is left: no tree is looked at twice.
-        lowest = members & (~members + _ONE)
-        part = (members - _ONE) & members
+        lowest = members & (~members + ONE_U64)
+        part = (members - ONE_U64) & members
         while part != np.uint64(0):
             other = members ^ part
             is_allowed = not is_balanced or (_size(part) <= most and _size(other) <= most)
@@ -64,7 +63,7 @@ def _choose(count, is_balanced, boxes, costs, choices):
                 cost = costs[part] + costs[other]
                 if cost < least or choice == np.uint64(0):
                     least, choice = cost, part
-            part = (part - _ONE) & members
+            part = (part - ONE_U64) & members
         costs[members] = least + _half_area(boxes[members])
         choices[members] = choice
 
@@ -72,11 +71,11 @@ def _choose(count, is_balanced, boxes, costs, choices):
 @device
 def _unite(entries, row, count, boxes):
     """Boxes of all sets of children."""
-    for members in range(_ONE, _ONE << count):
-        rest = members & (members - _ONE)
+    for members in range(ONE_U64, ONE_U64 << count):
+        rest = members & (members - ONE_U64)
         last = np.uint64(0)
-        while (members >> last) & _ONE == np.uint64(0):
-            last += _ONE
+        while (members >> last) & ONE_U64 == np.uint64(0):
+            last += ONE_U64
         for axis in range(np.uint64(3)):
             low = entries[row, last, np.uint64(LOW) + axis]
             high = entries[row, last, np.uint64(HIGH) + axis]
@@ -89,10 +88,10 @@ def _unite(entries, row, count, boxes):
 @device
 def _put_child(nodes, links, node, side, box, link):
     at = np.uint64(4) * side
-    nodes[node, at], nodes[node, at + _ONE] = box[0], box[3]
+    nodes[node, at], nodes[node, at + ONE_U64] = box[0], box[3]
     nodes[node, at + np.uint64(2)], nodes[node, at + np.uint64(3)] = box[1], box[4]
     at = np.uint64(8) + np.uint64(2) * side
-    nodes[node, at], nodes[node, at + _ONE] = box[2], box[5]
+    nodes[node, at], nodes[node, at + ONE_U64] = box[2], box[5]
     links[node, np.uint64(_LINKS) + side] = link
 
 
@@ -134,7 +133,7 @@ def write_pairs(
     costs, choices = np.empty(_SETS, np.float64), np.empty(_SETS, np.uint64)
     own = np.empty(WIDTH, np.int32)
     pending_sets, pending_nodes = np.empty(WIDTH, np.uint64), np.empty(WIDTH, np.uint64)
-    nothing = np.array([_INF, _INF, _INF, -_INF, -_INF, -_INF], np.float32)
+    nothing = np.array([INF_F32, INF_F32, INF_F32, -INF_F32, -INF_F32, -INF_F32], np.float32)
     for row in range(np.uint64(begin), np.uint64(end)):
         # Step 1: the leaves' triangles, and what children are as links of binary nodes.
         to = triangle_at + np.uint64(first_triangles[row]) * TRIANGLE
@@ -147,32 +146,32 @@ def write_pairs(
                 own[count] = ~triangle
                 triangle += words[row, count, COUNT]
                 to = copy_leaf(leaf_at, link, to)
-            count += _ONE
+            count += ONE_U64
         # Step 2: the best trees.
         _unite(entries, row, count, boxes)
         _choose(count, is_balanced, boxes, costs, choices)
         # Step 3: nodes, from the root; later rows for later levels.
         node = np.uint64(first_nodes[row])
-        if count <= _ONE:
+        if count <= ONE_U64:
             _put_child(nodes, links, node, np.uint64(0), nothing, 0)
-            _put_child(nodes, links, node, _ONE, nothing, 0)
-            if count == _ONE:
+            _put_child(nodes, links, node, ONE_U64, nothing, 0)
+            if count == ONE_U64:
                 _put_child(nodes, links, node, np.uint64(0), boxes[1], own[0])
             continue
-        pending_sets[0], pending_nodes[0] = (_ONE << count) - _ONE, node
+        pending_sets[0], pending_nodes[0] = (ONE_U64 << count) - ONE_U64, node
         top = 1
         while top != 0:
             top -= 1
             members, parent = pending_sets[top], pending_nodes[top]
             part = choices[members]
             for side in range(np.uint64(2)):
-                if part & (part - _ONE) == np.uint64(0):
+                if part & (part - ONE_U64) == np.uint64(0):
                     child = np.uint64(0)
-                    while (part >> child) & _ONE == np.uint64(0):
-                        child += _ONE
+                    while (part >> child) & ONE_U64 == np.uint64(0):
+                        child += ONE_U64
                     link = own[child]
                 else:
-                    node += _ONE
+                    node += ONE_U64
                     link = np.int32(node)
                     pending_sets[top], pending_nodes[top] = part, node
                     top += 1

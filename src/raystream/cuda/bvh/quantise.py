@@ -12,6 +12,7 @@ import numpy as np
 
 from raystream.cuda.bvh.entries import COUNT, HIGH, LINK, LOW
 from raystream.cuda.bvh.triangles import TRIANGLE, copy_leaf
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import address
 from raystream.structures.bvh.layout import WIDTH
@@ -32,7 +33,6 @@ _LEAF_SIZE = 4
 _BIAS = 127
 _MOST = 255.0
 _GRID = 2.0**-15
-_ONE = np.uint64(1)
 
 
 @kernel
@@ -133,7 +133,7 @@ def _write_boxes(own, count, floats, nodes, row):
             if count[slot] != 0:
                 low = np.float64(own[slot, np.uint64(LOW) + axis])
                 high = np.float64(own[slot, np.uint64(HIGH) + axis])
-                word = np.uint64(8) + (axis << _ONE)
+                word = np.uint64(8) + (axis << ONE_U64)
                 _put_byte(nodes, row, word, slot, _below(low, origin, step))
                 _put_byte(nodes, row, word + np.uint64(6), slot, _above(high, origin, step))
 

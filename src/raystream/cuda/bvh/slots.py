@@ -13,13 +13,13 @@ from __future__ import annotations
 import numpy as np
 
 from raystream.cuda.bvh.entries import HIGH, LINK, LOW
+from raystream.jit.constants import ONE_U64
 from raystream.jit.cpu import device, kernel
 from raystream.structures.bvh.layout import WIDTH
 
 __all__ = ["assign_slots"]
 
 _SETS = 1 << WIDTH
-_ONE = np.uint64(1)
 
 
 @device
@@ -38,7 +38,7 @@ def _write_gains(entries, row, count, gains):
             for axis in range(np.uint64(3)):
                 low = np.float64(entries[row, child, np.uint64(LOW) + axis])
                 offset = low + entries[row, child, np.uint64(HIGH) + axis] - middle[axis]
-                gain += offset if (slot >> axis) & _ONE else -offset
+                gain += offset if (slot >> axis) & ONE_U64 else -offset
             gains[child, slot] = gain
 
 
@@ -61,7 +61,7 @@ def assign_slots(begin, end, entries, words):
     for row in range(np.uint64(begin), np.uint64(end)):
         count = np.uint64(0)
         while count < np.uint64(WIDTH) and words[row, count, LINK] != 0:
-            count += _ONE
+            count += ONE_U64
         if count == np.uint64(0):
             continue
         _write_gains(entries, row, count, gains)
@@ -71,13 +71,13 @@ def assign_slots(begin, end, entries, words):
         for taken in range(np.uint64(_SETS)):
             child = np.uint64(0)
             for slot in range(np.uint64(WIDTH)):
-                child += (taken >> slot) & _ONE
+                child += (taken >> slot) & ONE_U64
             if child == count:
                 if greatest == np.uint64(0) or best[taken] > best[greatest]:
                     greatest = taken
             elif child < count:
                 for slot in range(np.uint64(WIDTH)):
-                    more = taken | (_ONE << slot)
+                    more = taken | (ONE_U64 << slot)
                     if more != taken and best[taken] + gains[child, slot] > best[more]:
                         best[more] = best[taken] + gains[child, slot]
                         last[more] = slot
@@ -85,7 +85,7 @@ def assign_slots(begin, end, entries, words):
         words[row] = 0
         child = count
         while child != np.uint64(0):
-            child -= _ONE
+            child -= ONE_U64
             slot = last[greatest]
-            greatest ^= _ONE << slot
+            greatest ^= ONE_U64 << slot
             words[row, slot] = own[child]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from raystream.jit.constants import ONE_U64, SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import f32x4, float_as_bits, lane, load, load_constant, store
 from raystream.kernels.leaf_block import BLOCK, BLOCK_SIZE, PRIM_IDS
@@ -22,12 +23,10 @@ __all__ = ["TRIANGLE", "TRIANGLE_FLOATS", "copy_leaf", "test_triangle"]
 #: Bytes of a triangle, and of what is read at once.
 TRIANGLE = np.uint64(48)
 TRIANGLE_FLOATS = int(TRIANGLE) // 4
-_QUARTER = np.uint64(16)
-_HALF = np.uint64(32)
+_ROW = np.uint64(16)  # a corner and one more number
+_TWO_ROWS = np.uint64(32)
 
 _LAST = np.uint64(28)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 
 
 @device
@@ -53,14 +52,14 @@ def copy_leaf(leaves, child, to):
     end = leaf_end(block, child)
     while block != end:
         for k in range(np.uint64(BLOCK_SIZE)):
-            at = block + (k << _WORD)
+            at = block + (k << SHIFT_32)
             prim_id = load(np.int32, at + PRIM_IDS)
             x = load(np.float32, at)
             if prim_id >= np.int32(0) and x == x:
                 for corner in range(np.uint64(3)):
                     for axis in range(np.uint64(3)):
-                        number = load(np.float32, at + (corner * np.uint64(3) + axis) * _QUARTER)
-                        store(to + corner * _QUARTER + (axis << _WORD), number)
+                        number = load(np.float32, at + (corner * np.uint64(3) + axis) * _ROW)
+                        store(to + corner * _ROW + (axis << SHIFT_32), number)
                 store(to + np.uint64(12), prim_id)
                 store(to + _LAST, np.int32(0))
                 store(to + np.uint64(44), np.int32(0))
@@ -88,10 +87,10 @@ def test_triangle(at, ray, search):
     is_last : bool
         Whether the triangle is the last one of its leaf.
     """
-    add_to(search.counters, TESTS, _ONE)
+    add_to(search.counters, TESTS, ONE_U64)
     a = load_constant(f32x4, at)
-    b = load_constant(f32x4, at + _QUARTER)
-    c = load_constant(f32x4, at + _HALF)
+    b = load_constant(f32x4, at + _ROW)
+    c = load_constant(f32x4, at + _TWO_ROWS)
     is_last = lane(float_as_bits(b), 3) != np.int32(0)
     hit, t, u, v = intersect_corners(ray, _corner(a), _corner(b), _corner(c), search.surfaces)
     # Written so that a NaN would fail.

@@ -10,6 +10,7 @@ from raystream.cuda.multipass.control import rules_of
 from raystream.cuda.multipass.kernels import rays
 from raystream.cuda.multipass.kernels.choose import DECIDE, DECIDE_IN_LOOP
 from raystream.cuda.multipass.passes import pass_of
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
 from raystream.kernels.hits import HitAddresses
 from raystream.kernels.ray_source import RaySource
@@ -20,8 +21,6 @@ from raystream.scene.scene import Scene
 from raystream.structures import build_structure
 
 __all__ = ["multipass_catalogue_of"]
-
-_AT = np.uint64(0)
 
 
 def multipass_catalogue_of(
@@ -45,19 +44,19 @@ def multipass_catalogue_of(
     """
     structure = build_structure(name, scene.triangles, **options)
     steps = steps_of(structure)
-    source = RaySource(_AT, _AT, False, _AT, _AT, False, _AT, _AT, _AT, _AT)
-    hits = HitAddresses(_AT, _AT, _AT, _AT)
-    wanted = rays.Wanted(_AT, _AT)
-    query = StepArguments(np.float32(1.0), True, True, hits, *(_AT,) * 6)
+    source = RaySource(NULL, NULL, False, NULL, NULL, False, NULL, NULL, NULL, NULL)
+    hits = HitAddresses(NULL, NULL, NULL, NULL)
+    wanted = rays.Wanted(NULL, NULL)
+    query = StepArguments(np.float32(1.0), True, True, hits, *(NULL,) * 6)
     rules = rules_of(steps.kernels, "threshold", USUAL_THRESHOLD, compacts=False)
     return {
-        "pass": (pass_of(steps), (*(_AT,) * 8, steps.tree, query)),
-        "counting pass": (pass_of(steps), (*(_AT,) * 8, steps.tree, query._replace(hits=None))),
-        "decide": (DECIDE, (_AT, rules)),
-        "decide in loop": (DECIDE_IN_LOOP, (_AT, rules, _AT)),
-        "begin": (rays.BEGIN, (source, structure.frame, *(_AT,) * 7, wanted, _AT)),
-        "finish": (rays.FINISH, (_AT, _AT, _AT, hits)),
-        "finish many": (rays.FINISH_MANY, (*(_AT,) * 5, wanted, hits)),
-        "count kept": (rays.COUNT_KEPT, (_AT,) * 4),
-        "keep": (rays.KEEP, (_AT,) * 5),
+        "pass": (pass_of(steps), (*(NULL,) * 8, steps.tree, query)),
+        "counting pass": (pass_of(steps), (*(NULL,) * 8, steps.tree, query._replace(hits=None))),
+        "decide": (DECIDE, (NULL, rules)),
+        "decide in loop": (DECIDE_IN_LOOP, (NULL, rules, NULL)),
+        "begin": (rays.BEGIN, (source, structure.frame, *(NULL,) * 7, wanted, NULL)),
+        "finish": (rays.FINISH, (NULL, NULL, NULL, hits)),
+        "finish many": (rays.FINISH_MANY, (*(NULL,) * 5, wanted, hits)),
+        "count kept": (rays.COUNT_KEPT, (NULL,) * 4),
+        "keep": (rays.KEEP, (NULL,) * 5),
     }

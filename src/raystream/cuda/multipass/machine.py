@@ -27,6 +27,7 @@ from raystream.cuda.multipass.passes import columns_of
 from raystream.cuda.multipass.ray_streams import HitGoal, RayStreams, ray_bytes
 from raystream.cuda.multipass.tree import ResidentSteps
 from raystream.cuda.parts import HostQuery, parts_of
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import CudaError, DeviceArray, Gpu
 from raystream.kernels.hits import HitAddresses, HitArrays
 from raystream.kernels.sink import Sink
@@ -53,8 +54,7 @@ MAX_PASSES = 1 << 20
 _RAYS_AT_ONCE = 1 << 21
 _MOST_BYTES = 1 << 31
 
-_NOWHERE = np.uint64(0)
-_ONE_EACH = Wanted(_NOWHERE, np.uint64(1))
+_ONE_EACH = Wanted(NULL, np.uint64(1))
 
 
 class Multipass(Branching):
@@ -163,7 +163,7 @@ class Multipass(Branching):
     def _count_hits(self, job: HostQuery, steps: Steps | None = None) -> None:
         steps, counts, query = steps or self._steps.usual, job.sink.counts, job.query
         for part in self._parts(job, steps):
-            goal = HitGoal(query.surfaces, False, Wanted(_NOWHERE, np.uint64(query.limit)))
+            goal = HitGoal(query.surfaces, False, Wanted(NULL, np.uint64(query.limit)))
             streams = self._run_all(steps, part, goal, job)
             counts[part.rows] = streams.counts()
             overflown = streams.overflown()
@@ -185,14 +185,14 @@ class Multipass(Branching):
             own = self.gpu.upload("splits", wanted - wanted[0])
             memory, hits = _hits_of(self.gpu, rows.stop - rows.start)
             want_any = None if capacity.all() else np.flatnonzero(capacity).astype(np.uint32)
-            each = Wanted(own.address, _NOWHERE)
+            each = Wanted(own.address, NULL)
             goal = HitGoal(job.query.surfaces, True, each, want_any, hits)
             streams = self._run_all(steps, part, goal, job)
             FINISH_MANY.launch(
                 self.gpu,
                 part.count,
                 (
-                    *(_NOWHERE, streams.capacity, streams.found, streams.state),
+                    *(NULL, streams.capacity, streams.found, streams.state),
                     *(streams.world, goal.wanted, hits),
                 ),
             )

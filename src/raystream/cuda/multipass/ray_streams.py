@@ -20,6 +20,7 @@ from raystream.cuda.multipass.kernels.rays import (
 )
 from raystream.cuda.multipass.part import PassPart
 from raystream.cuda.multipass.passes import STREAMS, columns_of, pass_of
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import DeviceLoop, Gpu, Launch
 from raystream.jit.cuda.scan import Scan
 from raystream.kernels.hits import HitAddresses
@@ -28,8 +29,6 @@ from raystream.machines.records import RayState, StepArguments
 from raystream.machines.steps.base import StepKernel, Steps
 
 __all__ = ["HitGoal", "RayStreams", "ray_bytes"]
-
-_NOWHERE = np.uint64(0)
 
 
 class HitGoal(NamedTuple):
@@ -117,8 +116,8 @@ class RayStreams:
             bool(goal.surfaces),
             goal.shades,
             goal.hits,
-            _NOWHERE if part.tallies is None else part.tallies,
-            _NOWHERE if self._runs is None else self._runs.address,
+            NULL if part.tallies is None else part.tallies,
+            NULL if self._runs is None else self._runs.address,
             self._stacks.address,
             np.uint64(steps.stack_bytes),
             *map(np.uint64, limits),
@@ -144,7 +143,7 @@ class RayStreams:
     @property
     def rows(self) -> np.uint64:
         """Address of the numbers of the rays that passes look at; 0 if they look at all."""
-        return _NOWHERE if self._rows is None else self._rows.address
+        return NULL if self._rows is None else self._rows.address
 
     @property
     def kernels(self) -> tuple[StepKernel, ...]:

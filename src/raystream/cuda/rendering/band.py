@@ -16,6 +16,7 @@ from raystream.cuda.rendering.columns import HitColumns, StreamColumns
 from raystream.cuda.rendering.kernels import BEGIN
 from raystream.cuda.rendering.slots import Slots
 from raystream.cuda.rendering.tables import TableMemory, plain
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu, RangeKernel
 from raystream.kernels.ray_source import ResultAddresses
 from raystream.rendering.integrator import RenderContext, camera_paths
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from raystream.kernels.ray import SceneFrame
 
 __all__ = ["DeviceBand", "DeviceScene", "DeviceStream"]
-
-_NOWHERE = np.uint64(0)
 
 
 class DeviceScene:
@@ -179,7 +178,7 @@ class DeviceBand:
     ) -> None:
         """Begin a query for rays; `to` says where the answers go."""
         status = self.empty("status", count, np.uint8)  # nobody reads it
-        places = dict.fromkeys(ResultAddresses._fields, _NOWHERE) | to
+        places = dict.fromkeys(ResultAddresses._fields, NULL) | to
         places["status"] = status.address
         source = rays.source(*self._limits, has_ends)
         scene, answers = self.scene, ResultAddresses(**places)

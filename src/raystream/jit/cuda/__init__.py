@@ -14,7 +14,7 @@ from raystream.jit.cuda.devices import (
     gpu_facts,
     open_gpu,
 )
-from raystream.jit.cuda.gather_table import MOST_DIMENSIONS, gather_table_at
+from raystream.jit.cuda.gather_table import MAX_DIMENSIONS, gather_table_at
 from raystream.jit.cuda.gpu import CudaError, Gpu
 from raystream.jit.cuda.graph_loop import DeviceLoop, Launch, set_condition
 from raystream.jit.cuda.persistent_kernel import PersistentKernel
@@ -26,7 +26,7 @@ from raystream.jit.cuda.user_kernel import UserKernel
 
 __all__ = [
     "CAPABILITIES",
-    "MOST_DIMENSIONS",
+    "MAX_DIMENSIONS",
     "Compiled",
     "CudaError",
     "CudaStream",

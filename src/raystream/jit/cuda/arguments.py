@@ -1,4 +1,4 @@
-"""Arguments of kernels: their types, and the flat list that a launch takes."""
+"""Kernel arguments: their types, and their flattening for a launch."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ __all__ = ["flat", "kind_of", "type_of"]
 
 
 def type_of(arguments: Any) -> Any:
-    """Numba's type of arguments as kernels take them."""
+    """The Numba type of kernel arguments."""
     return numba.typeof(arguments)
 
 
 def kind_of(arguments: Any) -> Any:
-    """What decides the type of arguments: found in a tenth of the time that the type takes."""
+    """A key that determines `type_of`, found in a tenth of its time."""
     if isinstance(arguments, tuple):
         return type(arguments), *map(kind_of, arguments)
     return type(arguments)
 
 
 def flat(arguments: Any) -> Iterator[Any]:
-    """The numbers in nested tuples, as Numba's kernels expect them one after the other.
+    """Flatten nested tuples into the numbers that Numba's kernels expect.
 
-    None is a pointer that nobody follows.
+    None becomes a null pointer, which is never dereferenced.
     """
     for one in arguments:
         if one is None:

@@ -1,7 +1,7 @@
-"""Views of arrays that other libraries have on a GPU: where their numbers are, without a copy.
+"""Views of other libraries' GPU arrays, without a copy.
 
-By ``__cuda_array_interface__``, of which version 3 names the stream that the array is made in, or
-by DLPack, where we name ours and the exporter lets it wait.
+Through ``__cuda_array_interface__``, whose version 3 names the stream that fills the array, or
+DLPack, where we name our stream and the exporter lets it wait.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from raystream.jit.cuda.streams import LEGACY, CudaStream
 
 __all__ = ["DeviceView", "stream_of", "view_of"]
 
-#: DLPack's name of memory that all devices and the host share.
+#: DLPack's device type of memory shared by all devices and the host.
 _MANAGED = 13
 
 
 class DeviceView(NamedTuple):
-    """Where an array's numbers are.
+    """Memory layout of an array.
 
     Attributes
     ----------
     address : int
-        Of the first one.
+        Of the first element.
     shape : tuple of int
     strides : tuple of int
-        Bytes from one to the next, in each direction.
+        In bytes.
     dtype : dtype
     """
 
@@ -42,13 +42,13 @@ class DeviceView(NamedTuple):
 
 
 def stream_of(gpu: Gpu, arrays: Mapping[str, Any]) -> CudaStream:
-    """The stream to work in: that of the first array which names one, else the default one.
+    """The stream of the first array that names one, else the legacy default stream.
 
     Parameters
     ----------
     gpu : Gpu
     arrays : mapping
-        By name; those on the host have none.
+        By name; host arrays are skipped.
     """
     for values in arrays.values():
         if is_on_gpu(values):
@@ -58,15 +58,15 @@ def stream_of(gpu: Gpu, arrays: Mapping[str, Any]) -> CudaStream:
     return CudaStream(gpu, LEGACY)
 
 
-def view_of(work: StreamScope, name: str, values: Any) -> DeviceView:
-    """View an array on the device that work is done on, in the order of its stream.
+def view_of(scope: StreamScope, name: str, values: Any) -> DeviceView:
+    """View an array in the order of a scope's stream.
 
     Parameters
     ----------
-    work : StreamScope
-        It waits for the array, and keeps it if nothing else does until it was read.
+    scope : StreamScope
+        It waits for the array, and keeps it alive until it has been read.
     name : str
-        The argument, for errors.
+        Of the argument, for errors.
     values : object
         With ``__cuda_array_interface__`` or DLPack.
 
@@ -81,25 +81,25 @@ def view_of(work: StreamScope, name: str, values: Any) -> DeviceView:
     if interface is not None and (
         _handle(interface) is not None or not hasattr(values, "__dlpack__")
     ):
-        return _by_interface(work, name, interface)
-    return _by_dlpack(work, name, values)
+        return _by_interface(scope, name, interface)
+    return _by_dlpack(scope, name, values)
 
 
 def _interface(values: Any) -> Mapping[str, Any] | None:
     try:
         interface: Mapping[str, Any] | None = getattr(values, "__cuda_array_interface__", None)
-    except Exception:  # such as of a PyTorch tensor that requires grad: DLPack says more
+    except Exception:  # such as a PyTorch tensor that requires grad: DLPack's error is clearer
         return None
     return interface
 
 
 def _handle(interface: Mapping[str, Any] | None) -> int | None:
-    """The stream that an array names, if any; 0, which should not be, is the default one."""
+    """Handle of the stream that an array names, if any; an invalid 0 is the default stream."""
     handle = None if interface is None else interface.get("stream")
     return None if handle is None else int(handle) or LEGACY
 
 
-def _by_interface(work: StreamScope, name: str, interface: Mapping[str, Any]) -> DeviceView:
+def _by_interface(scope: StreamScope, name: str, interface: Mapping[str, Any]) -> DeviceView:
     try:
         if interface.get("mask") is not None:
             raise ValueError("it has a mask")
@@ -112,32 +112,32 @@ def _by_interface(work: StreamScope, name: str, interface: Mapping[str, Any]) ->
             raise ValueError(f"it has {len(shape)} dimensions and {len(strides)} strides")
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise _unreadable(name, error) from error
-    _check_device(work.gpu, name, work.gpu.number_of(address))
+    _check_device(scope.gpu, name, scope.gpu.number_of(address))
     handle = _handle(interface)
-    if handle is not None and handle != work.stream.handle:
-        work.borrow(CudaStream(work.gpu, handle))
+    if handle is not None and handle != scope.stream.handle:
+        scope.borrow(CudaStream(scope.gpu, handle))
     return DeviceView(address, shape, strides, dtype)
 
 
-def _by_dlpack(work: StreamScope, name: str, values: Any) -> DeviceView:
+def _by_dlpack(scope: StreamScope, name: str, values: Any) -> DeviceView:
     from cuda.core.utils import StridedMemoryView
 
-    gpu = work.gpu
+    gpu = scope.gpu
     try:
         kind, number = map(int, values.__dlpack_device__())
-    except Exception as error:  # whatever the exporter raises
+    except Exception as error:  # exporters raise any exception
         raise _unreadable(name, error) from error
     if kind != _MANAGED:
         _check_device(gpu, name, number)
     try:
         with gpu.current():
-            view = StridedMemoryView.from_dlpack(values, stream_ptr=work.stream.handle)
+            view = StridedMemoryView.from_dlpack(values, stream_ptr=scope.stream.handle)
         dtype = np.dtype(view.dtype)
         shape = tuple(map(int, view.shape))
         strides = view.strides
-    except Exception as error:  # whatever the exporter raises
+    except Exception as error:  # exporters raise any exception
         raise _unreadable(name, error) from error
-    work.keep(view)
+    scope.keep(view)
     steps = _packed(shape, dtype)
     if strides is not None:
         steps = tuple(int(stride) * dtype.itemsize for stride in strides)
@@ -145,7 +145,7 @@ def _by_dlpack(work: StreamScope, name: str, values: Any) -> DeviceView:
 
 
 def _packed(shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, ...]:
-    """Strides of an array without gaps."""
+    """Strides of a C-contiguous array."""
     strides = [dtype.itemsize]
     for length in shape[:0:-1]:
         strides.append(strides[-1] * length)

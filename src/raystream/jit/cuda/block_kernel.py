@@ -1,7 +1,7 @@
-"""BlockKernel: a function that blocks of threads run together, with memory that they share.
+"""BlockKernel: a function run by blocks of threads with shared memory.
 
-Such functions use ``cuda``, which the simulator replaces: they are plain Python, and read and
-write the device's memory by the four functions here, which it calls as compiled for the CPU.
+Such functions use ``cuda``, which the simulator replaces: they are plain Python, and access device
+memory through the four functions here, which the simulator calls as compiled for the CPU.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numba import cuda, types
 
+from raystream.jit.constants import BYTES_32, BYTES_64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda.compiler import Capability, Compiled, compile_function
 from raystream.jit.cuda.gpu import Gpu
@@ -20,35 +21,32 @@ from raystream.jit.simd import load, store
 
 __all__ = ["BlockKernel", "Number", "get_32", "get_64", "put_32", "put_64"]
 
-#: What a launch takes: a number, or an address.
+#: An argument of a launch: a number or an address.
 Number = int | np.uint64
-
-_WORD = np.uint64(4)
-_LONG = np.uint64(8)
 
 
 @kernel
 def get_32(array, i):
-    """Row i of an array of uint32 at an address, as a uint64."""
-    return np.uint64(load(np.uint32, array + i * _WORD))
+    """Element i of an array of uint32 at an address, as a uint64."""
+    return np.uint64(load(np.uint32, array + i * BYTES_32))
 
 
 @kernel
 def put_32(array, i, number):
-    """Write row i of an array of uint32 at an address."""
-    store(array + i * _WORD, np.uint32(number))
+    """Write element i of an array of uint32 at an address."""
+    store(array + i * BYTES_32, np.uint32(number))
 
 
 @kernel
 def get_64(array, i):
-    """Row i of an array of uint64 at an address."""
-    return load(np.uint64, array + i * _LONG)
+    """Element i of an array of uint64 at an address."""
+    return load(np.uint64, array + i * BYTES_64)
 
 
 @kernel
 def put_64(array, i, number):
-    """Write row i of an array of uint64 at an address."""
-    store(array + i * _LONG, number)
+    """Write element i of an array of uint64 at an address."""
+    store(array + i * BYTES_64, number)
 
 
 class BlockKernel:
@@ -57,10 +55,10 @@ class BlockKernel:
     Parameters
     ----------
     function : callable
-        Plain Python, which takes uint64 numbers, addresses among them, and returns nothing.
+        Plain Python that takes uint64 numbers, including addresses, and returns nothing.
     argument_count : int
     block_size : int
-        Threads of a block.
+        Threads per block.
     """
 
     def __init__(self, function: Callable[..., Any], argument_count: int, block_size: int) -> None:
@@ -80,7 +78,7 @@ class BlockKernel:
         return compile_function(self._function, self._types, capability)
 
     def launch(self, gpu: Gpu, block_count: int, *numbers: Number, stream: Any = None) -> None:
-        """Begin to run it; whoever wants the results waits for them.
+        """Launch it asynchronously.
 
         Parameters
         ----------
@@ -89,7 +87,7 @@ class BlockKernel:
         *numbers : int or uint64
             Arguments of the function.
         stream : cuda.core.Stream, optional
-            Without it, the device's own.
+            [default: the device's stream]
 
         Raises
         ------

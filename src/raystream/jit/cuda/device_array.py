@@ -1,4 +1,4 @@
-"""DeviceArray: an array in a GPU's memory, which other libraries can read where it is."""
+"""DeviceArray: an array in GPU memory, shared with other libraries without copies."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 __all__ = ["ALIGNMENT", "DeviceArray", "host_memory"]
 
-#: Arrays begin at multiples of so many bytes, as those of CUDA do: traversals need 256.
+#: Alignment of arrays in bytes, the same as CUDA's: traversals need 256.
 ALIGNMENT = 256
 
-#: DLPack's names of devices.
+#: DLPack's device types.
 _CPU, _CUDA = 1, 2
 
 
 class DeviceArray:
-    """An array in a GPU's memory, its numbers in C order without gaps.
+    """A C-contiguous array in GPU memory.
 
-    Other libraries read and write it without a copy, by ``__cuda_array_interface__`` (CuPy,
+    Other libraries read and write it without a copy, through ``__cuda_array_interface__`` (CuPy,
     Numba, PyTorch) or DLPack (these and JAX).
 
     Parameters
@@ -35,12 +35,12 @@ class DeviceArray:
     name : str
         For errors.
     owner : object
-        What frees the memory when nothing refers to it any more; an ndarray in the simulator.
+        Frees the memory when it is no longer referenced; an ndarray in the simulator.
     address : int
     shape : tuple of int
     dtype : dtype
     stream : CudaStream
-        In whose order the memory was had, is filled and read, and is freed.
+        Stream in whose order the memory is allocated, filled, read and freed.
 
     Attributes
     ----------
@@ -68,24 +68,24 @@ class DeviceArray:
 
     @property
     def size(self) -> int:
-        """How many numbers it has."""
+        """Number of elements."""
         return math.prod(self.shape)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its numbers."""
+        """Size in bytes."""
         return self.size * self.dtype.itemsize
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def host(self) -> NDArray[Any]:
-        """A copy on the host, when the device has done what it was given.
+        """Copy it to the host, after waiting for its stream.
 
         Raises
         ------
         CudaError
-            If what it was given failed.
+            If work in the stream failed.
         """
         made = np.empty(self.shape, self.dtype)
         with self._gpu.doing(f"reading {self._name}"):
@@ -94,12 +94,12 @@ class DeviceArray:
         return made
 
     def fill(self, array: NDArray[Any]) -> None:
-        """Copy an array of the host's to it, of its shape and dtype.
+        """Fill it from a host array of the same shape and dtype.
 
         Raises
         ------
         CudaError
-            If that fails, or what the device was given before.
+            If this or earlier work in the stream fails.
         """
         given = np.ascontiguousarray(array, self.dtype)
         with self._gpu.doing(f"writing {self._name}"):
@@ -107,14 +107,14 @@ class DeviceArray:
             self.stream.sync()
 
     def shaped(self, shape: tuple[int, ...], dtype: Any = None) -> DeviceArray:
-        """The same memory with another shape, or numbers of another type as long."""
+        """The same memory with another shape, or another dtype of the same size."""
         kind = self.dtype if dtype is None else np.dtype(dtype)
         return DeviceArray(
             self._gpu, self._name, self._owner, int(self.address), shape, kind, self.stream
         )
 
     def part(self, first: int, count: int) -> DeviceArray:
-        """Some of its numbers, in C order, of shape (count,)."""
+        """A range of its elements in C order, of shape (count,)."""
         made = self.shaped((count,))
         made.address = self.address + np.uint64(first * self.dtype.itemsize)
         return made
@@ -144,24 +144,24 @@ class DeviceArray:
         dl_device: tuple[int, int] | None = None,
         copy: bool | None = None,
     ) -> Any:
-        """The array as DLPack has it, for ``from_dlpack`` of other libraries.
+        """Export it through DLPack, for ``from_dlpack`` of other libraries.
 
         Raises
         ------
         BufferError
-            If it is wanted on another device, or copied.
+            If another device or a copy is requested.
         """
         if dl_device not in (None, self.__dlpack_device__()):
             raise BufferError(f"the array is on device {self.__dlpack_device__()}")
         if copy:
-            raise BufferError("the array is not copied; copy what you make of it")
+            raise BufferError("copies are not supported; copy the imported array")
         if is_simulated():
             return _viewed(self).__dlpack__(max_version=max_version)
         from cuda.core.utils import StridedMemoryView
 
-        if stream != -1:  # whoever asks works there; None is the legacy default stream
+        if stream != -1:  # the consumer's stream; None is the legacy default stream
             CudaStream(self._gpu, stream or LEGACY).wait(self.stream)
-        with self._gpu.doing(f"handing on {self._name}"):
+        with self._gpu.doing(f"exporting {self._name}"):
             view = StridedMemoryView.from_cuda_array_interface(_Lent(self), stream_ptr=-1)
             return view.__dlpack__(max_version=max_version)
 
@@ -170,7 +170,7 @@ class DeviceArray:
 
 
 class _Lent:
-    """An array as cuda-core reads it: with an address even where it has no numbers."""
+    """An array as cuda-core reads it: with an address even if it is empty."""
 
     def __init__(self, array: DeviceArray) -> None:
         self.array = array
@@ -178,13 +178,13 @@ class _Lent:
 
 
 def _viewed(array: DeviceArray) -> NDArray[Any]:
-    """The simulated device's memory as NumPy's."""
+    """An array of the simulated device as a NumPy array."""
     memory: NDArray[np.uint8] = array._owner
     skipped = int(array.address) - memory.ctypes.data
     return memory[skipped : skipped + array.nbytes].view(array.dtype).reshape(array.shape)
 
 
 def host_memory(byte_count: int) -> tuple[NDArray[np.uint8], int]:
-    """Memory of the simulated device, and where an array begins in it."""
+    """Memory of the simulated device, and an aligned address in it."""
     memory = np.empty(byte_count + ALIGNMENT, np.uint8)
     return memory, memory.ctypes.data + -memory.ctypes.data % ALIGNMENT

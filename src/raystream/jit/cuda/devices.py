@@ -33,8 +33,7 @@ def open_gpu(number: int = 0) -> Gpu:
         raise TypeError(f"gpu: expected the number of a device, got {number!r}") from None
     count = gpu_count()
     if not 0 <= wanted < count:
-        there = "there is one, 0" if count == 1 else f"there are {count}, from 0 to {count - 1}"
-        raise CudaError(f"gpu: no device has the number {wanted}; {there}")
+        raise CudaError(f"gpu: expected a number from 0 to {count - 1}, got {wanted}")
     with _opening:
         gpu = _opened(wanted)
     if gpu.capability < CAPABILITIES[0]:

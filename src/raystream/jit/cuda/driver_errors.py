@@ -1,4 +1,4 @@
-"""What the errors of CUDA's driver mean, in a line each, and what to do."""
+"""CUDA driver errors explained, in a line each with what to do."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from types import MappingProxyType
 
 __all__ = ["driver_code", "explain"]
 
-#: How Numba and cuda.core write the driver's codes.
+#: The driver's error codes in messages of Numba and cuda.core.
 _CODE = re.compile(r"CUDA_ERROR_([A-Z][A-Z_]*[A-Z])")
 
-#: What cuda.bindings and Numba say of a function that the driver does not have.
+#: Messages of cuda.bindings and Numba about a function that the driver lacks.
 _ABSENT = re.compile(r'Function "cu\w+" not found|Driver missing function')
 
 _NO_DRIVER = "there is no NVIDIA driver"
 _NEW_DRIVER = "install a newer one, or the cuda-toolkit of its version"
 _LOST = "CUDA cannot be used in this process any more, CPU tracers can; start a new one"
 
-#: Of a message that is not known: compilers say much more.
-_MOST_LETTERS = 300
+#: Longest unknown message that is quoted; compilers' are much longer.
+_MAX_LENGTH = 300
 
-#: Meanings by code.
+#: Explanations by error code.
 _MEANINGS: Mapping[str, str] = MappingProxyType(
     {
         "NO_DEVICE": "there is no NVIDIA GPU that this process may use (CUDA_VISIBLE_DEVICES "
         "hides those that it does not list)",
-        "STUB_LIBRARY": f"{_NO_DRIVER}, but a library in its place that has its names alone",
+        "STUB_LIBRARY": f"{_NO_DRIVER}, only the stub library of the toolkit",
         "UNSUPPORTED_PTX_VERSION": "the driver is older than the compiler that made the kernel; "
         + _NEW_DRIVER,
         "INSUFFICIENT_DRIVER": f"the driver is too old; {_NEW_DRIVER}",
-        "SYSTEM_DRIVER_MISMATCH": "the driver's library and the one in the kernel of the system "
-        "are of two versions; restart the machine after an update",
+        "SYSTEM_DRIVER_MISMATCH": "the driver's library and its kernel module have different "
+        "versions; restart the machine after an update",
         "COMPAT_NOT_SUPPORTED_ON_DEVICE": "the driver is too old for this GPU's compatibility "
         f"package; {_NEW_DRIVER}",
         "OUT_OF_MEMORY": "there is no memory for it; trace a smaller scene, or fewer rays at once "
         "(rays_at_once)",
-        "LAUNCH_OUT_OF_RESOURCES": "the kernel needs more registers than a block may have",
-        "LAUNCH_TIMEOUT": "it took longer than this GPU may be busy, as it draws the screen, too, "
-        f"and was stopped; ask for fewer rays at once (rays_at_once). {_LOST}",
-        "ILLEGAL_ADDRESS": f"it read or wrote where no memory is, and was stopped. {_LOST}",
-        "MISALIGNED_ADDRESS": f"it read or wrote at an odd address, and was stopped. {_LOST}",
+        "LAUNCH_OUT_OF_RESOURCES": "the kernel needs more registers than a block has",
+        "LAUNCH_TIMEOUT": "it ran longer than allowed on a GPU that also drives a display, and "
+        f"was stopped; trace fewer rays at once (rays_at_once). {_LOST}",
+        "ILLEGAL_ADDRESS": f"it accessed an invalid address, and was stopped. {_LOST}",
+        "MISALIGNED_ADDRESS": f"it accessed a misaligned address, and was stopped. {_LOST}",
         "LAUNCH_FAILED": f"it was stopped. {_LOST}",
         "ILLEGAL_INSTRUCTION": f"it was stopped. {_LOST}",
         "HARDWARE_STACK_ERROR": f"it was stopped. {_LOST}",
@@ -51,13 +51,13 @@ _MEANINGS: Mapping[str, str] = MappingProxyType(
 
 
 def driver_code(error: BaseException) -> str:
-    """The driver's code of an error, such as ``"OUT_OF_MEMORY"``; "" if it has none."""
+    """The driver's code in an error, such as ``"OUT_OF_MEMORY"``, or an empty string."""
     found = _CODE.search(str(error))
     return found[1] if found else ""
 
 
 def explain(error: BaseException) -> str:
-    """What an error of the driver's says, in a line."""
+    """Explain a driver error in a line."""
     text = " ".join(str(error).split()).rstrip(":. ")
     code = driver_code(error)
     if code in _MEANINGS:
@@ -66,6 +66,6 @@ def explain(error: BaseException) -> str:
         return _NO_DRIVER
     if _ABSENT.search(text):
         return f"the driver is too old; {_NEW_DRIVER} ({text})"
-    if len(text) > _MOST_LETTERS:
-        text = f"{text[:_MOST_LETTERS]}..."
+    if len(text) > _MAX_LENGTH:
+        text = f"{text[:_MAX_LENGTH]}..."
     return text or type(error).__name__

@@ -1,4 +1,4 @@
-"""Tables: arrays that kernels read by index, in columns at an address."""
+"""Gather tables: gather arrays in device memory, as columns at an address."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from numba.extending import (
 from raystream.jit.cpu import device
 from raystream.jit.user_loops import fault
 
-__all__ = ["MOST_DIMENSIONS", "gather_table_at"]
+__all__ = ["MAX_DIMENSIONS", "gather_table_at"]
 
-#: Numbers that an index may have.
-MOST_DIMENSIONS = 3
+#: Maximum number of dimensions of an index.
+MAX_DIMENSIONS = 3
 
 
 class GatherTableType(types.Type):
-    """An array whose records are read by index.
+    """The type of a table whose records are read by index.
 
     Parameters
     ----------
     load : numba type
         Of the device function (base, capacity, i) that reads record i.
     dimension_count : int
-        Numbers that an index has.
+        Number of dimensions of an index.
     """
 
     def __init__(self, load: Any, dimension_count: int) -> None:
@@ -42,7 +42,7 @@ class GatherTableType(types.Type):
 
     @property
     def members(self) -> list[tuple[str, Any]]:
-        """Address, records for which there is room, and lengths."""
+        """Address, capacity in records, and shape."""
         shape = types.UniTuple(types.int64, self.dimension_count)
         return [("base", types.uint64), ("capacity", types.uint64), ("shape", shape)]
 
@@ -55,7 +55,7 @@ class _TableModel(models.StructModel):
 
 @intrinsic
 def gather_table_at(typing_context: Any, base: Any, capacity: Any, shape: Any, load: Any) -> Any:
-    """What a function indexes to read records at an address: ``table[i]``, or ``table[i, j]``.
+    """A table of records at an address, read as ``table[i]`` or ``table[i, j]``.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def _member(name: str) -> Any:
 
 @device
 def _place(index, length):
-    """An index as a number from 0; a negative one counts from the end."""
+    """An index from 0; negative ones count from the end."""
     signed = np.int64(index)
     return np.uint64(signed + length if signed < 0 else signed)
 

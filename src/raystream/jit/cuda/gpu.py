@@ -1,7 +1,6 @@
-"""Gpu: a device by way of CUDA's driver: its memory, its kernels, its stream.
+"""Gpu: a device's memory, kernels and stream, through CUDA's driver.
 
-All that fails there becomes one `CudaError`. In Numba's simulator there is one device, and its
-memory is the host's.
+Every failure becomes a `CudaError`. Numba's simulator has one device, with the host's memory.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ __all__ = ["CudaError", "Gpu"]
 
 
 class CudaError(RaystreamError):
-    """CUDA cannot do what it was asked for: it is not there, too small, or failed."""
+    """CUDA is unavailable, lacks memory, or failed."""
 
 
 class Gpu:
@@ -38,7 +37,7 @@ class Gpu:
     Parameters
     ----------
     number : int
-        As CUDA counts them.
+        CUDA's device number.
 
     Attributes
     ----------
@@ -46,15 +45,14 @@ class Gpu:
     name : str
     capability : (int, int)
     target : (int, int)
-        What kernels are compiled for: the newest of `CAPABILITIES` that it can run. For newer
-        ones there would be code that no test has seen, from another compiler.
+        Capability that kernels are compiled for: the newest of `CAPABILITIES` that it supports.
+        Code for newer ones would come from another compiler, and be untested.
     byte_count : int
-        Memory of the device.
+        Size of the device's memory.
     stream : CudaStream
-        One that lives as long as this object, and waits for the legacy default stream as that
-        does for it: whoever follows either finds what was done in it.
+        Lives as long as this object, and synchronises with the legacy default stream.
     keep_alive : KeepAlive
-        Callers' arrays that it reads.
+        Callers' arrays that kernels read.
     """
 
     def __init__(self, number: int) -> None:
@@ -77,13 +75,13 @@ class Gpu:
             known = [one for one in CAPABILITIES if one <= self.capability]
             self.target = max(known, default=CAPABILITIES[0])
             self.byte_count = int(cuda.current_context(number).get_memory_info().total)
-            # Numba's copies are in this one, too: so they are done before a kernel runs.
+            # Numba copies in this stream, too, so that copies are done before a kernel runs.
             self._legacy = CudaStream(self, LEGACY)
             self.stream = CudaStream.make(self, is_blocking=True)
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:
-        """Use it as the current device of this thread."""
+        """Make it the current device of this thread."""
         if is_simulated():
             yield
             return
@@ -93,7 +91,7 @@ class Gpu:
 
     @contextlib.contextmanager
     def doing(self, what: str) -> Iterator[None]:
-        """Use it, as the current device of this thread, and turn what fails into one error.
+        """Make it the current device of this thread, and convert failures to `CudaError`.
 
         Raises
         ------
@@ -103,10 +101,10 @@ class Gpu:
         try:
             with self.current():
                 yield
-        except (CudaError, MemoryError):  # the latter is the host's
+        except (CudaError, MemoryError):  # the latter from the host
             raise
         except Exception as error:  # the driver's
-            if is_simulated():  # which has no driver
+            if is_simulated():  # no driver
                 raise
             raise CudaError(f"device 'cuda': {self.name}: {what}: {explain(error)}") from error
 
@@ -124,7 +122,7 @@ class Gpu:
         return made
 
     def empty(self, name: str, shape: Any, dtype: Any) -> DeviceArray:
-        """Make an array on the device, not initialised.
+        """Allocate an uninitialised array.
 
         Raises
         ------
@@ -135,17 +133,17 @@ class Gpu:
         if is_simulated():
             memory, address = host_memory(byte_count)
             return DeviceArray(self, name, memory, address, shape, dtype, self._legacy)
-        with self._making(name, byte_count):
-            owner = cuda.device_array(max(byte_count, 1), np.uint8)  # CUDA has none of 0 bytes
+        with self._allocating(name, byte_count):
+            owner = cuda.device_array(max(byte_count, 1), np.uint8)  # CUDA rejects 0 bytes
             address = int(owner.__cuda_array_interface__["data"][0])
         return DeviceArray(self, name, owner, address, shape, dtype, self._legacy)
 
     def pooled(
         self, name: str, shape: Any, dtype: Any, stream: CudaStream | None = None
     ) -> DeviceArray:
-        """Make an array that nobody waits for, to have it or to free it; not initialised.
+        """Allocate an uninitialised array from the driver's pool, in the order of a stream.
 
-        Its memory is the driver's pool's, which keeps what is free for the next one.
+        Neither allocating nor freeing it waits; the pool reuses freed memory.
 
         Parameters
         ----------
@@ -153,7 +151,7 @@ class Gpu:
         shape : int or tuple of int
         dtype : dtype
         stream : CudaStream, optional
-            In whose order the memory is had and freed; without it, the device's `stream`.
+            [default: the device's `stream`]
 
         Raises
         ------
@@ -165,31 +163,31 @@ class Gpu:
         if is_simulated():
             memory, address = host_memory(byte_count)
             return DeviceArray(self, name, memory, address, shape, dtype, order)
-        with self._making(name, byte_count):
+        with self._allocating(name, byte_count):
             owner = self._device.allocate(max(byte_count, 1), stream=order.native)
         return DeviceArray(self, name, owner, int(owner.handle), shape, dtype, order)
 
     def pinned(self, byte_count: int) -> NDArray[np.uint8]:
-        """Make memory on the host that the device copies from and to while others work.
+        """Allocate pinned host memory, for asynchronous copies.
 
         Raises
         ------
         CudaError
-            If there is not so much.
+            If there is not enough memory.
         """
         if is_simulated():
             return np.empty(byte_count, np.uint8)
-        with self.doing(f"pinning {byte_count:,} bytes of the host's memory"):
+        with self.doing(f"pinning {byte_count:,} bytes of host memory"):
             made: NDArray[np.uint8] = cuda.pinned_array(byte_count, np.uint8)
             return made
 
     def copy(self, to: Any, source: Any, byte_count: int, stream: CudaStream) -> None:
-        """Begin to copy bytes from one address to another, on the device or the host.
+        """Copy bytes asynchronously between addresses on the device or the host.
 
         Raises
         ------
         CudaError
-            If that cannot be done.
+            If the driver fails.
         """
         if byte_count == 0:
             return
@@ -202,12 +200,12 @@ class Gpu:
             _check(driver.cuMemcpyAsync(int(to), int(source), byte_count, stream.native.handle))
 
     def clear(self, array: DeviceArray, stream: CudaStream) -> None:
-        """Begin to make all bytes of an array 0.
+        """Set all bytes of an array to 0, asynchronously.
 
         Raises
         ------
         CudaError
-            If that cannot be done.
+            If the driver fails.
         """
         if array.nbytes == 0:
             return
@@ -221,12 +219,12 @@ class Gpu:
             _check(driver.cuMemsetD8Async(address, 0, array.nbytes, handle))
 
     def number_of(self, address: int) -> int:
-        """The device that an address is on.
+        """Number of the device that an address is on.
 
         Raises
         ------
         CudaError
-            If it is on none.
+            If it is not on a device.
         """
         if is_simulated() or address == 0:
             return self.number
@@ -237,25 +235,25 @@ class Gpu:
             return int(_check(driver.cuPointerGetAttribute(attribute, address)))
 
     def free_byte_count(self) -> int:
-        """Memory that can be had now.
+        """Free memory in bytes.
 
         Raises
         ------
         CudaError
-            If the driver does not say.
+            If the driver fails.
         """
         if is_simulated():
             return self.byte_count
-        with self.doing("asking for its memory"):
+        with self.doing("querying its memory"):
             return int(cuda.current_context(self.number).get_memory_info().free)
 
     def load(self, compiled: Compiled) -> Any:
-        """Make a kernel of PTX: the driver compiles it for this device.
+        """Load PTX, which the driver compiles for this device.
 
         Raises
         ------
         CudaError
-            If the driver does not take it.
+            If the driver rejects it.
         """
         from cuda.core import ObjectCode
 
@@ -273,7 +271,7 @@ class Gpu:
         values: Sequence[Any],
         stream: Any = None,
     ) -> None:
-        """Begin to run a kernel.
+        """Launch a kernel asynchronously.
 
         Parameters
         ----------
@@ -281,9 +279,9 @@ class Gpu:
             From `load`.
         block_count, block_size : int
         values : sequence
-            Arguments: numbers of NumPy's types.
+            Arguments: NumPy numbers.
         stream : cuda.core.Stream, optional
-            Without it, the default stream.
+            [default: the legacy default stream]
 
         Raises
         ------
@@ -297,19 +295,19 @@ class Gpu:
             launch(stream or self._legacy.native, config, kernel, *values)
 
     def most_blocks(self, kernel: Any, block_size: int) -> int:
-        """How many blocks of a kernel the device runs at once, at least 1.
+        """Number of blocks of a kernel that the device runs at once, at least 1.
 
         Raises
         ------
         CudaError
-            If the driver does not say.
+            If the driver fails.
         """
-        with self.doing("asking how many threads it runs"):
+        with self.doing("querying its occupancy"):
             each = kernel.occupancy.max_active_blocks_per_multiprocessor(block_size, 0)
             return max(1, int(each) * int(self._device.properties.multiprocessor_count))
 
     def launch_graph(self, graph: Any) -> None:
-        """Begin to run a graph, a `cuda.core.graph.Graph`.
+        """Launch a `cuda.core.graph.Graph` asynchronously.
 
         Raises
         ------
@@ -320,19 +318,19 @@ class Gpu:
             graph.launch(self._legacy.native)
 
     def wait(self, stream: Any = None) -> None:
-        """Wait until all that was begun is done.
+        """Wait until all launches in a stream are done.
 
         Raises
         ------
         CudaError
-            If some of it failed.
+            If one of them failed.
         """
         if not is_simulated():
             with self.doing("running a kernel"):
                 (stream or self._legacy.native).sync()
 
     def _size_of(self, name: str, shape: Any, dtype: Any) -> tuple[tuple[int, ...], int]:
-        """The shape, and bytes of an array that is no larger than the device."""
+        """Shape and bytes of an array; an error if it exceeds the device's memory."""
         shape = tuple(map(operator.index, shape if isinstance(shape, tuple) else (shape,)))
         byte_count = math.prod(shape) * np.dtype(dtype).itemsize
         if byte_count > self.byte_count:
@@ -340,8 +338,8 @@ class Gpu:
         return shape, byte_count
 
     @contextlib.contextmanager
-    def _making(self, name: str, byte_count: int) -> Iterator[None]:
-        with self.doing(f"making room for {name}"):
+    def _allocating(self, name: str, byte_count: int) -> Iterator[None]:
+        with self.doing(f"allocating {name}"):
             try:
                 yield
             except Exception as error:  # the driver's
@@ -357,7 +355,7 @@ class Gpu:
 
 
 def _check(answer: tuple[Any, ...]) -> Any:
-    """What the driver answered; its error as an exception."""
+    """Result of a driver call; an exception if it failed."""
     from cuda.bindings import driver
 
     result, *values = answer

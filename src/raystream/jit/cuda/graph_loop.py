@@ -1,7 +1,7 @@
-"""Loops that the device goes round by itself: kernels, until one of them says that it is enough.
+"""DeviceLoop: kernels that the device repeats, without the host, until one of them ends the loop.
 
 A CUDA graph with a conditional node, which needs a driver of CUDA 12.4 or later. In the simulator
-the host goes round.
+the host loops.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["DeviceLoop", "Launch", "set_condition"]
 
 
 class Launch(NamedTuple):
-    """What `RangeKernel.launch` is given."""
+    """Arguments of `RangeKernel.launch`."""
 
     kernel: RangeKernel
     length: int
@@ -34,9 +34,9 @@ class Launch(NamedTuple):
 
 @intrinsic
 def set_condition(typing_context: Any, condition: Any, value: Any) -> Any:
-    """Say whether a loop goes on, by 1 or 0, a uint32; some kernel in it has to, each time.
+    """Continue (1) or end (0) a loop, a uint32; some kernel must call it in each iteration.
 
-    `condition` is what `DeviceLoop` hands to kernels.
+    `condition` is the handle that `DeviceLoop` passes to kernels.
     """
     if condition != types.uint64 or value != types.uint32:
         return None
@@ -56,19 +56,19 @@ def set_condition(typing_context: Any, condition: Any, value: Any) -> Any:
 
 
 class DeviceLoop:
-    """Kernels that run one after the other, again and again.
+    """A sequence of kernels, launched repeatedly.
 
     Parameters
     ----------
     gpu : Gpu
     launches : callable
-        Given a condition, a uint64 for `set_condition`, it returns what is in the loop, a sequence
-        of `Launch`.
+        Given a condition, a uint64 for `set_condition`, it returns the loop's body, a sequence of
+        `Launch`.
 
     Raises
     ------
     CudaError
-        If a kernel does not compile, or the driver has no such loops.
+        If a kernel does not compile, or the driver does not support conditional nodes.
     """
 
     def __init__(self, gpu: Gpu, launches: Callable[[np.uint64], Sequence[Launch]]) -> None:
@@ -84,7 +84,7 @@ class DeviceLoop:
             self._graph = self._build(launches)
 
     def begin(self) -> None:
-        """Begin the loop; whoever wants the results waits for them.
+        """Launch the loop asynchronously.
 
         Raises
         ------

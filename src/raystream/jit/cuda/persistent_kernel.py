@@ -1,9 +1,8 @@
-"""PersistentKernel: a range whose numbers are fetched by threads that stay.
+"""PersistentKernel: a range whose indices are fetched by persistent threads.
 
-There are as many threads as the device runs at once. A warp takes the next 32 numbers from a
-counter when it is done with those that it has, so that long work for a few numbers holds up no
-block of others, and no block has to be started for each 128 numbers. A block is one warp: then its
-barrier is the warp's, and its shared memory too.
+As many threads as the device runs at once. A warp that is done takes the next 32 indices from a
+counter, so that a few long rays do not delay others of their block, and blocks are not started per
+128 indices. A block is one warp, which then has the barrier and the shared memory to itself.
 
 Source: Aila, Laine, "Understanding the Efficiency of Ray Traversal on GPUs", High Performance
 Graphics 2009, section 3.3.
@@ -28,21 +27,21 @@ from raystream.jit.cuda.simulation import is_simulated, simulating
 
 __all__ = ["PersistentKernel"]
 
-#: Threads of a block: one warp.
+#: Threads per block: one warp.
 _BLOCK_SIZE = 32
 _AT_ONCE = np.uint64(_BLOCK_SIZE)
 
-#: Blocks of the simulator, where each thread takes its time.
+#: Blocks in the simulator, where threads are slow.
 _SIMULATED_BLOCKS = 2
 
-#: Counters that are kept: so many launches may be under way.
+#: Counters kept alive: the maximum number of unfinished launches.
 _COUNTERS = 64
 
 _COUNTER_TYPE = numba.types.Array(numba.types.uint64, 1, "C")
 
 
 def _fetching(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A kernel that calls a function with the numbers that its warp fetches."""
+    """A kernel that calls a function with the indices that its warp fetches."""
 
     def run(count: Any, counter: Any, arguments: Any) -> None:
         begin = cuda.shared.array(1, np.uint64)
@@ -52,7 +51,7 @@ def _fetching(function: Callable[..., Any]) -> Callable[..., Any]:
                 begin[0] = cuda.atomic.add(counter, 0, _AT_ONCE)
             cuda.syncthreads()
             i = np.uint64(begin[0] + lane)
-            cuda.syncthreads()  # all have read it
+            cuda.syncthreads()  # all threads have read it
             if i - lane >= count:
                 return
             if i < count:
@@ -63,7 +62,7 @@ def _fetching(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class PersistentKernel(RangeKernel):
-    """Runs a function for each number of a range, as `RangeKernel` does, by threads that stay.
+    """Runs a function for each index of a range, as `RangeKernel` does, by persistent threads.
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ class PersistentKernel(RangeKernel):
         return compile_function(self._run, (count, _COUNTER_TYPE, type_of(arguments)), capability)
 
     def launch(self, gpu: Gpu, count: int, arguments: tuple[Any, ...], stream: Any = None) -> None:
-        """Begin to run it; see `RangeKernel.launch`."""
+        """Launch it asynchronously; see `RangeKernel.launch`."""
         if count == 0:
             return
         block_count = -(-count // _BLOCK_SIZE)
@@ -97,7 +96,7 @@ class PersistentKernel(RangeKernel):
             self._loaded[key] = gpu.load(self.compiled(arguments, gpu.target))
         kernel = self._loaded[key]
         block_count = min(block_count, gpu.most_blocks(kernel, _BLOCK_SIZE))
-        # Each launch has its own, which must live until it has ended.
+        # Each launch has its own counter, which must live until it has ended.
         placed = gpu.upload("a counter", np.zeros(1, np.uint64))
         self._counters.append(placed)
         values = [np.uint64(count), *_array_values(placed), *flat(arguments)]
@@ -105,9 +104,9 @@ class PersistentKernel(RangeKernel):
 
 
 def _array_values(array: DeviceArray) -> list[Any]:
-    """An array of one dimension as the numbers that Numba's kernels take for it.
+    """A one-dimensional array as the numbers that Numba's kernels expect.
 
-    No owner: two pointers; how many items, their size, where; shape and strides.
+    Two null pointers for the owner, the number and size of items, the address, shape and strides.
     """
     count, itemsize = np.int64(array.shape[0]), np.int64(array.dtype.itemsize)
     return [np.uint64(0), np.uint64(0), count, itemsize, array.address, count, itemsize]

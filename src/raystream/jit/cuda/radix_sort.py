@@ -1,7 +1,7 @@
-"""Sort: pairs of a key and a value, in the order of their keys, on the device.
+"""Radix sort of key-value pairs on the device.
 
-A pass sorts by four bits, and keeps the order of equal ones: tiles count their digits, a scan says
-where each tile's pairs of each digit go, and tiles are sorted in shared memory and written.
+Each pass is a stable sort by four bits: tiles count their digits, a scan turns counts into output
+offsets, and tiles are sorted in shared memory and written.
 
 References
 ----------
@@ -18,32 +18,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import cuda
 
+from raystream.jit.constants import ONE_U64, ZERO_U64
 from raystream.jit.cuda.block_kernel import BlockKernel, get_32, get_64, put_32, put_64
 from raystream.jit.cuda.device_array import DeviceArray
 from raystream.jit.cuda.gpu import Gpu
-from raystream.jit.cuda.scan import USUAL_TILE, Scan, TileSize
+from raystream.jit.cuda.scan import DEFAULT_TILE, Scan, TileSize
 
 __all__ = ["DIGIT_BITS", "sort_kernels", "sort_pairs"]
 
-#: Bits that one pass sorts by.
+#: Bits per pass.
 DIGIT_BITS = 4
 
 _DIGITS = np.uint64(1 << DIGIT_BITS)
 _MASK = np.uint64((1 << DIGIT_BITS) - 1)
 _SHIFT = np.uint64(DIGIT_BITS)
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 
 
 class SortKernels(NamedTuple):
-    """The steps of a pass; `sort_kernels` makes them."""
+    """The steps of a pass, made by `sort_kernels`."""
 
     count_digits: BlockKernel
     scatter: BlockKernel
 
 
 @cache
-def sort_kernels(dtype: Any, size: TileSize = USUAL_TILE) -> SortKernels:
+def sort_kernels(dtype: Any, size: TileSize = DEFAULT_TILE) -> SortKernels:
     """Make the kernels for keys of a dtype: uint32 or uint64."""
     is_long = np.dtype(dtype).itemsize == 8
     get, put = (get_64, put_64) if is_long else (get_32, put_32)
@@ -58,7 +57,7 @@ def _counting(get: Callable[..., Any], size: TileSize) -> Callable[..., Any]:
     room = _counter_room(size)
 
     def count_digits(keys: Any, count: Any, shift: Any, tiles: Any, found: Any) -> None:
-        """Count the digits of each tile, by digit and then by tile."""
+        """Count the digits of each tile, ordered by digit and then by tile."""
         counters = cuda.shared.array(room, np.uint32)
         t, tile = np.uint64(cuda.threadIdx.x), np.uint64(cuda.blockIdx.x)
         for digit in range(_DIGITS):
@@ -72,16 +71,16 @@ def _counting(get: Callable[..., Any], size: TileSize) -> Callable[..., Any]:
                 e = digit * threads + t
                 counters[e + (e >> _SHIFT)] += 1
         cuda.syncthreads()
-        # The threads' counters of each digit are halved in number until one is left.
-        step = threads >> _ONE
-        while step != _NONE:
+        # Each digit's counters are summed over the threads by halving.
+        step = threads >> ONE_U64
+        while step != ZERO_U64:
             if t < step:
                 for digit in range(_DIGITS):
                     e = np.uint64(digit) * threads + t
                     other = e + step
                     counters[e + (e >> _SHIFT)] += counters[other + (other >> _SHIFT)]
             cuda.syncthreads()
-            step >>= _ONE
+            step >>= ONE_U64
         if t < _DIGITS:
             e = t * threads
             put_32(found, t * tiles + tile, np.uint64(counters[e + (e >> _SHIFT)]))
@@ -105,9 +104,9 @@ def _scattering(
         to_keys: Any,
         to_values: Any,
     ) -> None:
-        """Write the pairs of each tile where those of its digits begin."""
-        # Counters lie by digit and then by thread, with a gap after each 16, lest threads that
-        # add up 16 of them each wait for one bank of the memory.
+        """Write the pairs of each tile to the offsets of their digits."""
+        # Counters are ordered by digit and then by thread, with a gap after each 16, so that
+        # threads that sum 16 of them have no bank conflicts.
         counters = cuda.shared.array(room, np.uint32)
         sums = cuda.shared.array(thread_room, np.uint32)
         starts = cuda.shared.array(16, np.uint32)
@@ -128,14 +127,14 @@ def _scattering(
                 counters[e + (e >> _SHIFT)] += 1
         cuda.syncthreads()
 
-        # Step 2: the counters are scanned: 16 by each thread, then the threads' sums.
+        # Step 2: scan the counters, 16 per thread, then the threads' sums.
         total = np.uint64(0)
         for k in range(_DIGITS):
             e = t * _DIGITS + np.uint64(k)
             total += np.uint64(counters[e + (e >> _SHIFT)])
         sums[t] = total
         cuda.syncthreads()
-        step = _ONE
+        step = ONE_U64
         while step < threads:
             before = np.uint64(0)
             if t >= step:
@@ -143,7 +142,7 @@ def _scattering(
             cuda.syncthreads()
             sums[t] += np.uint32(before)
             cuda.syncthreads()
-            step <<= _ONE
+            step <<= ONE_U64
         running = np.uint64(sums[t]) - total
         for k in range(_DIGITS):
             e = t * _DIGITS + np.uint64(k)
@@ -157,7 +156,7 @@ def _scattering(
             starts[t] = counters[e + (e >> _SHIFT)]
         cuda.syncthreads()
 
-        # Step 3: the tile is put in order.
+        # Step 3: sort the tile.
         for k in range(items):
             i = first + np.uint64(k)
             if i < count:
@@ -165,12 +164,12 @@ def _scattering(
                 e = ((key >> shift) & _MASK) * threads + t
                 at = e + (e >> _SHIFT)
                 place = np.uint64(counters[at])
-                counters[at] = place + _ONE
+                counters[at] = place + ONE_U64
                 own_keys[place] = key
                 own_values[place] = get_32(values, i)
         cuda.syncthreads()
 
-        # Step 4: neighbours in it are written by neighbours.
+        # Step 4: write the tile, with coalesced writes.
         in_tile = min(count - tile * threads * items, threads * items)
         for k in range(items):
             j = np.uint64(k) * threads + t
@@ -195,12 +194,12 @@ def sort_pairs(
     keys: DeviceArray,
     values: DeviceArray,
     bits: int,
-    size: TileSize = USUAL_TILE,
+    size: TileSize = DEFAULT_TILE,
     *,
     empty: Callable[..., DeviceArray] | None = None,
     stream: Any = None,
 ) -> tuple[DeviceArray, DeviceArray]:
-    """Begin to sort pairs by their keys; equal ones keep their order. Nothing waits for it.
+    """Sort pairs by their keys, asynchronously and stably.
 
     Parameters
     ----------
@@ -210,12 +209,12 @@ def sort_pairs(
     values : DeviceArray of shape (N,), uint32 or int32
         Used as scratch.
     bits : int
-        Of the keys: no key has a higher one.
+        Number of low bits that differ; higher bits must be 0.
     size : TileSize, optional
     empty : callable, optional
-        Makes scratch memory, as `Gpu.empty` does, which is what it is without it.
+        Allocates scratch memory [default: `Gpu.empty`].
     stream : cuda.core.Stream, optional
-        Without it, the device's own.
+        [default: the device's stream]
 
     Returns
     -------
@@ -225,7 +224,7 @@ def sort_pairs(
     Raises
     ------
     CudaError
-        If there is no memory for a copy.
+        If there is no scratch memory.
     """
     (count,) = keys.shape
     if count < 2 or bits < 1:

@@ -1,4 +1,4 @@
-"""RangeKernel: a function of one number, run for each number of a range on a thread each."""
+"""RangeKernel: a function of an index, run on one thread per index of a range."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BLOCK_SIZE = 128
 
 
 def _over_range(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A kernel that calls a function with its thread's number, if it is below `count`."""
+    """A kernel that calls a function with the thread's index, if it is below `count`."""
 
     def run(count: Any, arguments: Any) -> None:
         i = np.uint64(cuda.grid(1))
@@ -32,23 +32,23 @@ def _over_range(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class RangeKernel:
-    """Runs a function for each number of a range.
+    """Runs a function for each index of a range.
 
     Parameters
     ----------
     function : callable
-        Compiled by `jit.cpu.kernel` or `device`: ``function(i, *arguments)``, which returns
-        nothing. `i` is a uint64; arguments are numbers of NumPy's types, addresses among them,
-        None, and (named) tuples of these.
+        Compiled by `jit.cpu.kernel` or `device`: ``function(i, *arguments)``, without a result.
+        `i` is a uint64; arguments are NumPy numbers, including addresses, None, and (named)
+        tuples of these.
 
     Attributes
     ----------
     function : callable
-        The same: for tests that run it on the CPU.
+        For tests that run it on the CPU.
 
     Notes
     -----
-    In the simulator the function runs as it was compiled for the CPU, and addresses are the host's.
+    In the simulator the function runs as compiled for the CPU, with the host's addresses.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -58,11 +58,11 @@ class RangeKernel:
 
     @property
     def name(self) -> str:
-        """The function's."""
+        """Name of the function."""
         return self._run.__name__
 
     def compiled(self, arguments: tuple[Any, ...], capability: Capability) -> Compiled:
-        """PTX for arguments of such types; needs no device.
+        """PTX for the types of example arguments; needs no device.
 
         Raises
         ------
@@ -72,7 +72,7 @@ class RangeKernel:
         return compile_function(self._run, (type_of(np.uint64(0)), type_of(arguments)), capability)
 
     def launch(self, gpu: Gpu, count: int, arguments: tuple[Any, ...], stream: Any = None) -> None:
-        """Begin to run it; whoever wants the results waits for them.
+        """Launch it asynchronously.
 
         Parameters
         ----------
@@ -80,9 +80,9 @@ class RangeKernel:
         count : int
             Length of the range.
         arguments : tuple
-            After `i`.
+            Arguments after `i`.
         stream : cuda.core.Stream, optional
-            Without it, the device's own.
+            [default: the device's stream]
 
         Raises
         ------
@@ -94,7 +94,7 @@ class RangeKernel:
     def prepared(
         self, gpu: Gpu, count: int, arguments: tuple[Any, ...], stream: Any = None
     ) -> Callable[[], None]:
-        """What `launch` does, to be done often: the function that does it.
+        """A function that launches it, for repeated launches with the same arguments.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class RangeKernel:
         if count == 0:
             return lambda: None
         if is_simulated():
-            # A thread that has nothing to do takes as long as another.
+            # Idle threads take as long as others.
             block_size = min(count, _BLOCK_SIZE)
             block_count = -(-count // block_size)
 
@@ -119,7 +119,7 @@ class RangeKernel:
     def loaded(
         self, gpu: Gpu, count: int, arguments: tuple[Any, ...]
     ) -> tuple[Any, int, int, list[Any]]:
-        """What a device is to launch: kernel, blocks, threads of a block, and numbers.
+        """Kernel, blocks, threads per block, and flat arguments for `Gpu.launch`.
 
         Raises
         ------

@@ -1,7 +1,7 @@
-"""Scan: sums of all that comes before each number of an array, on the device.
+"""Scan: the exclusive prefix sum of an array on the device.
 
-Tiles are added up, their sums are scanned in the same way, and then each tile is scanned from its
-sum on: two readings and one writing of the array.
+Tiles are summed, their sums are scanned recursively, and then each tile is scanned from its offset:
+two reads and one write of the array.
 """
 
 from __future__ import annotations
@@ -14,23 +14,24 @@ import numpy as np
 from numba import cuda
 from numpy.typing import DTypeLike
 
+from raystream.jit.constants import NULL, ONE_U64, ZERO_U64
 from raystream.jit.cuda.block_kernel import BlockKernel, Number, get_32, get_64, put_32, put_64
 from raystream.jit.cuda.device_array import DeviceArray
 from raystream.jit.cuda.gpu import Gpu
 from raystream.jit.cuda.simulation import is_simulated
 
-__all__ = ["USUAL_TILE", "Scan", "TileSize", "scan_kernels"]
+__all__ = ["DEFAULT_TILE", "Scan", "TileSize", "scan_kernels"]
 
 
 class TileSize(NamedTuple):
-    """What a block of threads works on.
+    """The part of an array that a block of threads processes.
 
     Attributes
     ----------
     threads : int
-        Of a block; a power of two, at least 16.
+        Threads per block; a power of two, at least 16.
     items : int
-        Numbers for each of them.
+        Numbers per thread.
     """
 
     threads: int = 256
@@ -38,26 +39,23 @@ class TileSize(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """Of a tile."""
+        """Numbers per tile."""
         return self.threads * self.items
 
 
-#: In the simulator each thread costs a thread of the host's, so that there are few.
-USUAL_TILE = TileSize(16, 64) if is_simulated() else TileSize()
-
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
+#: Few threads in the simulator, where each one is a thread of the host.
+DEFAULT_TILE = TileSize(16, 64) if is_simulated() else TileSize()
 
 
 class ScanKernels(NamedTuple):
-    """Two steps of a scan; `scan_kernels` makes them."""
+    """The two steps of a scan, made by `scan_kernels`."""
 
     add_tiles: BlockKernel
     scan_tiles: BlockKernel
 
 
 @cache
-def scan_kernels(dtype: DTypeLike, size: TileSize = USUAL_TILE) -> ScanKernels:
+def scan_kernels(dtype: DTypeLike, size: TileSize = DEFAULT_TILE) -> ScanKernels:
     """Make the kernels for arrays of a dtype: uint32 or uint64."""
     is_long = np.dtype(dtype).itemsize == 8
     get, put = (get_64, put_64) if is_long else (get_32, put_32)
@@ -71,7 +69,7 @@ def _adding(get: Callable[..., Any], size: TileSize) -> Callable[..., Any]:
     room, threads, items = size.threads, np.uint64(size.threads), np.uint64(size.items)
 
     def add_tiles(values: Any, count: Any, sums: Any) -> None:
-        """Add up each tile of `values`."""
+        """Sum each tile of `values`."""
         shared = cuda.shared.array(room, np.uint64)
         t, tile = np.uint64(cuda.threadIdx.x), np.uint64(cuda.blockIdx.x)
         first = (tile * threads + t) * items
@@ -82,13 +80,13 @@ def _adding(get: Callable[..., Any], size: TileSize) -> Callable[..., Any]:
                 total += np.uint64(get(values, i))
         shared[t] = total
         cuda.syncthreads()
-        step = threads >> _ONE
-        while step != _NONE:
+        step = threads >> ONE_U64
+        while step != ZERO_U64:
             if t < step:
                 shared[t] += shared[t + step]
             cuda.syncthreads()
-            step >>= _ONE
-        if t == _NONE:
+            step >>= ONE_U64
+        if t == ZERO_U64:
             put_64(sums, tile, shared[0])
 
     return add_tiles
@@ -100,7 +98,7 @@ def _scanning(
     room, threads, items = size.threads, np.uint64(size.threads), np.uint64(size.items)
 
     def scan_tiles(values: Any, count: Any, sums: Any, out: Any) -> None:
-        """Scan each tile, from its row of `sums` on, or from 0 if there are none."""
+        """Scan each tile from its row of `sums`, or from 0 without `sums`."""
         shared = cuda.shared.array(room, np.uint64)
         t, tile = np.uint64(cuda.threadIdx.x), np.uint64(cuda.blockIdx.x)
         first = (tile * threads + t) * items
@@ -111,8 +109,8 @@ def _scanning(
                 total += np.uint64(get(values, i))
         shared[t] = total
         cuda.syncthreads()
-        # Hillis and Steele's scan of the threads' sums.
-        step = _ONE
+        # Hillis-Steele scan of the threads' sums.
+        step = ONE_U64
         while step < threads:
             before = np.uint64(0)
             if t >= step:
@@ -120,9 +118,9 @@ def _scanning(
             cuda.syncthreads()
             shared[t] += before
             cuda.syncthreads()
-            step <<= _ONE
+            step <<= ONE_U64
         running = shared[t] - total
-        if sums != _NONE:
+        if sums != NULL:
             running += np.uint64(get_64(sums, tile))
         for k in range(items):
             i = first + np.uint64(k)
@@ -130,23 +128,23 @@ def _scanning(
                 number = np.uint64(get(values, i))
                 put(out, i, running)
                 running += number
-                if i + _ONE == count:
+                if i + ONE_U64 == count:
                     put(out, count, running)
 
     return scan_tiles
 
 
 class Scan:
-    """Scans arrays on a device, again and again in the same scratch memory.
+    """Scans arrays on a device, with reusable scratch memory.
 
     Parameters
     ----------
     gpu : Gpu
-    most : int
+    max_count : int
         Length of the longest array.
     size : TileSize, optional
     empty : callable, optional
-        Makes its memory, as `Gpu.empty` does, which is what it is without it.
+        Allocates scratch memory [default: `Gpu.empty`].
 
     Raises
     ------
@@ -157,14 +155,14 @@ class Scan:
     def __init__(
         self,
         gpu: Gpu,
-        most: int,
-        size: TileSize = USUAL_TILE,
+        max_count: int,
+        size: TileSize = DEFAULT_TILE,
         empty: Callable[..., DeviceArray] | None = None,
     ) -> None:
         empty = empty or gpu.empty
-        self.gpu, self.most, self.size = gpu, most, size
+        self.gpu, self.max_count, self.size = gpu, max_count, size
         self._sums = []
-        tiles = self._tiles(most)
+        tiles = self._tiles(max_count)
         while tiles > 1:
             self._sums.append(empty("sums of tiles", tiles + 1, np.uint64))
             tiles = self._tiles(tiles)
@@ -175,7 +173,7 @@ class Scan:
     def run(
         self, values: Number, count: int, out: Number, dtype: DTypeLike, stream: Any = None
     ) -> None:
-        """Begin to scan an array; nothing waits for it.
+        """Scan an array asynchronously.
 
         Parameters
         ----------
@@ -184,20 +182,20 @@ class Scan:
         count : int
             At least 1.
         out : uint64
-            Address of ``count + 1`` numbers, which may be that of `values`: row i becomes the
-            sum of the first i.
+            Address of ``count + 1`` numbers, which may be that of `values`: element i becomes
+            the sum of the first i.
         dtype : uint32, int64 or uint64
-            Of both arrays. Sums that are too large lose their upper bits.
+            Of both arrays. Sums wrap around.
         stream : cuda.core.Stream, optional
-            Without it, the device's own.
+            [default: the device's stream]
 
         Raises
         ------
         ValueError
-            If the array is empty, or longer than was said.
+            If the array is empty, or longer than `max_count`.
         """
-        if not 1 <= count <= self.most:
-            raise ValueError(f"count: expected 1 to {self.most:,}, got {count:,}")
+        if not 1 <= count <= self.max_count:
+            raise ValueError(f"count: expected 1 to {self.max_count:,}, got {count:,}")
         self._run(values, count, out, np.dtype(dtype).itemsize, 0, stream)
 
     def _run(

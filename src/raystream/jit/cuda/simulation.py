@@ -1,4 +1,4 @@
-"""Whether CUDA is simulated on the CPU."""
+"""Numba's CUDA simulator, which runs kernels on the CPU."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numba.cuda.core import config
 
 __all__ = ["is_simulated", "simulating"]
 
-#: The simulator runs one kernel at a time: whoever runs one holds this.
+#: Held while a kernel runs: the simulator runs one at a time.
 simulating = threading.Lock()
 
 

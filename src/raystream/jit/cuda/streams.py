@@ -1,4 +1,4 @@
-"""CudaStream: the order in which a device does what it is given."""
+"""CudaStream: an ordered queue of a device's work."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ if TYPE_CHECKING:
 
 __all__ = ["LEGACY", "CudaStream"]
 
-#: Handles that have a meaning of their own: the default streams.
+#: Reserved handles, of the default streams.
 LEGACY, PER_THREAD = 1, 2
 
 
 class CudaStream:
-    """A stream of a device: a caller's, or one of ours.
+    """A CUDA stream, of a caller or our own.
 
     Parameters
     ----------
     gpu : Gpu
     handle : int
-        As ``__cuda_array_interface__`` and DLPack give it: 1 is the legacy default stream, 2 the
-        default stream of the thread. A caller's has to exist as long as it is used.
+        As in ``__cuda_array_interface__`` and DLPack: 1 is the legacy default stream, 2 the
+        per-thread default stream. A caller's stream must outlive this object.
     native : cuda.core.Stream, optional
-        The same; without it, one is made around the handle.
+        [default: made from the handle]
 
     Attributes
     ----------
     handle : int
     native : cuda.core.Stream or None
-        None in the simulator, where all is done at once.
+        None in the simulator, which is synchronous.
     """
 
     def __init__(self, gpu: Gpu, handle: int, native: Any = None) -> None:
@@ -43,14 +43,14 @@ class CudaStream:
 
     @classmethod
     def make(cls, gpu: Gpu, *, is_blocking: bool) -> CudaStream:
-        """Make a new one.
+        """Create a stream.
 
         Parameters
         ----------
         gpu : Gpu
             The current device.
         is_blocking : bool
-            Whether it and the legacy default stream wait for each other.
+            Whether it synchronises with the legacy default stream.
         """
         if is_simulated():
             return cls(gpu, LEGACY)
@@ -61,24 +61,24 @@ class CudaStream:
         return cls(gpu, int(native.handle), native)
 
     def wait(self, other: CudaStream) -> None:
-        """Do what comes next after all that another stream was given so far.
+        """Let later work wait for all work queued so far in another stream.
 
         Raises
         ------
         CudaError
-            If one of them is no stream of the device.
+            If one of them is not a stream of the device.
         """
         if other.handle != self.handle and not is_simulated():
             with self._gpu.doing("ordering its streams"):
                 self.native.wait(other.native)
 
     def sync(self) -> None:
-        """Wait on the host until all is done.
+        """Wait on the host until all queued work is done.
 
         Raises
         ------
         CudaError
-            If some of it failed.
+            If it failed.
         """
         self._gpu.wait(self.native)
 

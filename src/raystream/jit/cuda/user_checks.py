@@ -1,8 +1,8 @@
-"""What a user's function may do on CUDA: what has the CPU's bits there, and cannot fail.
+"""Checks that a user's function on CUDA has the CPU's bits and cannot raise an exception.
 
-NVIDIA's library has sines and powers of its own, whose last bits are others than those of the C
-library; a remainder of floats is worked out roughly; a kernel that raises something just ends. The
-code says which of these a function does, before it ever runs.
+Sines and powers of NVIDIA's library differ from the C library's in the last bits; remainders of
+floats are approximate; a kernel that raises an exception just ends. Compiled code shows all of
+these before it runs.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ __all__ = ["CpuOnlyError", "check_calls", "check_options", "check_raises", "with
 
 
 class CpuOnlyError(Exception):
-    """A function that has to stay on the CPU; it says why."""
+    """A function that must run on the CPU, with the reason."""
 
 
-#: Functions of NVIDIA's library whose result IEEE 754 or integers leave no choice.
+#: Functions of NVIDIA's library whose results are exact or fixed by IEEE 754.
 _EXACT = frozenset(
     [
         *(f"{name}{end}" for name in ("floor", "ceil", "trunc", "rint") for end in ("", "f")),
@@ -35,7 +35,7 @@ _EXACT = frozenset(
     ]
 )
 
-#: Likewise of LLVM's own.
+#: The same of LLVM's intrinsics.
 _EXACT_LLVM = re.compile(
     r"llvm\.((fabs|copysign|floor|ceil|trunc|rint|round|roundeven|fma|abs|ctpop|ctlz|cttz|bswap|"
     r"bitreverse|[su](add|sub|mul)\.with\.overflow|[su]?(min|max))\.|memcpy|memset|memmove|"
@@ -46,7 +46,7 @@ _DECLARED = re.compile(r'^declare\s[^@]*@"?([^"(\s]+)"?\(', re.MULTILINE)
 _DEFINED = re.compile(r'^define\s[^@]*@"?([^"(\s]+)"?\(', re.MULTILINE)
 _LIBRARY = "__nv_"
 
-#: The larger and the smaller of two numbers: NVIDIA's prefer a number to a NaN, and 0 to -0.
+#: Maximum and minimum: NVIDIA's functions prefer a number to a NaN, and 0 to -0.
 _EXTREMES = {
     "__nv_fmaxf": ("float", "ogt"),
     "__nv_fminf": ("float", "olt"),
@@ -61,7 +61,7 @@ _EXTREME = """define internal {kind} @"{name}"({kind} %a, {kind} %b) alwaysinlin
 
 
 def with_extremes(text: str) -> str:
-    """A module's LLVM code with the CPU's `max` and `min` of two floats instead of NVIDIA's."""
+    """Replace NVIDIA's `max` and `min` of two floats in LLVM code by the CPU's."""
     for name, (kind, order) in _EXTREMES.items():
         own = _EXTREME.format(name=name, kind=kind, order=order)
         text = re.sub(rf'^declare {kind} @"?{name}"?\(.*$', own, text, flags=re.MULTILINE)
@@ -69,17 +69,17 @@ def with_extremes(text: str) -> str:
 
 
 def check_calls(modules: list[str]) -> None:
-    """Look for what has other bits than on the CPU, or is not there.
+    """Check that LLVM code calls only functions that have the CPU's bits.
 
     Parameters
     ----------
     modules : list of str
-        LLVM code of a kernel, and of all that it calls.
+        LLVM code of a kernel and its callees.
 
     Raises
     ------
     CpuOnlyError
-        If it calls anything whose bits are not known to be the CPU's.
+        If it calls any other function, or takes a remainder of floats.
     """
     defined = {name for text in modules for name in _DEFINED.findall(text)}
     for text in modules:
@@ -92,38 +92,38 @@ def check_calls(modules: list[str]) -> None:
 
 
 def check_raises(ptx: str) -> None:
-    """Look for the note that a kernel makes of an exception.
+    """Check that PTX does not record exceptions.
 
     Parameters
     ----------
     ptx : str
-        Of a kernel that was made to take such notes.
+        Of a kernel compiled to record them.
 
     Raises
     ------
     CpuOnlyError
-        If the compiler could not rule out that there is something to be noted.
+        If the compiler could not rule out an exception.
     """
     body = ptx[ptx.index(".visible .entry") :]
     if re.search(r"__errcode__|__exc_helper__", body[: body.index("\n}")]):
         raise CpuOnlyError("it may raise an exception")
     if ".extern .func" in ptx:
-        raise CpuOnlyError("it calls what the driver's library has, such as print")
+        raise CpuOnlyError("it calls a function of the driver, such as print")
 
 
 def check_options(function: Callable[..., Any], options: dict[str, Any]) -> None:
-    """Look for functions compiled with options that CUDA's compiler takes otherwise.
+    """Check that a function and its callees were compiled with given options.
 
     Parameters
     ----------
     function : callable
     options : dict
-        Those that make no difference.
+        Those with which CUDA's compiler gives the same results.
 
     Raises
     ------
     CpuOnlyError
-        If it, or one that it calls, was compiled with others.
+        If it, or a callee, was compiled with others.
     """
     for one in _reachable(function, set()):
         own = one.targetoptions
@@ -131,21 +131,21 @@ def check_options(function: Callable[..., Any], options: dict[str, Any]) -> None
             raise CpuOnlyError(f"{one.py_func.__name__} was compiled with options of its own")
 
 
-def _reachable(value: object, met: set[int]) -> Iterator[Any]:
-    """Compiled functions among what a function's names stand for, and so on down."""
-    if id(value) in met:
+def _reachable(value: object, seen: set[int]) -> Iterator[Any]:
+    """Compiled functions among the values of a function's names, recursively."""
+    if id(value) in seen:
         return
-    met.add(id(value))
+    seen.add(id(value))
     if isinstance(value, Dispatcher):
         yield value
-        yield from _reachable(value.py_func, met)
+        yield from _reachable(value.py_func, seen)
     elif isinstance(value, FunctionType):
         for cell in value.__closure__ or ():
-            yield from _reachable(cell.cell_contents, met)
+            yield from _reachable(cell.cell_contents, seen)
         names = value.__code__.co_names
         for name in names:
             found = value.__globals__.get(name)
-            yield from _reachable(found, met)
+            yield from _reachable(found, seen)
             if isinstance(found, ModuleType):
                 for attribute in names:
-                    yield from _reachable(vars(found).get(attribute), met)
+                    yield from _reachable(vars(found).get(attribute), seen)

@@ -53,7 +53,7 @@ _MANTISSA_BITS, _MANTISSA, _HALF_BITS = np.int32(23), np.int32(0x007FFFFF), np.i
 
 
 def sincos_turns(part: Any) -> Any:
-    """Cosine and sine of an angle in turns.
+    """Cosine and sine of an angle whose unit is a full turn.
 
     For float32 to within 1.2e-7, from -1e6 to 1e6 turns.
     """

@@ -9,6 +9,7 @@ import numpy as np
 from raystream.cuda.builders.graph import linking, pruning, sectors, sharing
 from raystream.cuda.builders.kdtree import partition, planes, rows, trees
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import RangeKernel
 from raystream.structures.graph.face_subtrees import RopeTree
 from raystream.structures.graph.prune import Chosen
@@ -16,7 +17,6 @@ from raystream.structures.kdtree.split import Costs
 
 __all__ = ["graph_catalogue"]
 
-_AT = np.uint64(0)
 _COSTS = Costs(*(np.float64(0.0),) * 4)
 
 
@@ -26,7 +26,7 @@ def graph_catalogue() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
 
 
 def _at(count: int) -> tuple[np.uint64, ...]:
-    return (_AT,) * count
+    return (NULL,) * count
 
 
 def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
@@ -39,23 +39,23 @@ def _of_trees() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     numbering = rows.Numbering(*_at(5))
     bound = np.float64(0.0)
     return [
-        (planes.KERNELS.try_planes, (refs, level, _COSTS, _AT, tried)),
-        (planes.KERNELS.choose_plane, (level, _COSTS, _AT, tried, choices)),
+        (planes.KERNELS.try_planes, (refs, level, _COSTS, NULL, tried)),
+        (planes.KERNELS.choose_plane, (level, _COSTS, NULL, tried, choices)),
         (partition.KERNELS.make_reference, (*_at(2), np.float32(0.0), refs)),
         (partition.KERNELS.count_cut, (refs, choices)),
         (partition.KERNELS.confirm, (level, choices, counts)),
-        (partition.KERNELS.count_parts, (refs, choices, _AT, bound, counts)),
+        (partition.KERNELS.count_parts, (refs, choices, NULL, bound, counts)),
         (partition.KERNELS.make_cells, (level, choices, counts, made, *_at(2), level)),
         (
             partition.KERNELS.place_parts,
-            (refs, level, choices, _AT, bound, counts, made, _AT, refs),
+            (refs, level, choices, NULL, bound, counts, made, NULL, refs),
         ),
         (rows.KERNELS.count_below, (*_at(2), numbering)),
         (rows.KERNELS.mark_large, (*_at(3), numbering, *_at(2))),
         (rows.KERNELS.begin_rows, (*_at(6), numbering)),
         (rows.KERNELS.number_children, (*_at(4), numbering)),
         (trees.KERNELS.write_tree_node, (*_at(2), numbering, *_at(2))),
-        (trees.KERNELS.extend_children, (*_at(2), numbering, _AT)),
+        (trees.KERNELS.extend_children, (*_at(2), numbering, NULL)),
     ]
 
 
@@ -64,7 +64,7 @@ def _of_sectors() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     return [
         (pruning.KERNELS.place_list, (*_at(5), _COSTS, chosen)),
         (pruning.KERNELS.weigh, (*_at(3), _COSTS, chosen, *_at(4))),
-        (pruning.KERNELS.cut, (_AT, chosen)),
+        (pruning.KERNELS.cut, (NULL, chosen)),
         (sectors.KERNELS.place_cells, _at(7)),
         (sectors.KERNELS.place_nodes, _at(6)),
         (sectors.KERNELS.mark_leaf, _at(3)),
@@ -80,15 +80,15 @@ def _of_links() -> list[tuple[RangeKernel, tuple[Any, ...]]]:
     tree, raw, table = RopeTree(*_at(4)), linking.Raw(*_at(5)), sharing.Table(*_at(6))
     return [
         (linking.KERNELS.find_node_axes, _at(3)),
-        (linking.KERNELS.count_raw, (_AT, tree, *_at(2))),
+        (linking.KERNELS.count_raw, (NULL, tree, *_at(2))),
         (linking.KERNELS.spread_covered, _at(3)),
         (linking.KERNELS.mark_covered, _at(5)),
         (linking.KERNELS.put_covered, (*_at(8), table)),
         (linking.KERNELS.share_covered, (*_at(7), table)),
-        (linking.KERNELS.fill_raw, (_AT, tree, *_at(3), raw, _AT)),
+        (linking.KERNELS.fill_raw, (NULL, tree, *_at(3), raw, NULL)),
         (linking.KERNELS.put_raw, (*_at(2), raw, table)),
-        (linking.KERNELS.share_raw, (_AT, raw, table)),
-        (linking.KERNELS.place_links, (_AT, raw, table, _AT)),
+        (linking.KERNELS.share_raw, (NULL, raw, table)),
+        (linking.KERNELS.place_links, (NULL, raw, table, NULL)),
         (sharing.KERNELS.mark_first, (table,)),
-        (sharing.KERNELS.write_link_node, (table, _AT)),
+        (sharing.KERNELS.write_link_node, (table, NULL)),
     ]

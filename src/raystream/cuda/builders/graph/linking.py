@@ -13,6 +13,7 @@ from raystream.cuda.builders.graph.sharing import (
     share_slot,
 )
 from raystream.jit.atomics import atomic_max
+from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -33,10 +34,7 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["KERNELS", "Raw"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
 _SIX = np.uint64(6)
-_LONG = np.uint64(8)
 _ROW = np.uint64(16)
 _RAW_BYTES = np.uint64(24)
 _RAW_BIT = np.uint64(RAW)
@@ -44,7 +42,6 @@ _ROWS = np.uint64(SECTOR_ROWS)
 _VOID = np.uint64(VOID)
 _LEAF = np.uint64(LEAF_AXIS)
 _YES = np.uint8(1)
-_INF = np.float32(np.inf)
 
 
 class Raw(NamedTuple):
@@ -93,7 +90,7 @@ def _count_raw(sector, leaves, tree, is_covered, counts):
     """Count the raw nodes of a sector, and mark subtrees that a face covers."""
     pending = scratch(PENDING_BYTES)
     count = count_behind(_leaf_of(leaves, sector), tree, is_covered, pending)
-    store(counts + sector * _LONG, np.uint64(count))
+    store(counts + sector * BYTES_64, np.uint64(count))
 
 
 @kernel
@@ -106,22 +103,22 @@ def _spread_covered(i, first, nodes, is_covered):
 def _makes_node(nodes, node, face, is_covered):
     """Whether a covered subtree has a link node of its own."""
     axis, _, _ = split_of(nodes, node)
-    return axis != _LEAF and axis != face >> _ONE and _is_marked(is_covered, node, face)
+    return axis != _LEAF and axis != face >> ONE_U64 and _is_marked(is_covered, node, face)
 
 
 @kernel
 def _mark_covered(i, nodes, by_row, row_count, is_covered, marks):
     """Mark what becomes a link node, in the CPU's order: last rows first, and of each six faces."""
-    row = row_count - _ONE - i // _SIX
+    row = row_count - ONE_U64 - i // _SIX
     node = np.uint64(load(np.uint32, by_row + row * WORD))
     found = _makes_node(nodes, node, i % _SIX, is_covered)
-    store(marks + i * WORD, np.uint32(_ONE if found else _NONE))
+    store(marks + i * WORD, np.uint32(ONE_U64 if found else ZERO_U64))
 
 
 @device
 def _candidate(node, face, rows, row_count, before):
     row = np.uint64(load(np.uint32, rows + node * WORD))
-    at = (row_count - _ONE - row) * _SIX + face
+    at = (row_count - ONE_U64 - row) * _SIX + face
     return np.uint64(load(np.uint32, before + at * WORD))
 
 
@@ -140,8 +137,8 @@ def _put_covered(i, first, nodes, sectors, is_covered, rows, row_count, before, 
         if axis == _LEAF:
             sector = np.uint64(load(np.uint32, sectors + node * WORD))
             store(to, np.uint32(sector * _ROWS))
-        elif face >> _ONE == axis:
-            store(to, load(np.uint32, above if face & _ONE == _NONE else below))
+        elif face >> ONE_U64 == axis:
+            store(to, load(np.uint32, above if face & ONE_U64 == ZERO_U64 else below))
         else:
             candidate = _candidate(node, face, rows, row_count, before)
             less, more = np.uint64(load(np.uint32, below)), np.uint64(load(np.uint32, above))
@@ -160,8 +157,8 @@ def _share_covered(i, first, nodes, is_covered, rows, row_count, before, covered
 
 @device
 def _height(raw, link):
-    if link & _RAW_BIT == _NONE:
-        return _NONE
+    if link & _RAW_BIT == ZERO_U64:
+        return ZERO_U64
     return np.uint64(load(np.uint8, raw.heights + (link ^ _RAW_BIT)))
 
 
@@ -169,16 +166,16 @@ def _height(raw, link):
 def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
     """Write the raw nodes and raw links of a sector, and how high they are."""
     pending = scratch(PENDING_BYTES)
-    at = firsts + sector * _LONG
-    first, number = load(np.uint64, at), load(np.uint64, at + _LONG)
+    at = firsts + sector * BYTES_64
+    first, number = load(np.uint64, at), load(np.uint64, at + BYTES_64)
     leaf, to = _leaf_of(leaves, sector), links + sector * RAW_LINKS
     fill_behind(leaf, tree, sectors, covered, first, raw.nodes, to, pending)
-    highest = _NONE
+    highest = ZERO_U64
     while number != first:
-        number -= _ONE
+        number -= ONE_U64
         node = raw.nodes + number * _RAW_BYTES
-        below, above = load(np.uint64, node + _LONG), load(np.uint64, node + _ROW)
-        height = max(_height(raw, below), _height(raw, above)) + _ONE
+        below, above = load(np.uint64, node + BYTES_64), load(np.uint64, node + _ROW)
+        height = max(_height(raw, below), _height(raw, above)) + ONE_U64
         store(raw.heights + number, np.uint8(height))
         highest = max(highest, height)
     atomic_max(raw.tops, np.uint32(highest))
@@ -187,11 +184,11 @@ def _fill_raw(sector, leaves, tree, sectors, covered, firsts, raw, links):
 @device
 def _raw_candidate(raw, i):
     """Batches are in the order of sectors, and each is gone through from its end."""
-    begin, at = _NONE, raw.ends
+    begin, at = ZERO_U64, raw.ends
     while load(np.uint64, at) <= i:
         begin = load(np.uint64, at)
-        at += _LONG
-    return raw.first + begin + load(np.uint64, at) - _ONE - i
+        at += BYTES_64
+    return raw.first + begin + load(np.uint64, at) - ONE_U64 - i
 
 
 @device
@@ -210,7 +207,7 @@ def _put_raw(i, height, nodes, raw, table):
     node = load(np.uint64, at)
     axis, _, _ = split_of(nodes, node)
     plane_bits = np.uint64(load(np.uint32, nodes + node * NODE_BYTES))
-    below = _resolved(raw, load(np.uint64, at + _LONG))
+    below = _resolved(raw, load(np.uint64, at + BYTES_64))
     above = _resolved(raw, load(np.uint64, at + _ROW))
     put_candidate(table, _raw_candidate(raw, i), plane_bits, axis, below, above)
 
@@ -228,14 +225,14 @@ def _place_links(sector, links, raw, table, rows):
     """Write a sector's links; planes without a sector behind go to infinity."""
     row = rows + sector * SECTOR_BYTES
     for face in range(_SIX):
-        link = _resolved(raw, load(np.uint64, links + sector * RAW_LINKS + face * _LONG))
+        link = _resolved(raw, load(np.uint64, links + sector * RAW_LINKS + face * BYTES_64))
         store(row + LINKS_AT + face * WORD, np.uint32(final_link(table, link)))
         if link == _VOID:
-            plane = row + (face >> _ONE) * WORD
-            if face & _ONE == _NONE:
-                store(plane, -_INF)
+            plane = row + (face >> ONE_U64) * WORD
+            if face & ONE_U64 == ZERO_U64:
+                store(plane, -INF_F32)
             else:
-                store(plane + _ROW, _INF)
+                store(plane + _ROW, INF_F32)
 
 
 class _Kernels(NamedTuple):

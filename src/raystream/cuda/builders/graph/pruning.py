@@ -13,6 +13,7 @@ import numpy as np
 
 from raystream.cuda.builders.kdtree.grow import GrownTree, as_numbers
 from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.jit.constants import BYTES_64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
@@ -31,10 +32,6 @@ from raystream.structures.kdtree.split import Costs
 
 __all__ = ["KERNELS", "Lists", "prune"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_LONG = np.uint64(8)
 _LEAF = np.uint64(LEAF_AXIS)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -80,13 +77,13 @@ def _weigh(i, first, nodes, boxes, costs, chosen, rows, sizes, total, room):
     axis, _ = split_at(nodes, node)
     if axis == _LEAF:
         return
-    at = sizes + np.uint64(load(np.uint32, rows + node * WORD)) * _LONG
+    at = sizes + np.uint64(load(np.uint32, rows + node * WORD)) * BYTES_64
     free = _ALL
-    if total > _NONE and total - load(np.uint64, at) > room:
-        free = _NONE
+    if total > ZERO_U64 and total - load(np.uint64, at) > room:
+        free = ZERO_U64
     pending, union = scratch(PENDING_BYTES), scratch(UNION_BYTES)
     size = weigh_split(node, nodes, boxes, costs, chosen, free, pending, union)
-    if total == _NONE:
+    if total == ZERO_U64:
         store(at, size)
 
 
@@ -96,7 +93,7 @@ def _cut(node, nodes, chosen):
     axis, _ = split_at(nodes, node)
     if axis != _LEAF and load(np.uint32, chosen.leaf_counts + node * WORD) == np.uint32(1):
         size = np.uint64(load(np.uint32, chosen.sizes + node * WORD))
-        store(nodes + node * NODE_BYTES + WORD, np.uint32(size << _TWO | _LEAF))
+        store(nodes + node * NODE_BYTES + WORD, np.uint32(size << TWO_U64 | _LEAF))
 
 
 class _Kernels(NamedTuple):

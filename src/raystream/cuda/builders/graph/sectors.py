@@ -9,6 +9,7 @@ import numpy as np
 from raystream.cuda.builders.graph.pruning import Lists
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.jit.constants import BYTES_64, ONE_U64, THREE_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.radix_sort import sort_pairs
@@ -22,11 +23,7 @@ from raystream.structures.graph.order import CODE_BITS, SECTOR_BYTES, code_of, f
 
 __all__ = ["KERNELS", "Ordered", "number_sectors", "order_sectors"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_THREE = np.uint64(3)
 _LANES = np.uint64(4)
-_LONG = np.uint64(8)
 _BLOCK_IDS = np.uint64(16)
 _ABSENT = np.int32(-1)
 _ROWS = np.uint64(SECTOR_ROWS)
@@ -65,14 +62,14 @@ def _place_cells(i, first, nodes, is_in, old_rows, boxes, ropes, marks):
     place_children(nodes, node, boxes, ropes)
     _, child = split_at(nodes, node)
     store(is_in + child, np.uint8(1))
-    store(is_in + child + _ONE, np.uint8(1))
+    store(is_in + child + ONE_U64, np.uint8(1))
     store(marks + np.uint64(load(np.uint32, old_rows + node * WORD)) * WORD, np.uint32(1))
 
 
 @kernel
 def _place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
     """Write the rows of a split's children: those of the first split's come first."""
-    if node == _NONE:
+    if node == ZERO_U64:
         store(rows, np.uint32(0))
         store(by_row, np.uint32(0))
     if load(np.uint8, is_in + node) == np.uint8(0) or is_leaf(nodes, node):
@@ -81,7 +78,7 @@ def _place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
     rank = np.uint64(load(np.uint32, ranks + old_row * WORD))
     _, child = split_at(nodes, node)
     for side in range(np.uint64(2)):
-        row = (rank << _ONE) + _ONE + side
+        row = (rank << ONE_U64) + ONE_U64 + side
         store(rows + (child + side) * WORD, np.uint32(row))
         store(by_row + row * WORD, np.uint32(child + side))
 
@@ -90,7 +87,7 @@ def _place_nodes(node, nodes, is_in, old_rows, ranks, rows, by_row):
 def _mark_leaf(row, nodes, by_row, marks):
     """Mark a row whose node is a leaf."""
     found = is_leaf(nodes, np.uint64(load(np.uint32, by_row + row * WORD)))
-    store(marks + row * WORD, np.uint32(_ONE if found else _NONE))
+    store(marks + row * WORD, np.uint32(ONE_U64 if found else ZERO_U64))
 
 
 @kernel
@@ -99,7 +96,7 @@ def _list_leaf(row, nodes, boxes, by_row, before, codes, leaves):
     node = np.uint64(load(np.uint32, by_row + row * WORD))
     if is_leaf(nodes, node):
         to = np.uint64(load(np.uint32, before + row * WORD))
-        store(codes + to * _LONG, np.uint64(code_of(boxes, boxes + node * BOX_BYTES)))
+        store(codes + to * BYTES_64, np.uint64(code_of(boxes, boxes + node * BOX_BYTES)))
         store(leaves + to * WORD, np.uint32(node))
 
 
@@ -109,7 +106,7 @@ def _number_sector(sector, leaves, sizes, sectors, block_counts):
     leaf = np.uint64(load(np.uint32, leaves + sector * WORD))
     store(sectors + leaf * WORD, np.uint32(sector))
     count = np.uint64(load(np.uint32, sizes + leaf * WORD))
-    store(block_counts + sector * WORD, np.uint32((count + _THREE) // _LANES))
+    store(block_counts + sector * WORD, np.uint32((count + THREE_U64) // _LANES))
 
 
 @kernel
@@ -119,9 +116,9 @@ def _write_sector(sector, leaves, boxes, lists, sizes, firsts, rows, prim_ids):
     count = np.uint64(load(np.uint32, sizes + leaf * WORD))
     first = np.uint64(load(np.uint32, firsts + sector * WORD))
     fill_sector(rows + sector * SECTOR_BYTES, boxes + leaf * BOX_BYTES, first, count)
-    source = load(np.uint64, lists + leaf * _LONG)
+    source = load(np.uint64, lists + leaf * BYTES_64)
     to = prim_ids + first * _BLOCK_IDS
-    for k in range((count + _THREE) // _LANES * _LANES):
+    for k in range((count + THREE_U64) // _LANES * _LANES):
         prim_id = load(np.int32, source + k * WORD) if k < count else _ABSENT
         store(to + k * WORD, prim_id)
 

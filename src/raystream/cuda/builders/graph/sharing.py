@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.atomics import atomic_max, compare_and_swap
+from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
@@ -26,14 +27,8 @@ __all__ = ["KERNELS", "LINK", "LinkTable", "Table", "final_link", "put_candidate
 #: This bit of a link says that the rest is a slot of the table, while the graph is linked.
 LINK = np.uint64(NODE_BIT)
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_LONG = np.uint64(8)
 _ROW = np.uint64(16)
-_UPPER = np.uint64(32)
-_LOWER = np.uint64(0xFFFFFFFF)
 _FREE = np.uint32(0)
-_ALL = np.uint64(0xFFFFFFFF)
 
 
 class Table(NamedTuple):
@@ -67,14 +62,14 @@ class Table(NamedTuple):
 def put_candidate(table, candidate, plane_bits, axis, below, above):
     """Write a candidate's content."""
     to = table.contents + candidate * _ROW
-    store(to, plane_bits | axis << _UPPER)
-    store(to + _LONG, below | above << _UPPER)
+    store(to, plane_bits | axis << BITS_32)
+    store(to + BYTES_64, below | above << BITS_32)
 
 
 @device
 def _content(table, candidate):
     at = table.contents + candidate * _ROW
-    return load(np.uint64, at), load(np.uint64, at + _LONG)
+    return load(np.uint64, at), load(np.uint64, at + BYTES_64)
 
 
 @device
@@ -86,20 +81,20 @@ def share_slot(table, candidate):
         at = table.owners + slot * WORD
         owner = load(np.uint32, at)
         if owner == _FREE:
-            owner = compare_and_swap(at, _FREE, np.uint32(candidate + _ONE))
+            owner = compare_and_swap(at, _FREE, np.uint32(candidate + ONE_U64))
         is_own = owner == _FREE
         if not is_own:
-            found, found_other = _content(table, np.uint64(owner) - _ONE)
+            found, found_other = _content(table, np.uint64(owner) - ONE_U64)
             is_own = found == one and found_other == other
         if is_own:
-            atomic_max(table.leasts + slot * WORD, np.uint32(candidate ^ _ALL))
+            atomic_max(table.leasts + slot * WORD, np.uint32(candidate ^ LOW_32))
             return slot
-        slot = (slot + _ONE) & table.mask
+        slot = (slot + ONE_U64) & table.mask
 
 
 @device
 def _least(table, slot):
-    return np.uint64(load(np.uint32, table.leasts + slot * WORD)) ^ _ALL
+    return np.uint64(load(np.uint32, table.leasts + slot * WORD)) ^ LOW_32
 
 
 @kernel
@@ -112,7 +107,7 @@ def _mark_first(slot, table):
 @device
 def final_link(table, link):
     """The link that one to a slot becomes; others, and `VOID`, stay."""
-    if link & LINK == _NONE or link == _LOWER:
+    if link & LINK == ZERO_U64 or link == LOW_32:
         return link
     least = _least(table, link ^ LINK)
     rank = np.uint64(load(np.uint32, table.ranks + least * WORD))
@@ -123,13 +118,13 @@ def final_link(table, link):
 def _write_link_node(slot, table, rows):
     """Write the link node of a slot."""
     owner = np.uint64(load(np.uint32, table.owners + slot * WORD))
-    if owner == _NONE:
+    if owner == ZERO_U64:
         return
-    one, other = _content(table, owner - _ONE)
-    below, above = final_link(table, other & _LOWER), final_link(table, other >> _UPPER)
+    one, other = _content(table, owner - ONE_U64)
+    below, above = final_link(table, other & LOW_32), final_link(table, other >> BITS_32)
     to = rows + (final_link(table, LINK | slot) ^ LINK) * _ROW
     store(to, one)
-    store(to + _LONG, below | above << _UPPER)
+    store(to + BYTES_64, below | above << BITS_32)
 
 
 class _Kernels(NamedTuple):

@@ -12,6 +12,7 @@ import numpy as np
 
 from raystream.cuda.builders.kdtree.planes import cell_range
 from raystream.jit.atomics import atomic_add_aggregated
+from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -22,14 +23,8 @@ from raystream.structures.kdtree.subtree import copy_box, part_reference, room_a
 
 __all__ = ["KERNELS", "Counts", "Made"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_LONG = np.uint64(8)
 _NODE = np.uint64(8)
 _TRIANGLE = np.uint64(36)
-_UPPER = np.uint64(32)
-_LOWER = np.uint64(0xFFFFFFFF)
 
 
 class Counts(NamedTuple):
@@ -92,10 +87,10 @@ def _confirm(cell, level, choices, counts):
     begin, end = cell_range(level, cell)
     axis, _ = _choice(choices, cell)
     total = end - begin + np.uint64(load(np.uint32, choices.cut_counts + cell * WORD))
-    if axis != LEAF and total > load(np.uint64, level.rooms + cell * _LONG):
+    if axis != LEAF and total > load(np.uint64, level.rooms + cell * BYTES_64):
         axis = LEAF
         store(choices.axes + cell * WORD, np.uint32(axis))
-    store(counts.cells + cell * _LONG, end - begin if axis == LEAF else _ONE << _UPPER)
+    store(counts.cells + cell * BYTES_64, end - begin if axis == LEAF else ONE_U64 << BITS_32)
 
 
 @device
@@ -115,16 +110,16 @@ def _count_parts(i, refs, choices, corners, bound, counts):
     """Count the parts of reference i."""
     below, above = scratch(24), scratch(24)
     is_below, is_above = _part(i, refs, choices, corners, bound, below, above)
-    found = _ONE << _UPPER if is_below else _NONE
-    found += _ONE if is_above else _NONE
-    store(counts.parts + i * _LONG, found)
+    found = ONE_U64 << BITS_32 if is_below else ZERO_U64
+    found += ONE_U64 if is_above else ZERO_U64
+    store(counts.parts + i * BYTES_64, found)
 
 
 @device
 def _before(counts, i):
     """Parts below planes, and above them, of all references before one."""
-    found = load(np.uint64, counts.parts + i * _LONG)
-    return found >> _UPPER, found & _LOWER
+    found = load(np.uint64, counts.parts + i * BYTES_64)
+    return found >> BITS_32, found & LOW_32
 
 
 @device
@@ -141,29 +136,30 @@ def _make_cells(cell, level, choices, counts, made, first_row, first_id, parts):
     """Write a cell's node, and the two cells that it is split into, if it is."""
     begin, end = cell_range(level, cell)
     axis, position = _choice(choices, cell)
-    before = load(np.uint64, counts.cells + cell * _LONG)
+    before = load(np.uint64, counts.cells + cell * BYTES_64)
     node = made.nodes + cell * _NODE
     store(made.sizes + cell * WORD, np.uint32(end - begin))
     if axis == LEAF:
-        store(node, np.uint32(first_id + (before & _LOWER)))
-        store(node + WORD, np.uint32((end - begin) << _TWO | np.uint64(LEAF_AXIS)))
+        store(node, np.uint32(first_id + (before & LOW_32)))
+        store(node + WORD, np.uint32((end - begin) << TWO_U64 | np.uint64(LEAF_AXIS)))
         return
-    below = (before >> _UPPER) << _ONE
+    below = (before >> BITS_32) << ONE_U64
     store(node, position)
-    store(node + WORD, np.uint32((first_row + below) << _TWO | axis))
+    store(node + WORD, np.uint32((first_row + below) << TWO_U64 | axis))
     below_begin, above_begin, above_end = _places(level, counts, cell)
-    room = load(np.uint64, level.rooms + cell * _LONG)
+    room = load(np.uint64, level.rooms + cell * BYTES_64)
     above_room = room_above(room, above_begin - below_begin, above_end - above_begin)
-    for side in range(_TWO):
+    for side in range(TWO_U64):
         child = below + side
         box = parts.boxes + child * BOX_BYTES
         copy_box(box, level.boxes + cell * BOX_BYTES)
-        store(box + axis * WORD + (_NONE if side == _ONE else HIGH), position)
-        store(parts.begins + child * WORD, np.uint32(above_begin if side == _ONE else below_begin))
+        store(box + axis * WORD + (ZERO_U64 if side == ONE_U64 else HIGH), position)
+        begin = above_begin if side == ONE_U64 else below_begin
+        store(parts.begins + child * WORD, np.uint32(begin))
         store(parts.bads + child * WORD, load(np.uint32, choices.bads + cell * WORD))
-        store(parts.rooms + child * _LONG, above_room if side == _ONE else room - above_room)
+        store(parts.rooms + child * BYTES_64, above_room if side == ONE_U64 else room - above_room)
     # The last one of a level ends it; the others write what their neighbours write.
-    store(parts.begins + (below + _TWO) * WORD, np.uint32(above_end))
+    store(parts.begins + (below + TWO_U64) * WORD, np.uint32(above_end))
 
 
 @device
@@ -178,24 +174,24 @@ def _place_parts(i, refs, level, choices, corners, bound, counts, made, first_id
     """Write the parts of reference i where they go; that of a leaf to its list."""
     cell = np.uint64(load(np.uint32, refs.cells + i * WORD))
     prim_id = load(np.int32, refs.ids + i * WORD)
-    before = load(np.uint64, counts.cells + cell * _LONG)
+    before = load(np.uint64, counts.cells + cell * BYTES_64)
     axis, _ = _choice(choices, cell)
     if axis == LEAF:
         begin, _ = cell_range(level, cell)
-        to = first_id + (before & _LOWER) + i - begin
+        to = first_id + (before & LOW_32) + i - begin
         store(made.ids + to * WORD, prim_id)
         return
     below, above = scratch(24), scratch(24)
     is_below, is_above = _part(i, refs, choices, corners, bound, below, above)
     begin, end = cell_range(level, cell)
     own_below, own_above = _before(counts, i)
-    child = (before >> _UPPER) << _ONE
+    child = (before >> BITS_32) << ONE_U64
     if is_below:
         _, all_above = _before(counts, begin)
         _put_reference(parts, own_below + all_above, child, below, prim_id)
     if is_above:
         all_below, _ = _before(counts, end)
-        _put_reference(parts, all_below + own_above, child + _ONE, above, prim_id)
+        _put_reference(parts, all_below + own_above, child + ONE_U64, above, prim_id)
 
 
 @kernel

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.jit.atomics import atomic_add_aggregated, atomic_max
+from raystream.jit.constants import BYTES_64, INF_F32, ONE_U64, ZERO_F32, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, scratch, store
@@ -37,11 +38,6 @@ from raystream.structures.kdtree.split import (
 
 __all__ = ["BIN_BYTES", "KERNELS", "Choices", "Level", "References", "Tried", "cell_range"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_LONG = np.uint64(8)
-_INF = np.float32(np.inf)
-_ZERO = np.float32(0.0)
 _SIGN = np.uint32(0x80000000)
 _ALL = np.uint32(0xFFFFFFFF)
 
@@ -162,7 +158,7 @@ def _width(along):
     """Width of an axis' bins, its inverse, and whether there are any."""
     width = (along.high - along.low) * BIN_SHARE
     scale = np.float32(1.0) / width
-    return width, scale, width > _ZERO and scale < _INF
+    return width, scale, width > ZERO_F32 and scale < INF_F32
 
 
 @device
@@ -192,18 +188,18 @@ def _try_plane(position, boxes, begin, end, along, step, costs):
     """Cost of a plane at a position; infinite if it is not inside the cell."""
     if not (position > along.low and position < along.high):
         return np.inf
-    begun, ended = _NONE, _NONE
+    begun, ended = ZERO_U64, ZERO_U64
     for i in range(begin, end):
         box = boxes + i * BOX_BYTES + step
-        begun += _ONE if load(np.float32, box) < position else _NONE
-        ended += _ONE if load(np.float32, box + HIGH) <= position else _NONE
+        begun += ONE_U64 if load(np.float32, box) < position else ZERO_U64
+        ended += ONE_U64 if load(np.float32, box + HIGH) <= position else ZERO_U64
     return split_cost(costs, along, position, begun, end - begin - ended)
 
 
 @device
 def _try_own(i, boxes, begin, end, cell, costs, tried):
     """Try the planes of reference i, and note the best one."""
-    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    best_axis, best_position, best_cost = LEAF, ZERO_F32, np.inf
     for axis in range(np.uint64(3)):
         along, step = axis_of(cell, axis), axis * WORD
         for side in range(np.uint64(2)):
@@ -211,7 +207,7 @@ def _try_own(i, boxes, begin, end, cell, costs, tried):
             cost = _try_plane(position, boxes, begin, end, along, step, costs)
             if _is_better(cost, axis, position, best_cost, best_axis, best_position):
                 best_axis, best_position, best_cost = axis, position, cost
-    store(tried.costs + i * _LONG, best_cost)
+    store(tried.costs + i * BYTES_64, best_cost)
     store(tried.positions + i * WORD, best_position)
     store(tried.axes + i * WORD, np.uint32(best_axis))
 
@@ -243,11 +239,11 @@ def _try_planes(i, refs, level, costs, max_leaf_size, tried):
 @device
 def _best_tried(begin, end, tried):
     """The best plane of a cell's references: axis, position, cost."""
-    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    best_axis, best_position, best_cost = LEAF, ZERO_F32, np.inf
     for i in range(begin, end):
         axis = np.uint64(load(np.uint32, tried.axes + i * WORD))
         position = load(np.float32, tried.positions + i * WORD)
-        cost = load(np.float64, tried.costs + i * _LONG)
+        cost = load(np.float64, tried.costs + i * BYTES_64)
         if _is_better(cost, axis, position, best_cost, best_axis, best_position):
             best_axis, best_position, best_cost = axis, position, cost
     return best_axis, best_position, best_cost
@@ -256,7 +252,7 @@ def _best_tried(begin, end, tried):
 @device
 def _best_of_bins(begin, end, cell, costs, tried):
     """The best plane between a cell's bins, and at their ends: axis, position, cost."""
-    best_axis, best_position, best_cost = LEAF, _ZERO, np.inf
+    best_axis, best_position, best_cost = LEAF, ZERO_F32, np.inf
     for axis in range(np.uint64(3)):
         along = axis_of(cell, axis)
         width, _, has_bins = _width(along)
@@ -279,7 +275,7 @@ def _choose_plane(cell, level, costs, max_leaf_size, tried, choices):
     """Choose the plane of a cell, or none."""
     begin, end = cell_range(level, cell)
     bad = np.uint64(load(np.uint32, level.bads + cell * WORD))
-    axis, position = LEAF, _ZERO
+    axis, position = LEAF, ZERO_F32
     if end - begin > max_leaf_size:
         if end - begin <= MOST_EXACT:
             axis, position, cost = _best_tried(begin, end, tried)

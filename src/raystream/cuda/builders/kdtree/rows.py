@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from raystream.cuda.builders.kdtree.grow import GrownTree
+from raystream.jit.constants import BITS_32, BYTES_64, LOW_32, ONE_U64, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.cuda.scan import Scan
@@ -22,14 +23,7 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["KERNELS", "Numbering", "Numbers", "number_nodes", "split_at"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_THREE = np.uint64(3)
-_LONG = np.uint64(8)
 _NODE = np.uint64(8)
-_UPPER = np.uint64(32)
-_LOWER = np.uint64(0xFFFFFFFF)
 _LEAF = np.uint64(LEAF_AXIS)
 
 
@@ -76,7 +70,7 @@ class Numbers(NamedTuple):
 def split_at(nodes, node):
     """A node's axis, or 3, and its first child, or the number of its references."""
     word = np.uint64(load(np.uint32, nodes + node * _NODE + WORD))
-    return word & _THREE, word >> _TWO
+    return word & THREE_U64, word >> TWO_U64
 
 
 @device
@@ -94,10 +88,10 @@ def _count_below(i, first, nodes, numbering):
     """Count the splits and references below node first + i; its children are done."""
     node = first + i
     axis, child = split_at(nodes, node)
-    splits, room = _NONE, (child + _THREE) & ~_THREE
+    splits, room = ZERO_U64, (child + THREE_U64) & ~THREE_U64
     if axis != _LEAF:
-        splits = _get(numbering.splits, child) + _get(numbering.splits, child + _ONE) + _ONE
-        room = _get(numbering.rooms, child) + _get(numbering.rooms, child + _ONE)
+        splits = _get(numbering.splits, child) + _get(numbering.splits, child + ONE_U64) + ONE_U64
+        room = _get(numbering.rooms, child) + _get(numbering.rooms, child + ONE_U64)
     _put(numbering.splits, node, splits)
     _put(numbering.rooms, node, room)
 
@@ -111,20 +105,20 @@ def _is_large(nodes, node, sizes, most):
 
 @device
 def _note_subtree(node, numbering, marks, rooms):
-    store(marks + node * _LONG, _get(numbering.splits, node) << _ONE)
-    store(rooms + node * _LONG, _get(numbering.rooms, node))
+    store(marks + node * BYTES_64, _get(numbering.splits, node) << ONE_U64)
+    store(rooms + node * BYTES_64, _get(numbering.rooms, node))
 
 
 @kernel
 def _mark_large(node, nodes, sizes, most, numbering, marks, rooms):
     """Mark a large cell (2**32), and note rows and room of subtrees whose parent is one."""
     if not _is_large(nodes, node, sizes, most):
-        if node == _NONE:
+        if node == ZERO_U64:
             _note_subtree(node, numbering, marks, rooms)
         return
-    store(marks + node * _LONG, _ONE << _UPPER)
+    store(marks + node * BYTES_64, ONE_U64 << BITS_32)
     _, child = split_at(nodes, node)
-    for side in range(_TWO):
+    for side in range(TWO_U64):
         part = child + side
         if not _is_large(nodes, part, sizes, most):
             _note_subtree(part, numbering, marks, rooms)
@@ -133,25 +127,25 @@ def _mark_large(node, nodes, sizes, most, numbering, marks, rooms):
 @device
 def _begin_subtree(node, marks, rooms, count, numbering):
     """Where a subtree begins: after large cells and earlier subtrees."""
-    large_count = load(np.uint64, marks + count * _LONG) >> _UPPER
-    before = load(np.uint64, marks + node * _LONG) & _LOWER
-    _put(numbering.firsts, node, _ONE + (large_count << _ONE) + before)
-    _put(numbering.places, node, load(np.uint64, rooms + node * _LONG))
+    large_count = load(np.uint64, marks + count * BYTES_64) >> BITS_32
+    before = load(np.uint64, marks + node * BYTES_64) & LOW_32
+    _put(numbering.firsts, node, ONE_U64 + (large_count << ONE_U64) + before)
+    _put(numbering.places, node, load(np.uint64, rooms + node * BYTES_64))
 
 
 @kernel
 def _begin_rows(node, nodes, sizes, most, marks, rooms, count, numbering):
     """Write the first rows of large cells, and where the subtrees below them begin."""
-    if node == _NONE:
-        _put(numbering.rows, node, _NONE)
+    if node == ZERO_U64:
+        _put(numbering.rows, node, ZERO_U64)
     if not _is_large(nodes, node, sizes, most):
-        if node == _NONE:
+        if node == ZERO_U64:
             _begin_subtree(node, marks, rooms, count, numbering)
         return
-    before = load(np.uint64, marks + node * _LONG) >> _UPPER
-    _put(numbering.firsts, node, _ONE + (before << _ONE))
+    before = load(np.uint64, marks + node * BYTES_64) >> BITS_32
+    _put(numbering.firsts, node, ONE_U64 + (before << ONE_U64))
     _, child = split_at(nodes, node)
-    for side in range(_TWO):
+    for side in range(TWO_U64):
         part = child + side
         if not _is_large(nodes, part, sizes, most):
             _begin_subtree(part, marks, rooms, count, numbering)
@@ -166,14 +160,14 @@ def _number_children(i, first, nodes, sizes, most, numbering):
         return
     row = _get(numbering.firsts, node)
     _put(numbering.rows, child, row)
-    _put(numbering.rows, child + _ONE, row + _ONE)
+    _put(numbering.rows, child + ONE_U64, row + ONE_U64)
     if not _is_large(nodes, node, sizes, most):
         place = _get(numbering.places, node)
         _put(numbering.places, child, place)
-        _put(numbering.places, child + _ONE, place + _get(numbering.rooms, child))
-        _put(numbering.firsts, child, row + _TWO)
-        after = _get(numbering.splits, child) << _ONE
-        _put(numbering.firsts, child + _ONE, row + _TWO + after)
+        _put(numbering.places, child + ONE_U64, place + _get(numbering.rooms, child))
+        _put(numbering.firsts, child, row + TWO_U64)
+        after = _get(numbering.splits, child) << ONE_U64
+        _put(numbering.firsts, child + ONE_U64, row + TWO_U64 + after)
 
 
 class _Kernels(NamedTuple):

@@ -13,6 +13,7 @@ from raystream.cuda.builders.kdtree.grow import grow_tree
 from raystream.cuda.builders.kdtree.rows import number_nodes
 from raystream.cuda.builders.kdtree.trees import WrittenTree, write_tree
 from raystream.cuda.structures import Resident
+from raystream.jit.constants import NULL
 from raystream.jit.cuda import Gpu
 from raystream.structures.base import Structure
 from raystream.structures.kdtree.layout import KdArrays
@@ -21,8 +22,6 @@ from raystream.structures.kdtree.options import TRAVERSALS, KdTree
 from raystream.structures.kdtree.structure import KdTreeStructure, settings_of
 
 __all__ = ["DeviceKdTree", "build_kdtree"]
-
-_NOWHERE = np.uint64(0)
 
 
 class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
@@ -56,7 +55,7 @@ class DeviceKdTree(RebuiltOnDevice, KdTreeStructure):
         tree = KdAddresses(
             written.nodes.address,
             None,
-            extended.address if extended is not None else _NOWHERE,
+            extended.address if extended is not None else NULL,
             written.blocks.address,
             np.uint64(0),
             np.uint64(TRAVERSALS.index(options.traversal)),

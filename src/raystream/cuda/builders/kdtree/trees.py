@@ -9,6 +9,7 @@ import numpy as np
 from raystream.cuda.builders.kdtree.blocks import FILL_BLOCK
 from raystream.cuda.builders.kdtree.grow import GrownTree
 from raystream.cuda.builders.kdtree.rows import Numbers, split_at
+from raystream.jit.constants import ONE_U64, THREE_U64, TWO_U64, ZERO_U64
 from raystream.jit.cpu import kernel
 from raystream.jit.cuda import DeviceArray, Gpu, RangeKernel
 from raystream.jit.simd import load, store
@@ -18,10 +19,6 @@ from raystream.structures.kdtree.layout import LEAF_AXIS
 
 __all__ = ["KERNELS", "WrittenTree", "write_tree"]
 
-_NONE = np.uint64(0)
-_ONE = np.uint64(1)
-_TWO = np.uint64(2)
-_THREE = np.uint64(3)
 _NODE = np.uint64(8)
 _RECORD = np.uint64(32)
 _OWN_AT = np.uint64(24)
@@ -55,13 +52,13 @@ def _write_tree_node(node, nodes, tree_ids, numbering, to_nodes, prim_ids):
     if axis != _LEAF:
         row = np.uint64(load(np.uint32, numbering.firsts + node * WORD))
         store(to, first)
-        store(to + WORD, np.uint32(row << _TWO | axis))
+        store(to + WORD, np.uint32(row << TWO_U64 | axis))
         return
     place = np.uint64(load(np.uint32, numbering.places + node * WORD))
-    store(to, np.uint32(place >> _TWO))
-    store(to + WORD, np.uint32(number << _TWO | axis))
+    store(to, np.uint32(place >> TWO_U64))
+    store(to + WORD, np.uint32(number << TWO_U64 | axis))
     source, ids = tree_ids + np.uint64(first) * WORD, prim_ids + place * WORD
-    for k in range((number + _THREE) & ~_THREE):
+    for k in range((number + THREE_U64) & ~THREE_U64):
         store(ids + k * WORD, load(np.int32, source + k * WORD) if k < number else _ABSENT)
 
 
@@ -73,17 +70,17 @@ def _extend_children(i, first, nodes, numbering, extended):
     if axis == _LEAF:
         return
     row = np.uint64(load(np.uint32, numbering.firsts + node * WORD))
-    own, plane = extended + (row >> _ONE) * _RECORD, load(np.float32, nodes + node * _NODE)
-    for side in range(_TWO):
+    own, plane = extended + (row >> ONE_U64) * _RECORD, load(np.float32, nodes + node * _NODE)
+    for side in range(TWO_U64):
         child_axis, _ = split_at(nodes, child + side)
         if child_axis == _LEAF:
             continue
         child_row = np.uint64(load(np.uint32, numbering.firsts + (child + side) * WORD))
-        to = extended + (child_row >> _ONE) * _RECORD
+        to = extended + (child_row >> ONE_U64) * _RECORD
         for k in range(np.uint64(6)):
             store(to + k * WORD, load(np.float32, own + k * WORD))
         at = to + axis * WORD
-        if side == _NONE:  # below the plane
+        if side == ZERO_U64:  # below the plane
             store(at + HIGH, min(load(np.float32, at + HIGH), plane))
         else:
             store(at, max(load(np.float32, at), plane))

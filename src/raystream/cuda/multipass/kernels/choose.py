@@ -22,6 +22,7 @@ from raystream.cuda.multipass.control import (
     STATES,
     UNTIL,
 )
+from raystream.jit.constants import ONE_U32, ONE_U64, SHIFT_32, ZERO_U32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel, set_condition
 from raystream.jit.simd import load, store
@@ -31,10 +32,6 @@ from raystream.machines.schedulers import SCHEDULERS
 __all__ = ["DECIDE", "DECIDE_IN_LOOP", "decide"]
 
 _MOST = np.uint64(MOST_PASSES)
-_NOTHING = np.uint32(0)
-_SOMETHING = np.uint32(1)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _DONE_COUNT = COUNTS + np.uint64(4 * RayState.DONE)
 _OVERFLOWED_COUNT = COUNTS + np.uint64(4 * RayState.OVERFLOWED)
 
@@ -46,13 +43,13 @@ _NAIVE, _THRESHOLD, _MOST_WORK = (
 @device
 def _waiting(control, k):
     """Rays that wait for kernel k."""
-    state = np.uint64(load(np.uint32, control + STATES + (k << _WORD)))
-    return np.uint64(load(np.uint32, control + COUNTS + (state << _WORD)))
+    state = np.uint64(load(np.uint32, control + STATES + (k << SHIFT_32)))
+    return np.uint64(load(np.uint32, control + COUNTS + (state << SHIFT_32)))
 
 
 @device
 def _is_test(rules, k):
-    return (rules.tests >> k) & _ONE == _ONE
+    return (rules.tests >> k) & ONE_U64 == ONE_U64
 
 
 @device
@@ -64,7 +61,7 @@ def _run(control, k):
     store(at, np.uint32(k))
     store(at + np.uint64(4), np.uint32(_waiting(control, k)))
     store(at + np.uint64(8), load(np.uint32, control + LENGTH))
-    store(control + PASS_COUNT, np.uint32(count + _ONE))
+    store(control + PASS_COUNT, np.uint32(count + ONE_U64))
 
 
 @device
@@ -73,15 +70,15 @@ def _drop_ended(control):
     length = np.uint64(load(np.uint32, control + LENGTH))
     ended = np.uint64(load(np.uint32, control + _DONE_COUNT))
     store(control + LENGTH, np.uint32(length - ended))
-    store(control + _DONE_COUNT, _NOTHING)
-    store(control + DROPPING, _NOTHING)
+    store(control + _DONE_COUNT, ZERO_U32)
+    store(control + DROPPING, ZERO_U32)
 
 
 @device
 def _choose(control, rules, active):
     """The number of a kernel for which some ray waits; see `machines.schedulers`."""
     count = rules.kernel_count
-    shading = count - _ONE
+    shading = count - ONE_U64
     # The first kernel that intersects, the last and the fullest of the others, of all the fullest.
     test = last_other = fullest_other = count
     fullest, most, most_other = np.uint64(0), np.uint64(0), np.uint64(0)
@@ -122,18 +119,18 @@ def _choose(control, rules, active):
 def _decide(control, rules):
     """Choose the kernel of the next pass, or none if no ray is active."""
     store(control + CHOSEN, NO_KERNEL)
-    shading = rules.kernel_count - _ONE
+    shading = rules.kernel_count - ONE_U64
     searching, ended = np.uint64(0), _waiting(control, shading)
     for k in range(shading):
         searching += _waiting(control, k)
     if searching + ended == np.uint64(0):
         return
     if rules.compacts:
-        if load(np.uint32, control + DROPPING) != _NOTHING:
+        if load(np.uint32, control + DROPPING) != ZERO_U32:
             _drop_ended(control)
         elif searching + searching <= np.uint64(load(np.uint32, control + LENGTH)):
             if ended != np.uint64(0):
-                store(control + DROPPING, _SOMETHING)
+                store(control + DROPPING, ONE_U32)
                 _run(control, shading)
                 return
             _drop_ended(control)
@@ -164,7 +161,7 @@ def decide_in_loop(i, control, rules, condition):  # noqa: ARG001 (there is one)
     """Choose, and say whether another pass is to follow the one that was chosen."""
     _decide(control, rules)
     is_over = load(np.uint32, control + CHOSEN) == NO_KERNEL or _is_looked_for(control, rules)
-    set_condition(condition, _NOTHING if is_over else _SOMETHING)
+    set_condition(condition, ZERO_U32 if is_over else ONE_U32)
 
 
 #: These run on one thread, before each pass.

@@ -6,22 +6,21 @@ import numpy as np
 
 from raystream.cuda.multipass.control import CHOSEN, COUNTS, STATES
 from raystream.jit.atomics import atomic_add_aggregated
+from raystream.jit.constants import NULL, SHIFT_32
 from raystream.jit.cpu import device
 from raystream.jit.simd import load
 
 __all__ = ["chosen_kernel", "is_waiting", "move", "row_of"]
 
-_ZERO = np.uint64(0)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
 _MORE, _LESS = np.uint32(1), np.uint32(2**32 - 1)
 
 
 @device
 def row_of(rows, i):
     """Number of the ray that thread i takes."""
-    if rows == _ZERO:
+    if rows == NULL:
         return i
-    return np.uint64(load(np.uint32, rows + (i << _WORD)))
+    return np.uint64(load(np.uint32, rows + (i << SHIFT_32)))
 
 
 @device
@@ -33,12 +32,12 @@ def chosen_kernel(control):
 @device
 def is_waiting(control, chosen, now):
     """Whether a ray in this state waits for the kernel."""
-    return load(np.uint32, control + STATES + (np.uint64(chosen) << _WORD)) == np.uint32(now)
+    return load(np.uint32, control + STATES + (np.uint64(chosen) << SHIFT_32)) == np.uint32(now)
 
 
 @device
 def move(control, now, then):
     """Count a ray that goes from one state to another."""
     if then != now:
-        atomic_add_aggregated(control + COUNTS + (np.uint64(now) << _WORD), _LESS)
-        atomic_add_aggregated(control + COUNTS + (np.uint64(then) << _WORD), _MORE)
+        atomic_add_aggregated(control + COUNTS + (np.uint64(now) << SHIFT_32), _LESS)
+        atomic_add_aggregated(control + COUNTS + (np.uint64(then) << SHIFT_32), _MORE)

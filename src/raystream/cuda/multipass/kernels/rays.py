@@ -8,6 +8,7 @@ import numpy as np
 
 from raystream.core.rays import RayStatus
 from raystream.cuda.multipass.kernels.moving import row_of
+from raystream.jit.constants import INF_F32, NULL, ONE_U64, SHIFT_32, SHIFT_64, ZERO_F32
 from raystream.jit.cpu import device, kernel
 from raystream.jit.cuda import RangeKernel
 from raystream.jit.simd import load, store
@@ -17,12 +18,6 @@ from raystream.machines.records import RayState
 
 __all__ = ["BEGIN", "CHUNK", "COUNT_KEPT", "FINISH", "FINISH_MANY", "KEEP", "Wanted"]
 
-_ZERO = np.uint64(0)
-_ONE = np.uint64(1)
-_WORD = np.uint64(2)  # a number's four bytes, as a shift
-_LONG = np.uint64(3)  # one of eight
-_INF = np.float32(np.inf)
-_NOUGHT = np.float32(0.0)
 _MISS = np.int32(-1)
 _VALID = np.uint8(RayStatus.VALID)
 _STARTING = np.uint8(RayState.STARTING)
@@ -52,10 +47,10 @@ class Wanted(NamedTuple):
 @device
 def _rows_of(wanted, i):
     """The first of the rows that ray i wants, and how many."""
-    if wanted.splits == _ZERO:
+    if wanted.splits == NULL:
         return i, wanted.limit
-    first = np.uint64(load(np.int64, wanted.splits + (i << _LONG)))
-    return first, np.uint64(load(np.int64, wanted.splits + ((i + _ONE) << _LONG))) - first
+    first = np.uint64(load(np.int64, wanted.splits + (i << SHIFT_64)))
+    return first, np.uint64(load(np.int64, wanted.splits + ((i + ONE_U64) << SHIFT_64))) - first
 
 
 @kernel
@@ -65,8 +60,8 @@ def _begin(i, source, frame, rows, capacity, ray, wanted, found, state, world, w
     given = load_ray(source, row, frame)
     if given.status != _VALID:
         store(status + row, given.status)
-    word = capacity << _WORD
-    at = ray + (row << _WORD)
+    word = capacity << SHIFT_32
+    at = ray + (row << SHIFT_32)
     store(at, given.ox)
     store(at + word, given.oy)
     store(at + word * np.uint64(2), given.oz)
@@ -76,34 +71,34 @@ def _begin(i, source, frame, rows, capacity, ray, wanted, found, state, world, w
     store(at + word * np.uint64(6), given.t_min)
     store(at + word * np.uint64(7), given.t_max)
     first, count = _rows_of(wish, row)
-    at = wanted + (row << _LONG)
+    at = wanted + (row << SHIFT_64)
     store(at, first)
-    store(at + (capacity << _LONG), count)
-    store(wanted + (capacity << np.uint64(4)) + (row << _WORD), np.uint32(row))
-    store(found + (row << _WORD), np.uint32(0))
-    store(found + word + (row << _WORD), _NOUGHT)
+    store(at + (capacity << SHIFT_64), count)
+    store(wanted + (capacity << np.uint64(4)) + (row << SHIFT_32), np.uint32(row))
+    store(found + (row << SHIFT_32), np.uint32(0))
+    store(found + word + (row << SHIFT_32), ZERO_F32)
     store(state + row, _STARTING)
     # A hit's t is the local ray's: these turn it into the caller's.
-    store(world + (row << _LONG), given.t_scale)
-    store(world + (capacity << _LONG) + (row << _LONG), given.t_offset)
+    store(world + (row << SHIFT_64), given.t_scale)
+    store(world + (capacity << SHIFT_64) + (row << SHIFT_64), given.t_offset)
 
 
 @device
 def _to_world(at, world, capacity, row):
     """Turn the t at an address into one of the caller's ray."""
-    factor = load(np.float64, world + (row << _LONG))
-    offset = load(np.float64, world + (capacity << _LONG) + (row << _LONG))
+    factor = load(np.float64, world + (row << SHIFT_64))
+    offset = load(np.float64, world + (capacity << SHIFT_64) + (row << SHIFT_64))
     store(at, world_t(load(np.float32, at), factor, offset))
 
 
 @kernel
 def _finish(i, capacity, found, world, hits):
     """Write a miss, or turn the hit's t into the caller's."""
-    at = i << _WORD
+    at = i << SHIFT_32
     if load(np.uint32, found + at) == np.uint32(0):
-        store(hits.t + at, _INF)
-        store(hits.u + at, _NOUGHT)
-        store(hits.v + at, _NOUGHT)
+        store(hits.t + at, INF_F32)
+        store(hits.u + at, ZERO_F32)
+        store(hits.v + at, ZERO_F32)
         store(hits.prim_id + at, _MISS)
     else:
         _to_world(hits.t + at, world, capacity, i)
@@ -116,9 +111,9 @@ def _finish_many(i, rows, capacity, found, state, world, wish, hits):
     if load(np.uint8, state + row) == _OVERFLOWED:
         return  # it is traced again
     first, most = _rows_of(wish, row)
-    count = min(np.uint64(load(np.uint32, found + (row << _WORD))), most)
+    count = min(np.uint64(load(np.uint32, found + (row << SHIFT_32))), most)
     for k in range(first, first + count):
-        _to_world(hits.t + (k << _WORD), world, capacity, row)
+        _to_world(hits.t + (k << SHIFT_32), world, capacity, row)
 
 
 @device
@@ -130,20 +125,20 @@ def _is_kept(rows, state, k):
 def _count_kept(i, rows, length, state, sums):
     """Count the rays that have not ended, of a chunk of them."""
     count = np.uint32(0)
-    for k in range(i * CHUNK, min((i + _ONE) * CHUNK, length)):
+    for k in range(i * CHUNK, min((i + ONE_U64) * CHUNK, length)):
         if _is_kept(rows, state, k):
             count = np.uint32(count + np.uint32(1))
-    store(sums + (i << _WORD), count)
+    store(sums + (i << SHIFT_32), count)
 
 
 @kernel
 def _keep(i, rows, length, state, sums, kept):
     """List the rays that have not ended, in their order."""
-    to = np.uint64(load(np.uint32, sums + (i << _WORD)))
-    for k in range(i * CHUNK, min((i + _ONE) * CHUNK, length)):
+    to = np.uint64(load(np.uint32, sums + (i << SHIFT_32)))
+    for k in range(i * CHUNK, min((i + ONE_U64) * CHUNK, length)):
         if _is_kept(rows, state, k):
-            store(kept + (to << _WORD), np.uint32(row_of(rows, k)))
-            to += _ONE
+            store(kept + (to << SHIFT_32), np.uint32(row_of(rows, k)))
+            to += ONE_U64
 
 
 #: Over rays: records, and what becomes of hits.
