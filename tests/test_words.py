@@ -23,7 +23,6 @@ NOT_YET = (
     "src/raystream/machines",
     "src/raystream/programs",
     "src/raystream/rendering",
-    "src/raystream/scene",
     "src/raystream/streams",
     "src/raystream/structures",
     "docs/api.rst",
