@@ -280,9 +280,9 @@ def test_names_are_those_of_the_library():
     [("structure", STRUCTURES), ("device", options.DEVICES), ("scheduler", SCHEDULERS)],
 )
 def test_first_name_is_the_librarys_default(name, known):
-    from raystream.machines import Multipass
+    from raystream.machines import MultipassBackend
 
-    taker = Multipass if name == "scheduler" else raystream.Tracer
+    taker = MultipassBackend if name == "scheduler" else raystream.Tracer
     assert inspect.signature(taker).parameters[name].default == next(iter(known))
 
 
