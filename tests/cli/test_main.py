@@ -15,7 +15,9 @@ import typer
 
 import raystream
 from raystream.cli import app, options
+from raystream.core.choices import MACHINES, SCHEDULERS
 from raystream.core.errors import FileFormatError, RaystreamWarning
+from raystream.structures import STRUCTURES
 
 HEAVY = ("numba", "llvmlite", "trimesh", "PIL", "pooch", "OpenEXR")
 
@@ -268,20 +270,20 @@ def test_names_are_those_of_the_library():
     assert tuple(TONES) == options.TONES
     assert tuple(BUILTIN) == options.SCENES
     machines = {name: device_of(name).machines.names for name in options.DEVICES}
-    assert set(options.MACHINES) == {"multipass"}.union(*machines.values())
+    assert set(MACHINES) == {"multipass"}.union(*machines.values())
     assert {name: known[0] for name, known in machines.items()} == options.DEFAULT_MACHINES
     assert set(options.DEVICES) <= set(DEVICES)
 
 
 @pytest.mark.parametrize(
     ("name", "known"),
-    [("structure", "STRUCTURES"), ("device", "DEVICES"), ("scheduler", "SCHEDULERS")],
+    [("structure", STRUCTURES), ("device", options.DEVICES), ("scheduler", SCHEDULERS)],
 )
 def test_first_name_is_the_librarys_default(name, known):
-    from raystream.machines import Multipass
+    from raystream.machines import MultipassBackend
 
-    taker = Multipass if name == "scheduler" else raystream.Tracer
-    assert inspect.signature(taker).parameters[name].default == next(iter(getattr(options, known)))
+    taker = MultipassBackend if name == "scheduler" else raystream.Tracer
+    assert inspect.signature(taker).parameters[name].default == next(iter(known))
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,11 @@ import pytest
 
 from raystream.cli import compiling
 from raystream.cli.load import Stopwatch
+from raystream.cli.tracer_options import TracerArguments
 from raystream.jit import warm
 from raystream.jit.compile_events import LISTENERS
+
+DEFAULT = TracerArguments(None, "cpu", {})
 
 
 def test_tasks_are_those_of_the_list():
@@ -51,7 +54,7 @@ def started(monkeypatch):
 
 def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     first = warm.entries_of("render-ao")[0].kernel
-    with compiling.compiling("render-ao", None, "cpu", Stopwatch()):
+    with compiling.compiling("render-ao", DEFAULT, Stopwatch()):
         (listener,) = LISTENERS
         listener.begin(first)
         listener.begin("another")
@@ -64,9 +67,11 @@ def test_the_first_kernel_that_is_missing_starts_the_rest(started, capsys):
     assert LISTENERS == []
 
 
-@pytest.mark.parametrize(("structure", "device"), [("grid", "cpu"), (None, "cuda")])
-def test_other_structures_say_it_when_a_second_has_passed(structure, device, started, capsys):
-    with compiling.compiling("query-first", structure, device, Stopwatch()):
+@pytest.mark.parametrize(
+    "chosen", [TracerArguments("grid", "cpu", {}), TracerArguments(None, "cuda", {})]
+)
+def test_other_structures_say_it_when_a_second_has_passed(chosen, started, capsys):
+    with compiling.compiling("query-first", chosen, Stopwatch()):
         (listener,) = LISTENERS
         listener.begin("one")
         listener.end("one", 0.9)
@@ -78,7 +83,7 @@ def test_other_structures_say_it_when_a_second_has_passed(structure, device, sta
 
 
 def test_nothing_is_said_where_nothing_is_compiled(started, capsys):
-    with compiling.compiling("query-first", "bvh", "cpu", Stopwatch()):
+    with compiling.compiling("query-first", TracerArguments("bvh", "cpu", {}), Stopwatch()):
         pass
     assert capsys.readouterr().err == ""
     assert started == []
@@ -87,7 +92,7 @@ def test_nothing_is_said_where_nothing_is_compiled(started, capsys):
 def test_seconds_of_compiling_are_a_step_of_their_own(started, monkeypatch):
     monkeypatch.setattr(warm, "compile_kernels", lambda entries: time.sleep(0.2))
     stopwatch = Stopwatch()
-    with compiling.compiling("render-ao", None, "cpu", stopwatch), stopwatch.measure("build"):
+    with compiling.compiling("render-ao", DEFAULT, stopwatch), stopwatch.measure("build"):
         LISTENERS[0].begin("one")
     assert list(stopwatch.seconds) == ["compile", "build"]
     assert stopwatch.seconds["compile"] >= 0.2 > stopwatch.seconds["build"] > 0.0

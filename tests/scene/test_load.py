@@ -77,7 +77,7 @@ def test_samples_come_with_a_view(bunny: Path) -> None:
         ("forest:many", "expected a number of triangles"),
         ("forest:-5", "expected a number of triangles"),
         ("forest:0", "expected a number of triangles"),
-        ("bunny.ply", "no such file; there is 'bunny' without a suffix"),
+        ("bunny.ply", "no such file; did you mean 'bunny'"),
         ("none.obj", "no such file"),
         ("no/such/folder", "no such file"),
         ("a\0b.obj", "no such file"),
@@ -102,7 +102,7 @@ def test_folders_and_unknown_suffixes(tmp_path: Path, monkeypatch: pytest.Monkey
             with pytest.raises(FileFormatError, match="is a folder"):
                 load(source)
     (tmp_path / "a.fbx").touch()
-    with pytest.raises(FileFormatError, match=r"known are \.obj"):
+    with pytest.raises(FileFormatError, match=r"supported: \.obj"):
         load(tmp_path / "a.fbx")
 
 
@@ -138,7 +138,7 @@ def test_triangles_that_cannot_be_hit_warn_once(tmp_path: Path) -> None:
     path.write_text(
         "OFF 5 4 0\n0 0 0\n1 0 0\n0 1 0\nnan 0 0\ninf 0 0\n3 0 1 2\n3 0 1 3\n3 0 1 4\n3 1 1 2\n"
     )
-    with pytest.warns(RaystreamWarning, match="1 without area, 2 with a vertex") as caught:
+    with pytest.warns(RaystreamWarning, match="without area, 2 with a non-finite") as caught:
         scene = load(path)
     assert len(caught) == 1
     assert str(path) in str(caught[0].message)

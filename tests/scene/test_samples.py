@@ -122,7 +122,7 @@ def test_folder_of_scenes_may_hold_packed_or_plain_files(places, monkeypatch, su
 
 def test_missing_folder_of_scenes_is_an_error(places, monkeypatch):
     monkeypatch.setenv("RAYSTREAM_SCENES", str(places / "nowhere"))
-    with pytest.raises(RaystreamError, match=r"RAYSTREAM_SCENES: there is no folder .*nowhere"):
+    with pytest.raises(RaystreamError, match=r"RAYSTREAM_SCENES: folder .*nowhere does not exist"):
         fetch("bunny")
 
 

@@ -167,7 +167,7 @@ def test_a_scene_does_not_change():
     for name in ("meshes", "lights", "camera", "animation", "background"):
         with pytest.raises(AttributeError, match=rf"scene\.replace\({name}=\.\.\.\)"):
             setattr(scene, name, None)
-    with pytest.raises(AttributeError, match=r"does not change$"):
+    with pytest.raises(AttributeError, match=r"scenes are immutable$"):
         scene.bounds = np.zeros((2, 3))
     with pytest.raises(ValueError, match="read-only"):
         scene.up[0] = 1.0

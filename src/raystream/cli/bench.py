@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,7 @@ from raystream.cli.console import (
     write_line,
 )
 from raystream.cli.load import choose_threads
+from raystream.cli.option_groups import expand_groups
 from raystream.cli.tables import format_table
 from raystream.cli.tracer_options import parse_keywords
 
@@ -38,6 +40,64 @@ DEFAULT_SCENES = (
 INTERRUPTED = 130
 
 
+@dataclass(frozen=True)
+class ContenderOptions:
+    """Options of what is compared."""
+
+    peers: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Comma-separated peers to compare against, or 'none'. Peers that are not "
+            "installed are listed as absent.",
+        ),
+    ] = ",".join(options.PEERS)
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="A Tracer option, such as max_leaf_size=8. Repeatable.",
+        ),
+    ] = None
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME:KEY=VALUE,...",
+            help="An additional raystream contender with these Tracer options. Repeatable.",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class MeasureOptions:
+    """Options of how speed and memory are measured."""
+
+    width: Annotated[
+        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image width in pixels.")
+    ] = 1024
+    height: Annotated[
+        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image height in pixels.")
+    ] = 768
+    repeats: Annotated[
+        int,
+        typer.Option(min=1, metavar="N", help="Rounds after the warm-up; medians are reported."),
+    ] = 5
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Threads of every contender, on as many cores [default: RAYSTREAM_THREADS, else "
+            "one per core]",
+        ),
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the random rays.")] = 0
+    memory: Annotated[
+        bool, typer.Option(help="Also measure memory: builds again, in separate processes.")
+    ] = True
+
+
+@expand_groups
 def bench(
     scenes: Annotated[
         list[str] | None,
@@ -46,7 +106,6 @@ def bench(
             help="Scenes, as for render, but not saved structures. Default: "
             + ", ".join(DEFAULT_SCENES),
             autocompletion=options.complete_scenes,
-            show_default=False,
         ),
     ] = None,
     sets: Annotated[
@@ -55,54 +114,9 @@ def bench(
             metavar="NAMES", help=f"Comma-separated ray sets, from {', '.join(options.RAY_SETS)}."
         ),
     ] = ",".join(options.RAY_SETS[:-1]),
-    peers: Annotated[
-        str,
-        typer.Option(
-            metavar="NAMES",
-            help="Comma-separated peers to compare against, or 'none'. Peers that are not "
-            "installed are listed as absent.",
-        ),
-    ] = ",".join(options.PEERS),
-    option: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="A Tracer option, such as max_leaf_size=8. Repeatable.",
-            show_default=False,
-        ),
-    ] = None,
-    variant: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME:KEY=VALUE,...",
-            help="An additional raystream contender with these Tracer options. Repeatable.",
-            show_default=False,
-        ),
-    ] = None,
-    width: Annotated[
-        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image width in pixels.")
-    ] = 1024,
-    height: Annotated[
-        int, typer.Option(min=1, max=1 << 14, metavar="N", help="Image height in pixels.")
-    ] = 768,
-    repeats: Annotated[
-        int,
-        typer.Option(min=1, metavar="N", help="Rounds after the warm-up; medians are reported."),
-    ] = 5,
-    threads: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            show_default=False,
-            help="Threads of every contender, on as many cores [default: RAYSTREAM_THREADS, else "
-            "one per core]",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the random rays.")] = 0,
-    memory: Annotated[
-        bool, typer.Option(help="Also measure memory: builds again, in separate processes.")
-    ] = True,
+    *,
+    contenders: ContenderOptions,
+    measuring: MeasureOptions,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -116,17 +130,22 @@ def bench(
 ) -> None:
     """Compare speed with other ray tracers. All trace the same rays, taking turns."""
     chosen_sets = _names("--sets", sets, options.RAY_SETS)
-    chosen_peers = [] if peers == "none" else _names("--peers", peers, options.PEERS)
     if output is not None:
         options.check_output(output, (".md", ".rst", ".json"), inputs=scenes or ())
-    entries = _entries(chosen_peers, option or [], variant or [])
-    choose_threads(threads)
+    entries = _entries(contenders)
+    choose_threads(measuring.threads)
     from raystream.bench.cores import limit_cores
     from raystream.bench.runner import Bench, Plan
     from raystream.jit.threads import thread_count
 
     plan = Plan(
-        entries, chosen_sets, (width, height), repeats, thread_count(), seed, with_memory=memory
+        entries,
+        chosen_sets,
+        (measuring.width, measuring.height),
+        measuring.repeats,
+        thread_count(),
+        measuring.seed,
+        with_memory=measuring.memory,
     )
     # Output printed by packages is not part of the figures.
     with limit_cores(plan.threads), contextlib.redirect_stdout(sys.stderr):
@@ -179,18 +198,20 @@ def _names(option: str, text: str, known: tuple[str, ...]) -> list[str]:
     return names
 
 
-def _entries(peers: list[str], option: list[str], variants: list[str]) -> list[Entry]:
+def _entries(contenders: ContenderOptions) -> list[Entry]:
     from raystream.bench.contenders import Entry
 
-    shared = parse_keywords("--option", option)
+    peers = contenders.peers
+    names = [] if peers == "none" else _names("--peers", peers, options.PEERS)
+    shared = parse_keywords("--option", contenders.option or [])
     entries = [Entry("raystream", "raystream", shared)]
-    for text in variants:
+    for text in contenders.variant or []:
         name, colon, rest = text.partition(":")
         if not colon or not name.strip() or "=" in name:
             raise BadInputError(f"--variant: expected NAME:KEY=VALUE,..., got {text!r}")
         own = parse_keywords("--variant", rest.split(","))
         entries.append(Entry(name.strip(), "raystream", {**shared, **own}))
-    entries += [Entry(name, name, {}) for name in peers]
+    entries += [Entry(name, name, {}) for name in names]
     labels = [entry.label for entry in entries]
     for label in labels:
         if labels.count(label) > 1:

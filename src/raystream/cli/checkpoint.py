@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from os import fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from raystream.cli.console import BadInputError, InterruptedRunError, refuse, write_note
 from raystream.core.errors import FileFormatError
@@ -18,15 +16,7 @@ if TYPE_CHECKING:
     from raystream.rendering.image import Image
     from raystream.rendering.sample_file import SampleFile
 
-__all__ = ["PathProgress", "Resume", "checkpoint_path", "sample_checkpoint"]
-
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Resume from the checkpoint beside the image, if there is one.",
-    ),
-]
+__all__ = ["PathProgress", "checkpoint_path", "sample_checkpoint"]
 
 
 def checkpoint_path(output: Path, resume: bool) -> Path:

@@ -25,13 +25,11 @@ SUFFIXES = (".png", ".exr")
 def compare(
     image: Annotated[
         Path,
-        typer.Argument(metavar="IMAGE", help="An image: .png or .exr.", show_default=False),
+        typer.Argument(metavar="IMAGE", help="An image: .png or .exr."),
     ],
     reference: Annotated[
         Path,
-        typer.Argument(
-            metavar="REFERENCE", help="The reference image, of the same size.", show_default=False
-        ),
+        typer.Argument(metavar="REFERENCE", help="The reference image, of the same size."),
     ],
     output: Annotated[
         Path | None,
@@ -47,8 +45,7 @@ def compare(
         typer.Option(
             metavar="DIFFERENCE",
             help="With --output: the top of the scale [default: the largest difference]",
-            show_default=False,
-            callback=options.positive_if_given,
+            callback=options.positive,
         ),
     ] = None,
     json: options.Json = False,

@@ -9,6 +9,7 @@ from typing import Any
 
 from raystream.cli.console import write_note
 from raystream.cli.load import Stopwatch
+from raystream.cli.tracer_options import TracerArguments
 from raystream.core.cache_folder import cache_folder
 from raystream.jit.compile_events import listening
 from raystream.jit.threads import thread_count
@@ -23,9 +24,7 @@ MAX_HELPERS = 3
 
 
 @contextlib.contextmanager
-def compiling(
-    task: str, structure: str | None, device: str, stopwatch: Stopwatch
-) -> Iterator[None]:
+def compiling(task: str, chosen: TracerArguments, stopwatch: Stopwatch) -> Iterator[None]:
     """During the block, report compilation that takes more than a second.
 
     When the first kernel is missing, all kernels of the task are compiled, on as many cores as
@@ -35,12 +34,12 @@ def compiling(
     ----------
     task : str
         One of `jit.warm.TASKS`, or a part of one.
-    structure, device : str or None
+    chosen : TracerArguments
         Kernels of other structures and devices than the default are compiled when first needed.
     stopwatch : Stopwatch
         Records a step "compile", if anything is compiled.
     """
-    is_listed = structure in (None, "bvh") and device == "cpu"
+    is_listed = chosen.structure in (None, "bvh") and chosen.device == "cpu"
     listener = _CompileListener(task if is_listed else None, stopwatch)
     try:
         with listening(listener):

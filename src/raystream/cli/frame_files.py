@@ -6,11 +6,14 @@ import contextlib
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from raystream.cli import options
 from raystream.cli.console import BadInputError, refuse
 
-__all__ = ["FRAME_NUMBER", "VIDEOS", "FrameFiles"]
+__all__ = ["VIDEOS", "AnimationOptions", "FrameFiles"]
 
 #: Video extensions; a test compares them with the library's.
 VIDEOS = (".mp4", ".webm", ".mkv", ".mov", ".gif", ".webp", ".apng")
@@ -18,6 +21,52 @@ IMAGES = (".png", ".exr")
 
 #: The placeholder of the frame number in a file name.
 FRAME_NUMBER = re.compile(r"%0?(\d{0,2})d")
+
+
+@dataclass(frozen=True)
+class AnimationOptions:
+    """Options of an animation's frames."""
+
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RANGE",
+            help="Frames of an animated scene, as a Python index or slice: 0:100, 0:100:5, 7, -1, "
+            "or : for all. --output is then a pattern such as name%04d.png, a folder, or a video: "
+            f"{' '.join(VIDEOS)}; the first four need ffmpeg.",
+        ),
+    ] = None
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            metavar="RATE",
+            callback=options.positive,
+            help="Frame rate [default: from the scene file, else 24]",
+        ),
+    ] = None
+
+    def is_animation(self, output: Path) -> bool:
+        """Whether an animation is requested: by ``--frames``, a pattern or a video."""
+        return (
+            self.frames is not None
+            or output.suffix.lower() in VIDEOS
+            or FRAME_NUMBER.search(output.name) is not None
+        )
+
+    def parse_frames(self) -> slice | int | None:
+        """Parse ``0:100``, ``0:100:5`` or ``7``; `BadInputError` otherwise."""
+        if self.frames is None:
+            return None
+        parts = self.frames.strip().split(":")
+        try:
+            numbers = [int(part) if part.strip() else None for part in parts]
+        except ValueError:
+            numbers = []
+        if len(numbers) == 1 and numbers[0] is not None:
+            return numbers[0]
+        if len(numbers) not in (2, 3):
+            raise BadInputError(f"--frames: expected 0:100, 0:100:5 or 7, got {self.frames!r}")
+        return slice(*numbers)
 
 
 @dataclass

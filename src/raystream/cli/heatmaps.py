@@ -10,66 +10,67 @@ import typer
 
 from raystream.cli import options
 from raystream.cli.console import BadInputError
+from raystream.cli.tracer_options import TracerArguments
 
 if TYPE_CHECKING:
     from raystream.rendering.heatmap import Heatmap
 
-__all__ = ["HeatmapKind", "Maximum", "check_heatmap", "heatmap_figures"]
+__all__ = ["HeatmapOptions", "heatmap_figures"]
 
-HeatmapKind = Annotated[
-    str | None,
-    typer.Option(
-        "--heatmap",
-        help="Instead of an image of the scene, draw the cost of each pixel's first hit: "
-        f"{' or '.join(options.HEATMAPS)}, in false colours, with a scale below.",
-        metavar="NAME",
-        show_default=False,
-        callback=options.one_of(options.HEATMAPS),
-        autocompletion=options.complete(options.HEATMAPS),
-    ),
-]
-Maximum = Annotated[
-    float | None,
-    typer.Option(
-        help="With --heatmap: the top of the scale [default: the largest count]",
-        metavar="COUNT",
-        show_default=False,
-        callback=options.positive_if_given,
-    ),
-]
+#: Other options of ``raystream render`` that do not apply to heat maps.
+IMAGE_ONLY = (
+    *("mode", "exposure", "tone", "environment", "lights", "layers", "denoise", "cluster"),
+    *("max_bounces", "noise", "time_limit", "sampler", "resume"),
+)
 
 
-def check_heatmap(
-    what: str | None,
-    maximum: float | None,
-    others: Mapping[str, Any],
-    chosen: dict[str, Any],
-) -> None:
-    """Reject options that contradict a heat map, and enable the tracer's counters for one.
+@dataclasses.dataclass(frozen=True)
+class HeatmapOptions:
+    """Options of a heat map."""
 
-    Parameters
-    ----------
-    what, maximum
-        Options as given; None if omitted.
-    others : mapping
-        Options that apply only to images, by name, as given.
-    chosen : dict
-        `Tracer` options; gets ``counters``.
+    heatmap: Annotated[
+        str | None,
+        options.choice(
+            options.HEATMAPS,
+            "Instead of an image of the scene, draw the cost of each pixel's first hit: "
+            f"{' or '.join(options.HEATMAPS)}, in false colours, with a scale below.",
+        ),
+    ] = None
+    maximum: Annotated[
+        float | None,
+        typer.Option(
+            help="With --heatmap: the top of the scale [default: the largest count]",
+            metavar="COUNT",
+            callback=options.positive,
+        ),
+    ] = None
 
-    Raises
-    ------
-    BadInputError
-        If options contradict each other.
-    """
-    if what is None:
-        if maximum is not None:
-            raise BadInputError("--maximum: only with --heatmap")
-        return
-    for name, value in others.items():
-        if value is not None:
-            raise BadInputError(f"--{name.replace('_', '-')}: cannot be combined with --heatmap")
-    if chosen.setdefault("counters", True) is not True:
-        raise BadInputError("--option: --heatmap needs counters=true")
+    def check(self, given: Mapping[str, Any], chosen: TracerArguments) -> None:
+        """Reject options that contradict a heat map, and enable the tracer's counters for one.
+
+        Parameters
+        ----------
+        given : mapping
+            Options given on the command line, by name.
+        chosen : TracerArguments
+            Its options get ``counters``.
+
+        Raises
+        ------
+        BadInputError
+            If options contradict each other.
+        """
+        if self.heatmap is None:
+            if self.maximum is not None:
+                raise BadInputError("--maximum: only with --heatmap")
+            return
+        for name in IMAGE_ONLY:
+            if name in given:
+                raise BadInputError(
+                    f"--{name.replace('_', '-')}: cannot be combined with --heatmap"
+                )
+        if chosen.options.setdefault("counters", True) is not True:
+            raise BadInputError("--option: --heatmap needs counters=true")
 
 
 def heatmap_figures(heat: Heatmap) -> dict[str, Any]:

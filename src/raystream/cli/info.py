@@ -12,9 +12,10 @@ from raystream.cli.bars import Bars
 from raystream.cli.compiling import compiling
 from raystream.cli.console import BadInputError, write_json, write_line
 from raystream.cli.devices import show_devices
-from raystream.cli.load import Source, Stopwatch, choose_threads, open_tracer
+from raystream.cli.load import Stopwatch, choose_threads, open_tracer
+from raystream.cli.option_groups import expand_groups
 from raystream.cli.tables import format_table
-from raystream.cli.tracer_options import machine_figures, tracer_options
+from raystream.cli.tracer_options import TracerOptions
 
 __all__ = ["info"]
 
@@ -22,27 +23,13 @@ __all__ = ["info"]
 MAX_ROWS = 12
 
 
+@expand_groups
 def info(
-    scene: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENE",
-            help=options.SCENE_HELP,
-            autocompletion=options.complete_scenes,
-            show_default=False,
-        ),
-    ] = None,
-    structure: options.Structure = None,
-    traversal: options.Traversal = None,
-    machine: options.Machine = None,
-    scheduler: options.Scheduler = None,
-    option: options.TracerOption = None,
-    device: options.Device = "cpu",
-    adapter: options.Adapter = None,
-    gpu: options.Gpu = None,
+    scene: Annotated[str | None, options.SCENE] = None,
+    *,
+    tracing: TracerOptions,
     threads: options.Threads = None,
-    time: options.Time = 0.0,
-    triangles: options.Triangles = None,
+    loading: options.SceneOptions,
     devices: Annotated[
         bool,
         typer.Option("--devices", help="List the available devices; without SCENE."),
@@ -52,15 +39,7 @@ def info(
     """Show the contents of a scene. Also the time, memory and quality of its structure."""
     if devices == (scene is not None):
         raise BadInputError("info: expected either SCENE or --devices")
-    chosen = tracer_options(
-        option or [],
-        device,
-        adapter=adapter,
-        gpu=gpu,
-        traversal=traversal,
-        machine=machine,
-        scheduler=scheduler,
-    )
+    chosen = tracing.arguments()
     choose_threads(threads)
     if scene is None:
         show_devices(json)
@@ -68,11 +47,11 @@ def info(
     from raystream.cli.describe import describe
 
     watch = Stopwatch()
-    with Bars() as bars, compiling("build-balanced", structure, device, watch):
-        tracer = open_tracer(Source(scene, structure, device, time, triangles, chosen), bars, watch)
+    with Bars() as bars, compiling("build-balanced", chosen, watch):
+        tracer = open_tracer(scene, loading, chosen, bars, watch)
         figures = describe(scene, tracer, watch)
     if json:
-        write_json({**figures, **machine_figures(chosen, device)})
+        write_json({**figures, **chosen.figures()})
     else:
         _show(figures)
 

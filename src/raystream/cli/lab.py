@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +24,7 @@ from raystream.cli.console import (
     write_note,
 )
 from raystream.cli.load import choose_threads
+from raystream.cli.option_groups import expand_groups
 from raystream.cli.tables import format_table
 
 if TYPE_CHECKING:
@@ -35,6 +37,38 @@ __all__ = ["lab"]
 _FOLDER = Path("raystream-lab")
 
 
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of how experiments run."""
+
+    size: Annotated[
+        int | None,
+        typer.Option(
+            min=16,
+            max=4096,
+            metavar="N",
+            help="Width and height of images [default: those of each paper]",
+        ),
+    ] = None
+    quick: Annotated[
+        bool,
+        typer.Option(help="Small images, scenes and sweeps, as a smoke test."),
+    ] = False
+    resume: Annotated[
+        bool,
+        typer.Option(help="Reuse the measurements of an earlier run in the folder."),
+    ] = False
+    device: Annotated[
+        str,
+        typer.Option(
+            metavar="DEVICE",
+            help="cpu, or graphics for the experiments that run on a GPU's graphics pipeline.",
+            autocompletion=options.complete(("cpu", "graphics")),
+        ),
+    ] = "cpu"
+
+
+@expand_groups
 def lab(
     papers: Annotated[
         list[str] | None,
@@ -42,7 +76,6 @@ def lab(
             metavar="[PAPER]...",
             help=f"{', '.join(options.PAPERS)} or all.",
             autocompletion=options.complete((*options.PAPERS, "all")),
-            show_default=False,
         ),
     ] = None,
     only: Annotated[
@@ -50,7 +83,6 @@ def lab(
         typer.Option(
             metavar="NAME",
             help="Run only this experiment. Repeatable; see --list.",
-            show_default=False,
         ),
     ] = None,
     show_list: Annotated[
@@ -60,32 +92,8 @@ def lab(
         Path,
         typer.Option("--output", "-o", metavar="FOLDER", help="Folder of the report."),
     ] = _FOLDER,
-    size: Annotated[
-        int | None,
-        typer.Option(
-            min=16,
-            max=4096,
-            metavar="N",
-            show_default=False,
-            help="Width and height of images [default: those of each paper]",
-        ),
-    ] = None,
-    quick: Annotated[
-        bool,
-        typer.Option(help="Small images, scenes and sweeps, as a smoke test."),
-    ] = False,
-    resume: Annotated[
-        bool,
-        typer.Option(help="Reuse the measurements of an earlier run in the folder."),
-    ] = False,
-    device: Annotated[
-        str,
-        typer.Option(
-            metavar="DEVICE",
-            help="cpu, or graphics for the experiments that run on a GPU's graphics pipeline.",
-            autocompletion=options.complete(("cpu", "graphics")),
-        ),
-    ] = "cpu",
+    *,
+    run: RunOptions,
     threads: options.Threads = None,
     json: options.Json = False,
 ) -> None:
@@ -93,7 +101,7 @@ def lab(
     from raystream.lab.experiments import choose
 
     with refuse(ValueError):
-        experiments = choose(papers or ["all"], only or [], device)
+        experiments = choose(papers or ["all"], only or [], run.device)
     if show_list:
         rows = [[one.name, one.title] for one in experiments]
         write_json(dict(rows)) if json else write_line(format_table(["", ""], rows))
@@ -105,14 +113,16 @@ def lab(
     from raystream.lab.stepper import write_page
     from raystream.lab.store import FILE_NAME
 
-    settings: dict[str, Any] = {"quick": quick, "size": size}
-    if device != "cpu":
-        settings["device"] = device
+    settings: dict[str, Any] = {"quick": run.quick, "size": run.size}
+    if run.device != "cpu":
+        settings["device"] = run.device
     store = Store(output / FILE_NAME, settings, _source())
-    if resume:
+    if run.resume:
         store.read()
     with Bars() as bars:
-        runner = Runner(output / "pictures", store, size=size, quick=quick, watch=_watch(bars))
+        runner = Runner(
+            output / "pictures", store, size=run.size, quick=run.quick, watch=_watch(bars)
+        )
         try:
             outcomes = run_all(runner, experiments, _progress(experiments))
         except KeyboardInterrupt:
@@ -120,7 +130,7 @@ def lab(
                 f"{len(store.values)} measurements are saved in {output}; rerun with --resume to "
                 "continue"
             ) from None
-    about = _about(papers or ["all"], only or [], output, device, settings, store.foreign_count)
+    about = _about(papers or ["all"], only or [], output, settings, store.foreign_count)
     with refuse(OSError, where=str(output)):
         walk = None
         if len(experiments) == len(choose(["all"])):
@@ -157,7 +167,6 @@ def _about(
     papers: list[str],
     only: list[str],
     output: Path,
-    device: str,
     settings: dict[str, Any],
     foreign_count: int,
 ) -> About:
@@ -167,7 +176,7 @@ def _about(
 
     words = ["raystream", "lab", *papers]
     words += [word for name in only for word in ("--only", name)]
-    words += ["--device", device] if device != "cpu" else []
+    words += ["--device", settings["device"]] if "device" in settings else []
     words += ["--size", str(settings["size"])] if settings["size"] is not None else []
     words += ["--quick"] if settings["quick"] else []
     words += ["-o", str(output)] if output != _FOLDER else []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -13,69 +13,22 @@ from raystream.cli.console import BadInputError
 if TYPE_CHECKING:
     from raystream.rendering.image import Image
 
-__all__ = ["Denoise", "LayerSelection", "Layers"]
+__all__ = ["LayerOptions", "LayerSelection"]
 
 NAMES = ("depth", "normal", "albedo", "prim_id", "emission")
 
 #: Layers that `Image.denoise` uses.
 GUIDES = ("depth", "normal", "albedo", "emission")
 
-Layers = Annotated[
-    str | None,
-    typer.Option(
-        "--layers",
-        metavar="NAMES",
-        show_default=False,
-        help="Extra layers (AOVs) of the first hit to write to an EXR: comma-separated from "
-        f"{','.join(NAMES)}, or none [default: all]",
-    ),
-]
-Denoise = Annotated[
-    bool,
-    typer.Option(
-        "--denoise",
-        help="Denoise the finished image, preserving edges of surfaces and textures.",
-    ),
-]
 
-
-@dataclass(frozen=True)
-class LayerSelection:
-    """The layers to render, and the layers to save.
-
-    Attributes
-    ----------
-    rendered, saved : tuple of str
-    """
+class LayerSelection(NamedTuple):
+    """The layers to render, and the layers to save; whether the image is denoised."""
 
     rendered: tuple[str, ...]
     saved: tuple[str, ...]
+    is_denoised: bool
 
-    @classmethod
-    def of(cls, output: Path, layers: str | None, is_denoised: bool) -> LayerSelection:
-        """Choose the layers for an output from ``--layers`` and ``--denoise``.
-
-        Raises
-        ------
-        BadInputError
-            If the output format does not support layers, or a name is unknown.
-        """
-        has_room = output.suffix.lower() == ".exr"
-        if layers is not None and not has_room:
-            raise BadInputError("--layers: only with an .exr --output")
-        saved: tuple[str, ...] = NAMES if has_room else ()
-        if layers is not None:
-            given = [] if layers.strip() == "none" else [n.strip() for n in layers.split(",")]
-            for name in given:
-                if name not in NAMES:
-                    known = " or ".join((*NAMES, "none"))
-                    raise BadInputError(f"--layers: expected {known}, got {name!r}")
-            saved = tuple(name for name in NAMES if name in given)
-        guides = GUIDES if is_denoised else ()
-        rendered = tuple(name for name in NAMES if name in saved or name in guides)
-        return cls(rendered, saved)
-
-    def denoised(self, image: Image) -> Image:
+    def denoise(self, image: Image) -> Image:
         """Denoise an image, and drop the layers that only guided the filter."""
         from raystream.rendering.image import Image
 
@@ -86,3 +39,48 @@ class LayerSelection:
             if name in self.saved or name not in NAMES
         }
         return Image(smooth.pixels, layers, smooth.figures)
+
+
+@dataclass(frozen=True)
+class LayerOptions:
+    """Options of the layers beside the image."""
+
+    layers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Extra layers (AOVs) of the first hit to write to an EXR: comma-separated from "
+            f"{','.join(NAMES)}, or none [default: all]",
+        ),
+    ] = None
+    denoise: Annotated[
+        bool,
+        typer.Option(
+            "--denoise",
+            help="Denoise the finished image, preserving edges of surfaces and textures.",
+        ),
+    ] = False
+
+    def select(self, output: Path) -> LayerSelection:
+        """Choose the layers for an output file.
+
+        Raises
+        ------
+        BadInputError
+            If the output format does not support layers, or a name is unknown.
+        """
+        has_room = output.suffix.lower() == ".exr"
+        if self.layers is not None and not has_room:
+            raise BadInputError("--layers: only with an .exr --output")
+        saved: tuple[str, ...] = NAMES if has_room else ()
+        if self.layers is not None:
+            text = self.layers
+            given = [] if text.strip() == "none" else [name.strip() for name in text.split(",")]
+            for name in given:
+                if name not in NAMES:
+                    known = " or ".join((*NAMES, "none"))
+                    raise BadInputError(f"--layers: expected {known}, got {name!r}")
+            saved = tuple(name for name in NAMES if name in given)
+        guides = GUIDES if self.denoise else ()
+        rendered = tuple(name for name in NAMES if name in saved or name in guides)
+        return LayerSelection(rendered, saved, self.denoise)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from raystream.cli.bars import Bars
 from raystream.cli.console import BadInputError, refuse
-from raystream.cli.tracer_options import blame_options
+from raystream.cli.option_groups import options_given
+from raystream.cli.options import SceneOptions
+from raystream.cli.tracer_options import TracerArguments
 
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
 
-__all__ = ["Source", "Stopwatch", "choose_threads", "open_tracer", "rays_per_second"]
+__all__ = ["Stopwatch", "choose_threads", "open_tracer", "rays_per_second"]
 
 
 @dataclass
@@ -42,31 +43,6 @@ class Stopwatch:
         return ", ".join(f"{step} {seconds:.2f} s" for step, seconds in self.seconds.items())
 
 
-@dataclass(frozen=True)
-class Source:
-    """The scene that a command works on.
-
-    Attributes
-    ----------
-    name : str
-        A file, a built-in scene, a sample, or a saved structure (``.npz``).
-    structure : str or None
-        None: that of a saved structure, else ``"bvh"``.
-    device : str
-    time : float
-    triangles : int or None
-    options : mapping
-        `Tracer` options.
-    """
-
-    name: str
-    structure: str | None = None
-    device: str = "cpu"
-    time: float = 0.0
-    triangles: int | None = None
-    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-
-
 def choose_threads(count: int | None) -> None:
     """Set the number of threads, or validate ``RAYSTREAM_THREADS``."""
     from raystream.jit.threads import set_thread_count, thread_count
@@ -77,12 +53,17 @@ def choose_threads(count: int | None) -> None:
         thread_count()
 
 
-def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
+def open_tracer(
+    name: str, loading: SceneOptions, chosen: TracerArguments, bars: Bars, watch: Stopwatch
+) -> Tracer:
     """Load a scene and build its structure, or load a saved structure.
 
     Parameters
     ----------
-    source : Source
+    name : str
+        A file, a built-in scene, a sample, or a saved structure (``.npz``).
+    loading : SceneOptions
+    chosen : TracerArguments
     bars : Bars
     watch : Stopwatch
         Records "load" and "build".
@@ -96,52 +77,45 @@ def open_tracer(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
     """
     from raystream.tracer import Tracer
 
-    if source.name.lower().endswith(".npz"):
-        return _open_structure(source, bars, watch)
+    if name.lower().endswith(".npz"):
+        if options_given(loading):
+            raise BadInputError(f"{name}: --time and --triangles do not apply to saved structures")
+        return _open_structure(name, chosen, bars, watch)
     from raystream.scene.load import load
 
     # Without these arguments, a ValueError would be a bug in a reader.
-    asks = source.time != 0.0 or source.triangles is not None or ":" in source.name
-    kinds = (ValueError,) if asks else ()
+    kinds = (ValueError,) if options_given(loading) or ":" in name else ()
     with watch.measure("load"), bars.step("loading"):
         with refuse(*kinds):
-            scene = load(source.name, time=source.time, triangles=source.triangles)
+            scene = load(name, time=loading.time, triangles=loading.triangles)
         _ = scene.triangles  # computed on first use; excluded from the build time
-    with (
-        watch.measure("build"),
-        bars.step("building") as progress,
-        blame_options(source.options),
-    ):
+    with watch.measure("build"), bars.step("building") as progress, chosen.blamed():
         return Tracer(
-            scene, source.structure or "bvh", source.device, progress=progress, **source.options
+            scene, chosen.structure or "bvh", chosen.device, progress=progress, **chosen.options
         )
 
 
-def _open_structure(source: Source, bars: Bars, watch: Stopwatch) -> Tracer:
+def _open_structure(name: str, chosen: TracerArguments, bars: Bars, watch: Stopwatch) -> Tracer:
     from raystream.machines.devices import device_of
     from raystream.tracer import Tracer
 
-    if source.time != 0.0 or source.triangles is not None:
-        raise BadInputError(
-            f"{source.name}: --time and --triangles do not apply to saved structures"
-        )
-    machines = device_of(source.device).machines
-    with blame_options(source.options):
-        machine = source.options.get("machine", machines.names[0])
-        own = machines.own_options(machine, source.options)
-    for name in source.options:
-        if name not in ("machine", "counters", *own):
+    machines = device_of(chosen.device).machines
+    with chosen.blamed():
+        machine = chosen.options.get("machine", machines.names[0])
+        own = machines.own_options(machine, chosen.options)
+    for option in chosen.options:
+        if option not in ("machine", "counters", *own):
             raise BadInputError(
-                f"{source.name}: the structure is already built, so option {name!r} does not "
+                f"{name}: the structure is already built, so option {option!r} does not "
                 "apply; only options of the machine do"
             )
-    with watch.measure("load"), bars.step("loading"), blame_options(source.options):
-        tracer = Tracer.load(source.name, device=source.device, **source.options)
+    with watch.measure("load"), bars.step("loading"), chosen.blamed():
+        tracer = Tracer.load(name, device=chosen.device, **chosen.options)
     watch.seconds["build"] = 0.0
-    if source.structure not in (None, tracer.structure.name):
+    if chosen.structure not in (None, tracer.structure.name):
         raise BadInputError(
-            f"{source.name}: holds a {tracer.structure.name!r} structure, "
-            f"not {source.structure!r}; omit --structure"
+            f"{name}: holds a {tracer.structure.name!r} structure, "
+            f"not {chosen.structure!r}; omit --structure"
         )
     return tracer
 

@@ -11,55 +11,38 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from raystream.cli.console import BadInputError
-from raystream.core.choices import MACHINES, SCHEDULERS
-from raystream.structures import STRUCTURES
-from raystream.structures.kdtree.options import TRAVERSALS
 
 __all__ = [
     "DEFAULT_MACHINES",
     "DEVICES",
     "HEATMAPS",
     "LIGHTS",
-    "MACHINES",
     "MODES",
     "PAPERS",
     "PEERS",
     "RAY_SETS",
     "SAMPLERS",
-    "SCENES",
-    "SCHEDULERS",
-    "STRUCTURES",
     "TONES",
-    "TRAVERSALS",
-    "Adapter",
-    "Device",
-    "Gpu",
     "Json",
-    "Machine",
     "SceneName",
-    "Scheduler",
-    "Structure",
+    "SceneOptions",
     "Threads",
-    "Time",
-    "TracerOption",
-    "Traversal",
-    "Triangles",
     "check_output",
     "check_suffix",
+    "choice",
     "complete",
     "complete_scenes",
-    "finite_if_given",
-    "one_of",
+    "finite",
     "parse_camera",
     "parse_size",
     "positive",
-    "positive_if_given",
 ]
 
 #: The library's names, for help and completion; a test compares them.
@@ -106,39 +89,29 @@ def complete_scenes(incomplete: str) -> Iterator[tuple[str, str]]:
             yield name, "sample"
 
 
-def one_of(names: Collection[str]) -> Callable[[str | None], str | None]:
-    """Make an option callback that accepts these names only."""
+def choice(names: Collection[str], text: str) -> Any:
+    """Make an option that accepts these names only, with a help text."""
 
     def check(value: str | None) -> str | None:
         if value is not None and value not in names:
             raise typer.BadParameter(f"expected {' or '.join(names)}, got {value!r}")
         return value
 
-    return check
+    return typer.Option(metavar="NAME", help=text, callback=check, autocompletion=complete(names))
 
 
-def finite(value: float) -> float:
-    """Accept a finite number."""
-    if not math.isfinite(value):
+def finite(value: float | None) -> float | None:
+    """Accept a finite number or an omitted option."""
+    if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"expected a finite number, got {value}")
     return value
 
 
-def finite_if_given(value: float | None) -> float | None:
-    """Accept a finite number or an omitted option."""
-    return None if value is None else finite(value)
-
-
-def positive(value: float) -> float:
-    """Accept a finite number above 0."""
-    if not (math.isfinite(value) and value > 0.0):
+def positive(value: float | None) -> float | None:
+    """Accept a finite number above 0 or an omitted option."""
+    if value is not None and not (math.isfinite(value) and value > 0.0):
         raise typer.BadParameter(f"expected a number above 0, got {value}")
     return value
-
-
-def positive_if_given(value: float | None) -> float | None:
-    """Accept a finite number above 0 or an omitted option."""
-    return None if value is None else positive(value)
 
 
 SCENE_HELP = (
@@ -146,118 +119,38 @@ SCENE_HELP = (
     f"structure saved by Tracer.save (.npz), a built-in scene ({', '.join(SCENES)}; "
     "'forest:1000000' has about a million triangles), or a sample, such as bunny."
 )
+SCENE = typer.Argument(
+    metavar="SCENE", help=SCENE_HELP, autocompletion=complete_scenes, show_default=False
+)
 
-SceneName = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE", help=SCENE_HELP, autocompletion=complete_scenes, show_default=False
-    ),
-]
-Structure = Annotated[
-    str | None,
-    typer.Option(
-        help=f"Acceleration structure: {' or '.join(STRUCTURES)} [default: bvh]",
-        metavar="NAME",
-        show_default=False,
-        callback=one_of(STRUCTURES),
-        autocompletion=complete(STRUCTURES),
-    ),
-]
-Traversal = Annotated[
-    str | None,
-    typer.Option(
-        help=f"kd-tree traversal: {' or '.join(TRAVERSALS)} [default: {TRAVERSALS[0]}]",
-        metavar="NAME",
-        show_default=False,
-        callback=one_of(TRAVERSALS),
-        autocompletion=complete(TRAVERSALS),
-    ),
-]
-Machine = Annotated[
-    str | None,
-    typer.Option(
-        help="Execution model: branching runs each ray from start to end; multipass advances all "
-        "rays one step per pass; compute runs each ray in a compute shader (--device graphics "
-        "only) [default: branching; on graphics, compute]",
-        metavar="NAME",
-        show_default=False,
-        callback=one_of(MACHINES),
-        autocompletion=complete(MACHINES),
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        help="With --machine multipass: selects the rays of each pass, "
-        f"{' or '.join(SCHEDULERS)} [default: {SCHEDULERS[0]}]",
-        metavar="NAME",
-        show_default=False,
-        callback=one_of(SCHEDULERS),
-        autocompletion=complete(SCHEDULERS),
-    ),
-]
-TracerOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="An option of the structure or the machine, such as resolution=50, quality=high or "
-        "threshold=0.3. Repeatable.",
-        metavar="KEY=VALUE",
-        show_default=False,
-    ),
-]
-Device = Annotated[
-    str,
-    typer.Option(
-        help="Device that traces rays: cpu; graphics, any GPU through Vulkan, Metal or Direct3D "
-        "12; or cuda, an NVIDIA GPU (see raystream info --devices).",
-        metavar="NAME",
-        callback=one_of(DEVICES),
-        autocompletion=complete(DEVICES),
-    ),
-]
-Adapter = Annotated[
-    str | None,
-    typer.Option(
-        help="With --device graphics: part of the adapter's name [default: RAYSTREAM_ADAPTER, "
-        "else the best one]",
-        metavar="NAME",
-        show_default=False,
-    ),
-]
-Gpu = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        help="With --device cuda: the GPU's CUDA device number [default: 0]",
-        metavar="N",
-        show_default=False,
-    ),
-]
+SceneName = Annotated[str, SCENE]
 Threads = Annotated[
     int | None,
     typer.Option(
         min=1,
         metavar="N",
-        show_default=False,
         help="Number of threads [default: RAYSTREAM_THREADS, else one per core]",
     ),
 ]
-Time = Annotated[
-    float,
-    typer.Option(
-        metavar="T", callback=finite, help="For animated scenes (AFF, glTF): the time to show."
-    ),
-]
-Triangles = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        show_default=False,
-        help="For built-in scenes: approximate number of triangles.",
-    ),
-]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """Options of loading a scene."""
+
+    time: Annotated[
+        float,
+        typer.Option(
+            metavar="T", callback=finite, help="For animated scenes (AFF, glTF): the time to show."
+        ),
+    ] = 0.0
+    triangles: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="For built-in scenes: approximate number of triangles."
+        ),
+    ] = None
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,110 +14,68 @@ from raystream.cli.console import BadInputError
 if TYPE_CHECKING:
     from raystream.rendering.integrator import Integrator
 
-__all__ = [
-    "MaxBounces",
-    "Noise",
-    "SamplerName",
-    "Samples",
-    "SamplingOptions",
-    "Seed",
-    "TimeLimit",
-    "mode_arguments",
-]
+__all__ = ["SamplingOptions", "mode_arguments"]
 
 #: Maximum samples when noise or time decide, and no number is given.
 MAX_SAMPLES = 1 << 16
 
-Samples = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        show_default=False,
-        help=f"Paths per pixel [default: 1; with --noise or --time-limit, at most {MAX_SAMPLES:,}]",
-    ),
-]
-Seed = Annotated[
-    int,
-    typer.Option(
-        min=0,
-        max=(1 << 32) - 1,
-        metavar="N",
-        help="Seed of the sampler: the same seed gives the same image.",
-    ),
-]
-SamplerName = Annotated[
-    str | None,
-    typer.Option(
-        "--sampler",
-        metavar="NAME",
-        show_default=False,
-        help=f"Sampler: {' or '.join(options.SAMPLERS)} [default: {options.SAMPLERS[0]}]",
-        callback=options.one_of(options.SAMPLERS),
-        autocompletion=options.complete(options.SAMPLERS),
-    ),
-]
-MaxBounces = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        metavar="N",
-        show_default=False,
-        help="Modes whitted, kajiya and path: maximum number of bounces [default: 8, 3 and 8]. "
-        "Other options of a mode are passed with --option, such as distance=2 for ao, the "
-        "length of its rays [default: a tenth of the scene's diagonal; inf for unlimited]",
-    ),
-]
-Noise = Annotated[
-    float | None,
-    typer.Option(
-        metavar="X",
-        show_default=False,
-        callback=options.positive_if_given,
-        help="Stop once the estimated relative error of the image falls below X; 0.01 is one "
-        "per cent.",
-    ),
-]
-TimeLimit = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SECONDS",
-        show_default=False,
-        callback=options.positive_if_given,
-        help="Start no new sample after this many seconds.",
-    ),
-]
-
 
 @dataclass(frozen=True)
 class SamplingOptions:
-    """Sampling options as given on the command line; None where omitted.
+    """Options of the samples of an image."""
 
-    Attributes
-    ----------
-    samples : int or None
-    seed : int
-    max_bounces : int or None
-    noise, time_limit : float or None
-    sampler : str or None
-    resume : bool or None
-    """
-
-    samples: int | None
-    seed: int
-    max_bounces: int | None
-    noise: float | None
-    time_limit: float | None
-    sampler: str | None
-    resume: bool | None
-
-    def for_images(self) -> dict[str, Any]:
-        """Return the options that apply to images only, not to heat maps, by name."""
-        return {
-            name: value
-            for name, value in dataclasses.asdict(self).items()
-            if name not in ("samples", "seed")
-        }
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Paths per pixel [default: 1; with --noise or --time-limit, at most "
+            f"{MAX_SAMPLES:,}]",
+        ),
+    ] = None
+    noise: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            callback=options.positive,
+            help="Stop once the estimated relative error of the image falls below X; 0.01 is one "
+            "per cent.",
+        ),
+    ] = None
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            callback=options.positive,
+            help="Start no new sample after this many seconds.",
+        ),
+    ] = None
+    max_bounces: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Modes whitted, kajiya and path: maximum number of bounces [default: 8, 3 and "
+            "8]. Other options of a mode are passed with --option, such as distance=2 for ao, "
+            "the length of its rays [default: a tenth of the scene's diagonal; inf for unlimited]",
+        ),
+    ] = None
+    sampler: Annotated[
+        str | None,
+        options.choice(
+            options.SAMPLERS,
+            f"Sampler: {' or '.join(options.SAMPLERS)} [default: {options.SAMPLERS[0]}]",
+        ),
+    ] = None
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=(1 << 32) - 1,
+            metavar="N",
+            help="Seed of the sampler: the same seed gives the same image.",
+        ),
+    ] = 0
 
 
 def mode_arguments(mode: str, sampling: SamplingOptions, chosen: dict[str, Any]) -> dict[str, Any]:

@@ -18,9 +18,10 @@ import typer
 from raystream.cli import options
 from raystream.cli.bars import Bars
 from raystream.cli.console import one_line, refuse, write_line, write_note
-from raystream.cli.load import Source, Stopwatch, choose_threads, open_tracer
+from raystream.cli.load import Stopwatch, choose_threads, open_tracer
+from raystream.cli.option_groups import expand_groups
 from raystream.cli.render import DEFAULT_SCENE
-from raystream.cli.tracer_options import tracer_options
+from raystream.cli.tracer_options import TracerOptions
 
 if TYPE_CHECKING:
     from raystream.tracer import Tracer
@@ -31,8 +32,10 @@ __all__ = ["view"]
 MEBIBYTE = 1 << 20
 
 
-def view(
-    scene: options.SceneName = DEFAULT_SCENE,
+@dataclasses.dataclass(frozen=True)
+class ServerOptions:
+    """Options of the local web server."""
+
     host: Annotated[
         str,
         typer.Option(
@@ -40,34 +43,31 @@ def view(
             help="Address to listen on. The default serves this machine only; one of the machine's "
             "addresses, or 0.0.0.0, also serves others, who then need the token.",
         ),
-    ] = "127.0.0.1",
+    ] = "127.0.0.1"
     port: Annotated[
         int | None,
         typer.Option(
             min=0,
             max=65535,
             metavar="N",
-            show_default=False,
             help="Port [default: 8008, or any free one]",
         ),
-    ] = None,
+    ] = None
     token: Annotated[
         str | None,
         typer.Option(
             metavar="TEXT",
-            show_default=False,
             help="Access token: 16 or more letters and digits [default: generated if others can "
             "reach the viewer]",
         ),
-    ] = None,
+    ] = None
     browser: Annotated[
         bool | None,
         typer.Option(
             "--open/--no-open",
-            show_default=False,
             help="Open the page in a browser [default: if there is a screen]",
         ),
-    ] = None,
+    ] = None
     upload_limit: Annotated[
         int,
         typer.Option(
@@ -76,52 +76,38 @@ def view(
             metavar="MIB",
             help="Maximum size of a model dropped on the page, with all its files, in MiB.",
         ),
-    ] = 256,
+    ] = 256
+
+
+@expand_groups
+def view(
+    scene: options.SceneName = DEFAULT_SCENE,
+    *,
+    server: ServerOptions,
     mode: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"Initial renderer: {' or '.join(options.MODES)} [default: {options.MODES[0]}]",
-            show_default=False,
-            callback=options.one_of(options.MODES),
-            autocompletion=options.complete(options.MODES),
+        options.choice(
+            options.MODES,
+            f"Initial renderer: {' or '.join(options.MODES)} [default: {options.MODES[0]}]",
         ),
     ] = None,
     camera: Annotated[
-        str | None,
-        typer.Option(metavar="PARTS", help="Initial camera, as for render.", show_default=False),
+        str | None, typer.Option(metavar="PARTS", help="Initial camera, as for render.")
     ] = None,
-    structure: options.Structure = None,
-    traversal: options.Traversal = None,
-    machine: options.Machine = None,
-    scheduler: options.Scheduler = None,
-    option: options.TracerOption = None,
-    device: options.Device = "cpu",
-    adapter: options.Adapter = None,
-    gpu: options.Gpu = None,
+    tracing: TracerOptions,
     threads: options.Threads = None,
-    time: options.Time = 0.0,
-    triangles: options.Triangles = None,
+    loading: options.SceneOptions,
 ) -> None:
     """Explore a scene in the browser. Without SCENE, shows robots in a city."""
     parts = {} if camera is None else options.parse_camera(camera)
-    chosen = tracer_options(
-        option or [],
-        device,
-        adapter=adapter,
-        gpu=gpu,
-        traversal=traversal,
-        machine=machine,
-        scheduler=scheduler,
-    )
+    chosen = tracing.arguments()
     choose_threads(threads)
     from raystream.viewer.serve import ViewServer, bind, require_packages
 
     require_packages()
-    with exiting_on_signals(), bind(host, port) as listener:
+    with exiting_on_signals(), bind(server.host, server.port) as listener:
         with Bars() as bars:
-            source = Source(scene, structure, device, time, triangles, chosen)
-            tracer = open_tracer(source, bars, Stopwatch())
+            tracer = open_tracer(scene, loading, chosen, bars, Stopwatch())
         _set_camera(tracer, parts)
         from raystream.viewer.render_service import RenderService
 
@@ -129,12 +115,12 @@ def view(
         with ViewServer(
             RenderService(tracer, one_line(scene), settings=settings),
             listener,
-            host=host,
-            token=token,
-            upload_limit=upload_limit * MEBIBYTE,
-        ) as server:
-            _announce(server, browser)
-            server.wait()
+            host=server.host,
+            token=server.token,
+            upload_limit=server.upload_limit * MEBIBYTE,
+        ) as running:
+            _announce(running, server.browser)
+            running.wait()
 
 
 def _set_camera(tracer: Tracer, parts: dict[str, Any]) -> None:

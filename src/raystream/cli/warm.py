@@ -22,7 +22,6 @@ def warm(
             metavar="TASK",
             help="Commands whose kernels to compile: render, query, build or all.",
             autocompletion=options.complete(TASKS),
-            show_default=True,
         ),
     ] = "all",
     threads: options.Threads = None,

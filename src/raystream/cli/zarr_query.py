@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from raystream.ray_files import QueryReport
     from raystream.tracer import Tracer
 
-__all__ = ["check_stores", "is_store", "trace_store"]
+__all__ = ["QUERIES", "check_stores", "is_store", "trace_store"]
 
 #: The tracer's queries, by their command-line names.
 QUERIES = {"first": "first_hit", "any": "any_hit", "multi": "multi_hit", "count": "count_hits"}
@@ -53,9 +53,7 @@ def trace_store(
     rays: Path,
     output: Path,
     kind: str,
-    query_options: dict[str, Any],
-    *,
-    resume: bool,
+    arguments: dict[str, Any],
     bars: Bars,
     watch: Stopwatch,
 ) -> QueryReport:
@@ -67,9 +65,8 @@ def trace_store(
     rays, output : Path
     kind : str
         Kind of query: a key of `QUERIES`.
-    query_options : dict
-        Options of the query.
-    resume : bool
+    arguments : dict
+        Other arguments of `query_zarr`.
     bars : Bars
     watch : Stopwatch
         Records "trace", "read" and "write": the last two are waits included in the first.
@@ -82,15 +79,8 @@ def trace_store(
     from raystream.ray_files import query_zarr
 
     with bars.step("tracing", "rays") as progress, _reporting_progress(output):
-        report = query_zarr(
-            tracer,
-            rays,
-            output,
-            QUERIES[kind],
-            **query_options,
-            resume=resume,
-            progress=_ResumeProgress(output, progress),
-        )
+        shown = _ResumeProgress(output, progress)
+        report = query_zarr(tracer, rays, output, QUERIES[kind], progress=shown, **arguments)
     watch.seconds["trace"] = report.seconds
     watch.seconds["read"] = report.reading_wait
     watch.seconds["write"] = report.writing_wait

@@ -1,4 +1,4 @@
-"""Animation: scenes that move, and which moments are their frames."""
+"""Animation: motion of a scene's meshes and lights, and the times of its frames."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ if TYPE_CHECKING:
 
 __all__ = ["FPS", "Animation", "Timeline"]
 
-#: Frames in a unit of time where neither a file nor a caller says.
+#: Default number of frames per unit of time.
 FPS = 24.0
 
-#: More frames than this are taken for a mistake.
+#: More frames than this are assumed to be a mistake.
 MAX_FRAMES = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """How the meshes and lights of a scene move.
+    """Motion of the meshes and lights of a scene.
 
     Parameters
     ----------
     at : callable
-        Takes a time, and gives a `Scene`: of its meshes, materials and lights a frame is made.
-        Meshes that keep their number and their faces are moved in a structure that is there
-        already (see `Tracer.update`); those that do not move should be the same objects.
+        Maps a time to a `Scene` whose meshes, materials and lights make the frame. If the
+        number of meshes and their faces stay the same, an existing structure is updated (see
+        `Tracer.update`); static meshes should be the same objects.
     times : (float, float)
-        When it begins, and when it ends; seconds in most files.
+        Start and end; seconds in most files.
     fps : float
-        Frames in a unit of time.
+        Frames per unit of time.
 
     Raises
     ------
     ValueError
-        If it does not end later than it begins, a number is not finite, or there would be
-        more than 10 million frames.
+        If the end is not after the start, a number is not finite, or there would be more than
+        10 million frames.
 
     Examples
     --------
@@ -63,22 +63,21 @@ class Animation:
         self.timeline()
 
     def timeline(self, fps: float | None = None) -> Timeline:
-        """Its frames, at a rate of one's own or its own."""
+        """The frames, at a given rate or the animation's own."""
         return Timeline(*self.times, self.fps if fps is None else fps)
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """The frames of a scene that moves: frame i is at the time ``start + i / fps``.
+    """The frames of an animated scene: frame i is at the time ``start + i / fps``.
 
-    Frames begin at `start` and end before `end`, so that a movement which comes back to where
-    it began can be shown again and again.
+    Frames start at `start` and stop before `end`, so that a periodic motion loops seamlessly.
 
     Attributes
     ----------
     start, end : float
     fps : float
-        Frames in a unit of time.
+        Frames per unit of time.
     """
 
     start: float
@@ -88,20 +87,20 @@ class Timeline:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.start) and math.isfinite(self.end) and self.end > self.start):
             raise ValueError(
-                f"times: expected a beginning and a later end, got {self.start} and {self.end}"
+                f"times: expected a start and a later end, got {self.start} and {self.end}"
             )
         if not (math.isfinite(self.fps) and self.fps > 0.0):
             raise ValueError(f"fps: expected a number above 0, got {self.fps}")
         if not (self.end - self.start) * self.fps <= MAX_FRAMES:
             raise ValueError(
-                f"fps: {self.fps:g} from {self.start:g} to {self.end:g} are more than "
+                f"fps: {self.fps:g} from {self.start:g} to {self.end:g} gives more than "
                 f"{MAX_FRAMES:,} frames"
             )
 
     @property
     def frame_count(self) -> int:
-        """How many frames there are, at least one."""
-        # What is left of a frame by rounding is none.
+        """Number of frames, at least one."""
+        # A tiny remainder is rounding, not another frame.
         return max(1, math.ceil((self.end - self.start) * self.fps - 1e-6))
 
     def time_of(self, frame: int) -> float:
@@ -109,13 +108,13 @@ class Timeline:
         return self.start + frame / self.fps
 
     def chosen(self, frames: slice | int | Iterable[int] | None = None) -> tuple[int, ...]:
-        """The numbers of chosen frames.
+        """Return the numbers of the chosen frames.
 
         Parameters
         ----------
         frames : slice, int or iterable of int, optional
-            As Python counts: ``slice(0, 100, 5)``, ``-1`` for the last; all without it. But
-            ends of a slice that lie outside are not moved inside.
+            Python indices: ``slice(0, 100, 5)``, ``-1`` for the last [default: all]. Unlike in
+            Python, the ends of a slice must be in range.
 
         Returns
         -------
@@ -125,7 +124,7 @@ class Timeline:
         Raises
         ------
         ValueError
-            If a frame, or an end of a slice, is outside, or none is chosen.
+            If a frame or an end of a slice is out of range, or no frame is chosen.
         """
         count = self.frame_count
         if frames is None:
@@ -141,7 +140,7 @@ class Timeline:
             numbers = frames if isinstance(frames, Iterable) else [frames]
             chosen = tuple(self._frame(operator.index(number)) for number in numbers)
         if not chosen:
-            raise ValueError(f"frames: none is chosen of the {count:,} that there are")
+            raise ValueError(f"frames: selects none of {count:,} frames")
         return chosen
 
     def _frame(self, number: int) -> int:
@@ -152,5 +151,5 @@ class Timeline:
     def _outside(self, number: int) -> ValueError:
         last = self.frame_count - 1
         return ValueError(
-            f"frames: there are frames 0 to {last} ({self.fps:g} a second), got {number}"
+            f"frames: expected 0 to {last} ({self.fps:g} per unit of time), got {number}"
         )

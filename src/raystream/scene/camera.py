@@ -1,4 +1,4 @@
-"""Camera: turns the points of a picture into eye rays."""
+"""Camera: generates camera rays through points of an image."""
 
 from __future__ import annotations
 
@@ -28,42 +28,41 @@ def unit_vector(name: str, values: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera in a right-handed world: a pinhole, unless more is asked for.
+    """A camera in a right-handed world; a pinhole by default.
 
-    What a projection has no use for is ignored, so that one part of a camera can be replaced
-    without the others; but only a perspective camera can have a lens.
+    Parameters that a projection does not use are ignored, so that one can be replaced without
+    the others; but only a perspective camera can have a lens.
 
     Parameters
     ----------
     eye : Vector
-        Position of the pinhole, of the lens's middle, of the middle of the plane from which
+        Position of the pinhole, of the lens's centre, of the centre of the plane from which
         orthographic rays start, or of the sphere's centre; world space.
     look_at : Vector
-        The point in the middle of the picture.
+        The point in the centre of the image.
     up : Vector
-        The direction that is up in the picture; need not be perpendicular to the view.
+        The direction that is up in the image; need not be perpendicular to the view.
     fov : float
         Vertical field of view in degrees, in (0, 180).
     projection : {"perspective", "orthographic", "equirectangular"}
-        What the picture shows: a pyramid ahead of the eye; a box, by parallel rays that see
+        The volume shown: a pyramid in front of the eye; a box, by parallel rays that see
         nothing behind the eye; or the whole sphere around the eye, 360 degrees of longitude
-        across and 180 of latitude down, with the view in the middle. That one's pixels are
-        square in the middle if the picture is twice as wide as high.
+        across and 180 of latitude down, with the view in the centre, where pixels are square
+        if the image is twice as wide as high.
     height : float, optional
-        Height of an orthographic picture, world units, above 0. Without it, what a
-        perspective camera of this `fov` shows at `look_at`.
+        Height of an orthographic image, world units, above 0 [default: the height that a
+        perspective camera of this `fov` shows at `look_at`].
     aperture : float
         Diameter of the lens of a perspective camera, world units; 0 is a pinhole.
     focus : float, optional
-        Distance from the eye to the plane in focus, along the view, world units, above 0.
-        Without it, the distance to `look_at`.
+        Distance from the eye to the plane in focus, along the view, world units, above 0
+        [default: the distance to `look_at`].
 
     Raises
     ------
     ValueError
-        If a number is not finite or not in its range, eye and look_at coincide, up is
-        parallel to the view, the projection is unknown, or one that has no lens is given an
-        aperture.
+        If a number is not finite or out of range, eye and look_at coincide, up is parallel to
+        the view, the projection is unknown, or a projection without a lens has an aperture.
 
     References
     ----------
@@ -111,7 +110,7 @@ class Camera:
         fov: float = 40.0,
         aspect: float = 4.0 / 3.0,
     ) -> Camera:
-        """Place a camera so that a box fills the picture, seen from the front, right and above.
+        """Place a camera so that a box fills the image, seen from the front, right and above.
 
         Parameters
         ----------
@@ -122,7 +121,7 @@ class Camera:
         fov : float
             Vertical field of view in degrees.
         aspect : float
-            Width of the picture over its height.
+            Width of the image divided by its height.
         """
         low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
         center = low + (high - low) / 2
@@ -152,24 +151,24 @@ class Camera:
         return cls(tuple(center + distance * toward_eye), tuple(center), tuple(up), fov)
 
     @property
-    def picture_height(self) -> float:
-        """Height of an orthographic picture, world units: `height`, or what stands in for it."""
+    def image_height(self) -> float:
+        """Height of an orthographic image, world units: `height` or its default."""
         if self.height is not None:
             return self.height
         return 2.0 * math.tan(math.radians(self.fov) / 2) * math.dist(self.eye, self.look_at)
 
     @property
     def focus_distance(self) -> float:
-        """Distance to the plane in focus, world units: `focus`, or that to `look_at`."""
+        """Distance to the plane in focus, world units: `focus` or its default."""
         return self.focus if self.focus is not None else math.dist(self.eye, self.look_at)
 
     def basis(self) -> NDArray[np.float64]:
-        """Unit vectors of the picture.
+        """Orthonormal basis of the image.
 
         Returns
         -------
         ndarray of shape (3, 3), float64
-            Rows: right, up, and forward (into the picture), world space.
+            Rows: right, up, and forward (into the image), world space.
         """
         forward = np.subtract(self.look_at, self.eye)
         forward = forward / np.linalg.norm(forward)
@@ -190,31 +189,31 @@ class Camera:
         y: ArrayLike | None = None,
         lens: ArrayLike | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Make the rays from the eye through points of the picture.
+        """Generate the camera rays through points of the image.
 
         Parameters
         ----------
         width, height : int
-            Size of the picture in pixels. Pixels are square, but for equirectangular ones.
+            Size of the image in pixels. Pixels are square, except in equirectangular images.
         x, y : array_like that broadcast to a shape S, float, optional
-            Points in pixels: (0, 0) is the upper left corner of the picture, and pixel
-            (column, row) covers [column, column + 1) x [row, row + 1). Without them:
-            every pixel's centre, S = (height, width).
+            Points in pixels: (0, 0) is the upper left corner of the image, and pixel
+            (column, row) covers [column, column + 1) x [row, row + 1) [default: every
+            pixel's centre, S = (height, width)].
         lens : array_like of shape S + (2,), float, optional
-            Where each ray passes the lens: samples in [0, 1), which are spread evenly over
-            it, to the right and upward; (0.5, 0.5) is its middle. The leading shape and that of
-            `x` and `y` are broadcast against each other, also where the camera has no lens
-            and the numbers do not matter. Without it: the middle of the lens.
+            Samples in [0, 1) of the point where each ray passes the lens, mapped uniformly to
+            its disk, to the right and upward; (0.5, 0.5) is its centre. The leading shape is
+            broadcast against `x` and `y`, even if the camera has no lens [default: the centre
+            of the lens].
 
         Returns
         -------
         origins : ndarray of shape S + (3,), float64
-            World space. With a pinhole, equirectangular, or without `lens`: the eye, repeated
-            without copying (read-only). Orthographic: points of the plane through the eye.
-            With `lens`: points of the lens.
+            World space. Pinhole, equirectangular, or without `lens`: the eye, broadcast
+            (read-only). Orthographic: points of the plane through the eye. With `lens`:
+            points of the lens.
         directions : ndarray of shape S + (3,), float32
             Unit length, world space; orthographic: all the same. With `lens`: toward the
-            point of the plane in focus that the pinhole's ray meets, from anywhere on the lens.
+            point where the pinhole's ray intersects the plane in focus.
 
         Raises
         ------
@@ -230,7 +229,7 @@ class Camera:
         if samples is not None:
             across, down = _broadcast_to_lens(across, down, samples)
         if self.projection == "orthographic":
-            scale = self.picture_height / height
+            scale = self.image_height / height
             origins = eye + beside(across * scale, down * scale, basis)
             directions = np.broadcast_to(basis[2], origins.shape)
             return origins, directions.astype(np.float32, order="C")

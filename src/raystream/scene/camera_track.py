@@ -1,4 +1,4 @@
-"""Camera tracks: a camera that moves from key to key."""
+"""Camera tracks: keyframed motion of a camera."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["CameraMotion", "CameraTrack", "keys_span"]
 
 
 class CameraMotion(Protocol):
-    """A camera that moves: a `CameraTrack`, or what a file's moving nodes make of one."""
+    """A moving camera: a `CameraTrack`, or a camera on an animated node of a file."""
 
     @property
     def still(self) -> Camera:
-        """The camera while it stands still."""
+        """The camera at rest."""
 
     @property
     def times(self) -> tuple[float, float]:
-        """When it begins to move, and when it stops."""
+        """Start and end of the motion."""
 
     def at(self, time: float) -> Camera:
         """The camera at a time."""
@@ -32,25 +32,25 @@ class CameraMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class CameraTrack:
-    """A camera whose eye and view follow keys in time.
+    """A camera whose eye and view are keyframed.
 
-    Between keys run splines with tension, continuity and bias; with all three 0 they are
-    Catmull-Rom splines, stretched where times are uneven. The first and the last key only shape
-    the ends: the camera is shown from the second to the last but one. With fewer than four
-    keys it moves in a straight line from each to the next, and turns evenly. Before and after
-    that it stands still.
+    Keys are interpolated by splines with tension, continuity and bias; with all three 0 they
+    are Catmull-Rom splines, adjusted for uneven times. The first and the last key only shape
+    the ends: the motion runs from the second to the last but one. With fewer than four keys
+    the eye moves linearly between keys and the view turns at constant speed. Outside these
+    times the camera is static.
 
     Parameters
     ----------
     still : Camera
-        What does not move; its eye or its view too, if there are no keys for them.
+        The camera at rest; also its eye or its view, if there are no keys for them.
     positions : array_like of shape (K, 4) or (K, 7), optional
-        Keys of the eye: time; x, y, z, world space; and tension, continuity, bias, 0 if left
-        out. Times must not decrease.
+        Keys of the eye: time; x, y, z, world space; and tension, continuity, bias [default:
+        0]. Times must not decrease.
     rotations : array_like of shape (L, 5) or (L, 8), optional
         Keys of the view: time; x, y, z of an axis of any length, and degrees, right-handed
-        about it; and tension, continuity, bias. Not turned, a camera looks along -z with
-        y up.
+        about it; and tension, continuity, bias. Without rotation, a camera looks along -z
+        with y up.
 
     Attributes
     ----------
@@ -83,14 +83,14 @@ class CameraTrack:
 
     def __post_init__(self) -> None:
         if self.positions is None and self.rotations is None:
-            raise ValueError("positions, rotations: expected keys of one or both")
+            raise ValueError("positions, rotations: expected keys for at least one")
         for name, width in (("positions", 7), ("rotations", 8)):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _keys(name, getattr(self, name), width))
 
     @property
     def times(self) -> tuple[float, float]:
-        """When the camera begins to move, and when it stops."""
+        """Start and end of the motion."""
         spans = [
             keys_span(keys[:, 0]) for keys in (self.positions, self.rotations) if keys is not None
         ]
@@ -107,12 +107,12 @@ class CameraTrack:
         Returns
         -------
         Camera
-            The still one, moved and turned; `look_at` keeps its distance from the eye.
+            `still`, translated and rotated; `look_at` keeps its distance from the eye.
 
         Raises
         ------
         ValueError
-            If `time` is not finite, or the keys are so far apart that the camera is not.
+            If `time` is not finite, or the interpolated camera is not.
         """
         if not math.isfinite(time):
             raise ValueError(f"time: expected a finite number, got {time}")
@@ -147,6 +147,6 @@ def _keys(name: str, values: ArrayLike, width: int) -> NDArray[np.float64]:
 
 
 def keys_span(times: NDArray[np.float64]) -> tuple[float, float]:
-    """When keys begin to show, and when they end: the first and last may only shape the ends."""
+    """Start and end of a motion: of four keys or more, the outer ones only shape the ends."""
     inner = times if len(times) < 4 else times[1:-1]
     return float(inner[0]), float(inner[-1])

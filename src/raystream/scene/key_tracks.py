@@ -1,4 +1,4 @@
-"""Key tracks: values that move from key to key, as glTF animates them."""
+"""Key tracks: keyframed values, interpolated as in glTF."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class KeyTrack:
-    """A vector or a rotation at any time; before the first and after the last key it rests.
+    """A keyframed vector or rotation; constant before the first and after the last key.
 
     Parameters
     ----------
     times : ndarray of shape (K,), float64
-        At least one; they do not decrease.
+        At least one; must not decrease.
     values : ndarray of shape (K, W), float64
         Rotations are unit quaternions, W = 4.
     method : {"step", "linear", "cubic"}
-        The value of the key before; straight between keys, rotations along the sphere by the
-        shorter way; or Hermite splines, of which rotations are normalised.
+        The value of the previous key; linear, for rotations spherical along the shorter arc;
+        or Hermite splines, normalised for rotations.
     is_rotation : bool
     arriving, leaving : ndarray of shape (K, W), float64, optional
-        Tangents at the keys, change in a unit of time, for ``"cubic"``.
+        Tangents at the keys per unit of time, for ``"cubic"``.
 
     References
     ----------
@@ -47,9 +47,9 @@ class KeyTrack:
         """The value at a time, shape (W,)."""
         last = len(self.times) - 1
         if last == 0 or time <= self.times[0]:
-            return self._kept(self.values[0])
+            return self._normalized(self.values[0])
         if time >= self.times[last]:
-            return self._kept(self.values[last])
+            return self._normalized(self.values[last])
         i = int(np.searchsorted(self.times, time, side="right")) - 1
         if self.method == "step":
             return self.values[i]
@@ -58,14 +58,14 @@ class KeyTrack:
         before, after = self.values[i], self.values[i + 1]
         if self.arriving is not None and self.leaving is not None:
             out, into = length * self.leaving[i], length * self.arriving[i + 1]
-            return self._kept(_hermite(before, out, into, after, s))
+            return self._normalized(_hermite(before, out, into, after, s))
         if self.is_rotation:
             return slerp(before, -after if before @ after < 0.0 else after, s)
         value: Array = before + s * (after - before)
         return value
 
-    def _kept(self, value: Array) -> Array:
-        """A value of keys or splines; quaternions get their length back."""
+    def _normalized(self, value: Array) -> Array:
+        """Normalise a rotation; return other values unchanged."""
         length = float(np.linalg.norm(value))
         return value / length if self.is_rotation and length > 0.0 else value
 

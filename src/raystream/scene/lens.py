@@ -1,4 +1,4 @@
-"""Lens: points spread over the disk of a thin lens."""
+"""Lens: sample points on the disk of a thin lens."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["disk_points", "lens_samples"]
 
 
 def lens_samples(lens: ArrayLike) -> NDArray[np.float64]:
-    """Check samples of a lens.
+    """Check lens samples.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def lens_samples(lens: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        If the shape is another, or a number is not in [0, 1).
+        If the shape is wrong, or a number is not in [0, 1).
     """
     try:
         samples = np.asarray(lens, np.float64)
@@ -39,9 +39,9 @@ def lens_samples(lens: ArrayLike) -> NDArray[np.float64]:
 
 
 def disk_points(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Map the unit square to the unit disk: areas keep their ratios, and neighbours stay near.
+    """Map the unit square to the unit disk, preserving relative areas and adjacency.
 
-    Squares around the middle become circles around it; (0.5, 0.5) is the middle itself.
+    Concentric squares become concentric circles; (0.5, 0.5) is the centre.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def disk_points(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape S + (2,), float64
-        At most 1 from the origin, but for rounding.
+        At most 1 from the origin, except for rounding.
 
     References
     ----------

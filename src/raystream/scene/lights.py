@@ -1,4 +1,4 @@
-"""Lights: point, directional, environment, and area lights made of emissive triangles."""
+"""Lights: point, directional and environment lights, and area lights of emissive triangles."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ def _vector(name: str, value: object) -> Vector:
 
 @dataclass(frozen=True)
 class PointLight:
-    """Light from a point, equal in all directions.
+    """Isotropic light from a point.
 
     Parameters
     ----------
     position : Vector
         World space.
     intensity : Color
-        Radiant intensity, linear RGB: at distance r a facing surface receives
-        ``intensity / r**2``. With ``falloff="none"`` it receives ``pi * intensity`` at any
-        distance: a white matte surface then shows just `intensity`, as the Neutral File
-        Format and the classic graphics pipelines have it.
+        Radiant intensity, linear RGB: at distance r the irradiance of a facing surface is
+        ``intensity / r**2``. With ``falloff="none"`` it is ``pi * intensity`` at any distance:
+        a white matte surface then has the radiance `intensity`, as in the Neutral File Format
+        and the classic graphics pipelines.
     falloff : {"inverse_square", "none"}
     """
 
@@ -66,9 +66,9 @@ class DirectionalLight:
     Parameters
     ----------
     direction : Vector
-        Where the light travels to; need not be unit length.
+        Direction in which the light travels; need not be unit length.
     irradiance : Color
-        What a facing surface receives, linear RGB.
+        Irradiance of a facing surface, linear RGB.
     """
 
     direction: Vector
@@ -83,31 +83,31 @@ class DirectionalLight:
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentLight:
-    """Light from every direction that no surface blocks: of one radiance, or as an image has it.
+    """Light from every direction: of constant radiance, or an environment map.
 
-    An image is a map by longitude and latitude (equirectangular): its top row is around `up`, its
-    bottom row around the opposite, and it goes once around from its left to its right side. With
-    no rotation, what it shows a quarter of its width to the right of its middle is at the world's
-    +x (made square to `up`; +z where `up` is along x), and its middle at `up` x that: at -z where
-    y is up, at +y where z is up. An equirectangular camera that looks there takes the same
-    picture. Between the middles of texels it is bilinear. A scene may have one such light.
+    The map is equirectangular: its top row is around `up`, its bottom row around the opposite
+    direction, and its columns span 360 degrees. With no rotation, the column a quarter of its
+    width to the right of the centre is at the world's +x (projected perpendicular to `up`; +z
+    where `up` is along x), and its centre at the cross product of `up` and that axis: at -z
+    where y is up, at +y where z is up. An equirectangular camera that looks there renders the
+    same image. Texels are interpolated bilinearly. A scene may have one such light.
 
     Parameters
     ----------
     radiance : Color
-        Linear RGB; a factor on the image, if there is one.
+        Linear RGB; multiplied with the image, if there is one.
     image : path, or array_like of shape (H, W, 3), float, optional
-        Linear radiance, or a file, read when it is first needed: ``.hdr`` (Radiance) and ``.exr``
-        have radiance, ``.png``, ``.jpg`` and ``.jpeg`` are decoded from sRGB.
+        Linear radiance, or a file, read on first use: ``.hdr`` (Radiance) and ``.exr``
+        hold radiance, ``.png``, ``.jpg`` and ``.jpeg`` are decoded from sRGB.
     up : Vector
         The world's direction at the top of the image; need not be unit length.
     rotation : float
-        Degrees by which the image is turned around `up`, counterclockwise as seen from above.
+        Rotation of the image about `up` in degrees, counterclockwise as seen from above.
 
     Raises
     ------
     ValueError
-        If a number is not finite, `up` is zero, or texels are negative or of another shape.
+        If a number is not finite, `up` is zero, or texels are negative or of the wrong shape.
     """
 
     radiance: Color = (1.0, 1.0, 1.0)
@@ -136,7 +136,7 @@ class EnvironmentLight:
 
 
 def texel_fault(texels: NDArray[np.float32]) -> str:
-    """Say why an array is no map of radiance; nothing if it is one."""
+    """Say why an array is not a map of radiance; empty if it is one."""
     if texels.ndim != 3 or texels.shape[2] != 3 or 0 in texels.shape:
         return f"expected shape (H, W, 3), got {texels.shape}"
     lowest, highest = float(texels.min()), float(texels.max())
@@ -147,7 +147,7 @@ def texel_fault(texels: NDArray[np.float32]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class AreaLight:
-    """Emissive triangles of one mesh and one material; :attr:`Scene.area_lights` makes them.
+    """Emissive triangles of one mesh and one material; see :attr:`Scene.area_lights`.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class AreaLight:
     prim_ids : ndarray of shape (K,), int32
         The triangles, counted over the whole scene.
     radiance : Color
-        What each front side emits, linear RGB.
+        Radiance emitted by the front sides, linear RGB.
     """
 
     mesh_id: int

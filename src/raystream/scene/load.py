@@ -22,34 +22,34 @@ def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | Non
     Parameters
     ----------
     source : str or path
-        A model file: OBJ, PLY, STL, OFF, glTF, GLB, or BART's AFF and NFF, each also packed
-        with gzip. Or the name of a built-in scene, such as ``"cornell"``, where a number of
-        triangles may follow, such as ``"forest:1000000"``. Or the name of a sample, such as
-        ``"bunny"``. What has a suffix or a slash is a file.
+        A model file: OBJ, PLY, STL, OFF, glTF, GLB, or BART's AFF and NFF, each optionally
+        compressed with gzip. Or the name of a built-in scene, such as ``"cornell"``,
+        optionally with a number of triangles, such as ``"forest:1000000"``. Or the name of a
+        sample, such as ``"bunny"``. Anything with a file extension or a slash is a file.
     time : float, optional
         For animated scenes (AFF, glTF): the time to show, in the file's units. At 0, glTF
         shows its rest pose; see also `Scene.at`.
     triangles : int, optional
-        For built-in scenes: about how many triangles.
+        For built-in scenes: the approximate number of triangles.
 
     Returns
     -------
     Scene
-        Its triangles keep the file's order; polygons are cut into fans.
+        Its triangles keep the file's order; polygons become triangle fans.
 
     Raises
     ------
     FileFormatError
-        If there is no such file or name, or the file cannot be used: one line that says why.
+        If there is no such file or name, or the file cannot be used: a message of one line.
     ValueError
-        If `time` or `triangles` does not suit the source.
+        If `time` or `triangles` does not apply to the source.
 
     Warns
     -----
     RaystreamWarning
-        If only a part of the file could be used: triangles without area or with indices
-        out of range, textures that are missing. And if it holds no triangles: the scene is
-        empty then, and every ray misses.
+        If only part of the file could be used: triangles without area or with indices out of
+        range, missing textures. Also if it holds no triangles: the scene is then empty, and
+        every ray misses.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def load(source: str | PathLike[str], *, time: float = 0.0, triangles: int | Non
 
 
 def _names_file(source: str) -> bool:
-    """Whether text has a separator, or a suffix that is not in the part after a colon."""
+    """Whether text has a slash, or a file extension before any colon."""
     bare, colon, _ = source.partition(":")
     if "/" in source or "\\" in source:
         return True
@@ -81,11 +81,11 @@ def _load_file(name: str, time: float) -> Scene:
     path = Path(name).expanduser()
     try:
         missing = not path.exists()
-    except (OSError, ValueError):  # a name that is too long, or has a zero in it
+    except (OSError, ValueError):  # a name that is too long, or contains a null byte
         missing = True
     if missing:
         stem = path.name.partition(".")[0]
-        hint = f"; there is {stem!r} without a suffix" if stem in _known_names() else ""
+        hint = f"; did you mean {stem!r}?" if stem in _known_names() else ""
         raise FileFormatError(name, f"there is no such file{hint}")
     if path.is_dir():
         raise FileFormatError(name, FOLDER)
@@ -134,7 +134,7 @@ def _known_names() -> tuple[str, ...]:
 
 
 def _unknown(name: str) -> str:
-    """Say what there is instead of a name that is not."""
+    """Suggest names for an unknown one."""
     from raystream.scene import procedural, samples
 
     close = get_close_matches(name.lower(), _known_names(), n=1)

@@ -1,4 +1,4 @@
-"""Material and Texture: how a surface looks, kept as read for the renderers."""
+"""Material: the appearance of a surface."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _COLORS = ("diffuse", "specular", "reflection", "transmission", "emission")
 
 @dataclass(frozen=True)
 class Material:
-    """The looks of a surface, in the terms that MTL, glTF and BART share.
+    """The appearance of a surface, in the terms that MTL, glTF and BART share.
 
-    Colours are linear RGB. Renderers use what they know and leave the rest.
+    Colours are linear RGB. Renderers ignore parameters that they do not support.
 
     Parameters
     ----------
     name : str
-        For people; need not be unique.
+        Label; need not be unique.
     diffuse : Color
         Diffuse reflectance (MTL ``Kd``, glTF base colour).
     specular : Color
@@ -41,28 +41,28 @@ class Material:
         Radiance that the front side emits (MTL ``Ke``); non-zero makes area lights.
     opacity : float
         1 is solid, 0 is invisible (MTL ``d``, glTF alpha); times the texture ``"opacity"``. It
-        is the share of rays for which there is a surface at all.
+        is the fraction of rays that see the surface.
     roughness, metallic : float or None
-        glTF's parameters; None where the file gave none.
+        glTF's parameters; None if the file has none.
     double_sided : bool
-        False when only the front is to be seen (glTF); tracing hits both sides.
+        False if only the front is visible (glTF); tracing hits both sides.
     textures : mapping of str to Texture
         By role: ``"diffuse"``, ``"specular"``, ``"emission"``, ``"opacity"``, ``"bump"``,
-        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``. Of one for opacity the alpha
-        channel counts, or how light it is if it has none, or one that is 1 everywhere.
-        Occlusion is not used: what is in the way of light, rays find out.
+        ``"normal"``, ``"metallic_roughness"``, ``"occlusion"``. Opacity is read from the alpha
+        channel, or from the luminance if there is none or it is 1 everywhere. Occlusion is
+        not used: rays compute it.
     normal_scale : float
-        Factor of a normal map's x and y: 0 is flat, negative ones swap bumps and dents.
+        Factor of a normal map's x and y: 0 is flat, negative swaps bumps and dents.
     bump_scale : float
-        Height of white over black in a bump map, in texels: 1 is as steep as 45 degrees where
-        white is beside black. Negative ones swap bumps and dents.
+        Height of white over black in a bump map, in texels: 1 is a slope of 45 degrees where
+        white is next to black. Negative swaps bumps and dents.
     alpha_cutoff : float, optional
-        Where the opacity is at least this, the surface is solid, and elsewhere there is none
-        (glTF's ``MASK``); without, it may be partly clear.
+        The surface is solid where the opacity is at least this, and absent elsewhere (glTF's
+        ``MASK``) [default: partial opacity].
     absorption : Color
-        What rays lose behind the surface: of a world length d, exp(-absorption d) is left
-        (law of Beer and Lambert). It counts where a ray meets the surface from its back, so
-        meshes should be closed.
+        Absorption coefficient of the volume behind the surface: exp(-absorption d) is
+        transmitted over a world length d (Beer-Lambert law). It applies where a ray hits the
+        surface from behind, so meshes should be closed.
     """
 
     name: str = ""
@@ -101,6 +101,6 @@ class Material:
 
     @property
     def is_opaque(self) -> bool:
-        """Whether every ray that meets the surface finds it there."""
+        """Whether every ray that reaches the surface hits it."""
         least = 1.0 if self.alpha_cutoff is None else self.alpha_cutoff
         return "opacity" not in self.textures and self.opacity >= least

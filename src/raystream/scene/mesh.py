@@ -13,7 +13,7 @@ __all__ = ["Mesh"]
 class Mesh:
     """Triangles over shared vertices, with optional attributes.
 
-    A mesh keeps copies of its arrays and does not change: make a new one instead.
+    A mesh copies its arrays and is immutable.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Mesh:
     material_ids : int or array_like of shape (F,), integer, optional
         Index of each triangle's material in :attr:`Scene.materials`.
     name : str, optional
-        For people; need not be unique.
+        Label; need not be unique.
 
     Raises
     ------
@@ -77,21 +77,21 @@ class Mesh:
         return len(self.faces)
 
     def moved(self, vertices: ArrayLike, normals: ArrayLike | None = None) -> Mesh:
-        """Make the same mesh with other positions; all else is shared.
+        """Copy the mesh with new positions; everything else is shared.
 
         Parameters
         ----------
         vertices : array_like of shape (V, 3), float
-            As many as before.
+            The same number as before.
         normals : array_like of shape (V, 3), float, optional
-            Shading normals; without them, those from before, which do not follow.
+            Shading normals [default: the current ones, unchanged].
 
         Raises
         ------
         ValueError
-            If the number of either is another one.
+            If the number of either differs.
         TypeError
-            If they are no real numbers.
+            If they are not real numbers.
         """
         positions = _vertices(vertices)
         if len(positions) != len(self.vertices):
@@ -167,7 +167,7 @@ def _material_ids(material_ids: ArrayLike, face_count: int) -> NDArray[np.int32]
 
 
 def _kept(array: NDArray[Any], dtype: type) -> NDArray[Any]:
-    """A copy that nobody can change: structures are built of it once."""
+    """Make a read-only copy: structures built from it would not follow changes."""
     copy: NDArray[Any]
     with np.errstate(over="ignore"):
         copy = np.array(array, dtype, order="C")

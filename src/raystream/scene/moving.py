@@ -19,14 +19,14 @@ def moved_meshes(meshes: Sequence[Mesh], vertices: Any) -> list[Mesh]:
     ----------
     meshes : sequence of Mesh
     vertices : array_like of shape (V, 3), real; or a sequence of them
-        For one mesh, or an array for each of them; None leaves a mesh where it is.
+        For one mesh, or one array per mesh; None leaves a mesh unchanged.
 
     Raises
     ------
     ValueError
-        If their number, or the number of a mesh's vertices, is another one.
+        If the number of meshes, or of a mesh's vertices, differs.
     TypeError
-        If they are no real numbers.
+        If they are not real numbers.
     """
     if len(meshes) == 1 and not _is_a_sequence_of_one(vertices):
         vertices = [vertices]
@@ -46,12 +46,12 @@ def moved_meshes(meshes: Sequence[Mesh], vertices: Any) -> list[Mesh]:
 
 
 def have_same_faces(meshes: Sequence[Mesh], others: Sequence[Mesh]) -> bool:
-    """Whether the same triangles are formed of as many vertices, mesh by mesh."""
+    """Whether meshes have the same faces and numbers of vertices."""
     return len(meshes) == len(others) and all(map(_has_same_faces, meshes, others))
 
 
 def same_faces(meshes: Sequence[Mesh], others: Sequence[Mesh]) -> Sequence[Mesh]:
-    """Accept the meshes of another scene, if only vertices moved.
+    """Check that another scene's meshes differ in vertex positions only.
 
     Parameters
     ----------
@@ -60,23 +60,21 @@ def same_faces(meshes: Sequence[Mesh], others: Sequence[Mesh]) -> Sequence[Mesh]
     Returns
     -------
     sequence of Mesh
-        The others.
+        `others`.
 
     Raises
     ------
     ValueError
-        If their number, or a mesh's faces or number of vertices, is another one.
+        If the number of meshes, or a mesh's faces or number of vertices, differs.
     """
     if len(meshes) != len(others):
         raise ValueError(
             f"scene: expected {len(meshes)} meshes, as before, got {len(others)}; "
-            "make a new tracer of it"
+            "build a new tracer"
         )
     for index, (mesh, other) in enumerate(zip(meshes, others, strict=True)):
         if not _has_same_faces(mesh, other):
-            raise ValueError(
-                f"scene: mesh {index} has other faces than before; make a new tracer of it"
-            )
+            raise ValueError(f"scene: mesh {index} has different faces; build a new tracer")
     return others
 
 
@@ -87,7 +85,7 @@ def _has_same_faces(mesh: Mesh, other: Mesh) -> bool:
 
 
 def _is_a_sequence_of_one(vertices: Any) -> bool:
-    """Whether it is a mesh's vertices in a list, not a mesh's vertices."""
+    """Whether this is a list of one mesh's vertices, rather than the vertices themselves."""
     if not isinstance(vertices, list | tuple) or len(vertices) != 1:
         return False
     return vertices[0] is None or np.ndim(vertices[0]) == 2

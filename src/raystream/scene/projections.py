@@ -1,6 +1,6 @@
-"""Projections: where the points of a picture lie in front of an eye, or around it.
+"""Projections: from points of an image to vectors from the eye.
 
-Each takes points ``across`` to the right and ``down`` from the picture's middle, arrays that
+Each takes points ``across`` to the right and ``down`` from the image's centre, arrays that
 broadcast to a shape S, and the rows right, up, forward of a camera's basis.
 """
 
@@ -28,7 +28,7 @@ def ahead(across: Array, down: Array, basis: Array) -> Array:
     Returns
     -------
     ndarray of shape S + (3,), float64
-        Their part along forward is 1.
+        Their component along forward is 1.
     """
     right, up, forward = basis
     return (across[..., None] * right + forward) - down[..., None] * up
@@ -46,7 +46,7 @@ def beside(across: Array, down: Array, basis: Array) -> Array:
     Returns
     -------
     ndarray of shape S + (3,), float64
-        Their part along forward is 0.
+        Their component along forward is 0.
     """
     right, up, _ = basis
     return across[..., None] * right - down[..., None] * up

@@ -1,4 +1,4 @@
-"""Samples: public models by name, found in a folder or fetched with a checksum."""
+"""Samples: public models by name, from a local folder or downloaded with a checksum."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from raystream.scene.camera import Camera
 
 __all__ = ["SAMPLES", "SCENES_VARIABLE", "Sample", "SampleFile", "camera", "fetch"]
 
-#: Environment variable that names a folder with the samples' files.
+#: Environment variable for the folder of the samples' files.
 SCENES_VARIABLE = "RAYSTREAM_SCENES"
 
-#: Called with the number of files that are there, and that there will be.
+#: Called with the number of files done and the total.
 Progress = Callable[[int, int], object]
 
 
@@ -29,11 +29,11 @@ class SampleFile(NamedTuple):
     Parameters
     ----------
     path : str
-        Where it belongs within the samples' folder, with forward slashes.
+        Relative to the samples' folder, with forward slashes.
     sha256 : str
         Checksum of its bytes, 64 hexadecimal digits.
     url : str or None
-        Where these very bytes are published; None if only as a part of an archive.
+        Address of exactly these bytes; None if published only inside an archive.
     """
 
     path: str
@@ -50,15 +50,15 @@ class Sample(NamedTuple):
     main : str
         The file to load, within the samples' folder.
     files : tuple of SampleFile
-        The main file, and what it refers to.
+        The main file, and the files that it refers to.
     triangles : int
-        How many it has.
+        Number of triangles.
     credit, licence : str
-        Who made it, and on what terms it may be used, as far as known.
+        Authors, and terms of use, as far as known.
     published : str
-        Where to find it.
+        Web page.
     camera : Camera
-        A view that shows it, for pictures of 4:3.
+        A view of the model, for images of 4:3.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Sample(NamedTuple):
 
     @property
     def can_be_fetched(self) -> bool:
-        """Whether all of its files are published one by one."""
+        """Whether all of its files can be downloaded one by one."""
         return all(file.url for file in self.files)
 
 
@@ -106,23 +106,23 @@ SAMPLES: Mapping[str, Sample] = _read_samples()
 
 
 def fetch(name: str, progress: Progress | None = None) -> Path:
-    """Find a sample's main file; download the sample if need be.
+    """Find a sample's main file, downloading the sample if necessary.
 
-    The folder that the environment variable ``RAYSTREAM_SCENES`` names comes first: its
-    files are used as they are, packed with gzip or not. Then comes raystream's cache
-    folder, into which files are downloaded and checked against their checksums.
+    Searches the folder in the environment variable ``RAYSTREAM_SCENES`` first: its files are
+    used as they are, compressed with gzip or not. Then raystream's cache folder, into which
+    files are downloaded and verified against their checksums.
 
     Parameters
     ----------
     name : str
         A key of `SAMPLES`.
     progress : callable, optional
-        Called during a download with the number of files done and the number of all.
+        Called during a download with the number of files done and the total.
 
     Returns
     -------
     Path
-        The file to load. Files that it refers to lie where it expects them. For the view
+        The file to load, with the files that it refers to in place. For the view
         that goes with it, see `camera`.
 
     Raises
@@ -130,7 +130,7 @@ def fetch(name: str, progress: Progress | None = None) -> Path:
     ValueError
         If there is no such sample.
     RaystreamError
-        If the sample is not there and cannot be downloaded: one line that says why.
+        If the sample is not found and cannot be downloaded: a message of one line.
     """
     sample = _known(name)
     found = _in_scenes_folder(sample)
@@ -141,7 +141,7 @@ def fetch(name: str, progress: Progress | None = None) -> Path:
         return folder / sample.main
     if not sample.can_be_fetched:
         raise RaystreamError(
-            f"sample {name!r} cannot be downloaded by itself: get it from {sample.published}, "
+            f"sample {name!r} cannot be downloaded automatically: get it from {sample.published}, "
             f"and set {SCENES_VARIABLE} to the folder that holds {sample.main}"
         )
     _download(sample, folder, progress)
@@ -149,12 +149,12 @@ def fetch(name: str, progress: Progress | None = None) -> Path:
 
 
 def camera(name: str) -> Camera | None:
-    """Return the view that shows a sample, to be used when its file has none of its own.
+    """Return the default view of a sample, for files without a camera.
 
     Parameters
     ----------
     name : str
-        Any name; None is returned for what is not a sample.
+        Any name; the result is None if it is not a sample.
     """
     sample = SAMPLES.get(name)
     return None if sample is None else sample.camera
@@ -172,7 +172,7 @@ def _in_scenes_folder(sample: Sample) -> Path | None:
         return None
     folder = Path(chosen).expanduser()
     if not folder.is_dir():
-        raise RaystreamError(f"{SCENES_VARIABLE}: there is no folder {chosen}")
+        raise RaystreamError(f"{SCENES_VARIABLE}: folder {chosen} does not exist")
     path = folder / sample.main
     for candidate in (path, path.with_suffix("") if path.suffix == ".gz" else path):
         if candidate.is_file():
@@ -199,7 +199,7 @@ def _download(sample: Sample, folder: Path, progress: Progress | None) -> None:
                 fname=place.name,
                 path=folder / place.parent,
             )
-        except (OSError, ValueError) as error:  # no network or disk, or another checksum
+        except (OSError, ValueError) as error:  # no network or disk, or a wrong checksum
             reason = " ".join(str(error).split()) or type(error).__name__
             raise RaystreamError(
                 f"sample {sample.name!r}: could not download {file.url} ({reason})"

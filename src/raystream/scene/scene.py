@@ -26,12 +26,12 @@ from raystream.scene.views import Views
 
 __all__ = ["Scene"]
 
-#: What an animation gives for each time.
+#: Parts of a scene that an animation sets.
 _ANIMATED = ("meshes", "materials", "lights")
 
 
 class _Geometry:
-    """Meshes, and the triangles made of them: once, for all scenes that share the meshes."""
+    """Meshes and their triangles, built once for all scenes that share the meshes."""
 
     def __init__(self, meshes: Iterable[Mesh], triangles: Triangles | None = None) -> None:
         self.meshes = tuple(meshes)
@@ -44,13 +44,13 @@ class _Geometry:
         return self._described(Triangles([(mesh.vertices, mesh.faces) for mesh in self.meshes]))
 
     def _described(self, triangles: Triangles) -> Triangles:
-        if triangles.attributes is None:  # else hits that refer to them would change
+        if triangles.attributes is None:  # replacing them would change existing hits
             triangles.attributes = self.attributes
         return triangles
 
 
 class _Parts(TypedDict, total=False):
-    """What `Scene.replace` takes: the parameters of `Scene`."""
+    """Arguments of `Scene.replace`: the parameters of `Scene`."""
 
     meshes: Sequence[Mesh]
     materials: Sequence[Material]
@@ -65,39 +65,39 @@ class _Parts(TypedDict, total=False):
 
 
 class Scene:
-    """What rays are traced against, and what a picture of it needs.
+    """Geometry to trace rays against, with materials, lights and cameras to render it.
 
-    A scene does not change: `replace` makes another one, which shares the rest.
+    A scene is immutable: `replace` makes another one, which shares unchanged parts.
 
     Parameters
     ----------
     meshes : sequence of Mesh
-        Their triangles are numbered one mesh after another: `prim_id` counts over them all.
+        Their triangles are numbered one mesh after another: `prim_id` counts over all meshes.
     materials : sequence of Material, optional
-        What each mesh's ``material_ids`` refer to [default: one grey material].
+        Indexed by each mesh's ``material_ids`` [default: one grey material].
     lights : sequence of PointLight, DirectionalLight or EnvironmentLight, optional
         Area lights are not listed: they follow from emissive materials.
     camera : Camera, str or int, optional
-        The view to use when a caller names none, or the name or number of one of `cameras`
-        [default: that of `camera_track` while it stands still, else the first of `cameras`,
-        else one that frames the scene].
+        The default view, or the name or number of one of `cameras`
+        [default: `camera_track` at rest, else the first of `cameras`, else one that frames
+        the scene].
     camera_track : CameraTrack, optional
-        How the camera moves; see `camera_at`.
+        Motion of the camera; see `camera_at`.
     cameras : mapping of str to Camera or CameraTrack, optional
-        All views to choose from, by name.
+        Views to choose from, by name.
     animation : Animation, optional
-        How meshes and lights move; see `at`.
+        Motion of meshes and lights; see `at`.
     up : array_like of shape (3,), optional
         The world's up direction, used to frame the scene.
     background : Color, optional
-        What rays that miss see, linear RGB.
+        Radiance along rays that miss, linear RGB.
     name : str, optional
-        For people.
+        Label; need not be unique.
 
     Raises
     ------
     ValueError
-        If a mesh refers to a material that is not there, `cameras` has no such camera, or `up`
+        If a mesh refers to a material that does not exist, `cameras` has no such camera, or `up`
         is zero.
     """
 
@@ -135,7 +135,7 @@ class Scene:
         if not name.startswith("_"):
             is_part = name in _Parts.__annotations__
             how = f"; scene.replace({name}=...) makes another" if is_part else ""
-            raise AttributeError(f"{name}: a scene does not change{how}")
+            raise AttributeError(f"{name}: scenes are immutable{how}")
         super().__setattr__(name, value)
 
     @classmethod
@@ -171,7 +171,7 @@ class Scene:
 
     @classmethod
     def from_triangles(cls, triangles: Triangles) -> Scene:
-        """Make a scene of a triangle store: the same triangles and meshes, and nothing else."""
+        """Make a scene from a triangle store: the same triangles and meshes, nothing else."""
         corners = triangles.to_world(triangles.corners)
         meshes = []
         for first, end in itertools.pairwise(triangles.mesh_splits):
@@ -180,18 +180,18 @@ class Scene:
         return cls().moved(meshes, triangles)
 
     def replace(self, **changes: Unpack[_Parts]) -> Scene:
-        """Make the same scene with other parts; what does not change is shared.
+        """Copy the scene with some parts replaced; unchanged parts are shared.
 
         Parameters
         ----------
         **changes
-            Parameters of `Scene`. A `camera` ends the track of the one before.
+            Parameters of `Scene`. A `camera` removes the current camera track.
 
         Returns
         -------
         Scene
-            With the same meshes it has the same triangles, which are not made again, and
-            `Tracer.update` takes it without rebuilding anything.
+            If the meshes are unchanged, so are the triangles, and `Tracer.update` accepts it
+            without rebuilding anything.
 
         Raises
         ------
@@ -200,8 +200,7 @@ class Scene:
 
         Notes
         -----
-        Meshes, materials and lights that are replaced stay as they are at all times; those that
-        are not follow the animation.
+        Replaced meshes, materials and lights are static; the others follow the animation.
 
         Examples
         --------
@@ -237,14 +236,14 @@ class Scene:
         return scene
 
     def moved(self, meshes: Sequence[Mesh], triangles: Triangles) -> Scene:
-        """Make the same scene with moved meshes.
+        """Copy the scene with moved meshes.
 
         Parameters
         ----------
         meshes : sequence of Mesh
-            As many, with the same faces.
+            The same number of meshes, with the same faces.
         triangles : Triangles
-            Theirs.
+            Their triangles.
         """
         return self._with(_geometry=_Geometry(meshes, triangles))
 
@@ -255,7 +254,7 @@ class Scene:
 
     @property
     def meshes(self) -> tuple[Mesh, ...]:
-        """The meshes, in the order that numbers their triangles."""
+        """The meshes, in the order in which their triangles are numbered."""
         return self._geometry.meshes
 
     @property
@@ -275,22 +274,22 @@ class Scene:
 
     @property
     def background(self) -> Color:
-        """What rays that miss see, linear RGB."""
+        """Radiance along rays that miss, linear RGB."""
         return self._background
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Label of the scene."""
         return self._name
 
     @property
     def triangles(self) -> Triangles:
-        """The triangles of all meshes in the form that structures are built from; made once."""
+        """The triangles of all meshes, in the form that structures are built from; cached."""
         return self._geometry.triangles
 
     @property
     def attributes(self) -> Attributes:
-        """What the meshes say of their triangles and vertices, one mesh after another."""
+        """Attributes of triangles and vertices, one mesh after another."""
         return self._geometry.attributes
 
     @property
@@ -306,32 +305,32 @@ class Scene:
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Corners of the box around all triangles that can be hit.
+        """Bounding box of all triangles that can be hit.
 
         Returns
         -------
         ndarray of shape (2, 3), float64
-            Rows: low and high, world space; both zero for a scene with nothing to hit.
+            Rows: low and high corner, world space; both zero if nothing can be hit.
         """
         return self.triangles.world_bounds
 
     @property
     def camera(self) -> Camera:
-        """The scene's own camera, else one that frames its bounds in a picture of 4:3."""
+        """The scene's own camera, else one that frames its bounds at an aspect of 4:3."""
         return self.camera_for(4.0 / 3.0)
 
     @property
     def has_own_camera(self) -> bool:
-        """Whether the camera was given, and does not just frame the bounds."""
+        """Whether the scene has a camera, rather than a default one that frames the bounds."""
         return self._views.camera is not None
 
     def camera_for(self, aspect: float) -> Camera:
-        """The scene's own camera, else one that frames its bounds in such a picture.
+        """The scene's own camera, else one that frames its bounds at an aspect ratio.
 
         Parameters
         ----------
         aspect : float
-            Width of the picture over its height.
+            Width of the image divided by its height.
         """
         if self._views.camera is not None:
             return self._views.camera
@@ -340,7 +339,7 @@ class Scene:
 
     @property
     def cameras(self) -> dict[str, Camera]:
-        """The views that the scene came with, by name, while they stand still."""
+        """The views to choose from, by name, at rest."""
         return {
             name: one if isinstance(one, Camera) else one.still
             for name, one in self._views.named.items()
@@ -348,11 +347,11 @@ class Scene:
 
     @property
     def camera_track(self) -> CameraMotion | None:
-        """How the camera moves, or None where it does not."""
+        """Motion of the camera, or None if it is static."""
         return self._views.track
 
     def camera_at(self, time: float) -> Camera:
-        """The camera at a time; see `at` for the rest.
+        """The camera at a time; see `at` for meshes and lights.
 
         Parameters
         ----------
@@ -362,7 +361,7 @@ class Scene:
         Returns
         -------
         Camera
-            What the track says; without one, `camera`.
+            The track's camera; without a track, `camera`.
 
         Raises
         ------
@@ -376,7 +375,7 @@ class Scene:
 
     @property
     def animation(self) -> Animation | None:
-        """How meshes and lights move, or None where they do not."""
+        """Motion of meshes and lights, or None if they are static."""
         return self._animation
 
     def at(self, time: float) -> Scene:
@@ -390,8 +389,8 @@ class Scene:
         Returns
         -------
         Scene
-            Its meshes, lights and camera are those of that time; meshes that do not move are
-            the same objects. It can be asked for other times as this one can.
+            With the meshes, lights and camera of that time; static meshes are shared. It keeps
+            the animation, so its own `at` works as well.
 
         Raises
         ------
@@ -416,30 +415,31 @@ class Scene:
         return scene
 
     def timeline(self, fps: float | None = None) -> Timeline:
-        """The frames of a scene that moves.
+        """The frames of an animated scene.
 
         Parameters
         ----------
         fps : float, optional
-            Frames in a unit of time; without it, what the file says, else 24.
+            Frames per unit of time [default: from the file, else 24].
 
         Raises
         ------
         ValueError
-            If neither meshes, lights nor the camera move, or `fps` is not above 0.
+            If meshes, lights and camera are all static, or `fps` is not above 0.
         """
         if self._animation is not None:
             return self._animation.timeline(fps)
         if self.camera_track is None:
-            raise ValueError("scene: nothing moves in it, neither meshes nor the camera")
+            raise ValueError("scene: is static; it animates neither meshes nor the camera")
         return Timeline(*self.camera_track.times, FPS if fps is None else fps)
 
     @property
     def area_lights(self) -> list[AreaLight]:
-        """The emissive triangles, one entry for each mesh and emissive material.
+        """The emissive triangles, one entry per mesh and emissive material.
 
-        Materials whose emission is a texture, and those that are not opaque, glow, but do not
-        count: such textures are mostly black, and what is cut out sends no light.
+        Excludes materials whose emission is a texture, and those that are not opaque: they
+        glow, but are not sampled as lights, since such textures are mostly black and cut-outs
+        emit nothing.
         """
         lights = []
         first = 0
@@ -462,7 +462,7 @@ class Scene:
         return f"Scene({name}{len(self.meshes)} meshes, {self.triangle_count:,} triangles)"
 
     def _repr_html_(self) -> str:
-        """Show what is in the scene in a notebook."""
+        """Show the contents of the scene in a notebook."""
         corners = [" ".join(f"{number:.6g}" for number in corner) for corner in self.bounds]
         kinds = [type(light).__name__.removesuffix("Light").lower() for light in self.lights]
         kinds += ["area"] * len(self.area_lights)
@@ -480,5 +480,5 @@ class Scene:
 
 
 def _are_same(meshes: Sequence[Mesh], others: Sequence[Mesh]) -> bool:
-    """Whether they are the same objects."""
+    """Whether two sequences hold the same objects."""
     return len(meshes) == len(others) and all(map(operator.is_, meshes, others))

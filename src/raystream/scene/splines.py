@@ -1,4 +1,4 @@
-"""Splines: positions and rotations between keys, as BART animates them."""
+"""Splines: interpolation of keyframed positions and rotations, as in BART."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def rotation_matrix(axis: Array, degrees: float) -> Array:
-    """Rotate about an axis of any length, right-handed; a zero axis does not rotate."""
+    """Return a right-handed rotation about an axis of any length; identity for a zero axis."""
     return quaternion_matrix(_quaternion(axis, degrees))
 
 
@@ -28,7 +28,7 @@ def position_at(keys: Array, time: float) -> Array:
     """Interpolate rows of time, value (3), tension, continuity, bias.
 
     A Kochanek-Bartels spline through the inner keys; the first and the last key only shape
-    its ends, as in BART. Outside, the value at the nearer end holds; with fewer than four
+    its ends, as in BART. Outside, the value is that of the nearer end; with fewer than four
     keys the interpolation is linear.
 
     References
@@ -52,10 +52,7 @@ def position_at(keys: Array, time: float) -> Array:
 
 
 def key_turns(keys: Array) -> list[Array]:
-    """The unit quaternion of each row of `rotation_at`; each nearer to the last than its negative.
-
-    They do not depend on the time.
-    """
+    """Return the unit quaternion of each row of `rotation_at`, with signs for the shorter arcs."""
     turns = [_quaternion(row[1:4], float(row[4])) for row in keys]
     for i in range(1, len(turns)):
         if turns[i] @ turns[i - 1] < 0.0:  # the same rotation, by the shorter way
@@ -71,12 +68,12 @@ def rotation_at(keys: Array, time: float, turns: list[Array] | None = None) -> A
     keys : ndarray of shape (K, 8)
     time : float
     turns : list of ndarray, optional
-        What `key_turns` made of them.
+        Result of `key_turns`.
 
     Returns
     -------
     ndarray of shape (4,)
-        A unit quaternion w, x, y, z: the spherical form of `position_at`, with the same
+        A unit quaternion w, x, y, z: the spherical analogue of `position_at`, with the same
         tangents taken in the logarithm of the quaternions.
 
     References
@@ -112,7 +109,7 @@ def _few_rotations(times: Array, turns: list[Array], time: float) -> Array:
 
 
 def _segment(times: Array, time: float) -> tuple[int, float]:
-    """Find the inner keys i, i + 1 around a time, and how far it is between them."""
+    """Find the inner keys i, i + 1 around a time, and its fraction of that segment."""
     last = len(times) - 2
     if not time > times[1]:
         return 1, 0.0
@@ -129,14 +126,14 @@ def _fraction(times: Array, i: int, time: float) -> float:
 
 
 def _tangent_weights(times: Array, shape: Array, i: int) -> tuple[float, float, float, float]:
-    """Weigh the differences of values around the segment from key i to key i + 1.
+    """Return the weights of value differences in the tangents of segment i, i + 1.
 
     Returns
     -------
     out_before, out_step : float
         Weights of the differences before and along the segment, for the tangent at key i.
     in_step, in_after : float
-        Weights of those along and after it, for the tangent at key i + 1.
+        Weights of the differences along and after it, for the tangent at key i + 1.
     """
     length = float(times[i + 1] - times[i])
     tension, continuity, bias = (float(x) for x in shape[i])
@@ -151,7 +148,7 @@ def _tangent_weights(times: Array, shape: Array, i: int) -> tuple[float, float, 
 
 
 def _speed(length: float, span: float) -> float:
-    """Correct tangents for keys at uneven times (half of the paper's factor of 2)."""
+    """Return the tangent correction for uneven key times (half of the paper's factor of 2)."""
     return length / span if span > 0.0 else 0.0
 
 
@@ -164,7 +161,7 @@ def _quaternion(axis: Array, degrees: float) -> Array:
 
 
 def quaternion_matrix(q: Array) -> Array:
-    """Make the rotation matrix, shape (3, 3), of a quaternion w, x, y, z of any length but 0."""
+    """Return the rotation matrix, shape (3, 3), of a non-zero quaternion w, x, y, z."""
     w, x, y, z = q / np.linalg.norm(q)
     return np.array(
         [
@@ -185,7 +182,7 @@ def _inverse(q: Array) -> Array:
 
 
 def _log(q: Array) -> Array:
-    """Half the rotation vector of a unit quaternion; shape (3,)."""
+    """Return half the rotation vector of a unit quaternion; shape (3,)."""
     sine = float(np.linalg.norm(q[1:]))
     if sine == 0.0:
         return np.zeros(3)
@@ -201,11 +198,11 @@ def _exp(vector: Array) -> Array:
 
 
 def slerp(p: Array, q: Array, s: float) -> Array:
-    """Walk from p to q, unit quaternions, along the sphere; s goes from 0 to 1."""
+    """Interpolate spherically between unit quaternions p and q; s goes from 0 to 1."""
     cosine = min(1.0, max(-1.0, float(p @ q)))
     angle = math.acos(cosine)
     sine = math.sin(angle)
-    if sine < 1e-9:  # the same, or opposite: the straight line does
+    if sine < 1e-9:  # equal or opposite: linear interpolation suffices
         return p + s * (q - p) if cosine > 0.0 else p
     result: Array = (math.sin((1 - s) * angle) * p + math.sin(s * angle) * q) / sine
     return result

@@ -1,4 +1,4 @@
-"""Texture: a bitmap that is read when it is first asked for."""
+"""Texture: a bitmap, read on first use."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from raystream.core.errors import FileFormatError
 
 __all__ = ["MAX_TEXTURE_PIXELS", "Texture"]
 
-#: Larger images are refused before they are decoded: a few kilobytes can claim terabytes.
+#: Larger images are rejected before decoding: a few kilobytes can claim terabytes.
 MAX_TEXTURE_PIXELS = 1 << 28
 
-#: What textures come in. Pillow knows more, and goes by the content, not by the name: among them
-#: are programs for Ghostscript, which it would run. TGA has no mark of its own, and comes last.
+#: Supported formats. Pillow detects more by content, not by file name, among them programs that
+#: it would run in Ghostscript. TGA has no magic number, and comes last.
 FORMATS = (
     "PNG",
     "JPEG",
@@ -45,7 +45,7 @@ class Texture:
     name : str, optional
         Defaults to the file's name.
     wrap : {"repeat", "clamp"}
-        What happens outside [0, 1].
+        Behaviour outside [0, 1].
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Texture:
         self._whole: Texture | None = None
 
     def pixels(self) -> NDArray[np.uint8]:
-        """Decode the image, once.
+        """Decode the image; cached.
 
         Returns
         -------
@@ -82,9 +82,9 @@ class Texture:
         return self._pixels
 
     def alpha(self) -> Texture:
-        """Its alpha channel alone, of shape (H, W, 1); 255 everywhere if it has none.
+        """Return the alpha channel as a texture of shape (H, W, 1); 255 if there is none.
 
-        The image is read when the channel is asked for.
+        The image is read on first use of the channel.
         """
         channel = Texture(b"", name=self.name, wrap=self.wrap)
         channel._whole = self

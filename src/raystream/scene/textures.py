@@ -1,4 +1,4 @@
-"""Textures made by functions: evaluated once, at each texel's centre, and kept as bitmaps."""
+"""Procedural textures: functions evaluated once at each texel's centre."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def baked(
     wrap: Literal["repeat", "clamp"] = "repeat",
     name: str = "",
 ) -> Texture:
-    """Make a texture of a function of texture coordinates.
+    """Make a texture from a function of texture coordinates.
 
     Parameters
     ----------
     function : callable
         ``function(u, v)``, called once with arrays of shape (H, W), float64: the texels'
         centres in [0, 1], v upward. It returns numbers in [0, 1], of shape (H, W) for greys or
-        (H, W, 3) for colours, or what broadcasts to these with as many axes; a single number
-        is an even grey. What is outside [0, 1] is cut.
+        (H, W, 3) for colours, or an array with as many axes that broadcasts to one of these; a
+        single number is a uniform grey. Values are clipped to [0, 1].
     size : tuple of two int
         Width and height in texels.
     encoding : {"srgb", "plain"}
-        How numbers become bytes: "srgb" for linear colours, "plain" for what is no colour:
+        Encoding of numbers as bytes: "srgb" for linear colours, "plain" for other data such as
         heights of bump maps, normals, roughness.
     wrap, name
         See `Texture`.
@@ -49,7 +49,7 @@ def baked(
     Raises
     ------
     ValueError
-        If the size is not positive or above `MAX_TEXTURE_PIXELS`, or the result has another
+        If the size is not positive or above `MAX_TEXTURE_PIXELS`, or the result has the wrong
         shape or is not finite.
 
     Examples
@@ -61,7 +61,7 @@ def baked(
     """
     width, height = (int(n) for n in size)
     if width < 1 or height < 1 or width * height > MAX_TEXTURE_PIXELS:
-        raise ValueError(f"size: expected two numbers of texels from 1 on, got {size!r}")
+        raise ValueError(f"size: expected two positive numbers of texels, got {size!r}")
     if encoding not in ("srgb", "plain"):
         raise ValueError(f"encoding: expected 'srgb' or 'plain', got {encoding!r}")
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, 1.0 - (np.arange(height) + 0.5) / height)
@@ -87,16 +87,16 @@ def checker(
     *,
     texels: int = 64,
 ) -> Texture:
-    """Squares of two colours.
+    """Make a checkerboard of two colours.
 
     Parameters
     ----------
     one, other : array_like of three float
         Linear RGB in [0, 1]; `one` is at the lower left, where u and v are 0.
     count : tuple of two int
-        Squares across [0, 1] along u and v; even, where the texture is to repeat.
+        Squares across [0, 1] along u and v; even if the texture is to repeat.
     texels : int
-        Along a side of a square. Edges are a texel wide.
+        Texels per side of a square. Edges are one texel wide.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def checker(
     """
     across, up = (int(n) for n in count)
     if across < 1 or up < 1 or texels < 1:
-        raise ValueError(f"count, texels: expected numbers from 1 on, got {count!r}, {texels!r}")
+        raise ValueError(f"count, texels: expected positive numbers, got {count!r}, {texels!r}")
     colors = np.stack([_color("one", one), _color("other", other)])
 
     def squares(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -130,20 +130,20 @@ def noise(
     size: int = 512,
     encoding: Encoding = "srgb",
 ) -> Texture:
-    """Smooth random spots, with finer ones upon them, that repeat without a seam.
+    """Make fractal gradient noise that tiles seamlessly.
 
     Parameters
     ----------
     low, high : array_like of three float
-        Colours in [0, 1] that are mixed; the noise itself is about even around the middle.
+        Colours in [0, 1] that are mixed; the noise is roughly symmetric around the middle.
     frequency : int
-        Cells of the coarsest spots along a side.
+        Cells per side of the coarsest octave.
     octaves : int
-        Layers; each has twice the frequency of the one before, and half of its height.
+        Octaves; each has twice the frequency of the previous one, and half its amplitude.
     seed : int
-        Chooses among pictures.
+        Seed of the gradients.
     size : int
-        Texels along a side; the finest cells need four or more.
+        Texels per side; the finest cells need at least four.
     encoding : {"srgb", "plain"}
         See `baked`; "plain" for bump maps.
 
@@ -158,12 +158,12 @@ def noise(
 
     References
     ----------
-    Perlin, "Improving Noise", 2002: gradients at the corners of cells and a blend of fifth
-    degree. The gradients are random here and turn with the seed.
+    Perlin, "Improving Noise", 2002: gradients at cell corners and a blend of fifth
+    degree. Here the gradients are random, depending on the seed.
     """
     if frequency < 1 or octaves < 1 or size < 1 or frequency << (octaves - 1) > size:
         raise ValueError(
-            "frequency, octaves, size: expected numbers from 1 on, and a texel or more for "
+            "frequency, octaves, size: expected positive numbers, and at least one texel for "
             f"frequency * 2**(octaves - 1) cells; got {frequency}, {octaves}, {size}"
         )
     first, last = _color("low", low), _color("high", high)
@@ -173,7 +173,7 @@ def noise(
         total = np.zeros_like(u)
         for octave in range(octaves):
             total += _gradient_noise(u, v, frequency << octave, numbers) * 0.5**octave
-        # One octave lies within sqrt(1/2) of 0.
+        # The amplitude of one octave is at most sqrt(1/2).
         share = np.clip(0.5 + total / (2.0 * np.sqrt(0.5)), 0.0, 1.0)
         return first + share[:, :, None] * (last - first)
 
@@ -183,7 +183,7 @@ def noise(
 def _gradient_noise(
     u: NDArray[np.float64], v: NDArray[np.float64], count: int, numbers: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Noise of `count` cells along a side, 0 at their corners."""
+    """Return noise of `count` cells per side, 0 at their corners."""
     angles = 2.0 * np.pi * numbers.random((count, count))
     x, y = u * count, v * count
     column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)

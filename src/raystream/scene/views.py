@@ -1,4 +1,4 @@
-"""Views: the cameras of a scene, and which of them it is seen from."""
+"""Views: the cameras of a scene, and the selected one."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["Views"]
 
 @dataclass(frozen=True)
 class Views:
-    """The camera that a scene is seen from, and those to choose from.
+    """The selected camera of a scene, and those to choose from.
 
     Attributes
     ----------
     camera : Camera or None
-        None where a scene is to be framed.
+        None to frame the scene.
     track : CameraMotion or None
-        How `camera` moves.
+        Motion of `camera`.
     named : mapping of str to Camera or CameraMotion
     """
 
@@ -35,7 +35,7 @@ class Views:
         track: CameraMotion | None,
         named: Mapping[str, Camera | CameraMotion] | None,
     ) -> Views:
-        """Choose a view: the camera, else the track's, else the first that has a name."""
+        """Choose a view: the camera, else the track's, else the first named one."""
         views = cls(None, track, dict(named or {}))
         if isinstance(camera, str | int):
             return views.choose(camera)
@@ -46,7 +46,7 @@ class Views:
         return replace(views, camera=camera)
 
     def choose(self, which: str | int) -> Views:
-        """Look from one of the named cameras; it may move.
+        """Select one of the named cameras, which may be animated.
 
         Parameters
         ----------
@@ -56,19 +56,19 @@ class Views:
         Raises
         ------
         ValueError
-            If there is none of that name or number.
+            If there is no such camera.
         """
         names = list(self.named)
         name = names[which] if isinstance(which, int) and 0 <= which < len(names) else which
         if not isinstance(name, str) or name not in self.named:
             shown = ", ".join(f"{name[:40]!r} ({i})" for i, name in enumerate(names[:10]))
-            there = f"the scene has {shown}" if names else "the scene has none to choose from"
-            raise ValueError(f"there is no camera {which!r:.60}; {there}")
+            there = f"the scene has {shown}" if names else "the scene has no named cameras"
+            raise ValueError(f"no camera {which!r:.60}; {there}")
         one = self.named[name]
         if isinstance(one, Camera):
             return Views(one, None, self.named)
         return Views(one.still, one, self.named)
 
     def at(self, time: float) -> Views:
-        """The same views, with the camera where its track has it at a time."""
+        """Return the same views, with the selected camera at a time."""
         return self if self.track is None else replace(self, camera=self.track.at(time))

@@ -94,7 +94,7 @@ def camera_message(camera: Camera) -> Message:
         "up": list(camera.up),
         "fov": camera.fov,
         "projection": camera.projection,
-        "height": camera.picture_height if camera.projection == "orthographic" else camera.height,
+        "height": camera.image_height if camera.projection == "orthographic" else camera.height,
         "aperture": camera.aperture,
         "focus": camera.focus,
     }

@@ -353,7 +353,7 @@ def test_buffers_in_files(tmp_path: Path) -> None:
     document["buffers"][0]["uri"] = "points.bin"
     assert read(tmp_path, document).triangle_count == 4
     (tmp_path / "points.bin").write_bytes(payload[:-1])
-    with pytest.raises(FileFormatError, match="buffer 0 promises 72 bytes and has 71"):
+    with pytest.raises(FileFormatError, match="buffer 0 declares 72 bytes and has 71"):
         read(tmp_path, document)
 
 
@@ -401,31 +401,31 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("extensionsRequired", ["KHR_draco_mesh_compression"], "KHR_draco_mesh_compression"),
         ("nodes/1/children", [0], "occurs twice"),
         ("nodes/0/children", [1, 1], "occurs twice"),
-        ("nodes/0/children", [7], "nodes has no number 7"),
-        ("nodes/0/children", [-1], "whole number"),
+        ("nodes/0/children", [7], "nodes has no entry 7"),
+        ("nodes/0/children", [-1], "integer >= 0"),
         ("nodes/0/children", 1, "not a list"),
         ("nodes/0/translation", [1, 2], "list of 3 numbers"),
         ("nodes/0/translation", [1, 2, "x"], "not a number"),
         ("nodes/0/matrix", [1e999] * 16, "not a finite number"),
-        ("nodes/1/mesh", 3, "meshes has no number 3"),
-        ("nodes/1/mesh", True, "whole number"),
+        ("nodes/1/mesh", 3, "meshes has no entry 3"),
+        ("nodes/1/mesh", True, "integer >= 0"),
         ("meshes/0", [], "not an object"),
-        ("meshes/0/primitives/0", 5, "a primitive that is none"),
-        ("meshes/0/primitives/0/material", 0, "materials has no number 0"),
+        ("meshes/0/primitives/0", 5, "an invalid primitive"),
+        ("meshes/0/primitives/0/material", 0, "materials has no entry 0"),
         ("meshes/0/primitives/0/indices", 0, "unexpected type"),
-        ("accessors/0/count", 5, "leave buffer view 0"),
-        ("accessors/0/count", 10**15, "leave buffer view 0"),
-        ("accessors/0/byteOffset", 4, "leave buffer view 0"),
+        ("accessors/0/count", 5, "exceed buffer view 0"),
+        ("accessors/0/count", 10**15, "exceed buffer view 0"),
+        ("accessors/0/byteOffset", 4, "exceed buffer view 0"),
         ("accessors/0/componentType", 1, "unexpected type"),
         ("accessors/0/type", ["VEC3"], "unexpected type"),
         ("accessors/1", {"componentType": 5123, "count": 10**12, "type": "SCALAR"}, "no buffer"),
         ("bufferViews/0/byteStride", 4, "stride"),
-        ("bufferViews/0/byteLength", 400, "leaves its buffer"),
-        ("bufferViews/0/buffer", 1, "buffers has no number 1"),
+        ("bufferViews/0/byteLength", 400, "exceeds its buffer"),
+        ("bufferViews/0/buffer", 1, "buffers has no entry 1"),
         ("buffers/0/byteLength", 10**14, "truncated"),
         ("buffers/0/uri", "data:;base64,????", "truncated|decoded"),
         ("buffers/0/uri", 5, "not text"),
-        ("scene", 4, "scenes has no number 4"),
+        ("scene", 4, "scenes has no entry 4"),
     ],
 )
 def test_damaged_documents(tmp_path: Path, path: str, value: Any, reason: str) -> None:

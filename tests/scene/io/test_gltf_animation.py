@@ -83,7 +83,7 @@ def test_time_of_load(tmp_path: Path) -> None:
     scene = rs.load(path, time=1.5)
     np.testing.assert_allclose(scene.meshes[0].vertices[0], [3, 0, 0], atol=1e-6)
     path.write_bytes(tiny.gltf_text())
-    with pytest.raises(ValueError, match=r"nothing moves in .*a\.gltf"):
+    with pytest.raises(ValueError, match=r"a\.gltf is not animated"):
         rs.load(path, time=1.5)
 
 
@@ -122,13 +122,13 @@ def changed(change: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda d, a: a["channels"][0].update(sampler=3), "no sampler number 3"),
-        (lambda d, a: a["channels"][0]["target"].update(node=9), "no number 9"),
-        (lambda d, a: a["samplers"][0].update(interpolation="EASE"), "it interpolates .*EASE"),
+        (lambda d, a: a["channels"][0].update(sampler=3), "sampler 3 does not exist"),
+        (lambda d, a: a["channels"][0]["target"].update(node=9), "no entry 9"),
+        (lambda d, a: a["samplers"][0].update(interpolation="EASE"), "interpolation .*EASE"),
         (lambda d, a: a["samplers"][0].update(output=4), "unexpected type"),
         (lambda d, a: a["samplers"][0].update(interpolation="CUBICSPLINE"), "3 times and 3 values"),
         (lambda d, a: d["accessors"][3].update(count=2), "3 times and 2 values"),
-        (lambda d, a: d["accessors"][3].update(count=10**6), "leave buffer view"),
+        (lambda d, a: d["accessors"][3].update(count=10**6), "exceed buffer view"),
         (lambda d, a: a["samplers"][0].update(input=1), "decrease"),
         (lambda d, a: a.update(channels=[7]), "channel is not an object"),
         (lambda d, a: d["animations"].append(7), "animation is not an object"),
@@ -164,11 +164,11 @@ def test_keys_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda d, a: d["animations"].append(a), "1 of 2 animations move what an earlier"),
+        (lambda d, a: d["animations"].append(a), "skipped 1 of 2 animations"),
         (lambda d, a: a["channels"][0]["target"].update(path="weights"), "morph targets"),
-        (lambda d, a: a["channels"][0]["target"].pop("node"), "other things than nodes"),
+        (lambda d, a: a["channels"][0]["target"].pop("node"), "unsupported properties"),
         (lambda d, a: d["nodes"][0].update(matrix=np.eye(4).ravel().tolist()), "with a matrix"),
-        (lambda d, a: d["nodes"][1].update(skin=0), "1 meshes with a skin stay"),
+        (lambda d, a: d["nodes"][1].update(skin=0), "1 skinned meshes left"),
     ],
 )
 def test_what_does_not_move_is_said(tmp_path: Path, change: Any, reason: str) -> None:

@@ -241,7 +241,7 @@ def test_bad_indices_are_dropped_and_counted(tmp_path: Path) -> None:
 
 
 def test_faces_with_two_corners_are_left_out(tmp_path: Path) -> None:
-    with pytest.warns(RaystreamWarning, match="left out 2 faces"):
+    with pytest.warns(RaystreamWarning, match="skipped 2 faces"):
         scene = read(tmp_path, SQUARE + "f 1 2\nf 1 2 3\nf 1\n")
     assert scene.triangle_count == 1
 

@@ -145,8 +145,8 @@ HUGE = "999999999999999"
             "truncated",
         ),
         (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"3 0 1", "truncated"),
-        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"-3 0 1 2", "makes no sense"),
-        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"1e300 0 1 2", "makes no sense"),
+        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"-3 0 1 2", "invalid list length"),
+        (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"1e300 0 1 2", "invalid list length"),
         (header("element vertex 5", *XYZ, *FACE) + SQUARE + b"3 0 one 2", "not a number"),
         (
             header("element vertex 5", *XYZ, FACE[0], "property list uchar int corners")

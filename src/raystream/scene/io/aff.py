@@ -25,32 +25,31 @@ _DEFAULT_FOV = 40.0
 
 
 def read_aff(path: Path, *, time: float = 0.0) -> Scene:
-    """Read a scene of BART, or an NFF file, as it is at one time.
+    """Read a BART scene or an NFF file at one time.
 
-    Each mesh, run of polygons, and quadric becomes a mesh in world space, in the order of the
-    files, every time that its file is included; spheres and cones are cut into triangles.
+    Each mesh, run of polygons, and quadric becomes a mesh in world space, in file order, each
+    time that its file is included; spheres and cones are tessellated.
 
     Parameters
     ----------
     path : Path
-        The ``.aff`` or ``.nff`` file that includes all others; they lie next to it, and
+        The ``.aff`` or ``.nff`` file that includes all others; they are next to it, and
         textures next to it or in a folder ``TextureFiles`` there or one level up.
     time : float
-        In the units of the file's keyframes, usually seconds; beyond the first and the last
-        usable key things stand still.
+        In the units of the file's keyframes, usually seconds; outside the first and the last
+        usable key the scene is static.
 
     Returns
     -------
     Scene
-        Of a material ``fm``, the specular colour is both the highlight's and the mirror's, as
-        in BART; T becomes the same transmission in all colours. Lights do not weaken with
-        distance. Ambient light ``am`` becomes an `EnvironmentLight` that adds to the
-        scene's triangles, on average, what the ambient term would have added where
-        nothing blocks it. A material that only ambient light shows emits that: such are
-        pictures of what lies outside. The keyframes ``camera`` win over the view block
-        ``v``; the camera is the one at `time`, and its track has all times. If anything
-        moves, the animation has all of it, with the times and the frame rate of the
-        statement ``a``.
+        The specular colour of a material ``fm`` is that of both highlights and mirror
+        reflections, as in BART; T becomes the same transmission in all colours. Lights have
+        no falloff. Ambient light ``am`` becomes an `EnvironmentLight` whose unoccluded
+        contribution equals, on average over the triangles, that of the ambient term. A
+        material with only an ambient colour emits it: such are backdrops of the outside. The
+        keyframes ``camera`` override the view block ``v``; the camera is the one at `time`,
+        and its track has all times. If anything moves, the animation has the times and the
+        frame rate of the statement ``a``.
 
     Raises
     ------
@@ -60,7 +59,7 @@ def read_aff(path: Path, *, time: float = 0.0) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For triangles and textures that had to be left out.
+        For triangles and textures that were skipped.
 
     References
     ----------
@@ -92,7 +91,7 @@ def read_aff(path: Path, *, time: float = 0.0) -> Scene:
 
 @dataclass
 class _Poses:
-    """Builds the scene at any time, with all that stays as it is shared."""
+    """Builds the scene at any time; unchanged parts are shared."""
 
     builder: AffBuilder
 
@@ -106,7 +105,7 @@ class _Poses:
 
 
 def _animation(files: AffFiles, builder: AffBuilder, track: CameraTrack | None) -> Animation | None:
-    """Say how it moves, if it does: with the times of ``a``, else those of its keys."""
+    """Return the animation, if any: with the times of ``a``, else those of its keys."""
     spans = _spans(files) + ([] if track is None else [track.times])
     if not spans:
         return None
@@ -121,7 +120,7 @@ def _animation(files: AffFiles, builder: AffBuilder, track: CameraTrack | None) 
 
 
 def _spans(files: AffFiles) -> list[tuple[float, float]]:
-    """When what the statements name or hold moves."""
+    """Return start and end of each motion in the scene."""
     spans = []
     named: set[str] = set()
     for statement in (one for content in files.statements.values() for one in content):
@@ -136,7 +135,7 @@ def _spans(files: AffFiles) -> list[tuple[float, float]]:
 
 
 def _camera(files: AffFiles, time: float) -> Camera | None:
-    """Take the view from the keyframes ``camera``, and what they lack from the block ``v``."""
+    """Return the view of the keyframes ``camera``, completed by the block ``v``."""
     view = files.view
     fov = view.get("angle", [_DEFAULT_FOV])[0]
     keys = files.keyframes.get("camera", Keyframes())
@@ -156,15 +155,15 @@ def _camera(files: AffFiles, time: float) -> Camera | None:
         with np.errstate(all="ignore"):
             return Camera(tuple(eye), tuple(look_at), tuple(up), fov)
     except ValueError as error:
-        raise FileFormatError(files.path, f"its view makes no sense ({error})") from None
+        raise FileFormatError(files.path, f"invalid view ({error})") from None
 
 
 def _camera_track(files: AffFiles, camera: Camera) -> CameraTrack | None:
-    """Take the keyframes ``camera``; what they lack stays as it is in a camera of any time."""
+    """Return the track of the keyframes ``camera``; `camera` gives what they do not animate."""
     keys = files.keyframes.get("camera", Keyframes())
     if keys.translation is None and keys.rotation is None:
         return None
     try:
         return CameraTrack(camera, keys.translation, keys.rotation)
     except ValueError as error:
-        raise FileFormatError(files.path, f"its camera's keys make no sense ({error})") from None
+        raise FileFormatError(files.path, f"invalid keys of the camera ({error})") from None

@@ -1,4 +1,4 @@
-"""AFF animation: keyframes of translation, rotation, scale and visibility, at one time."""
+"""AFF animation: keyframes of translation, rotation, scale and visibility."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Keyframes:
-    """What is animated under one name.
+    """The animation channels of one name.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Keyframes:
         return [] if self.rotation is None else key_turns(self.rotation)
 
     def matrix(self, time: float) -> Array:
-        """Scale, then rotation, then translation, at a time; shape (4, 4), column vectors."""
+        """Return scale, then rotation, then translation; shape (4, 4), column vectors."""
         matrix = np.eye(4)
         with np.errstate(all="ignore"):
             if self.rotation is not None:
@@ -60,7 +60,7 @@ class Keyframes:
         return matrix
 
     def spans(self) -> list[tuple[float, float]]:
-        """When each of its channels changes; none for those that never do."""
+        """Return start and end of each channel that changes."""
         spans = [
             keys_span(keys[:, 0])
             for keys in (self.translation, self.scale, self.rotation)
@@ -71,7 +71,7 @@ class Keyframes:
         return spans
 
     def visible(self, time: float) -> bool:
-        """Whether it can be seen; before the first key it can."""
+        """Whether it is visible; True before the first key."""
         if self.visibility is None:
             return True
         past = self.visibility[self.visibility[:, 0] <= time]
@@ -93,7 +93,7 @@ def read_keyframes(words: Words) -> Keyframes:
         elif channel.startswith(b"visib"):
             keys.visibility = _rows(words, 2)
         else:
-            raise words.error(f"does not know the keyframes {shown(channel)}")
+            raise words.error(f"unknown keyframe channel {shown(channel)}")
     words.expect(b"}")
     return keys
 
@@ -101,7 +101,7 @@ def read_keyframes(words: Words) -> Keyframes:
 def _rows(words: Words, width: int) -> Array:
     count = words.count(width)
     if count == 0:
-        raise words.error("has keyframes without any key")
+        raise words.error("a keyframe channel is empty")
     return words.floats(count * width).reshape(count, width)
 
 

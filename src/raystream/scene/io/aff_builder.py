@@ -1,4 +1,4 @@
-"""AFF builder: carries out the statements of a scene, at any time."""
+"""AFF builder: executes the statements of a scene, at any time."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from raystream.scene.texture import Texture
 
 __all__ = ["AffBuilder", "color"]
 
-#: Includes within includes; BART needs 4.
+#: Maximum depth of includes; BART needs 4.
 MAX_DEPTH = 32
 
 _NONE: Color = (0.0, 0.0, 0.0)
 
-#: Statements carried out, counting each inclusion of a file; BART needs 10,000.
+#: Maximum statements executed, counting each inclusion of a file; BART needs 10,000.
 MAX_STATEMENTS = 1 << 19
 
 
 class AffBuilder:
-    """Carries out the statements of all files, for one time after the other.
+    """Executes the statements of all files, for one time after the other.
 
-    Materials, textures, and meshes that stay where they are, are the same objects each time.
+    Materials, textures, and static meshes are the same objects each time.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class AffBuilder:
         self._placements = Placements()
 
     def build(self, time: float) -> None:
-        """Carry out all statements."""
+        """Execute all statements."""
         self.time = time
         self.meshes: list[Mesh] = []
         self._lamps: list[tuple[NDArray[np.float64], Color | None]] = []
@@ -82,7 +82,7 @@ class AffBuilder:
         self.include(self.files.path, 0)
 
     def include(self, path: Path, depth: int) -> None:
-        """Carry out one file; materials and the level of detail outlast it."""
+        """Execute one file; materials and the level of detail stay in effect after it."""
         if depth > MAX_DEPTH:
             raise FileFormatError(
                 self.files.path, f"includes itself, or files more than {MAX_DEPTH} deep"
@@ -104,10 +104,10 @@ class AffBuilder:
                 self._matrices.pop()
                 self._hidden -= opened.pop()
             else:
-                self._carry_out(statement, path)
+                self._execute(statement, path)
 
     def _begin(self, begin: Begin) -> bool:
-        """Open a transform; True when it hides what it holds."""
+        """Push a transform; return whether its contents are invisible."""
         if begin.matrix is not None:
             matrix, visible = begin.matrix, True
         else:
@@ -118,13 +118,13 @@ class AffBuilder:
         return not visible
 
     def _animated(self, name: str) -> tuple[NDArray[np.float64], bool]:
-        """Evaluate keyframes, once for each name; without any nothing moves."""
+        """Evaluate keyframes, once per name; identity and visible without any."""
         if name not in self._moves:
             keys = self.files.keyframes.get(name, Keyframes())
             self._moves[name] = keys.matrix(self.time), keys.visible(self.time)
         return self._moves[name]
 
-    def _carry_out(self, statement: Statement, path: Path) -> None:
+    def _execute(self, statement: Statement, path: Path) -> None:
         if isinstance(statement, AffMaterial):
             self._material = statement
         elif isinstance(statement, Detail):
@@ -182,7 +182,7 @@ class AffBuilder:
             self._lamps.append((position, None if lamp.color is None else color(lamp.color)))
 
     def all_lights(self) -> list[Light]:
-        """Make the lights; NFF's lights without a colour share the brightness of one."""
+        """Make the lights; NFF lights without a colour share the brightness of one."""
         share = 1.0 / math.sqrt(len(self._lamps)) if self._lamps else 1.0
         lights: list[Light] = [
             PointLight((x, y, z), color or (share, share, share), falloff="none")
@@ -209,7 +209,7 @@ class AffBuilder:
 
 
 def _material(source: AffMaterial, ambient: tuple[float, ...]) -> Material:
-    """The material; one that ambient light alone shows, as a picture outside, shines by itself."""
+    """Make a material; one with an ambient colour only, such as a backdrop, emits light."""
     diffuse, specular = color(source.diffuse), color(source.specular)
     through = color((source.transmittance,) * 3)
     glow = _NONE
@@ -228,6 +228,6 @@ def _material(source: AffMaterial, ambient: tuple[float, ...]) -> Material:
 
 
 def color(values: tuple[float, ...]) -> Color:
-    """Make a colour of any three numbers: what is negative or not finite becomes 0."""
+    """Make a colour from three numbers: negative and non-finite ones become 0."""
     red, green, blue = (v if math.isfinite(v) and v > 0.0 else 0.0 for v in values)
     return red, green, blue

@@ -1,4 +1,4 @@
-"""AFF shapes: meshes, polygons, triangles, spheres and cones as meshes of triangles."""
+"""AFF shapes: meshes, polygons, triangles, spheres and cones, tessellated."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from raystream.scene.mesh import Mesh
 
 __all__ = ["MorphingTriangle", "Shape", "merged", "read_shape"]
 
-#: Spheres and cones are cut into this many slices around their axis, spheres into half as
-#: many from pole to pole: the silhouette is then within 0.5 % of the radius.
+#: Slices of spheres and cones around their axis; spheres have half as many stacks from pole to
+#: pole: the silhouette is then within 0.5 % of the radius.
 SLICES = 32
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class MorphingTriangle:
     corners: Array
 
     def mesh(self, time: float) -> Mesh:
-        """Interpolate linearly; before the first and after the last time it stands still."""
+        """Interpolate linearly; constant before the first and after the last time."""
         flat = self.corners.reshape(len(self.times), -1)
         now = np.array([np.interp(time, self.times, column) for column in flat.T]).reshape(3, 6)
         return Mesh(now[:, :3], [[0, 1, 2]], normals=now[:, 3:])
@@ -54,9 +54,9 @@ class Shape:
 
 
 def merged(shapes: list[Shape]) -> list[Shape]:
-    """Join runs of shapes that have the same texture and the same attributes.
+    """Merge consecutive shapes with the same texture and the same attributes.
 
-    Files of polygons hold one shape for each; the order of triangles stays.
+    Files of polygons have one shape per polygon; the order of triangles is preserved.
     """
     runs = groupby(shapes, key=_likeness)
     return [shape for _, run in runs for shape in _joined(list(run))]
@@ -89,16 +89,16 @@ def _all_of(parts: list[NDArray[np.float32] | None]) -> NDArray[np.float32] | No
 
 
 def read_shape(keyword: bytes, words: Words, checks: IndexCheck) -> Shape | None:
-    """Read the shape that a keyword begins; None when it begins none.
+    """Read the shape of a keyword; None if the keyword is not a shape.
 
     Parameters
     ----------
     keyword : bytes
-        The word just taken.
+        The word just read.
     words : Words
-        What follows.
+        The words that follow.
     checks : IndexCheck
-        Told of indices out of range.
+        Records indices out of range.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def _mesh(words: Words, checks: IndexCheck) -> Shape:
 def _indexed(
     rows: NDArray[np.int64], tables: list[NDArray[Any]], kinds: list[str], checks: IndexCheck
 ) -> Mesh:
-    """Join the tables' indices into one for each corner; wrong ones of attributes are clipped."""
+    """Combine the tables' indices into one per corner; attribute indices are clamped."""
     rows = rows[checks.usable(rows[:, 0], len(tables[0]))]
     for place, table in enumerate(tables[1:], 1):
         rows[:, place] = np.clip(rows[:, place], 0, max(len(table) - 1, 0))
@@ -185,13 +185,13 @@ def _textured_triangle(words: Words, *, with_normals: bool) -> Shape:
 def _morphing_triangle(words: Words) -> Shape:
     count = words.count(19)
     if count == 0:
-        raise words.error("has an animated triangle without any time")
+        raise words.error("an animated triangle has no keys")
     rows = words.floats(19 * count).reshape(count, 19)
     return Shape(MorphingTriangle(rows[:, 0], rows[:, 1:].reshape(count, 3, 6)))
 
 
 def sphere(center: Array, radius: float) -> Mesh:
-    """Cut a sphere along meridians and parallels; a negative radius turns it inside out."""
+    """Tessellate a sphere; a negative radius turns it inside out."""
     stacks = SLICES // 2
     polar = np.linspace(0.0, math.pi, stacks + 1)[:, None]
     around = np.linspace(0.0, 2.0 * math.pi, SLICES + 1)[None, :-1]
@@ -211,7 +211,7 @@ def sphere(center: Array, radius: float) -> Mesh:
 
 
 def cone(base: Array, base_radius: float, apex: Array, apex_radius: float) -> Mesh:
-    """Cut a cone or cylinder without caps into slices; negative radii turn it inside out."""
+    """Tessellate a cone or cylinder without caps; a negative radius turns it inside out."""
     inside = base_radius < 0.0 or apex_radius < 0.0
     base_radius, apex_radius = abs(base_radius), abs(apex_radius)
     with np.errstate(all="ignore"):
@@ -238,10 +238,10 @@ def cone(base: Array, base_radius: float, apex: Array, apex_radius: float) -> Me
 
 
 def _grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Cut a grid that closes around its columns; shape (rows * columns, 2, 3).
+    """Triangulate a grid that wraps around its columns; shape (rows * columns, 2, 3).
 
-    Seen with rows going down and columns to the right the triangles turn counter-clockwise.
-    The first has two corners in the upper row, the second two in the lower.
+    Triangles are counter-clockwise with rows going down and columns to the right. The first of
+    a cell has two corners in the upper row, the second two in the lower.
     """
     row, column = np.divmod(np.arange(rows * columns), columns)
     right = (column + 1) % columns

@@ -1,4 +1,4 @@
-"""AFF statements: what each file of a BART scene says, before it is put together."""
+"""AFF statements: the parsed files of a BART scene."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from raystream.scene.io.text import shown
 
 __all__ = ["AffFiles", "AffMaterial", "Begin", "End", "Include", "Lamp", "Statement"]
 
-#: A scene with more files than this is taken for a hostile one; BART's kitchen has 53.
+#: A scene with more files than this is assumed to be hostile; BART's kitchen has 53.
 MAX_FILES = 4096
 
-#: Shapes of a few triangles each, which are joined while nothing else comes between.
+#: Shapes of a few triangles each; consecutive ones are merged.
 POLYGONS = frozenset({b"p", b"pp", b"tt", b"ttt", b"ttp"})
 
 
 @dataclass(frozen=True)
 class Begin:
-    """A transform opens: a fixed matrix, or the name of an animated one."""
+    """Begin of a transform: a fixed matrix, or the name of an animated one."""
 
     matrix: NDArray[np.float64] | None = None
     name: str = ""
@@ -36,12 +36,12 @@ class Begin:
 
 @dataclass(frozen=True)
 class End:
-    """The innermost transform closes."""
+    """End of the innermost transform."""
 
 
 @dataclass(frozen=True)
 class Include:
-    """Another file is read in this place, if its level is not above the level of detail."""
+    """Inclusion of another file, if its level is not above the level of detail."""
 
     name: str
     level: int
@@ -49,14 +49,14 @@ class Include:
 
 @dataclass(frozen=True)
 class Detail:
-    """The level of detail from here on."""
+    """The level of detail of the following statements."""
 
     level: int
 
 
 @dataclass(frozen=True)
 class AffMaterial:
-    """The material of what follows: ``fm``, or ``f`` written out."""
+    """The material of the following shapes: ``fm``, or ``f`` converted to it."""
 
     ambient: tuple[float, ...]
     diffuse: tuple[float, ...]
@@ -80,19 +80,19 @@ Statement = Begin | End | Include | Detail | AffMaterial | Lamp | Shape
 
 @dataclass
 class AffFiles:
-    """All files of a scene, each read once.
+    """All files of a scene, each parsed once.
 
     Parameters
     ----------
     path : Path
-        The file to begin with.
+        The main file.
 
     Attributes
     ----------
     statements : dict of Path to list
-        What each file says, in its order; filled by `read`.
+        The statements of each file, in order; filled by `read`.
     keyframes : dict of str to Keyframes
-        By name, wherever they stand: they may follow what they move.
+        By name; they may come after the statements that use them.
     view : dict of str to list of float
         ``from``, ``at``, ``up``, ``angle``.
     timing : (float, float, float) or None
@@ -113,7 +113,7 @@ class AffFiles:
         self._found: dict[tuple[str, Path], Path] = {}
 
     def read(self) -> None:
-        """Read the first file and all that it includes."""
+        """Read the main file and all that it includes."""
         waiting = [self.path]
         while waiting:
             path = waiting.pop()
@@ -125,7 +125,7 @@ class AffFiles:
             waiting += [self.included(s.name, path) for s in found if isinstance(s, Include)]
 
     def included(self, name: str, within: Path) -> Path:
-        """Find an included file, next to the first one, else next to the one that includes it."""
+        """Find an included file, next to the main one, else next to the one that includes it."""
         key = name, within.parent
         if key not in self._found:
             path = find_sibling(self.path, name) or find_sibling(within, name)
@@ -164,7 +164,7 @@ class AffFiles:
         return found
 
     def _setting(self, keyword: bytes, words: Words) -> bool:
-        """Read what holds for the whole scene; False when it is something else."""
+        """Read a statement that applies to the whole scene; return whether it is one."""
         if keyword == b"v":
             self._view(words)
         elif keyword == b"b":
@@ -181,7 +181,7 @@ class AffFiles:
         return True
 
     def _timing(self, words: Words) -> None:
-        """Read first and last time, and number of frames; what makes no sense is left out."""
+        """Read first and last time, and number of frames; invalid ones are ignored."""
         first, last, count = words.floats(3).tolist()
         if -math.inf < first < last < math.inf and 1.0 <= count < math.inf:
             self.timing = first, last, count
@@ -193,7 +193,7 @@ class AffFiles:
             self.view[key.decode()] = words.floats(widths[key]).tolist()
 
     def _content(self, keyword: bytes, words: Words) -> Statement:
-        """Read what stands in its place in the scene."""
+        """Read a statement whose position in the scene matters."""
         if keyword == b"i":
             return Include(level=int(words.integers(1)[0]), name=words.name())
         if keyword == b"d":
@@ -209,7 +209,7 @@ class AffFiles:
             return _lamp(words)
         shape = read_shape(keyword, words, self.checks)
         if shape is None:
-            raise words.error(f"does not know the statement {shown(keyword)}")
+            raise words.error(f"unknown statement {shown(keyword)}")
         return shape
 
 
@@ -223,7 +223,7 @@ def _begin(keyword: bytes, words: Words) -> Begin:
 
 
 def _plain_material(words: Words) -> AffMaterial:
-    """Read NFF's ``f``: a colour, how much of it is diffuse and specular, and the rest."""
+    """Read NFF's ``f``: a colour, its diffuse and specular coefficients, and the rest."""
     red, green, blue, diffuse, specular, shininess, transmittance, ior = words.floats(8).tolist()
     color = (red, green, blue)
     return AffMaterial(

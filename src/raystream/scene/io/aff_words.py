@@ -1,4 +1,4 @@
-"""AFF words: the text of BART's files, without comments, taken word by word."""
+"""AFF words: a tokenizer for BART's files."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from raystream.scene.io.text import parse_floats, parse_integers, plain_text, sh
 
 __all__ = ["Words"]
 
-#: So many numbers at most are parsed one by one.
+#: Maximum count of numbers that are parsed one by one.
 _FEW = 32
 
 _COMMENT = re.compile(rb"[#%][^\n]*")
 
 
 class Words:
-    """The words of one file, and the place reached in it.
+    """The words of one file, read in order.
 
     Parameters
     ----------
@@ -41,29 +41,29 @@ class Words:
         return FileFormatError(self.path, reason)
 
     def done(self) -> bool:
-        """Whether no word is left."""
+        """Whether all words have been read."""
         return self._place >= len(self._words)
 
     def peek(self) -> bytes:
-        """The next word, left in place; empty at the end."""
+        """Return the next word without reading it; empty at the end."""
         return b"" if self.done() else self._words[self._place]
 
     def word(self) -> bytes:
-        """Take the next word."""
+        """Read the next word."""
         if self.done():
-            raise self.error("is truncated: it ends in the middle of a statement")
+            raise self.error("is truncated: it ends within a statement")
         self._place += 1
         return self._words[self._place - 1]
 
     def name(self) -> str:
-        """Take the next word as a name."""
+        """Read the next word as a name."""
         word = self.word()
         if word in (b"{", b"}"):
             raise self.error(f"expected a name, found {shown(word)}")
         return word.decode("utf-8", "replace")
 
     def expect(self, word: bytes) -> None:
-        """Take the next word, which must be this one."""
+        """Read the next word, which must be this one."""
         found = self.word()
         if found != word:
             raise self.error(f"expected {shown(word)}, found {shown(found)}")
@@ -77,21 +77,21 @@ class Words:
         return True
 
     def count(self, words_each: int) -> int:
-        """Take a number of items, each at least this many words: they must be there."""
+        """Read a number of items, each of at least this many words, which must follow."""
         word = self.word()
         if not word.isdigit() or len(word) > 18:
             raise self.error(f"expected a number of items, found {shown(word)}")
         count = int(word)
         if count * words_each > len(self._words) - self._place:
-            raise self.error(f"is truncated: it promises {count:,} items and ends before")
+            raise self.error(f"is truncated: it declares {count:,} items and ends before")
         return count
 
     def floats(self, count: int) -> NDArray[np.float64]:
-        """Take numbers."""
+        """Read numbers."""
         return self._numbers(count, parse_floats)
 
     def integers(self, count: int) -> NDArray[np.int64]:
-        """Take whole numbers."""
+        """Read integers."""
         return self._numbers(count, parse_integers)
 
     def _numbers(self, count: int, parse: Any) -> NDArray[Any]:
@@ -103,7 +103,7 @@ class Words:
                 self._place += count
                 return numbers
         if len(words) < count:
-            raise self.error("is truncated: it ends in the middle of a statement")
+            raise self.error("is truncated: it ends within a statement")
         try:
             numbers = parse(b" ".join(words), count)
         except ValueError:
@@ -114,7 +114,7 @@ class Words:
 
 
 def _few_floats(words: list[bytes]) -> NDArray[np.float64] | None:
-    """Parse a few numbers, for which array operations are slow; None where in doubt."""
+    """Parse a few numbers, for which array operations are slow; None if one is invalid."""
     try:
         return np.array([float(word) for word in words if b"_" not in word]).reshape(len(words))
     except ValueError:

@@ -1,4 +1,4 @@
-"""Colors: from the encoded values in files to the linear values of a scene."""
+"""Colors: conversion from sRGB to linear."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.float32]:
     Parameters
     ----------
     encoded : array_like of any shape, float
-        1 is full; what lies outside [0, 1] is clamped, and NaN becomes 0.
+        Clamped to [0, 1]; NaN becomes 0.
 
     Returns
     -------
@@ -33,7 +33,7 @@ def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.float32]:
 
 
 def byte_colors_to_linear(encoded: NDArray[Any]) -> NDArray[np.float32]:
-    """Decode sRGB bytes: the same for whole numbers in 0 .. 255, by table."""
+    """Decode sRGB bytes by table: as `srgb_to_linear`, for integers in 0 .. 255."""
     table = srgb_to_linear(np.arange(256) / 255.0)
     places = np.clip(np.nan_to_num(encoded), 0, 255).astype(np.uint8)
     return np.take(table, places)

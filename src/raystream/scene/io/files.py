@@ -1,4 +1,4 @@
-"""Files: bounded reading of model files and of the files that they name."""
+"""Files: bounded reading of model files and of the files that they refer to."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from raystream.core.errors import FileFormatError
 
 __all__ = ["FOLDER", "find_sibling", "max_file_bytes", "model_suffix", "read_model_bytes"]
 
-#: Larger files, and archives that unpack to more, are refused; see `max_file_bytes`.
+#: Larger files, and archives that unpack to more, are rejected; see `max_file_bytes`.
 DEFAULT_MAX_FILE_BYTES = 4 << 30
 
-#: Text models shrink to a tenth at best; what unpacks to more than this many times its own
-#: size is built to exhaust memory. Small archives may grow to `SMALL_FILE_BYTES` all the same.
+#: Text models compress to a tenth at best; an archive with a higher ratio than this is meant to
+#: exhaust memory. Small archives may unpack to `SMALL_FILE_BYTES` regardless.
 MAX_UNPACK_RATIO = 250
 SMALL_FILE_BYTES = 64 << 20
 
 _UNPACK_STEP = 16 << 20
 
-#: Why a folder is refused.
+#: Reason for rejecting a folder.
 FOLDER = "is a folder, not a model file"
 
 
 def max_file_bytes() -> int:
-    """Read the limit on a model file's size: ``RAYSTREAM_MAX_FILE_BYTES``, else 4 GiB."""
+    """Return the limit on a model file's size: ``RAYSTREAM_MAX_FILE_BYTES``, else 4 GiB."""
     text = os.environ.get("RAYSTREAM_MAX_FILE_BYTES", "")
     return int(text) if text.isdigit() else DEFAULT_MAX_FILE_BYTES
 
 
 def model_suffix(path: Path) -> str:
-    """Return the suffix that tells the format, in lower case: ``.obj`` for ``A.OBJ.gz``."""
+    """Return the file extension of the format, in lower case: ``.obj`` for ``A.OBJ.gz``."""
     name = path.name.lower()
     return Path(name.removesuffix(".gz")).suffix
 
 
 def read_model_bytes(path: Path) -> bytes:
-    """Read a whole file, unpacked when its name ends in ``.gz``.
+    """Read a whole file, unpacked if its name ends in ``.gz``.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def read_model_bytes(path: Path) -> bytes:
     Raises
     ------
     FileFormatError
-        If there is no such file, it is a folder, unreadable, empty, damaged, or larger
+        If the file does not exist, is a folder, unreadable, empty, damaged, or larger
         than `max_file_bytes`.
     """
     limit = max_file_bytes()
@@ -83,22 +83,22 @@ def _require_file(path: Path) -> None:
 
 
 def find_sibling(model: Path, name: str) -> Path | None:
-    """Find a file that a model names: a texture, a material library, a buffer.
+    """Find a file that a model refers to: a texture, a material library, a buffer.
 
-    Looked for in the model's folder and below it only, first as spelt, then without regard
-    to case; an absolute path, or one that climbs out of the folder, counts as its bare name.
+    Searches the model's folder and its subfolders only, first with exact spelling, then
+    ignoring case; absolute paths, and paths that leave the folder, are reduced to their names.
 
     Parameters
     ----------
     model : Path
-        The file that names the other one.
+        The file that refers to the other one.
     name : str
         As written there; either kind of slash.
 
     Returns
     -------
     Path or None
-        None when there is no such file, and for an address such as ``http://...``.
+        None if there is no such file, and for a URL such as ``http://...``.
     """
     name = name.strip().strip('"')  # some exporters quote names with spaces
     if not name or "\0" in name or "://" in name:
@@ -118,7 +118,7 @@ def find_sibling(model: Path, name: str) -> Path | None:
 
 
 def _find(folder: Path, parts: list[str]) -> Path | None:
-    """Follow `parts` down from `folder`, each exactly, else without regard to case."""
+    """Descend from `folder`, matching each part exactly, else ignoring case."""
     try:
         for part in parts:
             exact = folder / part

@@ -1,4 +1,4 @@
-"""Formats: which reader reads which files, and what holds for all of them."""
+"""Formats: choice of the reader for a file, and checks common to all formats."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from raystream.scene.scene import Scene
 
 __all__ = ["SUFFIXES", "read_model"]
 
-#: Module and function that read each format; a module is imported when it is first needed.
+#: Module and function that read each format; modules are imported on first use.
 _READERS = {
     ".obj": ("obj", "read_obj"),
     ".ply": ("ply", "read_ply"),
@@ -25,11 +25,11 @@ _READERS = {
     ".nff": ("aff", "read_aff"),
 }
 
-#: Formats whose scenes may move; the readers of the first two take a time.
+#: Formats whose readers take a time, and all formats that may be animated.
 TIMED = frozenset({".aff", ".nff"})
 ANIMATED = TIMED | {".gltf", ".glb"}
 
-#: The suffixes of all formats; each may be followed by ``.gz``.
+#: The file extensions of all formats; each may be followed by ``.gz``.
 SUFFIXES = tuple(_READERS)
 
 
@@ -39,19 +39,19 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     Parameters
     ----------
     path : Path
-        Its suffix tells the format; a ``.gz`` after it is unpacked.
+        The file extension selects the format; a ``.gz`` after it is unpacked.
     time : float
-        For animated formats: the time to show, in the file's units. glTF at 0 is at rest.
+        For animated formats: the time to show, in the file's units. At 0, glTF is at rest.
 
     Returns
     -------
     Scene
-        Without triangles, if that is what a well-formed file says.
+        Possibly without triangles.
 
     Raises
     ------
     FileFormatError
-        For whatever is wrong with the file: one line that names it.
+        For any problem with the file: a message of one line that names it.
     ValueError
         If `time` is given for a format without animation, or a glTF file without one.
 
@@ -63,7 +63,7 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
     suffix = model_suffix(path)
     if suffix not in _READERS:
         known = " ".join(SUFFIXES)
-        raise FileFormatError(path, f"its suffix tells no known format; known are {known}")
+        raise FileFormatError(path, f"unsupported file extension; supported: {known}")
     if suffix not in ANIMATED and time != 0.0:
         raise ValueError(
             f"time: {suffix} files are not animated, only {' '.join(sorted(ANIMATED))}"
@@ -74,13 +74,13 @@ def read_model(path: Path, *, time: float = 0.0) -> Scene:
         raise
     except MemoryError:
         raise FileFormatError(path, "is too large for this machine's memory") from None
-    except Exception as error:  # whatever a hostile file found that the readers did not expect
+    except Exception as error:  # hostile files may cause errors that readers do not expect
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise FileFormatError(path, f"cannot be read as {suffix} ({reason[:200]})") from error
     if time == 0.0 or suffix in TIMED:
         return scene
     if scene.animation is None:
-        raise ValueError(f"time: nothing moves in {path}")
+        raise ValueError(f"time: {path} is not animated")
     return scene.at(time)
 
 

@@ -32,9 +32,9 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 def read_gltf(path: Path) -> Scene:
     """Read a glTF 2.0 file in its rest pose.
 
-    Each primitive of each node that has a mesh becomes one mesh in world space: nodes depth
-    first, in the order of the file. Points and lines are left out, morph targets are not
-    applied, and skinned meshes stay as modelled.
+    Each primitive of each node with a mesh becomes one mesh in world space: nodes depth first,
+    in file order. Points and lines are skipped, morph targets are not applied, and skinned
+    meshes stay in their bind pose.
 
     Parameters
     ----------
@@ -44,21 +44,21 @@ def read_gltf(path: Path) -> Scene:
     Returns
     -------
     Scene
-        The camera is the first one of its `Scene.cameras`; the picture's shape, not the file,
-        says how wide it is. Of ``KHR_lights_punctual`` candela and lux are taken as linear
-        numbers; a spot light shines in all directions. The animation has all that moves
+        The camera is the first of its `Scene.cameras`; their aspect is that of the image, not
+        of the file. Intensities of ``KHR_lights_punctual`` in candela and lux are used as
+        linear numbers; spot lights become point lights. The animation has all motion of
         nodes, in seconds.
 
     Raises
     ------
     FileFormatError
-        If the file is damaged, truncated, or needs what is not there.
+        If the file is damaged or truncated, or needs something that is missing.
 
     Warns
     -----
     RaystreamWarning
-        For triangles and images that had to be left out, and for movements that are not
-        followed: of skins, morph targets, and where several animations move one thing.
+        For triangles and images that were skipped, and for unsupported animation: of skins, of
+        morph targets, and several animations of one property.
     """
     file = GltfFile(path)
     materials = read_materials(file)
@@ -81,7 +81,7 @@ def read_gltf(path: Path) -> Scene:
 
 @dataclass
 class _Poses:
-    """Builds the scene at any time, with all that stays as it is shared."""
+    """Builds the scene at any time; unchanged parts are shared."""
 
     reader: _SceneReader
     tree: NodeTree
@@ -94,7 +94,7 @@ class _Poses:
 
 @dataclass
 class _SceneReader:
-    """Collects what the nodes hold."""
+    """Collects the meshes and lights of the nodes."""
 
     file: GltfFile
     default_material: int
@@ -123,18 +123,18 @@ class _SceneReader:
                 self._add({"mesh": index}, np.eye(4))
 
     def report(self) -> None:
-        """Warn about what was left out."""
+        """Warn about unsupported features."""
         path = self.file.path
         self.checks.report()
         if self.unplaced_count:
             warn_partial(
                 path,
-                f"{self.unplaced_count:,} nodes with EXT_mesh_gpu_instancing show one copy each",
+                f"{self.unplaced_count:,} nodes with EXT_mesh_gpu_instancing have one copy each",
             )
         if self.spot_count:
-            warn_partial(path, f"{self.spot_count:,} spot lights shine in all directions")
+            warn_partial(path, f"{self.spot_count:,} spot lights treated as point lights")
         if self.skin_count:
-            warn_partial(path, f"{self.skin_count:,} meshes with a skin stay as modelled")
+            warn_partial(path, f"{self.skin_count:,} skinned meshes left in their bind pose")
 
     def _add(self, node: Node, matrix: Matrix) -> None:
         """Add a node's mesh and light."""
@@ -157,7 +157,7 @@ class _SceneReader:
         parts = []
         for primitive in self.file.entries(entry, "primitives"):
             if not isinstance(primitive, dict):
-                raise self.file.error(f"is damaged: mesh {index} has a primitive that is none")
+                raise self.file.error(f"is damaged: mesh {index} has an invalid primitive")
             mode = self.file.integer(primitive, "mode", _TRIANGLES)
             if mode in (_TRIANGLES, _STRIP, _FAN):
                 part = self._primitive(primitive, mode, str(entry.get("name", "")))
@@ -176,7 +176,7 @@ class _SceneReader:
         count = len(vertices)
         material = file.index(primitive, "material")
         if material is not None and material >= self.default_material:
-            raise file.error(f"is damaged: materials has no number {material}")
+            raise file.error(f"is damaged: materials has no entry {material}")
         coordinates = f"TEXCOORD_{texcoord_set(file, material)}"
         faces = self._faces(primitive, mode, count)
         texcoords = self._attribute(attributes, coordinates, (2,), count)
@@ -221,7 +221,7 @@ class _SceneReader:
         extension = file.extension(file.root, "KHR_lights_punctual") or {}
         lights = file.entries(extension, "lights")
         if index >= len(lights) or not isinstance(lights[index], dict):
-            raise file.error(f"is damaged: there is no light number {index}")
+            raise file.error(f"is damaged: light {index} does not exist")
         light = lights[index]
         color = file.numbers(light, "color", (1.0, 1.0, 1.0))
         strength = file.number(light, "intensity", 1.0)
@@ -240,7 +240,7 @@ class _SceneReader:
 
 
 def _triangles(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
-    """Cut a list of corners into triangles; of strips every other one is turned."""
+    """Cut a list of corners into triangles; every other one of a strip is flipped."""
     if mode == _TRIANGLES:
         return order[: len(order) // 3 * 3].reshape(-1, 3)
     if len(order) < 3:

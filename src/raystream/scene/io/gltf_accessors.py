@@ -15,7 +15,7 @@ __all__ = ["read_accessor"]
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
-#: Accessors may have no buffer and hold zeros: then nothing else bounds their length.
+#: Accessors without a buffer hold zeros: nothing else bounds their length.
 MAX_ZERO_COUNT = 1 << 24
 
 
@@ -27,7 +27,7 @@ def read_accessor(file: GltfFile, index: int, widths: tuple[int, ...]) -> NDArra
     file : GltfFile
         The document.
     index : int
-        Which accessor.
+        Index of the accessor.
     widths : tuple of int
         Allowed numbers of components.
 
@@ -39,7 +39,7 @@ def read_accessor(file: GltfFile, index: int, widths: tuple[int, ...]) -> NDArra
     Raises
     ------
     FileFormatError
-        If it leaves its buffer or is of another type.
+        If it exceeds its buffer or has the wrong type.
     """
     accessor = file.entry("accessors", index)
     component = _COMPONENTS.get(file.integer(accessor, "componentType"))
@@ -73,7 +73,7 @@ def _viewed(
     if stride < size:
         raise file.error(f"is damaged: buffer view {view} has a stride of {stride} bytes")
     if count and offset + (count - 1) * stride + size > len(buffer):
-        raise file.error(f"is damaged: {count:,} values leave buffer view {view}")
+        raise file.error(f"is damaged: {count:,} values exceed buffer view {view}")
     if count == 0:
         return np.empty((0, width), dtype)
     strided: NDArray[Any] = np.ndarray(
@@ -85,7 +85,7 @@ def _viewed(
 def _with_sparse(
     file: GltfFile, sparse: Node, values: NDArray[Any], component: str
 ) -> NDArray[Any]:
-    """Replace single rows."""
+    """Replace individual rows."""
     count = file.integer(sparse, "count")
     places, rows = file.child(sparse, "indices"), file.child(sparse, "values")
     index_type = _COMPONENTS.get(file.integer(places, "componentType"), "<f4")
@@ -108,7 +108,7 @@ def _with_sparse(
         component,
     )
     if count and int(indices.max()) >= len(values):
-        raise file.error("is damaged: a sparse index leaves its accessor")
+        raise file.error("is damaged: a sparse index exceeds its accessor")
     values[indices] = replaced
     return values
 

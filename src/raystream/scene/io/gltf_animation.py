@@ -1,4 +1,4 @@
-"""glTF animations: what moves the nodes of a file."""
+"""glTF animations: keyframed motion of nodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from raystream.scene.key_tracks import KeyTrack
 
 __all__ = ["NodeTracks", "read_animations"]
 
-#: Numbers in the keys of a file; samplers may share a buffer, and are each stored.
+#: Maximum numbers in the keys of a file; samplers may share a buffer, but are stored separately.
 MAX_KEY_NUMBERS = 1 << 24
 
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
@@ -24,12 +24,12 @@ _METHODS = {"LINEAR": "linear", "STEP": "step", "CUBICSPLINE": "cubic"}
 
 @dataclass
 class NodeTracks:
-    """How nodes move.
+    """Motion of nodes.
 
     Attributes
     ----------
     of : dict of int to dict of str to KeyTrack
-        By node, and by what moves: ``"translation"``, ``"rotation"`` (quaternions x, y, z,
+        By node and property: ``"translation"``, ``"rotation"`` (quaternions x, y, z,
         w), ``"scale"``.
     """
 
@@ -37,7 +37,7 @@ class NodeTracks:
 
     @property
     def times(self) -> tuple[float, float]:
-        """From 0, or an earlier key, to the last key of all."""
+        """From 0, or an earlier key, to the last of all keys."""
         all_times = [track.times for tracks in self.of.values() for track in tracks.values()]
         return (
             min(0.0, *(float(times[0]) for times in all_times)),
@@ -48,8 +48,8 @@ class NodeTracks:
 def read_animations(file: GltfFile) -> NodeTracks:
     """Read the animations of a file, to be played together.
 
-    An animation that moves what one before it moves already is another movement, not another
-    part of it, and is left out.
+    An animation of properties that an earlier one animates is an alternative to it, not a part
+    of it, and is skipped.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ def read_animations(file: GltfFile) -> NodeTracks:
     Warns
     -----
     RaystreamWarning
-        For animations that were left out, and for those of morph targets and of nodes with a
-        matrix, which the format does not allow.
+        For skipped animations, and for those of morph targets and of nodes with a matrix, which
+        the format does not allow.
     """
     reader = _Reader(file)
     animations = file.entries(file.root, "animations")
@@ -76,16 +76,16 @@ def read_animations(file: GltfFile) -> NodeTracks:
     if left_out:
         warn_partial(
             file.path,
-            f"{left_out} of {len(animations)} animations move what an earlier one moves, "
-            "and are left out",
+            f"skipped {left_out} of {len(animations)} animations: an earlier one animates the "
+            "same properties",
         )
     for count, what in (
-        (reader.morph_count, "movements of morph targets"),
-        (reader.matrix_count, "movements of nodes with a matrix"),
-        (reader.unknown_count, "movements of other things than nodes"),
+        (reader.morph_count, "animations of morph targets"),
+        (reader.matrix_count, "animations of nodes with a matrix"),
+        (reader.unknown_count, "animations of unsupported properties"),
     ):
         if count:
-            warn_partial(file.path, f"left out: {count:,} {what}")
+            warn_partial(file.path, f"skipped: {count:,} {what}")
     return reader.tracks
 
 
@@ -97,7 +97,7 @@ class _Reader:
         self._number_count = 0
 
     def add(self, animation: Node) -> bool:
-        """Take an animation's tracks, unless an earlier one moves any of the same."""
+        """Add an animation's tracks, unless an earlier one animates any of the same properties."""
         file = self.file
         if not isinstance(animation, dict):
             raise file.error("is damaged: an animation is not an object")
@@ -110,7 +110,7 @@ class _Reader:
             if place is not None:
                 sampler = file.integer(channel, "sampler")
                 if sampler >= len(samplers) or not isinstance(samplers[sampler], dict):
-                    raise file.error(f"is damaged: there is no sampler number {sampler}")
+                    raise file.error(f"is damaged: sampler {sampler} does not exist")
                 wanted[place] = sampler
         if any(path in self.tracks.of.get(node, {}) for node, path in wanted):
             return False
@@ -122,7 +122,7 @@ class _Reader:
         return True
 
     def _place(self, target: Node) -> tuple[int, str] | None:
-        """The node and what of it moves; None, and counted, where nothing can be moved."""
+        """Return the node and its property; None, and counted, if unsupported."""
         node = self.file.index(target, "node")
         path = target.get("path")
         if path == "weights":
@@ -140,7 +140,7 @@ class _Reader:
         kind = sampler.get("interpolation", "LINEAR")
         method = _METHODS.get(kind, "") if isinstance(kind, str) else ""
         if not method:
-            raise file.error(f"is damaged: it interpolates {shown(str(kind).encode())}")
+            raise file.error(f"is damaged: unknown interpolation {shown(str(kind).encode())}")
         times = self._read(sampler, "input", 1)[:, 0]
         values = self._read(sampler, "output", _WIDTHS[path])
         rows_per_key = 3 if method == "cubic" else 1
@@ -169,7 +169,7 @@ class _Reader:
 
 
 def _unit(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale quaternions to length 1; zeros do not turn."""
+    """Normalise quaternions; zeros become the identity."""
     lengths = np.linalg.norm(quaternions, axis=1)[:, None]
     still = np.array([0.0, 0.0, 0.0, 1.0])
     return np.where(lengths > 0.0, quaternions / np.where(lengths > 0.0, lengths, 1.0), still)

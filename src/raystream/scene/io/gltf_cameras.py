@@ -1,4 +1,4 @@
-"""glTF cameras: views from nodes, which may move."""
+"""glTF cameras: views from nodes, which may be animated."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ __all__ = ["NodeCamera", "read_cameras"]
 
 @dataclass(frozen=True, eq=False)
 class NodeCamera:
-    """A camera on a node that moves: it looks along the node's -z with y up.
+    """A camera on an animated node: it looks along the node's -z with y up.
 
     Attributes
     ----------
     still : Camera
         In the rest pose.
     times : (float, float)
-        When it begins to move, and when it stops.
+        Start and end of the motion.
     """
 
     still: Camera
@@ -59,13 +59,13 @@ def read_cameras(
     Returns
     -------
     dict
-        By the node's name, else the camera's; numbers after names that occur twice. In the
-        order of the nodes. The picture's shape, not the file, says how wide they are.
+        By the node's name, else the camera's; repeated names get a number. In the order of
+        the nodes. Their aspect is that of the image, not of the file.
 
     Raises
     ------
     FileFormatError
-        If one makes no sense.
+        If one is invalid.
     """
     found: dict[str, Camera | CameraMotion] = {}
     for place, node in enumerate(tree.nodes):
@@ -86,11 +86,11 @@ def read_cameras(
 
 
 def _lens(file: GltfFile, entry: Node) -> dict[str, Any] | None:
-    """What the camera itself says; None for unknown types."""
+    """Return the projection of a camera; None for unknown types."""
     if entry.get("type") == "perspective":
         return {"fov": math.degrees(file.number(file.child(entry, "perspective"), "yfov", 0.7))}
     if entry.get("type") == "orthographic":
-        # ymag is half of the height; a node's scale does not count for cameras.
+        # ymag is half the height; a node's scale does not apply to cameras.
         half = file.number(file.child(entry, "orthographic"), "ymag", 0.0)
         return {"projection": "orthographic", "height": 2.0 * abs(half)}
     return None
@@ -104,7 +104,7 @@ def _view(path: Path, matrix: Matrix, lens: dict[str, Any]) -> Camera:
             look_at = eye + forward / np.linalg.norm(forward)
             return Camera(tuple(eye), tuple(look_at), tuple(matrix[:3, 1]), **lens)
     except ValueError as error:
-        raise FileFormatError(path, f"its camera makes no sense ({error})") from None
+        raise FileFormatError(path, f"invalid camera ({error})") from None
 
 
 def _name(node: Node, entry: Node, taken: dict[str, Any]) -> str:

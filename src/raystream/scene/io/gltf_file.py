@@ -1,4 +1,4 @@
-"""glTF container: the JSON document, checked access to it, and its buffers."""
+"""glTF container: checked access to the JSON document and its buffers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _GLB_MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
 _BINARY_CHUNK = 0x004E4942
 
-#: Required extensions that the reader knows, or may ignore without misreading geometry.
+#: Required extensions that are supported, or can be ignored without misreading geometry.
 KNOWN_EXTENSIONS = frozenset(
     {
         "EXT_texture_webp",
@@ -36,7 +36,7 @@ KNOWN_EXTENSIONS = frozenset(
 class GltfFile:
     """A glTF 2.0 document with its buffers.
 
-    Every access checks the JSON type, so that a damaged file ends in one `FileFormatError`.
+    Every access checks the JSON type, so that a damaged file raises one `FileFormatError`.
 
     Parameters
     ----------
@@ -70,14 +70,14 @@ class GltfFile:
         return FileFormatError(self.path, reason)
 
     def _chunks(self, content: bytes) -> bytes:
-        """Cut a GLB file; return the JSON and keep the binary chunk."""
+        """Split a GLB file; return the JSON and keep the binary chunk."""
         if len(content) < 20:
             raise self.error("is truncated: a GLB file has at least 20 bytes")
         version, length = (int.from_bytes(content[i : i + 4], "little") for i in (4, 8))
         if version != 2:
             raise self.error(f"GLB version {version} is not supported, only 2")
         if length > len(content):
-            raise self.error(f"is truncated: it promises {length:,} bytes and has {len(content):,}")
+            raise self.error(f"is truncated: it declares {length:,} bytes and has {len(content):,}")
         text, position = b"", 12
         while position + 8 <= length:
             size, kind = (
@@ -109,19 +109,19 @@ class GltfFile:
     # Checked access.
 
     def child(self, parent: Node, key: str) -> Node:
-        """Get an object; empty when absent."""
+        """Get an object; empty if absent."""
         value = parent.get(key, {})
         if not isinstance(value, dict):
             raise self.error(f"is damaged: {key} is not an object")
         return value
 
     def extension(self, parent: Node, name: str) -> Node | None:
-        """Get an extension's object; None when absent."""
+        """Get an extension's object; None if absent."""
         extensions = self.child(parent, "extensions")
         return self.child(extensions, name) if name in extensions else None
 
     def entries(self, parent: Node, key: str) -> list[Any]:
-        """Get a list; empty when absent."""
+        """Get a list; empty if absent."""
         value = parent.get(key, [])
         if not isinstance(value, list):
             raise self.error(f"is damaged: {key} is not a list")
@@ -131,23 +131,23 @@ class GltfFile:
         """Get one object of a list of the document, such as ``meshes``."""
         items = self.entries(self.root, key)
         if not 0 <= index < len(items):
-            raise self.error(f"is damaged: {key} has no number {index}")
+            raise self.error(f"is damaged: {key} has no entry {index}")
         if not isinstance(items[index], dict):
-            raise self.error(f"is damaged: {key} number {index} is not an object")
+            raise self.error(f"is damaged: entry {index} of {key} is not an object")
         item: Node = items[index]
         return item
 
     def integer(self, parent: Node, key: str, default: int | None = None) -> int:
-        """Get a whole number >= 0; without a default it must be there."""
+        """Get an integer >= 0; required without a default."""
         value = parent.get(key, default)
         if isinstance(value, float) and value.is_integer():
             value = int(value)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
-            raise self.error(f"is damaged: {key} is not a whole number >= 0")
+            raise self.error(f"is damaged: {key} is not an integer >= 0")
         return value
 
     def index(self, parent: Node, key: str) -> int | None:
-        """Get an index; None when absent."""
+        """Get an index; None if absent."""
         return self.integer(parent, key) if key in parent else None
 
     def number(self, parent: Node, key: str, default: float) -> float:
@@ -178,11 +178,11 @@ class GltfFile:
         """Read a buffer: the binary chunk, a data URI, or a file next to the model."""
         if index not in self._buffers:
             entry = self.entry("buffers", index)
-            promised = self.integer(entry, "byteLength")
+            declared = self.integer(entry, "byteLength")
             content = self._buffer_content(index, entry)
-            if promised > len(content):
+            if declared > len(content):
                 raise self.error(
-                    f"is truncated: buffer {index} promises {promised:,} bytes "
+                    f"is truncated: buffer {index} declares {declared:,} bytes "
                     f"and has {len(content):,}"
                 )
             self._buffers[index] = content
@@ -209,7 +209,7 @@ class GltfFile:
         return uri
 
     def sibling(self, uri: str) -> Path | None:
-        """Find the file that a relative uri names; some are not encoded as a uri should be."""
+        """Find the file of a relative uri, which may lack percent-encoding."""
         return find_sibling(self.path, unquote(uri)) or find_sibling(self.path, uri)
 
     def decoded(self, uri: str) -> bytes:
@@ -231,5 +231,5 @@ class GltfFile:
         start = self.integer(view, "byteOffset", 0)
         length = self.integer(view, "byteLength")
         if start + length > len(buffer):
-            raise self.error(f"is damaged: buffer view {index} leaves its buffer")
+            raise self.error(f"is damaged: buffer view {index} exceeds its buffer")
         return memoryview(buffer)[start : start + length], self.integer(view, "byteStride", 0)

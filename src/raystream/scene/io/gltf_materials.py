@@ -15,22 +15,22 @@ __all__ = ["read_materials", "texcoord_set"]
 _CLAMP_TO_EDGE = 33071
 _REPEAT = 10497
 
-#: Larger numbers are cut: float32 holds squares of no more than about 1e38.
+#: Larger numbers are clamped: float32 holds squares of at most about 1e38.
 _MOST = 1e30
 
-#: Of an attenuation colour: black absorbs without end.
+#: Lower bound of attenuation colours: black would absorb infinitely.
 _LEAST = 1e-30
 
 
 def read_materials(file: GltfFile) -> list[Material]:
-    """Read all materials, and after them the default one for primitives that name none.
+    """Read all materials, followed by the default one for primitives without a material.
 
-    The base colour becomes `diffuse`, whatever the metallic factor is; `roughness`, `metallic`
-    and ``KHR_materials_`` `emissive_strength`, `ior`, `transmission` and, of what is not thin
-    and lets light through, the attenuation of `volume` are kept. The base colour's alpha is the
-    opacity, unless ``alphaMode`` is ``OPAQUE``; ``MASK`` has its cut-off. Factors
-    are to be multiplied with the textures of the same role. Of a normal map the `scale` is
-    kept. Strengths of occlusion are not read: no renderer here uses it.
+    The base colour becomes `diffuse`, regardless of the metallic factor. Also read are
+    `roughness`, `metallic` and of ``KHR_materials_`` `emissive_strength`, `ior`,
+    `transmission` and, for thick transmissive materials, the attenuation of `volume`. The
+    base colour's alpha is the opacity, unless ``alphaMode`` is ``OPAQUE``; ``MASK`` sets the
+    cutoff. Factors multiply the textures of the same role. The `scale` of a normal map is
+    read; the strength of occlusion is not, as no renderer uses it.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def read_materials(file: GltfFile) -> list[Material]:
     Raises
     ------
     FileFormatError
-        If an entry is of the wrong type or refers to nothing.
+        If an entry has the wrong type or refers to a missing one.
 
     Warns
     -----
     RaystreamWarning
-        Once, for images that are missing.
+        Once, for missing images.
     """
     reader = _TextureReader(file)
     count = len(file.entries(file.root, "materials"))
@@ -60,7 +60,7 @@ def read_materials(file: GltfFile) -> list[Material]:
 
 
 def texcoord_set(file: GltfFile, material: int | None) -> int:
-    """Tell which set of texture coordinates a material's base colour uses."""
+    """Return the set of texture coordinates that a material's base colour uses."""
     if material is None:
         return 0
     surface = file.child(file.entry("materials", material), "pbrMetallicRoughness")
@@ -108,9 +108,9 @@ def _material(file: GltfFile, entry: Node, reader: _TextureReader) -> Material:
 
 
 def _absorption(file: GltfFile, entry: Node) -> Color:
-    """``KHR_materials_volume``: of white light, `color` is left after `distance`."""
+    """``KHR_materials_volume``: white light is attenuated to `color` over `distance`."""
     volume = file.extension(entry, "KHR_materials_volume") or {}
-    distance = file.number(volume, "attenuationDistance", 0.0)  # none is infinite
+    distance = file.number(volume, "attenuationDistance", 0.0)  # absent: infinite
     if not (distance > 0.0 and file.number(volume, "thicknessFactor", 0.0) > 0.0):
         return 0.0, 0.0, 0.0
     color = file.numbers(volume, "attenuationColor", (1.0, 1.0, 1.0))
@@ -124,7 +124,7 @@ def _positive(values: tuple[float, ...]) -> Color:
 
 
 class _TextureReader:
-    """Makes textures, one for each image and wrapping."""
+    """Makes textures, one per image and wrap mode."""
 
     def __init__(self, file: GltfFile) -> None:
         self.file = file
@@ -133,7 +133,7 @@ class _TextureReader:
         self._alphas: dict[int, Texture] = {}
 
     def texture(self, use: Node) -> Texture | None:
-        """Make the texture that a material's ``...Texture`` entry names."""
+        """Make the texture of a material's ``...Texture`` entry."""
         file = self.file
         entry = file.entry("textures", file.integer(use, "index"))
         webp = file.extension(entry, "EXT_texture_webp")
@@ -152,7 +152,7 @@ class _TextureReader:
         return self._made[key]
 
     def alpha(self, texture: Texture) -> Texture:
-        """The alpha channel of a texture that was made here, once for each."""
+        """Return the alpha channel of a texture; cached."""
         if id(texture) not in self._alphas:
             self._alphas[id(texture)] = texture.alpha()
         return self._alphas[id(texture)]

@@ -1,4 +1,4 @@
-"""glTF nodes: where each node of the scene is, at rest or at a time."""
+"""glTF nodes: transforms of the node tree, at rest or at a time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class NodeTree:
     Raises
     ------
     FileFormatError
-        If a node occurs twice, or has numbers that are none.
+        If a node occurs twice, or has invalid numbers.
     """
 
     def __init__(self, file: GltfFile, tracks: NodeTracks) -> None:
@@ -55,11 +55,11 @@ class NodeTree:
 
     @property
     def moves(self) -> bool:
-        """Whether any of them moves."""
+        """Whether any node is animated."""
         return any(local.tracks for local in self._locals)
 
     def matrices(self, time: float | None) -> list[Matrix]:
-        """The matrix of each node to world space, shape (4, 4); None for the time is at rest."""
+        """Return the matrix of each node to world space, shape (4, 4); at rest without a time."""
         found: list[Matrix] = []
         with np.errstate(all="ignore"):
             for parent, local in zip(self._parents, self._locals, strict=True):
@@ -68,14 +68,14 @@ class NodeTree:
         return found
 
     def path_to(self, place: int) -> list[int]:
-        """A node and those above it, up to the root."""
+        """Return a node and its ancestors, up to the root."""
         path = [place]
         while (parent := self._parents[path[-1]]) is not None:
             path.append(parent)
         return path
 
     def matrix(self, place: int, time: float | None) -> Matrix:
-        """The matrix of one node to world space."""
+        """Return the matrix of one node to world space."""
         first, *others = reversed(self.path_to(place))
         with np.errstate(all="ignore"):
             matrix = self._locals[first].matrix(time)
@@ -84,12 +84,12 @@ class NodeTree:
         return matrix
 
     def moving(self, place: int) -> bool:
-        """Whether a node, or one above it, moves."""
+        """Whether a node or one of its ancestors is animated."""
         return any(self._locals[one].tracks for one in self.path_to(place))
 
 
 class _Local:
-    """The matrix of a node to its parent."""
+    """The transform of a node to its parent."""
 
     def __init__(self, file: GltfFile, node: Node, tracks: NodeTracks, index: int) -> None:
         self.tracks = tracks.of.get(index, {})
@@ -113,7 +113,7 @@ class _Local:
 
 
 def _composed(parts: dict[str, NDArray[np.float64]]) -> Matrix:
-    """Scale, then rotate, then move."""
+    """Compose scale, then rotation, then translation."""
     matrix = np.eye(4)
     with np.errstate(all="ignore"):
         matrix[:3, :3] = _rotation(*parts["rotation"].tolist()) * parts["scale"]
@@ -122,7 +122,7 @@ def _composed(parts: dict[str, NDArray[np.float64]]) -> Matrix:
 
 
 def _rotation(x: float, y: float, z: float, w: float) -> Matrix:
-    """Turn a quaternion, of any length but zero, into a matrix."""
+    """Return the matrix of a quaternion; identity if it is zero."""
     length = math.hypot(x, y, z, w)
     if not length > 0.0:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""Instances: copies of meshes, moved into world space."""
+"""Instances: copies of meshes, transformed to world space."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from raystream.scene.mesh import Mesh
 
 __all__ = ["Placements", "TriangleBudget", "placed"]
 
-#: Scenes that instances blow up beyond this are refused: every copy is stored.
+#: Maximum triangles after instancing: every copy is stored.
 MAX_INSTANCED_TRIANGLES = 1 << 26
 
-#: Meshes cost far more than triangles; no scene needs as many.
+#: Maximum meshes after instancing: a mesh costs far more than a triangle.
 MAX_INSTANCES = 1 << 20
 
 
 class TriangleBudget:
-    """Counts what instances add up to, and stops files that multiply without end.
+    """Counts triangles and meshes of instances, and rejects files that multiply too many.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class TriangleBudget:
         self.instance_count = 0
 
     def spend(self, mesh: Mesh) -> None:
-        """Count one more instance; `FileFormatError` when it is too many."""
+        """Count one more instance; `FileFormatError` if that is too many."""
         self.triangle_count += max(len(mesh.faces), len(mesh.vertices) // 3)
         self.instance_count += 1
         if self.triangle_count > MAX_INSTANCED_TRIANGLES or self.instance_count > MAX_INSTANCES:
@@ -47,22 +47,22 @@ class TriangleBudget:
 
 
 def placed(mesh: Mesh, matrix: NDArray[np.float64], material_id: int | None = None) -> Mesh:
-    """Move a mesh into world space.
+    """Transform a mesh to world space.
 
     Parameters
     ----------
     mesh : Mesh
-        In its own space.
+        In object space.
     matrix : ndarray of shape (4, 4), float64
-        Affine, for column vectors. When it mirrors, the triangles are turned over so that
-        their fronts stay fronts.
+        Affine, for column vectors. If it mirrors, triangles are flipped to keep their front
+        sides.
     material_id : int, optional
-        The material of all triangles; without it they keep theirs.
+        The material of all triangles [default: unchanged].
 
     Returns
     -------
     Mesh
-        The same mesh when nothing changes, else a new one with float64 vertices.
+        The same mesh if nothing changes, else a new one with float64 vertices.
     """
     if material_id is None and np.array_equal(matrix, np.eye(4)):
         return mesh
@@ -80,10 +80,9 @@ def placed(mesh: Mesh, matrix: NDArray[np.float64], material_id: int | None = No
 
 
 class Placements:
-    """Places the meshes of a scene again and again, as it moves.
+    """Transforms the meshes of an animated scene, time after time.
 
-    What did not move since is the same object; what did shares all but its positions and
-    normals.
+    Meshes that did not move are the same objects; others share all but positions and normals.
     """
 
     def __init__(self) -> None:
@@ -91,7 +90,7 @@ class Placements:
         self._next = 0
 
     def begin(self) -> None:
-        """Begin with the first place."""
+        """Start again with the first place."""
         self._next = 0
 
     def skip(self) -> None:
@@ -105,14 +104,14 @@ class Placements:
         material_id: int | None = None,
         name: str | None = None,
     ) -> Mesh:
-        """Move a mesh to the next place; see `placed`.
+        """Transform a mesh to the next place; see `placed`.
 
         Parameters
         ----------
         mesh, matrix, material_id
             As for `placed`; a place always has the same material.
         name : str, optional
-            Of the new mesh.
+            Name of the new mesh.
         """
         before = self._placed.get(self._next)
         if before is not None and before[0] is mesh:
@@ -135,7 +134,7 @@ class Placements:
 def _transformed(
     mesh: Mesh, matrix: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-    """Positions and normals in world space."""
+    """Return positions and normals in world space."""
     linear, shift = matrix[:3, :3], matrix[:3, 3]
     with np.errstate(all="ignore"):
         vertices = mesh.vertices.astype(np.float64) @ linear.T + shift
@@ -148,7 +147,7 @@ def _mirrors(matrix: NDArray[np.float64]) -> bool:
 
 
 def _determinant(linear: NDArray[np.float64]) -> float:
-    """Much faster than NumPy's for one matrix."""
+    """Return the determinant; much faster than NumPy for one matrix."""
     (a, b, c), (d, e, f), (g, h, i) = linear.tolist()
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
@@ -156,7 +155,7 @@ def _determinant(linear: NDArray[np.float64]) -> float:
 def _turned(
     normals: NDArray[np.float32] | None, linear: NDArray[np.float64]
 ) -> NDArray[Any] | None:
-    """Turn normals with the cofactors, which need no inverse and keep their side."""
+    """Transform normals by the cofactors, which need no inverse and preserve their side."""
     if normals is None:
         return None
     (a, b, c), (d, e, f), (g, h, i) = linear.tolist()

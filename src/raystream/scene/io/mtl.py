@@ -30,7 +30,7 @@ _TEXTURE_ROLES = {
     "norm": "normal",
 }
 
-#: Texture options and how many words follow them; of ``-o -s -t`` the last two may lack.
+#: Texture options and their numbers of words; the last two of ``-o -s -t`` are optional.
 _OPTION_WORDS = {
     "-blendu": 1,
     "-blendv": 1,
@@ -51,12 +51,11 @@ _OPTION_WORDS = {
 def read_mtl(path: Path) -> dict[str, Material]:
     """Read a material library.
 
-    Colours are taken as linear numbers. The ambient colour is not used: `Ka` repeats `Kd` in
-    practice. Models 3 to 7 reflect with `Ks`; of the refracting models 4, 6, 7 and 9 the
-    transmittance is `Tf`, and a `d` below 1 belongs to the refraction there; ``map_d`` does
-    not. Numbers that
-    make no sense are left at their defaults. Of textures' options ``-clamp`` is read, and
-    ``-bm`` of bump and normal maps.
+    Colours are linear. The ambient colour is ignored: in practice, `Ka` repeats `Kd`. Models 3
+    to 7 reflect with `Ks`. The refracting models 4, 6, 7 and 9 have the transmittance `Tf`,
+    and a `d` below 1 is part of their refraction, but ``map_d`` is not. Invalid numbers are
+    replaced by defaults. Texture options read are ``-clamp``, and ``-bm`` of bump and normal
+    maps.
 
     Parameters
     ----------
@@ -66,7 +65,7 @@ def read_mtl(path: Path) -> dict[str, Material]:
     Returns
     -------
     dict of str to Material
-        By name, in the file's order; of materials with one name the first counts.
+        By name, in file order; the first of materials with the same name counts.
 
     Raises
     ------
@@ -76,7 +75,7 @@ def read_mtl(path: Path) -> dict[str, Material]:
     Warns
     -----
     RaystreamWarning
-        Once, for textures that are missing.
+        Once, for missing textures.
     """
     text = plain_text(read_model_bytes(path))
     materials: dict[str, dict[str, str]] = {}
@@ -143,7 +142,7 @@ def _material(
 
 
 def _opacity(entries: dict[str, str]) -> float:
-    """Read ``d``, else 1 - ``Tr``: the two are each other's complement."""
+    """Read ``d``, else 1 - ``Tr``."""
     if "d" in entries:
         return min(1.0, max(0.0, _number(entries["d"].replace("-halo", ""), 1.0)))
     return 1.0 - min(1.0, max(0.0, _number(entries.get("tr", ""), 0.0)))
@@ -163,7 +162,7 @@ def _number(text: str, default: float) -> float:
 
 
 def _color(text: str, default: Color) -> Color:
-    """Read three numbers, or one for all three; ``spectral`` and ``xyz`` are not read."""
+    """Read three numbers, or one for all three; ``spectral`` and ``xyz`` are not supported."""
     words = _without_comment(text).split()[:3]
     try:
         values = [float(word) for word in words]
@@ -193,7 +192,7 @@ def _texture(
 
 
 def _texture_name(statement: str) -> tuple[str, bool]:
-    """Split a texture statement into the file's name, which may hold spaces, and ``-clamp``."""
+    """Split a texture statement into the file name, which may contain spaces, and ``-clamp``."""
     options, name = _split_options(statement)
     return name, options.get("-clamp") == "on"
 
@@ -205,7 +204,7 @@ def _multiplier(statement: str, default: float) -> float:
 
 
 def _split_options(statement: str) -> tuple[dict[str, str], str]:
-    """Split a texture statement into its options' first words, and the rest."""
+    """Split a texture statement into the first word of each option, and the rest."""
     rest = _without_comment(statement)
     options: dict[str, str] = {}
     while rest.startswith("-"):

@@ -1,4 +1,4 @@
-"""OBJ: Wavefront's text format, read with array operations; materials are in `mtl`."""
+"""OBJ: Wavefront's text format, parsed with array operations; materials are in `mtl`."""
 
 from __future__ import annotations
 
@@ -27,20 +27,19 @@ MAX_OBJECTS = 10_000
 
 _CONTINUED = re.compile(rb"\\ *\n")
 
-#: How older C libraries of Windows write what is no number or infinite: ``-1.#IND``.
+#: NaN and infinity as written by older C libraries on Windows: ``-1.#IND``.
 _NOT_FINITE = re.compile(rb"-?1\.#(?:IND|INF|QNAN|SNAN)\d*")
 
-#: Statements that tell a file without vertices from one that is no OBJ file.
+#: Statements that distinguish an OBJ file without vertices from another format.
 _KNOWN_WORDS = frozenset({b"g", b"o", b"mtllib", b"usemtl"})
 
 
 def read_obj(path: Path) -> Scene:
-    """Read an OBJ file and the MTL files that it names.
+    """Read an OBJ file and its MTL files.
 
-    Triangles keep the file's order; polygons become fans. There is one mesh for each ``o``
-    object, else one for the whole file (groups are not kept). Vertices that occur with
-    several normals or texture coordinates are repeated with the same position. Lines, points,
-    curves and smoothing groups are left out.
+    Triangles keep the file's order; polygons become fans. There is one mesh per ``o`` object,
+    else one for the whole file; groups are ignored. Vertices with several normals or texture
+    coordinates are duplicated. Lines, points, curves and smoothing groups are skipped.
 
     Parameters
     ----------
@@ -50,17 +49,17 @@ def read_obj(path: Path) -> Scene:
     Returns
     -------
     Scene
-        Vertex colours (``v x y z r g b``) are taken as sRGB and stored linear.
+        Vertex colours (``v x y z r g b``) are interpreted as sRGB and stored as linear.
 
     Raises
     ------
     FileFormatError
-        If the file cannot be read or a line of it makes no sense.
+        If the file cannot be read or a line is invalid.
 
     Warns
     -----
     RaystreamWarning
-        For triangles, material libraries and textures that had to be left out.
+        For triangles, material libraries and textures that were skipped.
     """
     text = plain_text(read_model_bytes(path))
     if b"\\" in text:
@@ -81,7 +80,7 @@ def read_obj(path: Path) -> Scene:
     )
     sections = _sections(lines, kinds)
     if sections.strange and not len(vertices):
-        raise FileFormatError(path, "is not an OBJ file: no line of it makes sense as one")
+        raise FileFormatError(path, "is not an OBJ file: it has no OBJ statement")
     materials, material_ids = _materials(path, sections, corners)
     meshes = _meshes(corners, vertices, colors, material_ids, sections)
     return Scene(meshes, materials=materials, name=path.name)
@@ -91,7 +90,7 @@ _VERTEX, _TEXCOORD, _NORMAL, _FACE, _STATEMENT = 1, 2, 3, 4, 5
 
 
 def _without_comments(text: bytes) -> bytes:
-    """Blank comments that follow something on a line; ``#`` inside a word is a letter."""
+    """Blank trailing comments; ``#`` inside a word is a letter."""
     letters = np.frombuffer(text, np.uint8)
     marks = np.flatnonzero(letters == ord("#"))
     marks = marks[(marks > 0) & (letters[marks - 1] == 32)]
@@ -106,7 +105,7 @@ def _without_comments(text: bytes) -> bytes:
 
 
 def _line_kinds(lines: Lines) -> NDArray[np.int8]:
-    """Classify lines by their first word; 0 is of no use here."""
+    """Classify lines by their first word; 0 is ignored."""
     letters = np.frombuffer(lines.text + b"\n\n", np.uint8)
     first, second, third = (letters[lines.starts + i] for i in range(3))
     kinds = np.full(len(lines), _STATEMENT, np.int8)
@@ -126,13 +125,13 @@ def _line_kinds(lines: Lines) -> NDArray[np.int8]:
 def _rows(
     path: Path, lines: Lines, selected: NDArray[np.bool_], least: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Parse the numbers of lines: all of them, where each line begins, how many it has."""
+    """Parse the numbers of lines: all numbers, and each line's start and count."""
     counts = lines.word_counts[selected] - 1
     _require_words(path, lines, selected, counts, least)
     text = lines.join(selected)
     for word in (b"vt", b"vn", b"v"):
         if text.startswith(word):
-            # Numbers hold no v; in "vn" only the one after a v is blanked, so "nan" stays.
+            # Numbers contain no v; an n is blanked only after a v, so "nan" is preserved.
             text = text.replace(word, b" " * len(word))
             break
     try:
@@ -155,7 +154,7 @@ def _require_words(
 
 
 def _bad_line(path: Path, lines: Lines, selected: NDArray[np.bool_]) -> FileFormatError:
-    """Find the line that does not hold numbers only, and make the error that shows it."""
+    """Find the line with an invalid number, and make the error that quotes it."""
     for index in np.flatnonzero(selected).tolist():
         line = lines.line(index)
         words = line.split()[1:]
@@ -169,7 +168,7 @@ def _bad_line(path: Path, lines: Lines, selected: NDArray[np.bool_]) -> FileForm
 def _table(
     path: Path, lines: Lines, selected: NDArray[np.bool_], width: int
 ) -> NDArray[np.float32]:
-    """Read texture coordinates or normals; a texture coordinate may lack its v."""
+    """Read texture coordinates or normals; the v of a texture coordinate is optional."""
     numbers, begins, counts = _rows(path, lines, selected, min(width, 1 if width == 2 else 3))
     table = np.zeros((len(counts), width), np.float32)
     with np.errstate(over="ignore"):
@@ -194,7 +193,7 @@ def _vertex_table(
 
 @dataclass
 class _Sections:
-    """Where materials and objects begin, by line; `strange` if there is no OBJ statement."""
+    """First lines of materials and objects; `strange` if there is no OBJ statement."""
 
     libraries: list[str] = field(default_factory=list)
     material_lines: list[int] = field(default_factory=list)
@@ -226,7 +225,7 @@ def _sections(lines: Lines, kinds: NDArray[np.int8]) -> _Sections:
 def _materials(
     path: Path, sections: _Sections, corners: Corners
 ) -> tuple[list[Material], NDArray[np.int32]]:
-    """Make the list of materials in the order of first use, and each triangle's place in it."""
+    """Return the materials in order of first use, and each triangle's index."""
     known = _read_libraries(path, sections.libraries)
     names = [*sections.material_names, ""]
     spans = np.searchsorted(np.asarray(sections.material_lines, np.int64), corners.lines) - 1
@@ -243,12 +242,12 @@ def _materials(
                 missing.append(name)
         place_of_span[span] = places[name]
     if missing and known:
-        warn_partial(path, f"materials that no library defines: {_listed(missing)}")
+        warn_partial(path, f"undefined materials: {_listed(missing)}")
     return materials, place_of_span[spans]
 
 
 def _read_libraries(path: Path, names: list[str]) -> dict[str, Material]:
-    """Read the libraries; a name may hold spaces, or be several names."""
+    """Read the libraries; a name may contain spaces, or be several names."""
     known: dict[str, Material] = {}
     missing: list[str] = []
     for name in dict.fromkeys(names):
@@ -282,7 +281,7 @@ def _meshes(
     material_ids: NDArray[np.int32],
     sections: _Sections,
 ) -> list[Mesh]:
-    """Cut the triangles at ``o`` lines; each mesh gets the vertices that it uses."""
+    """Split the triangles at ``o`` lines; each mesh gets the vertices that it uses."""
     object_lines = np.asarray(sections.object_lines, np.int64)
     cuts = np.searchsorted(corners.lines, object_lines) if len(object_lines) else object_lines
     names = ["", *sections.object_names]

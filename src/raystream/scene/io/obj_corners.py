@@ -1,4 +1,4 @@
-"""Corners of OBJ faces: indices resolved, polygons cut, vertices shared where they may be."""
+"""Corners of OBJ faces: resolved indices, triangulated polygons, shared vertices."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ __all__ = ["Corners", "read_corners"]
 
 _SLASH = ord("/")
 
-#: In place of an index: none was written, or the table has no such row.
+#: Instead of an index: not written, or out of range.
 _ABSENT, _MISSING = -1, -2
 
 
 @dataclass
 class Corners:
-    """The usable triangles of a file, in its order.
+    """The usable triangles of a file, in file order.
 
     Attributes
     ----------
     vertex_count : int
         Vertices in the file.
     indices : ndarray of shape (F, 3, 3), int64
-        For each corner: vertex, texture coordinate (-1: none) and normal, in the tables.
+        For each corner: indices of vertex, texture coordinate (-1: none) and normal.
     lines : ndarray of shape (F,), int64
-        The line that each triangle comes from, never decreasing.
+        The line of each triangle, non-decreasing.
     texcoords, normals : ndarray of shape (T, 2) and (N, 3), float32
-        `normals` is extended by those of triangles which the file gave none.
+        `normals` also has face normals of triangles without normals in the file.
     has_texcoords, has_normals : bool
         Whether any corner has one.
     """
@@ -49,7 +49,7 @@ class Corners:
     has_normals: bool
 
     def texcoords_of(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Look up texture coordinates; a corner without gets (0, 0)."""
+        """Look up texture coordinates; (0, 0) for corners without."""
         return np.where(rows[:, None] >= 0, self.texcoords[rows], np.float32(0.0))
 
     def shared(
@@ -62,12 +62,12 @@ class Corners:
         first, stop : int
             The triangles.
         whole : bool
-            Whether these are all of them, so that vertices may stay where they are.
+            Whether these are all triangles, so that vertices can keep their order.
 
         Returns
         -------
         used : ndarray of shape (V, 3), int64
-            Vertex, texture coordinate and normal of each vertex of the mesh, by vertex.
+            Vertex, texture coordinate and normal of each vertex of the mesh, sorted by vertex.
         faces : ndarray of shape (stop - first, 3), int32
         """
         if whole and not self.has_texcoords and not self.has_normals:
@@ -95,9 +95,9 @@ def read_corners(
     lines : Lines
         All lines.
     is_face : ndarray of shape (L,), bool
-        Which of them are faces.
+        Which lines are faces.
     seen : list of 3 ndarrays of shape (L,), int64
-        How many v, vt and vn lines there are up to each line; relative indices count back.
+        Numbers of v, vt and vn lines up to each line, for relative indices.
     tables : tuple of 3 ndarrays
         Vertices, texture coordinates, normals.
 
@@ -120,7 +120,7 @@ def read_corners(
 
     too_few = int(np.count_nonzero(counts < 3))
     if too_few:
-        warn_partial(path, f"left out {too_few:,} faces with fewer than three corners")
+        warn_partial(path, f"skipped {too_few:,} faces with fewer than three corners")
     fans, polygon_ids = fan_corners(counts, np.cumsum(counts) - counts)
     triangles = corners[fans]
     good = faces_in_range(path, triangles[:, :, 0], len(vertices))
@@ -141,7 +141,7 @@ def _corner_indices(
 ) -> NDArray[np.int64]:
     """Parse ``v``, ``v/vt``, ``v//vn`` and ``v/vt/vn``; shape (C, 3), as written, 0: none."""
     text = lines.join(is_face)
-    if text.count(b"f") != len(counts):  # one elsewhere than at the beginning of a line
+    if text.count(b"f") != len(counts):  # an f elsewhere than at the start of a line
         raise _bad_face(path, lines, is_face)
     if b"fo" in text:
         text = text.replace(b"fo", b"f ")
@@ -189,25 +189,25 @@ def _bad_face(path: Path, lines: Lines, is_face: NDArray[np.bool_]) -> FileForma
 def _resolved(
     written: NDArray[np.int64], seen: NDArray[np.int64], table_length: int
 ) -> NDArray[np.int64]:
-    """Turn indices from 1, or relative to the line, into indices from 0.
+    """Convert indices from 1, or relative to the line, to indices from 0.
 
-    `_ABSENT` where none is written, `_MISSING` where the table is shorter.
+    `_ABSENT` if not written, `_MISSING` if out of range.
     """
     limit = table_length + 1
-    bounded = np.clip(written, -limit, limit)  # so that no sum overflows
+    bounded = np.clip(written, -limit, limit)  # prevents overflow
     rows = np.where(bounded > 0, bounded - 1, bounded + seen)
     bad = (rows < 0) | (rows >= table_length)
     return np.where(bounded == 0, _ABSENT, np.where(bad, _MISSING, rows))
 
 
 def _forget_missing(path: Path, triangles: NDArray[np.int64]) -> None:
-    """Turn references to texture coordinates and normals that are not there into none."""
+    """Remove references to texture coordinates and normals that do not exist."""
     bad = triangles[:, :, 1:] == _MISSING
     count = int(np.count_nonzero(bad))
     if count:
         warn_partial(
             path,
-            f"{count:,} corners refer to texture coordinates or normals that are not there",
+            f"{count:,} corners refer to texture coordinates or normals that do not exist",
         )
         triangles[:, :, 1:][bad] = _ABSENT
 
@@ -215,7 +215,7 @@ def _forget_missing(path: Path, triangles: NDArray[np.int64]) -> None:
 def _with_face_normals(
     triangles: NDArray[np.int64], vertices: NDArray[Any], normals: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Give triangles that lack a normal their own one, appended to the table."""
+    """Give triangles that lack a normal their face normal, appended to the table."""
     lacking = np.flatnonzero((triangles[:, :, 2] < 0).any(axis=1))
     if len(lacking) == 0:
         return normals

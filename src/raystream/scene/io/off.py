@@ -27,7 +27,7 @@ _COMMENT = re.compile(rb"#[^\n]*")
 def read_off(path: Path) -> Scene:
     """Read an OFF, COFF, NOFF or CNOFF file into a scene of one mesh.
 
-    Polygons become fans of triangles in the file's order; colours of faces are not used.
+    Polygons become fans of triangles in file order; colours of faces are ignored.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def read_off(path: Path) -> Scene:
     Returns
     -------
     Scene
-        Vertex colours are taken as sRGB, whole numbers as 0 .. 255, and stored linear.
+        Vertex colours are interpreted as sRGB, integers as 0 .. 255, and stored as linear.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def read_off(path: Path) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For triangles that had to be left out.
+        For triangles that were skipped.
     """
     text = _COMMENT.sub(b"", plain_text(read_model_bytes(path)))
     flags, body = _keyword(path, text)
@@ -57,7 +57,7 @@ def read_off(path: Path) -> Scene:
     if vertex_count + face_count > len(rows):
         raise FileFormatError(
             path,
-            f"is truncated: the header promises {vertex_count:,} vertices and {face_count:,} "
+            f"is truncated: the header declares {vertex_count:,} vertices and {face_count:,} "
             f"faces, there are {len(rows):,} lines",
         )
     vertex_rows = rows[:vertex_count]
@@ -70,7 +70,7 @@ def read_off(path: Path) -> Scene:
 
 
 def _keyword(path: Path, text: bytes) -> tuple[frozenset[str], bytes]:
-    """Read the first word, which may lack: what each vertex has besides a position."""
+    """Read the optional first word: the attributes of each vertex besides its position."""
     text = text.lstrip()
     match = _KEYWORD.match(text)
     if match is None:
@@ -92,7 +92,7 @@ def _counts(
 ) -> tuple[int, int, NDArray[np.int64]]:
     words = lines.line(int(rows[0])).split() if len(rows) else []
     if len(words) < 2 or not all(word.isdigit() and len(word) < 19 for word in words[:2]):
-        raise FileFormatError(path, "the OFF header gives no numbers of vertices and faces")
+        raise FileFormatError(path, "the OFF header lacks the numbers of vertices and faces")
     return int(words[0]), int(words[1]), rows[1:]
 
 
@@ -109,13 +109,13 @@ def _numbers(
     try:
         return parse_floats(lines.join(selected), int(counts.sum())), counts
     except ValueError:
-        raise FileFormatError(path, "something among its values is not a number") from None
+        raise FileFormatError(path, "a value is not a number") from None
 
 
 def _vertices(
     path: Path, lines: Lines, rows: NDArray[np.int64], flags: frozenset[str]
 ) -> tuple[NDArray[np.float64], NDArray[Any] | None, NDArray[np.float32] | None]:
-    """Read position, normal and colour; a colour may be there without being announced."""
+    """Read position, normal and colour, where the keyword announces them."""
     normal_width = 3 if "normal" in flags else 0
     least = 3 + normal_width
     numbers, counts = _numbers(path, lines, rows, least)
@@ -137,7 +137,7 @@ def _faces(path: Path, lines: Lines, rows: NDArray[np.int64]) -> NDArray[np.int6
     starts = np.cumsum(words) - words
     sizes = numbers[starts]
     if not ((sizes >= 0) & (sizes == np.floor(sizes)) & (sizes < words)).all():
-        raise FileFormatError(path, "a face has fewer corners than it says")
+        raise FileFormatError(path, "a face has fewer corners than it declares")
     corners, _ = fan_corners(sizes.astype(np.int64), starts + 1)
     indices = numbers[corners]
     whole = (indices == np.floor(indices)) & (np.abs(indices) < 2.0**40)

@@ -1,4 +1,4 @@
-"""Partial: what is done about files of which only a part can be used."""
+"""Partial files: warnings about unusable parts, and errors if nothing is usable."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["IndexCheck", "check_loaded", "faces_in_range", "warn_partial"]
 
 
 def warn_partial(path: Path, reason: str) -> None:
-    """Give one `RaystreamWarning` that names the file and what was left out."""
+    """Issue one `RaystreamWarning` that names the file and what was skipped."""
     warnings.warn(f"{path}: {reason}", RaystreamWarning, stacklevel=2)
 
 
 class IndexCheck:
-    """Finds triangles that refer to vertices which are not there, over a whole file.
+    """Finds triangles with vertex indices out of range, over a whole file.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class IndexCheck:
         self.bad_count = 0
 
     def usable(self, faces: NDArray[Any], vertex_count: int) -> NDArray[np.bool_]:
-        """Tell which triangles refer to vertices that exist.
+        """Find the triangles whose vertex indices are in range.
 
         Parameters
         ----------
@@ -55,7 +55,7 @@ class IndexCheck:
         return good
 
     def report(self) -> None:
-        """Warn about what was found, once.
+        """Warn once about triangles out of range.
 
         Raises
         ------
@@ -64,7 +64,7 @@ class IndexCheck:
         """
         if self.bad_count == 0:
             return
-        reason = f"{self.bad_count:,} triangles refer to vertices that are not there"
+        reason = f"{self.bad_count:,} triangles refer to vertices that do not exist"
         if self.bad_count == self.triangle_count:
             raise FileFormatError(self.path, f"all {reason}")
         warn_partial(self.path, f"dropped: {reason}")
@@ -86,7 +86,7 @@ def check_loaded(path: Path, scene: Scene) -> Scene:
     path : Path
         The file, for the messages.
     scene : Scene
-        What was read from it.
+        The scene of the file.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def check_loaded(path: Path, scene: Scene) -> Scene:
     if triangles.degenerate_count:
         parts.append(f"{triangles.degenerate_count:,} without area")
     if triangles.nonfinite_count:
-        parts.append(f"{triangles.nonfinite_count:,} with a vertex that is not finite")
+        parts.append(f"{triangles.nonfinite_count:,} with a non-finite vertex")
     if parts:
         warn_partial(path, f"triangles that can never be hit: {', '.join(parts)}")
     return scene

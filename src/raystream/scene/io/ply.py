@@ -28,8 +28,8 @@ _TEXCOORD_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture
 def read_ply(path: Path) -> Scene:
     """Read a PLY file into a scene of one mesh.
 
-    Polygons become fans of triangles in the file's order; triangle strips follow the faces.
-    Of the vertices' properties x y z, nx ny nz, red green blue, and s t or u v are used.
+    Polygons become fans of triangles in file order; triangle strips follow the faces. Vertex
+    properties x y z, nx ny nz, red green blue, and s t or u v are read.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def read_ply(path: Path) -> Scene:
     Returns
     -------
     Scene
-        Vertex colours are taken as sRGB and stored linear.
+        Vertex colours are interpreted as sRGB and stored as linear.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def read_ply(path: Path) -> Scene:
     Warns
     -----
     RaystreamWarning
-        For triangles that had to be left out.
+        For triangles that were skipped.
     """
     content = read_model_bytes(path).removeprefix(BYTE_ORDER_MARK)
     encoding, elements, start = read_header(path, content)
@@ -87,7 +87,7 @@ def _optional(vertex: Values, names: tuple[str, ...]) -> NDArray[np.float32] | N
 
 
 def _type_of(elements: list[Element], name: str) -> str:
-    """Value type of a property of the vertices, as the header gives it."""
+    """Return the value type of a vertex property, from the header."""
     for element in elements:
         if element.name == "vertex":
             for prop in element.properties:
@@ -97,7 +97,7 @@ def _type_of(elements: list[Element], name: str) -> str:
 
 
 def _narrowed(vertices: NDArray[Any], elements: list[Element]) -> NDArray[Any]:
-    """Text is parsed as float64; give float32 back where the header says so."""
+    """Convert text, parsed as float64, to float32 if the header says so."""
     if all(_type_of(elements, axis) == "f4" for axis in "xyz"):
         with np.errstate(over="ignore"):
             return vertices.astype(np.float32)
@@ -121,7 +121,7 @@ def _colors(vertex: Values, elements: list[Element]) -> NDArray[np.float32] | No
 
 
 def _indices(values: NDArray[Any]) -> NDArray[np.int64]:
-    """Make indices of any numbers; those that are none become -2."""
+    """Convert numbers to indices; invalid ones become -2."""
     if values.dtype.kind == "f":
         whole = (values == np.floor(values)) & (np.abs(values) < 2.0**40)
         return np.where(whole, values, -2.0).astype(np.int64)
@@ -141,7 +141,7 @@ def _faces(path: Path, found: dict[str, Values]) -> NDArray[np.int64]:
 
 
 def _strips(found: dict[str, Values]) -> NDArray[np.int64]:
-    """Cut triangle strips, which -1 separates, into triangles; every other one is turned."""
+    """Cut triangle strips, separated by -1, into triangles; every other one is flipped."""
     lists = found.get("tristrips", Values()).lists
     for name in _INDEX_NAMES:
         if name in lists:

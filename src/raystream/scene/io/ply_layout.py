@@ -1,4 +1,4 @@
-"""PLY layout: what the header of a PLY file promises."""
+"""PLY layout: the header of a PLY file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LAST_LINE = re.compile(rb"(?<=[\r\n])[ \t]*end_header[ \t]*(\r\n|\r|\n|\Z)")
 
 @dataclass(frozen=True)
 class Property:
-    """One column of an element: a scalar, or a list when `count_type` is given."""
+    """One column of an element: a scalar, or a list if `count_type` is given."""
 
     name: str
     value_type: str
@@ -48,7 +48,7 @@ class Property:
 
 @dataclass
 class Element:
-    """A kind of record, such as ``vertex``, and how many of it the header promises."""
+    """A kind of record, such as ``vertex``, and its number of records."""
 
     name: str
     count: int
@@ -64,7 +64,7 @@ def read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
         ``"ascii"``, ``"<"`` or ``">"``: text, or the byte order.
     elements : list of Element
     start : int
-        Where the values begin.
+        Offset of the values.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
     last = _LAST_LINE.search(content, 0, _MAX_HEADER_BYTES)
     if last is None:
         raise FileFormatError(path, "is truncated: the PLY header has no end_header")
-    # After a lone CR a line feed is a value: all lines of a header end alike.
+    # All lines of a header end alike, so a line feed after a lone CR is a value.
     only_cr = last[1] == b"\r\n" and b"\n" not in content[: last.start(1)]
     start = last.end() - only_cr
     encoding, elements = "", []

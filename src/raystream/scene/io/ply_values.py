@@ -1,4 +1,4 @@
-"""PLY values: the numbers of each element, from text or from binary data."""
+"""PLY values: the numbers of each element, from text or binary data."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Values", "read_values"]
 
 @dataclass
 class Values:
-    """What was read of one element.
+    """The values of one element.
 
     Attributes
     ----------
     scalars : dict of str to ndarray of shape (count,)
         By property.
     lists : dict of str to (counts, values)
-        The length of each row's list, and all lists one after another.
+        The length of each row's list, and all lists concatenated.
     """
 
     scalars: dict[str, NDArray[Any]] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class Values:
 def read_values(
     path: Path, content: bytes, encoding: str, elements: list[Element], start: int
 ) -> dict[str, Values]:
-    """Read all elements; of elements with one name the last counts.
+    """Read all elements; the last of elements with the same name counts.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def read_values(
     Raises
     ------
     FileFormatError
-        If there is less than the header promises, or something is not a number.
+        If the file has less than the header declares, or a value is not a number.
     """
     source = _Text(path, content[start:]) if encoding == "ascii" else None
     binary = _Binary(path, content, start, encoding) if source is None else None
@@ -83,7 +83,7 @@ def _no_values(element: Element) -> Values:
 def _truncated(path: Path, element: Element) -> FileFormatError:
     return FileFormatError(
         path,
-        f"is truncated: the header promises {element.count:,} of element "
+        f"is truncated: the header declares {element.count:,} of element "
         f"{shown(element.name.encode())}, which the file is too small to hold",
     )
 
@@ -98,7 +98,7 @@ class _Text:
         try:
             self.numbers = parse_floats(words, len(words.split()))
         except ValueError:
-            raise FileFormatError(path, "something among its values is not a number") from None
+            raise FileFormatError(path, "a value is not a number") from None
 
     def size(self, value_type: str) -> int:
         del value_type
@@ -108,7 +108,7 @@ class _Text:
         return len(self.numbers) - self.position
 
     def read(self, element: Element) -> Values:
-        """Read an element: at once when the lists of all rows are as long as the first's."""
+        """Read an element: in one step if the lists of all rows are as long as the first's."""
         counts, width = self._first_row(element)
         if width * element.count <= self.remaining():
             stop = self.position + width * element.count
@@ -163,12 +163,12 @@ class _Text:
 
 def _list_count(path: Path, value: float, limit: int) -> int:
     if not 0 <= value <= limit or value != int(value):
-        raise FileFormatError(path, f"a list of {value:g} values makes no sense")
+        raise FileFormatError(path, f"invalid list length {value:g}")
     return int(value)
 
 
 def _columns(element: Element, table: NDArray[Any], counts: list[int]) -> Values | None:
-    """Cut a table into properties; None when a list is not as long as in the first row."""
+    """Split a table into properties; None if a list is not as long as in the first row."""
     values = Values()
     column = 0
     for prop, count in zip(element.properties, counts, strict=True):
@@ -200,7 +200,7 @@ class _Binary:
         return max(0, len(self.content) - self.position)
 
     def read(self, element: Element) -> Values:
-        """Read an element: at once when the lists of all rows are as long as the first's."""
+        """Read an element: in one step if the lists of all rows are as long as the first's."""
         row = self._row_type(element)
         if row is not None and row.itemsize * element.count <= self.remaining():
             table = np.frombuffer(self.content, row, element.count, self.position)
@@ -211,7 +211,7 @@ class _Binary:
         return self._walk(element)
 
     def _row_type(self, element: Element) -> np.dtype[Any] | None:
-        """Describe the first row; None when its lists leave the file."""
+        """Describe the first row; None if its lists exceed the file."""
         fields: list[Any] = []
         position = self.position
         for index, prop in enumerate(element.properties):
@@ -254,7 +254,7 @@ class _Binary:
                 raw = content[position : position + count_size]
                 count = int.from_bytes(raw, byte_order, signed=signed)  # type: ignore[arg-type]
                 if count < 0:
-                    raise FileFormatError(self.path, f"a list of {count} values makes no sense")
+                    raise FileFormatError(self.path, f"invalid list length {count}")
                 rows[name][0].append(count)
                 rows[name][1].append(position + count_size)
                 position += count_size + count * value_size
@@ -274,7 +274,7 @@ class _Binary:
     def _gather(
         self, counts: NDArray[np.int64], starts: NDArray[np.int64], value_type: str
     ) -> NDArray[Any]:
-        """Copy lists that lie anywhere into one array."""
+        """Gather lists at any offsets into one array."""
         size = self.size(value_type)
         within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
         places = np.repeat(starts, counts) + within * size
@@ -284,7 +284,7 @@ class _Binary:
 
 
 def _fields(element: Element, table: NDArray[Any]) -> Values | None:
-    """Cut a record array into properties; None when the lists differ in length."""
+    """Split a record array into properties; None if the lists differ in length."""
     values = Values()
     for index, prop in enumerate(element.properties):
         column = table[f"{index}"]

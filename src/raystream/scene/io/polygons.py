@@ -1,4 +1,4 @@
-"""Polygons: cut into fans of triangles in the order given; corners that are alike, shared."""
+"""Polygons: triangulation into fans, and sharing of equal corners."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def fan_corners(
     counts : ndarray of shape (P,), int64
         Corners of each polygon; those with fewer than 3 give no triangle.
     starts : ndarray of shape (P,), int64
-        Where each polygon's corners begin in the caller's list of corners.
+        First position of each polygon's corners in the caller's list of corners.
 
     Returns
     -------
     corners : ndarray of shape (F, 3), int64
         Positions in the caller's list of corners.
     polygon_ids : ndarray of shape (F,), int64
-        The polygon that each triangle was cut from, never decreasing.
+        The polygon of each triangle, non-decreasing.
     """
     fans = np.maximum(counts - 2, 0)
     polygon_ids = np.repeat(np.arange(len(counts)), fans)
@@ -43,14 +43,14 @@ def distinct_corners(
     Parameters
     ----------
     indices : ndarray of shape (C, K), int64
-        A row for each corner of a triangle; K >= 1.
+        One row per corner of a triangle; K >= 1.
 
     Returns
     -------
     rows : ndarray of shape (V,), int64
-        A corner for each combination, in the order of the first index, then of the others.
+        One corner per combination, sorted by the first index, then by the others.
     places : ndarray of shape (C,), int64
-        Which combination each corner is.
+        Combination of each corner.
     """
     places = indices[:, 0]
     rows = np.arange(len(indices))

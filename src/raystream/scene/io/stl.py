@@ -27,8 +27,8 @@ _NAMES = re.compile(rb"^ *(end)?solid\b[^\n]*?(?=facet +normal|$)", re.MULTILINE
 def read_stl(path: Path) -> Scene:
     """Read an STL file into a scene of one mesh.
 
-    Corners are not welded: every triangle has its own three vertices. Facet normals are not
-    used: they repeat what the corners say.
+    Corners are not welded: every triangle has its own three vertices. Facet normals are
+    ignored: they follow from the corners.
 
     Parameters
     ----------
@@ -54,29 +54,29 @@ def read_stl(path: Path) -> Scene:
 
 def _is_binary(content: bytes) -> bool:
     """Decide by size: some binary files begin with "solid", as text must."""
-    if len(content) >= _HEADER_BYTES and len(content) == _promised_bytes(content):
+    if len(content) >= _HEADER_BYTES and len(content) == _declared_bytes(content):
         return True
     head = content[:4096].removeprefix(BYTE_ORDER_MARK).lower()
     return not (head.lstrip().startswith(b"solid") and b"\0" not in head)
 
 
-def _promised_bytes(content: bytes) -> int:
+def _declared_bytes(content: bytes) -> int:
     return _HEADER_BYTES + _FACET.itemsize * int.from_bytes(content[80:84], "little")
 
 
 def _binary_corners(path: Path, content: bytes) -> NDArray[Any]:
     if len(content) < _HEADER_BYTES:
         raise FileFormatError(path, "is not an STL file: neither text nor long enough for binary")
-    promised = _promised_bytes(content)
-    count = (promised - _HEADER_BYTES) // _FACET.itemsize
-    if promised > len(content):
+    declared = _declared_bytes(content)
+    count = (declared - _HEADER_BYTES) // _FACET.itemsize
+    if declared > len(content):
         raise FileFormatError(
             path,
-            f"is truncated or not STL: {count:,} triangles need {promised:,} bytes, "
+            f"is truncated or not STL: {count:,} triangles need {declared:,} bytes, "
             f"it has {len(content):,}",
         )
     if count == 0 and len(content) >= _HEADER_BYTES + _FACET.itemsize:
-        raise FileFormatError(path, "is damaged: it promises no triangles, and goes on")
+        raise FileFormatError(path, "is damaged: data after a declared count of no triangles")
     facets = np.frombuffer(content, _FACET, count, _HEADER_BYTES)
     return facets["corners"].astype(np.float32)
 
@@ -88,7 +88,7 @@ def _text_corners(path: Path, content: bytes) -> NDArray[Any]:
     if not places and b"endsolid" not in text:
         raise FileFormatError(path, "is truncated: it ends before its first triangle")
     if len(places) % 3:
-        raise FileFormatError(path, f"is truncated: {len(places):,} corners are not triangles")
+        raise FileFormatError(path, f"is truncated: {len(places):,} corners, not a multiple of 3")
     if places and places[-1] + 3 >= len(words):
         raise FileFormatError(path, "is truncated: the last corner has no position")
     numbers = b" ".join([b" ".join(words[i + 1 : i + 4]) for i in places])

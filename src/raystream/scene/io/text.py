@@ -1,4 +1,4 @@
-"""Text: fast reading of numbers in model files that are text."""
+"""Text: fast parsing of numbers in text formats."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = [
     "shown",
 ]
 
-#: What some editors put before UTF-8 text.
+#: Byte order mark that some editors put before UTF-8 text.
 BYTE_ORDER_MARK = codecs.BOM_UTF8
 
 #: Control characters count as spaces, except for line feeds.
@@ -29,7 +29,7 @@ _PLAIN = bytes(10 if c == 10 else 32 if c < 32 or c == 127 else c for c in range
 def plain_text(content: bytes) -> bytes:
     r"""Make every line end in ``\n`` and every other control character a space.
 
-    Line ends may be CR LF, LF or CR. A byte order mark is removed; one of UTF-16 is obeyed.
+    Line ends may be CR LF, LF or CR. A byte order mark is removed; UTF-16 is decoded.
     """
     if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         content = content.decode("utf-16", "replace").encode()
@@ -41,7 +41,7 @@ def plain_text(content: bytes) -> bytes:
 
 
 def decoded(name: bytes) -> str:
-    """Read a name: UTF-8, else Latin-1, so that different names stay different."""
+    """Decode a name: UTF-8, else Latin-1, so that different names stay different."""
     try:
         return name.decode()
     except UnicodeDecodeError:
@@ -61,19 +61,19 @@ def parse_floats(text: bytes, count: int) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        If something is not a number, or there are more or fewer.
+        If a word is not a number, or their count differs.
     """
     return _parse(text, count, np.float64)
 
 
 def parse_integers(text: bytes, count: int) -> NDArray[np.int64]:
-    """Parse exactly `count` integers; see `parse_floats`. Too large ones become extreme."""
+    """Parse exactly `count` integers; see `parse_floats`. Too large ones are clamped."""
     return _parse(text, count, np.int64)
 
 
 def _parse(text: bytes, count: int, dtype: Any) -> NDArray[Any]:
     with warnings.catch_warnings():
-        # Older NumPy warns about what newer NumPy refuses.
+        # Older NumPy warns where newer NumPy raises.
         warnings.simplefilter("error", DeprecationWarning)
         try:
             numbers = np.fromstring(text, dtype, sep=" ") if text.strip() else np.empty(0, dtype)
@@ -85,7 +85,7 @@ def _parse(text: bytes, count: int, dtype: Any) -> NDArray[Any]:
 
 
 class Lines:
-    """Plain text seen as lines of words, found with array operations.
+    """Plain text as lines of words, split with array operations.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class Lines:
     Attributes
     ----------
     starts, ends : ndarray of shape (L,), int64
-        Where each line's first word begins, and the line feed that ends the line.
+        Offsets of each line's first word and of its line feed.
     word_counts : ndarray of shape (L,), int64
         Words in each line.
     """
@@ -119,7 +119,7 @@ class Lines:
         return len(self.ends)
 
     def line(self, index: int) -> bytes:
-        """One line, without leading white space and line feed."""
+        """Return one line, without leading white space and line feed."""
         return self.text[self.starts[index] : self.ends[index]]
 
     def join(self, selected: NDArray[np.bool_]) -> bytes:

@@ -26,9 +26,9 @@ class Builtin(NamedTuple):
     make : callable
         ``make(triangles)`` returns the `Scene`.
     description : str
-        One line for people.
+        One line.
     triangles : int
-        The target count when none is asked for.
+        The default target count.
     """
 
     make: Callable[[int], Scene]
@@ -36,7 +36,7 @@ class Builtin(NamedTuple):
     triangles: int
 
 
-#: The built-in scenes by name, in the order in which they are listed to people.
+#: The built-in scenes by name, in display order.
 BUILTIN: Mapping[str, Builtin] = MappingProxyType(
     {
         "cornell": Builtin(
@@ -46,7 +46,7 @@ BUILTIN: Mapping[str, Builtin] = MappingProxyType(
         ),
         "cornell_mirrors": Builtin(
             _cornell.cornell_mirrors,
-            "the Cornell box with polished walls and blocks, for rays of many bounces",
+            "the Cornell box with polished walls and blocks, for many bounces",
             _cornell.DEFAULT_TRIANGLES,
         ),
         "spheres": Builtin(
@@ -89,9 +89,8 @@ def generate(name: str, triangles: int | None = None) -> Scene:
     name : str
         A key of `BUILTIN`.
     triangles : int, optional
-        How many triangles to aim at, `MIN_TRIANGLES` to `MAX_TRIANGLES`; without it, the
-        count of the paper's scene. Each scene says how close it comes; none differs by
-        more than half the target.
+        Target count, `MIN_TRIANGLES` to `MAX_TRIANGLES` [default: the count of the paper's
+        scene]. Each scene documents its tolerance, at most half the target.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Boxes: plain boxes and finely divided rounded ones in a room."""
+"""Boxes: plain boxes and finely tessellated rounded ones in a room."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def boxes(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     Parameters
     ----------
     triangles : int
-        How many to aim at; the count differs by at most 6, by 10 for the least targets.
+        Target count; the actual count differs by at most 6, or 10 for the smallest targets.
         More triangles give more boxes of both kinds, and rounder ones.
 
     Returns

@@ -1,4 +1,4 @@
-"""Building: storeys of furnished rooms along corridors, with doors, windows and stairs."""
+"""Building: furnished rooms along corridors on several storeys, with doors, windows and stairs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["DEFAULT_TRIANGLES", "building", "inside_camera"]
 
 DEFAULT_TRIANGLES = 1_500_000
 
-#: Half the side of the lawn around the building, in lengths of the building.
+#: Half the side of the lawn around the building, in building lengths.
 LAWN = 4.0
 
 MATTE, LAWN_MATERIAL, FIRST_FURNISHING = 0, 1, 2
@@ -54,7 +54,7 @@ BOOK_COLORS = np.array(
 
 
 def building(triangles: int = DEFAULT_TRIANGLES) -> Scene:
-    """Make an office building, which stands in for Soda Hall in Purcell 2002.
+    """Make an office building, in place of Soda Hall in Purcell 2002.
 
     Walls are large boxes, furniture is small boxes, furnishings are very small triangles:
     a mixture of sizes with high depth complexity. A corridor runs through each storey;
@@ -63,8 +63,8 @@ def building(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     Parameters
     ----------
     triangles : int
-        How many to aim at; the count differs by at most 10 below 10,000, where boxes are
-        left out, and by less than 5 % above.
+        Target count; the actual count differs by at most 10 below 10,000, where boxes are
+        omitted, and by less than 5 % above.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def building(triangles: int = DEFAULT_TRIANGLES) -> Scene:
 
 
 def _lamps(length: float) -> list[float]:
-    """Where lamps burn in the lowest corridor: at every second one of the first ten."""
+    """Return the positions of lights in the lowest corridor: every second lamp of the first ten."""
     return [x for x in (2.1 + 2 * BAY * i for i in range(5)) if x < length]
 
 
@@ -131,14 +131,14 @@ def inside_camera(scene: Scene) -> Camera:
     Parameters
     ----------
     scene : Scene
-        What `building` made.
+        Made by `building`.
     """
     length = float(scene.meshes[1].vertices[:, 0].max())
     return Camera((0.5, 1.6, -0.35), (0.5 + 0.6 * length, 1.3, 0.15), fov=60.0)
 
 
 def _plan(triangles: int) -> Plan:
-    """Storeys and bays: more triangles give more rooms, and more in each."""
+    """Choose storeys and bays: more triangles give more rooms, and more objects per room."""
     rooms = max(2.0, 0.046 * triangles**0.6)
     storeys = max(1, round(math.sqrt(rooms / 2 / 2.4)))
     return Plan(storeys, max(1, round(rooms / 2 / storeys)))

@@ -21,12 +21,12 @@ TINTS = np.array([[0.82, 0.74, 0.62], [0.6, 0.6, 0.62], [0.72, 0.5, 0.38], [0.9,
 
 
 def city(count: int, generator: np.random.Generator) -> Part:
-    """Make a city of `count` boxes about an avenue along z.
+    """Make a city of `count` boxes along an avenue in z.
 
     Parameters
     ----------
     count : int
-        Number of boxes: two in five are the feet of towers, the rest are their upper
+        Number of boxes: two in five are the bases of towers, the rest are their upper
         storeys, curbs, and stripes on the road.
     generator : numpy.random.Generator
 
@@ -68,7 +68,7 @@ def _towers(count: int, tier_count: int, generator: np.random.Generator) -> Part
     tint = TINTS[generator.integers(0, len(TINTS), count)] * generator.uniform(0.8, 1.0, (count, 1))
     glass = generator.random(count) < 0.3
 
-    # Tiers stand on the towers that are nearest, one on each, then a second one.
+    # Upper tiers are added to the nearest towers first, one each, then a second one.
     tower = np.arange(count + tier_count) % count
     tier = np.arange(count + tier_count) // count
     shrink = 0.78**tier
@@ -85,7 +85,7 @@ def _towers(count: int, tier_count: int, generator: np.random.Generator) -> Part
 
 
 def _lots(count: int) -> NDArray[np.float64]:
-    """The `count` lots nearest to a point ahead, off the avenue; nearest first."""
+    """Return the `count` lots nearest to a point ahead, off the avenue; nearest first."""
     side = int(np.ceil(np.sqrt(count))) + 2
     column = np.arange(-side, side) + 0.5
     x = np.sign(column) * (AVENUE + 15.0 + PITCH * (np.abs(column) - 0.5))

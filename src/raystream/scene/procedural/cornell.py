@@ -29,10 +29,10 @@ MATERIALS = (
     Material("light", diffuse=(0.78, 0.78, 0.78), emission=(17.0, 12.0, 4.0)),
 )
 
-#: What polished walls and blocks mirror; the rest is as matte as ever.
+#: Mirror reflectance of polished walls and blocks.
 WALL_SHARE, BLOCK_SHARE = 0.3, 0.8
 
-#: Measured corners in millimetres, fronts into the room: floor, ceiling, back, right, left.
+#: Measured corners in millimetres, facing into the room: floor, ceiling, back, right, left.
 WALLS = (
     (WHITE, ((552.8, 0, 0), (0, 0, 0), (0, 0, 559.2), (549.6, 0, 559.2))),
     (WHITE, ((556, 548.8, 0), (556, 548.8, 559.2), (0, 548.8, 559.2), (0, 548.8, 0))),
@@ -68,14 +68,14 @@ def cornell(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     Parameters
     ----------
     triangles : int
-        How many to aim at: 36 undivided, else every surface is divided evenly. The count
-        differs from the target by half of it at most below 36, by less than a third below
-        100, by less than 15 % above.
+        Target count: 36 without subdivision, else every surface is divided evenly. The actual
+        count differs by at most half the target below 36, by less than a third below 100, by
+        less than 15 % above.
 
     Returns
     -------
     Scene
-        In millimetres, y up, one mesh a surface; the light is an area light.
+        In millimetres, y up, one mesh per surface; the light is an area light.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def cornell(triangles: int = DEFAULT_TRIANGLES) -> Scene:
 def cornell_mirrors(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     """Make the Cornell box with walls that mirror 0.3 of the light, and blocks that mirror 0.8.
 
-    For rays of many bounces: two walls that face each other show a row of boxes.
+    For many bounces: opposite walls reflect each other.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def cornell_mirrors(triangles: int = DEFAULT_TRIANGLES) -> Scene:
 
 
 def _polished(material: Material, share: float) -> Material:
-    """A material that mirrors a share of the light, and scatters its part of the rest."""
+    """Make a material mirror a share of the light; its diffuse colour scales the rest."""
     red, green, blue = ((1.0 - share) * channel for channel in material.diffuse)
     return dataclasses.replace(
         material, diffuse=(red, green, blue), reflection=(share, share, share)
@@ -133,7 +133,7 @@ def _polished(material: Material, share: float) -> Material:
 
 
 def _surfaces(triangles: int, block_id: int) -> list[Mesh]:
-    """The walls, the blocks of this material, and the light."""
+    """Make the walls, the blocks of this material, and the light."""
     across, along = _divisions(triangles)
     meshes = []
     names = ("floor", "ceiling", "back wall", "right wall", "left wall")
@@ -151,7 +151,7 @@ def _surfaces(triangles: int, block_id: int) -> list[Mesh]:
 def _block(
     footprint: tuple[tuple[int, int], ...], height: float, divisions: tuple[int, int, int]
 ) -> Part:
-    """Bend a divided box onto a footprint that is not quite a rectangle."""
+    """Deform a divided box to a footprint that is not quite a rectangle."""
     part = box(divisions)
     unit = (part.vertices.astype(np.float64) + 1.0) / 2.0
     x, y, z = unit[:, 0, None], unit[:, 1], unit[:, 2, None]
@@ -163,7 +163,7 @@ def _block(
 
 
 def _divisions(triangles: int) -> tuple[int, int]:
-    """Cells across and along each wall whose count comes closest to the target."""
+    """Choose cells across and along each wall for the closest count to the target."""
 
     def count(across: int, along: int) -> int:
         return 12 * across * along + 8 * (2 * across * along + across * across)

@@ -21,10 +21,10 @@ __all__ = ["DEFAULT_TRIANGLES", "forest", "inside_camera", "top_camera"]
 
 DEFAULT_TRIANGLES = 1_000_000
 
-#: Ground for one tree, metres of side.
+#: Side of the ground area per tree, metres.
 SPACING = 4.2
 
-#: Different trees; every other one is a conifer.
+#: Number of tree models; every other one is a conifer.
 KINDS = 6
 
 MATERIALS = (
@@ -35,16 +35,16 @@ MATERIALS = (
 
 
 def forest(triangles: int = DEFAULT_TRIANGLES) -> Scene:
-    """Make a forest, which stands in for the one of Purcell 2002.
+    """Make a forest, in place of the one in Purcell 2002.
 
-    Trunks and branches are closed; leaves are two triangles each. There are a few kinds of
-    trees, copied to many places in different sizes and shades.
+    Trunks and branches are closed; leaves have two triangles each. There are a few models of
+    trees, instanced in different sizes and shades.
 
     Parameters
     ----------
     triangles : int
-        How many to aim at; the count differs by less than a third below 500, by less than
-        5 % above. More triangles give more trees on more ground, and more leaves a tree.
+        Target count; the actual count differs by less than a third below 500, by less than
+        5 % above. More triangles give more trees on more ground, and more leaves per tree.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def forest(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     meshes = [to_mesh(_ground(cells, half), "ground")]
     wood, leaves = _trees(wanted // tree_count, tree_count, half, generator)
     meshes += [to_mesh(wood, "wood"), to_mesh(leaves, "leaves")]
-    # Above the edge, so that both the ground between the trunks and the crowns are seen.
+    # Above the edge, so that both the crowns and the ground between the trunks are visible.
     eye = (0.5 * half, 0.5 * half + 8.0, 1.2 * half + 10.0)
     return Scene(
         meshes,
@@ -93,7 +93,7 @@ def inside_camera(scene: Scene) -> Camera:
     Parameters
     ----------
     scene : Scene
-        What `forest` made.
+        Made by `forest`.
     """
     half = _half(scene)
     z = 0.8 * half
@@ -109,7 +109,7 @@ def top_camera(scene: Scene) -> Camera:
     Parameters
     ----------
     scene : Scene
-        What `forest` made.
+        Made by `forest`.
     """
     return Camera((0.0, 3.0 * _half(scene) + 12.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0), 40.0)
 
@@ -129,7 +129,7 @@ def _height(x: ArrayLike, z: ArrayLike, half: float) -> NDArray[np.float64]:
 
 
 def _path(z: ArrayLike, half: float) -> NDArray[np.float64]:
-    """Where the path into the forest runs: x at z."""
+    """Return the x of the path into the forest at z."""
     return 0.12 * half * np.sin(3.0 * np.asarray(z, np.float64) / half) + 0.02 * half
 
 
@@ -144,7 +144,7 @@ def _trees(
     spots, _ = floor_cells(
         math.ceil(1.1 * count), (-half, -half), (half, half), generator, jitter=0.3
     )
-    # Fell the trees that are nearest to the path, but in the back.
+    # Remove the trees nearest to the path, except in the back.
     gap = (
         np.abs(spots[:, 0] - _path(spots[:, 1], half))
         + np.maximum(-0.4 * half - spots[:, 1], 0.0) * 2.0
@@ -153,7 +153,7 @@ def _trees(
     base = np.stack([spots[:, 0], _height(spots[:, 0], spots[:, 1], half), spots[:, 1]], axis=1)
     base[:, 1] -= 0.05  # roots reach below the ground
     turns = yaw(generator.uniform(0.0, 2 * np.pi, count), generator.uniform(0.7, 1.2, count))
-    # Patches of one kind, with strangers in between.
+    # Patches of one kind, with a few of the others.
     field = np.sin(0.15 * spots[:, 0] + 1.0) + np.cos(0.17 * spots[:, 1])
     conifer = field + generator.normal(0.0, 0.8, count) > 0.2
     kinds = 2 * generator.integers(0, KINDS // 2, count) + ~conifer

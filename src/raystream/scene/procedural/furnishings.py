@@ -1,4 +1,4 @@
-"""Furnishings: the smooth things in a building, made of very small triangles."""
+"""Furnishings: smooth objects in a building, made of very small triangles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Vector = tuple[float, float, float]
 
 
 class Kind(NamedTuple):
-    """Things of one shape: how to make it, its share of triangles, and where it stands."""
+    """Objects of one shape: its maker, share of triangles, and positions."""
 
     make: Callable[[int], Part]
     weight: float
@@ -36,7 +36,7 @@ class Kind(NamedTuple):
 
 
 def _turned(radii: tuple[float, ...], heights: tuple[float, ...]) -> Callable[[int], Part]:
-    """A maker of lathe work with about as many triangles as it is asked for."""
+    """Return a maker of surfaces of revolution with about a given number of triangles."""
 
     def make(triangles: int) -> Part:
         rings = max(1, round(math.sqrt(triangles / 3)))
@@ -121,25 +121,25 @@ def furnishings(
     Parameters
     ----------
     triangles : int
-        How many to aim at; with fewer than 12 for each thing, some things are left out.
+        Target count; with fewer than 12 per object, some objects are omitted.
     plan : Plan
     offices : ndarray of shape (R,), bool
         As for `rooms.all_boxes`.
     first_material : int
         Index of the first of three materials.
     generator : numpy.random.Generator
-        Source of colours and turns.
+        Source of colours and rotations.
 
     Returns
     -------
     Part
-        Smooth; every thing is closed.
+        Smooth; every object is closed.
     """
     spots = [_spots(kind, plan, offices) for kind in KINDS]
     load = [kind.weight * len(place) for kind, place in zip(KINDS, spots, strict=True)]
     left, parts = float(triangles), []
     for index, (kind, places) in enumerate(zip(KINDS, spots, strict=True)):
-        # What rounding took from or gave to one kind, the next ones make good.
+        # The following kinds compensate for rounding.
         share = left * load[index] / max(sum(load[index:]), 1e-9)
         count = min(len(places), int(share / 12))
         if count == 0:
@@ -158,7 +158,7 @@ def furnishings(
 
 
 def _spots(kind: Kind, plan: Plan, offices: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Where the things of a kind stand, shape (N, 3)."""
+    """Return the positions of a kind's objects, shape (N, 3)."""
     storey, rest = np.divmod(np.arange(len(offices)), 2 * plan.bays)
     bay, back = np.divmod(rest, 2)
     stairs = (rest == 1) & (plan.bays > 1)

@@ -1,4 +1,4 @@
-"""Layout: where instances stand, spread evenly and without overlap."""
+"""Layout: positions of instances, evenly spread without overlap."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def floor_cells(
     generator: np.random.Generator,
     jitter: float = 0.12,
 ) -> tuple[NDArray[np.float64], float]:
-    """Choose spots on a floor, each in a square cell of its own.
+    """Choose positions on a floor, each in its own square cell.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ def floor_cells(
         Corners (x, z) of the floor.
     generator : numpy.random.Generator
     jitter : float
-        How far a spot may lie from its cell's middle on either axis, in cell widths.
+        Maximum offset from the cell's centre on either axis, in cell widths.
 
     Returns
     -------
     spots : ndarray of shape (N, 2), float64
-        x and z, row after row.
+        x and z, row by row.
     spacing : float
         Width of a cell: discs of radius ``(0.5 - jitter) * spacing`` do not overlap.
     """

@@ -1,4 +1,4 @@
-"""Part: triangles that scenes are put together from, by merging and by instancing."""
+"""Parts: building blocks of procedural scenes, merged and instanced."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Part", "instance", "merge", "to_mesh", "yaw"]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Triangles over shared vertices, before they become a mesh.
+    """Triangles over shared vertices, from which meshes are made.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Part:
     normals : ndarray of shape (V, 3), float32, or None
         Unit shading normals; None for a part with flat faces.
     colors : ndarray of shape (V, 3), float32, or None
-        Linear RGB that multiplies the material's diffuse colour; None is white.
+        Linear RGB, multiplied with the material's diffuse colour; None is white.
     """
 
     vertices: NDArray[np.float32]
@@ -43,24 +43,24 @@ class Part:
         return len(self.faces)
 
     def painted(self, material_id: int) -> Part:
-        """Return the part with one material on all its triangles."""
+        """Return the part with one material for all its triangles."""
         return replace(self, material_ids=np.full(len(self.faces), material_id, np.int32))
 
     def flipped(self) -> Part:
-        """Return the part with its front sides turned to the back."""
+        """Return the part with its front and back sides swapped."""
         normals = None if self.normals is None else -self.normals
         faces = np.ascontiguousarray(self.faces[:, ::-1])
         return replace(self, faces=faces, normals=normals)
 
 
 def merge(parts: Sequence[Part]) -> Part:
-    """Put parts together into one, their triangles one part after another.
+    """Concatenate parts.
 
     Parameters
     ----------
     parts : sequence of Part
-        Either all of them have normals, or none. A part without colours becomes white
-        where another one has colours.
+        Either all of them have normals, or none. A part without colours becomes white if
+        another one has colours.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def merge(parts: Sequence[Part]) -> Part:
     Raises
     ------
     ValueError
-        If some parts have normals and others have none.
+        If some parts have normals and others do not.
     """
     smooth = [part.normals is not None for part in parts]
     if any(smooth) and not all(smooth):
@@ -101,7 +101,7 @@ def instance(
     material_ids: ArrayLike | None = None,
     colors: ArrayLike | None = None,
 ) -> Part:
-    """Copy a part to N places, all at once.
+    """Make N transformed copies of a part.
 
     Parameters
     ----------
@@ -109,12 +109,12 @@ def instance(
         The template.
     matrices : array_like of shape (N, 3, 3), float
         Column-vector convention: a vertex p goes to ``matrix @ p + offset``. Determinants
-        must be positive, so that fronts stay fronts.
+        must be positive, to preserve front sides.
     offsets : array_like of shape (N, 3), float
     material_ids : array_like of shape (N,), integer, optional
-        A material for each copy, instead of the template's.
+        Material of each copy, instead of the template's.
     colors : array_like of shape (N, 3), float, optional
-        A colour for each copy, multiplied with the template's.
+        Colour of each copy, multiplied with the template's.
 
     Returns
     -------
@@ -147,14 +147,14 @@ def instance(
 
 
 def yaw(angles: ArrayLike, scales: ArrayLike = 1.0) -> NDArray[np.float32]:
-    """Make matrices that turn about the y axis and scale.
+    """Make matrices that scale, then rotate about the y axis.
 
     Parameters
     ----------
     angles : array_like of shape (N,), float
         Radians, counter-clockwise seen from above.
     scales : array_like of shape (N,), (N, 3) or (), float
-        Factor of each copy, or of each of its axes before the turn.
+        Factor of each copy, or of each of its axes.
 
     Returns
     -------
@@ -173,7 +173,7 @@ def yaw(angles: ArrayLike, scales: ArrayLike = 1.0) -> NDArray[np.float32]:
 
 
 def to_mesh(part: Part, name: str, *, texcoords: NDArray[np.float32] | None = None) -> Mesh:
-    """Make a mesh of a part."""
+    """Convert a part to a mesh."""
     return Mesh(
         part.vertices,
         part.faces,
@@ -201,6 +201,6 @@ def _transform(points: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDAr
 
 
 def _cofactors(matrix: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Matrices that turn normals: the inverse transpose times the determinant."""
+    """Return the matrices of normals: the inverse transpose times the determinant."""
     x, y, z = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)

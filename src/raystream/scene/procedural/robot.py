@@ -1,4 +1,4 @@
-"""Robot: the parts of one figure, and crowds of them in different poses."""
+"""Robot: the parts of one robot, and crowds of robots in different poses."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["PART_COUNT", "robot_parts"]
 #: Offsets from the first of the robots' materials.
 PAINT, METAL, VISOR, EYE, RUBBER = range(5)
 
-#: Limbs swing about the height of their joint.
+#: Heights of the joints about which limbs swing.
 SHOULDER, HIP = 1.42, 0.74
 
-#: Distance of neighbours, metres.
+#: Distance between neighbours, metres.
 SPACING = 2.1
 
 Vector = tuple[float, float, float]
@@ -39,12 +39,12 @@ class Piece(NamedTuple):
 
 
 def _pair(piece: Piece, first_limb: int) -> list[Piece]:
-    """A piece on either side of the body."""
+    """Return a piece on either side of the body."""
     x, y, z = piece.center
     return [piece._replace(limb=first_limb), piece._replace(center=(-x, y, z), limb=first_limb + 1)]
 
 
-#: The pieces, those first that matter most when there are triangles for a few only.
+#: The pieces, most important first, in case there are triangles for a few only.
 PIECES: tuple[Piece, ...] = (
     Piece((0.0, 1.2, 0.0), (0.29, 0.33, 0.18), 0.08, PAINT),
     Piece((0.0, 1.77, 0.0), (0.2, 0.17, 0.18), 0.07, PAINT),
@@ -95,7 +95,7 @@ def robot_parts(
     count : int
         Number N of robots.
     part_count : int
-        How many of the `PART_COUNT` parts each one has.
+        Number of parts per robot, at most `PART_COUNT`.
     first_material : int
         Index of the first of five materials.
     generator : numpy.random.Generator
@@ -104,12 +104,12 @@ def robot_parts(
     Returns
     -------
     Part
-        Part by part, each for all robots: N part_count 12 divisions^2 triangles.
+        Ordered by part, then by robot: N part_count 12 divisions^2 triangles.
     """
     turns = yaw(generator.normal(0.1, 0.25, count))
     paints = PAINTS[np.arange(count) % len(PAINTS)]
     swings = _swings(count, generator)
-    # A swung leg is shorter, but its foot's tip reaches lower: lift the robot by the rest.
+    # A swung leg is higher, but the tip of its foot is lower: lift the robot by the difference.
     stride = np.abs(swings[:, 3])
     lift = HIP * (np.cos(stride) - 1.0) + 0.24 * np.sin(stride)
     spots = _column(count, generator)
@@ -133,7 +133,7 @@ def robot_parts(
 
 
 def _column(count: int, generator: np.random.Generator) -> NDArray[np.float64]:
-    """Positions (x, z) in rows of five, each row half a place from the one before."""
+    """Return positions (x, z) in rows of five, alternately shifted by half a place."""
     row, place = np.divmod(np.arange(count), 5)
     across = np.array([0, -1, 1, -2, 2])[place] + 0.5 * (row % 2) - 0.25
     spots = np.stack([across * SPACING, -row * SPACING], axis=1)
@@ -141,7 +141,7 @@ def _column(count: int, generator: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _swings(count: int, generator: np.random.Generator) -> NDArray[np.float64]:
-    """Angles about the x axis of body, two arms and two legs; (N, 5), radians."""
+    """Return angles about the x axis of body, two arms and two legs; (N, 5), radians."""
     stride = generator.uniform(0.12, 0.4, count) * generator.choice([-1.0, 1.0], count)
     waves = generator.random(count) < 0.3
     left = np.where(waves, -2.7, -stride)

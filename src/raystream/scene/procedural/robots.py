@@ -20,10 +20,10 @@ __all__ = ["DEFAULT_TRIANGLES", "robots"]
 
 DEFAULT_TRIANGLES = 71_708
 
-#: Half the side of the ground, metres; the robots are two metres high.
+#: Half the side of the ground, metres; the robots are two metres tall.
 REACH = 4000.0
 
-#: Material indices from here on are the robots'; the city has the first.
+#: First material index of the robots; the city has the lower ones.
 ROBOT_MATERIALS = 5
 
 MATERIALS = (
@@ -67,15 +67,15 @@ MATERIALS = (
 def robots(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     """Make robots in a city: the teapot in a stadium.
 
-    Stands in for the Robots scene of the BART suite, which Foley 2005 measures: most of
-    the triangles are crowded into figures of two metres, the rest span kilometres.
+    In place of the Robots scene of the BART suite, which Foley 2005 measures: most of the
+    triangles are concentrated in robots of two metres, the rest span kilometres.
 
     Parameters
     ----------
     triangles : int
-        How many to aim at; the count differs by at most 10. The default is the count of
-        the BART scene. More triangles give more and finer robots and more towers; below
-        some 350 there is one robot that lacks parts.
+        Target count; the actual count differs by at most 10. The default is the count of the
+        BART scene. More triangles give more and finer robots and more towers; below about
+        350 there is one robot without all its parts.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def robots(triangles: int = DEFAULT_TRIANGLES) -> Scene:
 
 
 def _crowd(units: int) -> tuple[int, int, int]:
-    """Divisions of each part, robots, and parts of each for so many twelves of triangles."""
+    """Choose divisions per part, robots, and parts per robot, given triangles / 12."""
     if units < PART_COUNT:
         return 1, 1, units
     divisions = max(1, round(units**0.175))

@@ -1,4 +1,4 @@
-"""Rooms: the boxes of a building's storeys, walls, stairs and furniture."""
+"""Rooms: boxes of a building's slabs, walls, stairs and furniture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DOOR = 2.5
 
 CONCRETE, BRICK, PLASTER, WOOD, FRAME, FABRIC, BOOK, LAMP, CARPET = range(9)
 
-#: Linear RGB of the kinds above; books have a colour each.
+#: Linear RGB of the kinds above; books have individual colours.
 COLORS = np.array(
     [
         [0.6, 0.58, 0.54],
@@ -40,14 +40,14 @@ Row = tuple[float, float, float, float, float, float, int]
 
 
 class Plan(NamedTuple):
-    """How many storeys and bays a building has; each bay has a room on either side."""
+    """Numbers of storeys and bays; each bay has a room on either side of the corridor."""
 
     storeys: int
     bays: int
 
 
 class BoxList(NamedTuple):
-    """Boxes, those first that matter most when there are triangles for a few only.
+    """Boxes, most important first, in case there are triangles for a few only.
 
     ``lows`` and ``highs`` have shape (N, 3), float64, metres; ``kinds`` has shape (N,).
     """
@@ -57,7 +57,7 @@ class BoxList(NamedTuple):
     kinds: NDArray[np.int64]
 
 
-#: A room between the corridor (low z) and the facade (high z): x, y, z from and to, kind.
+#: A room between the corridor (low z) and the facade (high z): low x, y, z, high x, y, z, kind.
 SHELL: tuple[Row, ...] = (
     (0.0, -SLAB, 0.0, BAY, 0.0, DEPTH, CONCRETE),
     (0.0, 0.0, 6.25, BAY, 0.9, DEPTH, BRICK),
@@ -91,7 +91,7 @@ def _table(x: float, z: float, width: float, depth: float, top: float) -> list[R
 
 
 def _chair(x: float, z: float, back: int) -> list[Row]:
-    """A chair half a metre square; its back is at high (1) or low (-1) z."""
+    """Return a chair half a metre square; its back is at high (1) or low (-1) z."""
     edge = z + 0.42 if back > 0 else z
     legs = [
         (x + a, 0.0, z + b, x + a + 0.04, 0.42, z + b + 0.04, FRAME)
@@ -108,7 +108,7 @@ def _chair(x: float, z: float, back: int) -> list[Row]:
 
 
 def _shelf(x: float, z: float) -> list[Row]:
-    """Shelves of books along a side wall, open towards high x."""
+    """Return shelves of books along a side wall, open towards high x."""
     rows: list[Row] = [
         (x, 0.0, z, x + 0.3, 2.0, z + 0.03, WOOD),
         (x, 0.0, z + 1.57, x + 0.3, 2.0, z + 1.6, WOOD),
@@ -153,7 +153,7 @@ def all_boxes(plan: Plan, offices: NDArray[np.bool_]) -> BoxList:
     ----------
     plan : Plan
     offices : ndarray of shape (R,), bool
-        For each room whether it is an office, else a meeting room; R = 2 storeys bays,
+        Whether each room is an office, else a meeting room; R = 2 storeys bays,
         storey by storey, bay by bay, front before back. The stairs take the first room at
         the back of each storey.
     """
@@ -186,7 +186,7 @@ def _is_stairs(plan: Plan) -> NDArray[np.bool_]:
 
 
 def _bases(plan: Plan, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """x, y and side (1 front, -1 back) of the chosen rooms, shape (N, 3)."""
+    """Return x, y and side (1 front, -1 back) of the chosen rooms, shape (N, 3)."""
     room = np.flatnonzero(chosen)
     storey, rest = np.divmod(room, 2 * plan.bays)
     bay, back = np.divmod(rest, 2)
@@ -199,7 +199,7 @@ def _rows(rows: list[Row]) -> BoxList:
 
 
 def _placed(rows: tuple[Row, ...], bases: NDArray[np.float64]) -> BoxList:
-    """Repeat the boxes of a room for every room: row after row, each for all rooms."""
+    """Repeat a room's boxes for all rooms, ordered by box, then by room."""
     lows, highs, kinds = _rows(list(rows))
     flip = bases[None, :, 2] < 0.0
     shift = np.stack([bases[:, 0], bases[:, 1], np.zeros(len(bases))], axis=1)
@@ -212,7 +212,7 @@ def _placed(rows: tuple[Row, ...], bases: NDArray[np.float64]) -> BoxList:
 
 
 def _stairs() -> tuple[Row, ...]:
-    """A straight flight from the corridor up to a walkway beside it, one storey higher."""
+    """Return a straight flight of stairs from the corridor to a walkway one storey higher."""
     steps = 16
     rows: list[Row] = [
         (0.0, -SLAB, 0.0, BAY, 0.0, 1.45, CONCRETE),
@@ -248,7 +248,7 @@ def _roof(plan: Plan) -> list[Row]:
 
 
 def _ends(plan: Plan, storey: int) -> list[Row]:
-    """The outer walls at either end of the corridor, with a window, on one storey."""
+    """Return the outer walls at both ends of a storey's corridor, with windows."""
     rows: list[Row] = []
     y = storey * STOREY
     for x in (-0.2, plan.bays * BAY):

@@ -1,4 +1,4 @@
-"""Shapes that scenes are made of. Closed ones share their vertices, so no edge is open."""
+"""Shapes: boxes, spheres, lathes, grids. Closed ones share vertices, so that no edge is open."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def boxes(lows: ArrayLike, highs: ArrayLike, material_ids: ArrayLike = 0) -> Par
 
 
 def room(low: ArrayLike, high: ArrayLike, wall: int, floor: int) -> Part:
-    """Make a box seen from within: 12 triangles, closed.
+    """Make a box seen from inside: 12 triangles, closed.
 
     Parameters
     ----------
@@ -89,13 +89,13 @@ def box(divisions: tuple[int, int, int] = (1, 1, 1)) -> Part:
 
 
 def sphere(divisions: int) -> Part:
-    """Make the unit sphere from a box of `divisions` cells a side; smooth, closed.
+    """Make the unit sphere from a box with `divisions` cells per side; smooth, closed.
 
-    A box projected to a sphere has no poles where triangles crowd. There are
-    12 divisions^2 triangles; 2 divisions is the least that looks round.
+    Unlike a latitude-longitude sphere, a projected box has no poles with tiny triangles. There
+    are 12 divisions^2 triangles; at least 2 divisions look round.
     """
     lattice, faces = _box_lattice((divisions,) * 3)
-    # Even angles: cells near the box's corners would come out small otherwise.
+    # Equal angles: cells near the box's corners would be small otherwise.
     points = np.tan((2.0 * lattice / divisions - 1.0) * (np.pi / 4))
     points /= np.sqrt((points * points).sum(axis=1))[:, None]
     vertices = points.astype(np.float32)
@@ -103,21 +103,21 @@ def sphere(divisions: int) -> Part:
 
 
 def rounded_box(divisions: int, half_size: tuple[float, float, float], radius: float) -> Part:
-    """Make a box with round edges about the origin; smooth, closed.
+    """Make a box with rounded edges, centred at the origin; smooth, closed.
 
     Parameters
     ----------
     divisions : int
-        Cells a side: 12 divisions^2 triangles.
+        Cells per side: 12 divisions^2 triangles.
     half_size : tuple of float
         Half the extent on each axis.
     radius : float
-        Of the edges; less than the least half extent.
+        Radius of the edges; less than the smallest half extent.
 
     Raises
     ------
     ValueError
-        If the radius is not positive, or leaves no flat middle.
+        If the radius is not positive, or leaves no flat part.
     """
     if not 0.0 < radius < min(half_size):
         raise ValueError(f"radius: expected more than 0 and less than {min(half_size)}")
@@ -138,7 +138,7 @@ def rounded_box(divisions: int, half_size: tuple[float, float, float], radius: f
 
 
 def lathe(radii: ArrayLike, heights: ArrayLike, segments: int, *, smooth: bool = True) -> Part:
-    """Turn a profile about the y axis; closed.
+    """Make a surface of revolution about the y axis; closed.
 
     Parameters
     ----------
@@ -147,9 +147,9 @@ def lathe(radii: ArrayLike, heights: ArrayLike, segments: int, *, smooth: bool =
     heights : array_like of shape (K + 2,), float
         y of the lower pole, of each ring, and of the upper pole.
     segments : int
-        Vertices of a ring, at least 3: 2 K segments triangles.
+        Vertices per ring, at least 3: 2 K segments triangles.
     smooth : bool
-        Whether to give normals, taken from the profile.
+        Whether to add normals, derived from the profile.
     """
     radius = np.concatenate([[0.0], np.asarray(radii, np.float64), [0.0]])
     height = np.asarray(heights, np.float64)
@@ -182,14 +182,14 @@ def cylinder(segments: int) -> Part:
 
 
 def grid(x: ArrayLike, z: ArrayLike, heights: ArrayLike) -> Part:
-    """Make a height field, its front up; smooth.
+    """Make a height field that faces up; smooth.
 
     Parameters
     ----------
     x, z : array_like of shape (A,) and (B,), float
-        Positions of the lines, increasing.
+        Positions of the grid lines, increasing.
     heights : array_like of shape (B, A), float
-        y at each crossing: 2 (A - 1)(B - 1) triangles.
+        y at each grid point: 2 (A - 1)(B - 1) triangles.
     """
     x, z = np.asarray(x, np.float64), np.asarray(z, np.float64)
     y = np.asarray(heights, np.float64)
@@ -208,7 +208,7 @@ def grid(x: ArrayLike, z: ArrayLike, heights: ArrayLike) -> Part:
 
 
 def patch(corners: ArrayLike, divisions: tuple[int, int] = (1, 1)) -> Part:
-    """Divide a quadrilateral evenly.
+    """Make an evenly divided quadrilateral.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def _lathe_faces(ring_count: int, segments: int) -> NDArray[np.int32]:
 
 
 def _box_lattice(divisions: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Lattice points on the surface of a divided box, each once, and the faces over them."""
+    """Return the lattice points on the surface of a divided box, and its faces."""
     steps = np.array([1, divisions[0] + 1, (divisions[0] + 1) * (divisions[1] + 1)])
     faces = []
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""Size: which triangle counts a built-in scene can be asked for."""
+"""Size: limits on the triangle count of a built-in scene."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import operator
 
 __all__ = ["MAX_TRIANGLES", "MIN_TRIANGLES", "check_triangles"]
 
-#: Below this a scene would no longer show what it is named for.
+#: Below this a scene would be unrecognisable.
 MIN_TRIANGLES = 24
 
 #: Above this a scene needs more than a few tens of gigabytes.

@@ -35,7 +35,7 @@ def spheres(triangles: int = DEFAULT_TRIANGLES) -> Scene:
     Parameters
     ----------
     triangles : int
-        How many to aim at; the count differs by at most 6. More triangles give more and
+        Target count; the actual count differs by at most 6. More triangles give more and
         smoother spheres.
 
     Returns

@@ -15,10 +15,10 @@ __all__ = ["LEAST_TRIANGLES", "Tree", "tree"]
 
 BARK, LEAF = 1, 2
 
-#: A trunk and a crown of the fewest triangles that are closed.
+#: The fewest triangles of a closed trunk and crown.
 LEAST_TRIANGLES = 14
 
-#: From here on a tree has single leaves.
+#: Above this a tree has individual leaves.
 LEAFY_TRIANGLES = 90
 
 BARK_COLORS = ((0.23, 0.16, 0.11), (0.3, 0.25, 0.2))
@@ -26,10 +26,10 @@ LEAF_COLORS = ((0.07, 0.23, 0.08), (0.25, 0.4, 0.07))
 
 
 class Tree(NamedTuple):
-    """A tree at the origin, in metres, some 8 to 11 high.
+    """A tree at the origin, 8 to 11 metres tall.
 
-    ``wood`` is smooth and closed. ``leaves`` is flat; it is open for single leaves, closed
-    for a tree so coarse that its crown is one solid.
+    ``wood`` is smooth and closed. ``leaves`` is flat; individual leaves are open, the solid
+    crown of a coarse tree is closed.
     """
 
     wood: Part
@@ -42,12 +42,12 @@ def tree(triangles: int, conifer: bool, generator: np.random.Generator) -> Tree:
     Parameters
     ----------
     triangles : int
-        How many to make, at least `LEAST_TRIANGLES`; exact but for the parity and, below
-        `LEAFY_TRIANGLES`, but for 12.
+        Number of triangles, at least `LEAST_TRIANGLES`; exact up to parity, or up to 12 below
+        `LEAFY_TRIANGLES`.
     conifer : bool
-        Whether it is pointed and dark rather than round and light.
+        Whether the tree is pointed and dark rather than round and light.
     generator : numpy.random.Generator
-        Makes each tree another one.
+        Source of variation between trees.
     """
     if triangles < LEAFY_TRIANGLES:
         return _simple(triangles, conifer)
@@ -97,7 +97,7 @@ def _trunk(rings: int, segments: int, conifer: bool) -> Part:
 def _branches(
     count: int, conifer: bool, generator: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Starts (K, 3), ends (K, 3) and lengths (K,) of branches, about evenly turned."""
+    """Return starts (K, 3), ends (K, 3) and lengths (K,) of branches at about even angles."""
     share = (np.arange(count) + generator.random(count)) / count
     angle = np.arange(count) * 2.399963 + generator.normal(0.0, 0.3, count)
     if conifer:
@@ -117,7 +117,7 @@ def _branches(
 def _cones(
     starts: NDArray[np.float64], ends: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> Part:
-    """Three-sided spindles of 6 triangles from start to end."""
+    """Return three-sided spindles of 6 triangles from start to end."""
     along = ends - starts
     side = np.cross(along, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side, axis=1)[:, None]
@@ -134,7 +134,7 @@ def _leaves(
     conifer: bool,
     generator: np.random.Generator,
 ) -> Part:
-    """Leaves of 2 triangles, folded at the midrib, along the branches."""
+    """Return leaves of 2 triangles, folded at the midrib, along the branches."""
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
     branch = generator.choice(len(starts), count, p=lengths / lengths.sum())
@@ -150,7 +150,7 @@ def _leaves(
     side = np.cross(outward, generator.normal(0.0, 0.35, (count, 3)) + [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side, axis=1)[:, None]
     up = np.cross(side, outward)
-    # Fewer leaves are larger ones, so that the crown stays as dense.
+    # Fewer leaves are larger, so that the density of the crown is constant.
     area = 190.0 if conifer else 200.0
     length = np.sqrt(area / count) * generator.uniform(0.75, 1.25, count)[:, None]
     width = (0.22 if conifer else 0.36) * length
@@ -167,7 +167,7 @@ def _leaves(
     )
     faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
     faces = (faces[None] + 4 * np.arange(count, dtype=np.int32)[:, None, None]).reshape(-1, 3)
-    # Leaves inside the crown are darker: light that bounces there has been absorbed.
+    # Leaves inside the crown are darker: light that bounces there has been partly absorbed.
     shade = (0.55 + 0.45 * share) * generator.uniform(0.8, 1.2, (count, 1))
     colors = np.clip(shade * LEAF_COLORS[0 if conifer else 1], 0.0, 1.0)
     return Part(

@@ -1,0 +1,103 @@
+"""Lighting on the command line: environment maps, and an extra light for dim scenes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from raystream.cli import options
+from raystream.cli.console import BadInputError, write_note
+
+if TYPE_CHECKING:
+    from raystream.scene.scene import Scene
+
+__all__ = ["LightingOptions", "report_added_light"]
+
+#: The library's extensions, for help; a test compares them.
+SUFFIXES = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class LightingOptions:
+    """Options of a scene's lighting."""
+
+    environment: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="An environment map (equirectangular: .hdr, .exr, .png or .jpg) that replaces "
+            "the scene's own sky; its top is the scene's up direction.",
+        ),
+    ] = None
+    environment_rotation: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGREES",
+            callback=options.finite,
+            help="With --environment: rotation of the map, counterclockwise as seen from above.",
+        ),
+    ] = None
+    lights: Annotated[
+        str | None,
+        options.choice(
+            options.LIGHTS,
+            "auto adds a light when the scene's own are too weak to see by: at the eye, or for "
+            "kajiya and path a white sky; file uses the scene's own lights only [default: auto]",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Check the map's extension, and reject a rotation without a map."""
+        if self.environment is not None:
+            options.check_suffix(self.environment, SUFFIXES, "reading")
+        elif self.environment_rotation is not None:
+            raise BadInputError("--environment-rotation: only with --environment")
+
+    def apply(self, scene: Scene) -> Scene:
+        """Replace a scene's environment lights and background with the map, if one is given.
+
+        Applies to every frame of an animated scene.
+
+        Raises
+        ------
+        FileFormatError
+            If the map cannot be read.
+        MemoryError
+            If the map does not fit in memory.
+        """
+        if self.environment is None:
+            return scene
+        from raystream.rendering.environment import texels_of
+        from raystream.scene.lights import EnvironmentLight
+
+        light = EnvironmentLight(
+            image=self.environment,
+            up=tuple(scene.up),
+            rotation=self.environment_rotation or 0.0,
+        )
+        texels_of(light)
+
+        def light_up(scene: Scene) -> Scene:
+            others = [other for other in scene.lights if not isinstance(other, EnvironmentLight)]
+            return scene.replace(lights=(*others, light), background=(0.0, 0.0, 0.0))
+
+        lit = light_up(scene)
+        if scene.animation is None:
+            return lit
+        pose = scene.animation.at
+        return lit.replace(animation=replace(scene.animation, at=lambda time: light_up(pose(time))))
+
+
+def report_added_light(scene: Scene, mode: str, lights: str) -> None:
+    """Report a light added to the scene's own on stderr; see `lighting.needs_light`."""
+    from raystream.rendering.lighting import added_light
+
+    added = added_light(scene, mode, lights)
+    if added:
+        write_note(
+            f"the scene's own lights are too weak to see by: added {added} (--lights file uses "
+            "the scene's own only)"
+        )
