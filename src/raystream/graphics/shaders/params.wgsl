@@ -1,4 +1,4 @@
-// What all rays of a search share, and the structure's own numbers. As raystream/graphics/forms/base.py.
+// What all rays of a search share, and the structure's own numbers. As raystream/graphics/structures/base.py.
 
 struct Params {
     // Largest absolute coordinate of the scene.
