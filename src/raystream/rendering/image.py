@@ -22,7 +22,7 @@ from raystream.rendering.tone import apply_tone, check_tone
 if TYPE_CHECKING:
     from raystream.rendering.compare import Comparison
 
-__all__ = ["IMAGE_SUFFIXES", "Image"]
+__all__ = ["Image"]
 
 #: Larger images are reduced in notebooks, which store all that they show.
 _MOST_SHOWN = 2048
@@ -87,8 +87,8 @@ class Image:
         """
         source = Path(path)
         suffix = source.suffix.lower()
-        if suffix not in IMAGE_SUFFIXES:
-            raise ValueError(f"{source}: the name must end in {' or '.join(IMAGE_SUFFIXES)}")
+        if suffix not in _WRITERS:
+            raise ValueError(f"{source}: the name must end in {' or '.join(_WRITERS)}")
         if suffix == ".exr":
             return cls(*read_exr(str(source)))
         return cls(read_png(str(source)))
@@ -124,9 +124,9 @@ class Image:
             If the file cannot be written.
         """
         target = Path(path)
-        writer = IMAGE_SUFFIXES.get(target.suffix.lower())
+        writer = _WRITERS.get(target.suffix.lower())
         if writer is None:
-            raise ValueError(f"{target}: the name must end in {' or '.join(IMAGE_SUFFIXES)}")
+            raise ValueError(f"{target}: the name must end in {' or '.join(_WRITERS)}")
         _check_exposure(exposure)
         check_tone(tone)
         with atomic_write(target) as temporary:
@@ -261,7 +261,7 @@ class Image:
 
 
 #: Writers by file suffix.
-IMAGE_SUFFIXES: dict[str, Callable[[Image, str, float, str], None]] = {
+_WRITERS: dict[str, Callable[[Image, str, float, str], None]] = {
     ".png": Image._write_png,
     ".exr": Image._write_exr,
 }

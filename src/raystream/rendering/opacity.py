@@ -24,7 +24,7 @@ from raystream.rendering.shading.opacity import (
     OpacityTables,
     is_there,
 )
-from raystream.rendering.shading.textures import MAX_TEXELS, TextureTables, address_of
+from raystream.rendering.shading.textures import Atlas, TextureTables, address_of
 from raystream.rendering.vertex_attributes import VertexAttributes
 from raystream.scene.material import Material
 from raystream.scene.scene import Scene
@@ -103,9 +103,7 @@ def _pack(
     kinds = np.full(len(materials), OPAQUE, np.int32)
     of_material = np.full(len(materials), -1, np.int32)
     known: dict[int, int] = {}
-    parts: list[NDArray[np.uint8]] = []
-    places: list[tuple[int, int, int, int]] = []
-    first = 0
+    atlas = Atlas()
     for index in used:
         material = materials[index]
         texture = material.textures.get("opacity")
@@ -113,26 +111,20 @@ def _pack(
             known[id(texture)] = -1
             grey = _opacity_of(texture)
             if grey is not None and not (grey == 255).all():
-                if first + grey.size > MAX_TEXELS:
-                    raise MemoryError(f"textures: more than {MAX_TEXELS:,} texels in one scene")
-                known[id(texture)] = len(places)
-                height, width = grey.shape
-                places.append((first, width, height, int(texture.wrap == "clamp")))
-                parts.append(np.repeat(grey.reshape(-1, 1), 4, axis=1))
-                first += grey.size
+                texels = np.repeat(grey[:, :, None], 4, axis=2)
+                known[id(texture)] = atlas.add(texels, texture.wrap)
         of_material[index] = -1 if texture is None else known[id(texture)]
         least = 1.0 if material.alpha_cutoff is None else material.alpha_cutoff
         if material.opacity < least or (of_material[index] >= 0 and least > 0.0):
             kinds[index] = PARTIAL if material.alpha_cutoff is None else MASKED
     kept: tuple[NDArray[Any], ...] = (
-        np.concatenate(parts) if parts else np.empty((0, 4), np.uint8),
-        np.array(places, np.int32).reshape(-1, 4),
+        *atlas.arrays(),
         of_material,
         np.arange(256, dtype=np.uint8) / np.float32(255.0),
     )
-    texels, rows, roles, plain = map(address_of, kept)
+    colors, places, roles, plain = map(address_of, kept)
     none = np.uint64(0)
-    return TextureTables(texels, rows, roles, none, none, plain, none), kinds, kept
+    return TextureTables(colors, places, roles, none, none, plain, none), kinds, kept
 
 
 def _opacity_of(texture: Texture) -> NDArray[np.uint8] | None:

@@ -25,7 +25,6 @@ from raystream.structures.bvh.engine import SMALL_BATCH
 __all__ = [
     "Limits",
     "Sampled",
-    "TakeSample",
     "checkpoint_seconds",
     "render_samples",
     "trace_sample",

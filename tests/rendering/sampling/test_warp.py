@@ -17,7 +17,7 @@ CELLS = 16  # in z and in the angle around it, or in x and in y
 FINE = 32  # points of quadrature in a cell, along each side
 
 #: Kinds for the kernels below: Numba compiles the calls, not names.
-COSINE, SPHERE, CONE, POWER, GGX = range(5)
+COSINE, SPHERE, POWER, GGX = range(4)
 
 VIEWS = {
     "head on": (0.0, 0.0, 1.0),
@@ -29,9 +29,6 @@ VIEWS = {
 DIRECTIONS = {
     "cosine": (COSINE, ()),
     "sphere": (SPHERE, ()),
-    "cone": (CONE, (0.5,)),
-    "cone, half": (CONE, (1.0,)),
-    "cone, whole": (CONE, (2.0,)),
     "power 0": (POWER, (0.0,)),
     "power 1": (POWER, (1.0,)),
     "power 25": (POWER, (25.0,)),
@@ -48,8 +45,6 @@ def directions_of(kind, p, points, out):
             d = warp.cosine_hemisphere(u, v)
         elif kind == SPHERE:
             d = warp.sphere(u, v)
-        elif kind == CONE:
-            d = warp.cone(u, v, p[0])
         elif kind == POWER:
             d = warp.power_cosine(u, v, p[0])
         else:
@@ -57,20 +52,24 @@ def directions_of(kind, p, points, out):
         out[i, 0], out[i, 1], out[i, 2] = d
 
 
-@kernel
-def pdfs_of(kind, p, directions, out):
-    for i in range(len(directions)):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        if kind == COSINE:
-            out[i] = warp.cosine_hemisphere_pdf(z)
-        elif kind == SPHERE:
-            out[i] = warp.sphere_pdf()
-        elif kind == CONE:
-            out[i] = warp.cone_pdf(z, p[0])
-        elif kind == POWER:
-            out[i] = warp.power_cosine_pdf(z, p[0])
-        else:
-            out[i] = ggx.visible_normal_pdf(x, y, z, p[0], p[1], p[2], p[3], p[4])
+def densities(name, directions):
+    """Per steradian, in closed form."""
+    kind, parameters = DIRECTIONS[name]
+    z = directions[:, 2].astype(np.float64)
+    if kind == SPHERE:
+        return np.full(len(z), 0.25 / np.pi)
+    above = np.maximum(z, 0.0)
+    if kind == COSINE:
+        return above / np.pi
+    if kind == POWER:
+        return np.where(
+            z > 0.0, (parameters[0] + 1.0) / (2.0 * np.pi) * above ** parameters[0], 0.0
+        )
+    view, stretch = np.array(parameters[:3]), np.array([*parameters[3:], 1.0])
+    square = ((directions / stretch) ** 2).sum(axis=1, dtype=np.float64)
+    faces = np.where(z > 0.0, 1.0 / (np.pi * stretch.prod() * square**2), 0.0)
+    cosine = np.maximum(directions.astype(np.float64) @ view, 0.0)
+    return faces * 2.0 * cosine / (view[2] + np.linalg.norm(stretch * view))
 
 
 @kernel
@@ -89,15 +88,10 @@ def frames(normals, out):
 
 
 @kernel
-def flat_points(is_disk, points, out, pdf):
+def flat_points(is_disk, points, out):
     for i in range(len(points)):
-        if is_disk:
-            p = warp.disk(points[i, 0], points[i, 1])
-            pdf[i] = warp.disk_pdf(p[0], p[1])
-        else:
-            p = warp.triangle(points[i, 0], points[i, 1])
-            pdf[i] = warp.triangle_pdf(np.float32(0.5))
-        out[i, 0], out[i, 1] = p
+        u, v = points[i, 0], points[i, 1]
+        out[i, 0], out[i, 1] = warp.disk(u, v) if is_disk else warp.triangle(u, v)
 
 
 def random_points(count=COUNT):
@@ -116,13 +110,6 @@ def sample_directions(name, points):
     out = np.empty((len(points), 3), np.float32)
     directions_of(kind, np.array(parameters, np.float32), points, out)
     return out
-
-
-def densities(name, directions):
-    kind, parameters = DIRECTIONS[name]
-    out = np.empty(len(directions), np.float32)
-    pdfs_of(kind, np.array(parameters, np.float32), directions.astype(np.float32), out)
-    return out.astype(np.float64)
 
 
 def integrals(name, lowest=-1.0):
@@ -151,7 +138,7 @@ def test_a_density_integrates_to_1(name):
 
 
 def test_directions_follow_their_density(name):
-    lowest = -1.0 if name in ("sphere", "cone, whole") else 0.0
+    lowest = -1.0 if name == "sphere" else 0.0
     directions = sample_directions(name, random_points()).astype(np.float64)
     assert (directions[:, 2] >= lowest).all()
     row = np.minimum((directions[:, 2] - lowest) / (1 - lowest) * CELLS, CELLS - 1).astype(int)
@@ -169,19 +156,12 @@ def test_directions_are_unit_vectors_with_a_density(name):
         pdf = densities(name, directions)
         assert np.isfinite(pdf).all()
         # On the rim itself rounding may decide that it is outside.
-        is_inside = directions[:, 2] > (1e-3 if name != "cone" else 0.5 + 1e-6)
-        assert (pdf[is_inside | (name == "sphere")] > 0).all()
+        assert (pdf[(directions[:, 2] > 1e-3) | (name == "sphere")] > 0).all()
 
 
 def test_narrow_lobes_keep_their_digits():
-    """The sine of a cone of 0.001 degrees is far below what 1 - cos**2 can tell."""
     points = random_points(1 << 14)
-    height = 2 * math.sin(math.radians(0.001) / 2) ** 2
     out = np.empty((len(points), 3), np.float32)
-    directions_of(CONE, np.array([height], np.float32), points, out)
-    sine = np.hypot(out[:, 0], out[:, 1]).astype(np.float64)
-    expected = math.radians(0.001) * np.sqrt(points[:, 0].astype(np.float64))
-    np.testing.assert_allclose(sine, expected, rtol=1e-5)
     directions_of(POWER, np.array([1e6], np.float32), points, out)
     sine2 = (out[:, :2].astype(np.float64) ** 2).sum(axis=1)
     assert sine2.mean() == pytest.approx(2e-6, rel=0.05)  # 2 / (n + 3)
@@ -199,15 +179,13 @@ def test_mirrors_stay_mirrors():
 
 def test_points_of_a_disk_are_even():
     points = random_points()
-    out, pdf = np.empty((COUNT, 2), np.float32), np.empty(COUNT, np.float32)
-    flat_points(True, points, out, pdf)
+    out = np.empty((COUNT, 2), np.float32)
+    flat_points(True, points, out)
     radius2 = (out.astype(np.float64) ** 2).sum(axis=1)
     turn = np.arctan2(out[:, 1], out[:, 0]) / (2 * np.pi) % 1.0
     index = np.minimum(radius2 * CELLS, CELLS - 1).astype(int) * CELLS
     index += np.minimum(turn * CELLS, CELLS - 1).astype(int)
     assert_follows(np.bincount(index, minlength=CELLS**2), np.full(CELLS**2, COUNT / CELLS**2))
-    inside = radius2 < 1 - 1e-6
-    np.testing.assert_allclose(pdf[inside], 1 / math.pi, rtol=1e-6)
     assert radius2.max() <= 1 + 1e-6
 
 
@@ -215,8 +193,8 @@ def test_squares_become_circles():
     """Shirley and Chiu's map: the square's edge is the rim, its middle the centre."""
     edge = np.array([(0, 0.3), (0.7, 0), (0, 0), (1 - 2**-24, 0.2)], np.float32)
     middle = np.array([(0.5, 0.5)], np.float32)
-    out, pdf = np.empty((5, 2), np.float32), np.empty(5, np.float32)
-    flat_points(True, np.concatenate([edge, middle]), out, pdf)
+    out = np.empty((5, 2), np.float32)
+    flat_points(True, np.concatenate([edge, middle]), out)
     np.testing.assert_allclose(np.hypot(*out[:4].T), 1, atol=1e-6)
     assert not out[4].any()
 
@@ -224,8 +202,8 @@ def test_squares_become_circles():
 def test_points_of_a_triangle_are_even():
     """On a grid over the weights: whole cells below the diagonal, halves along it."""
     points = random_points()
-    out, pdf = np.empty((COUNT, 2), np.float32), np.empty(COUNT, np.float32)
-    flat_points(False, points, out, pdf)
+    out = np.empty((COUNT, 2), np.float32)
+    flat_points(False, points, out)
     assert (out >= 0).all()
     assert (out.astype(np.float64).sum(axis=1) <= 1).all()
     cells = np.minimum((out * CELLS).astype(int), CELLS - 1)
@@ -233,7 +211,6 @@ def test_points_of_a_triangle_are_even():
     i, j = np.divmod(np.arange(CELLS**2), CELLS)
     area = np.where(i + j < CELLS - 1, 1.0, np.where(i + j == CELLS - 1, 0.5, 0.0))
     assert_follows(counts, COUNT * area / area.sum())
-    assert (pdf == 2).all()
 
 
 def test_bases_are_orthonormal_and_right_handed(rng):
@@ -270,9 +247,7 @@ def test_a_direction_turns_with_its_normal(rng):
 
 
 def test_no_face_is_seen_from_behind():
-    normals = sample_directions("sphere", random_points(1 << 14))
     for name, view in VIEWS.items():
-        pdf = densities(f"ggx, {name}", normals)
-        hidden = (normals @ np.float32(view) <= 0) | (normals[:, 2] <= 0)
-        assert not pdf[hidden].any()
-        assert (pdf[~hidden] > 0).all()
+        normals = sample_directions(f"ggx, {name}", random_points(1 << 14))
+        assert (normals[:, 2] > 0).all()
+        assert (normals @ np.float32(view) > -1e-6).all()

@@ -1,4 +1,4 @@
-"""GGX microfacet normals: distribution, sampling of visible normals, and their density."""
+"""Sampling of visible GGX microfacet normals."""
 
 from __future__ import annotations
 
@@ -7,39 +7,12 @@ import math
 import numpy as np
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import maximum, select, sincos_turns, square_root
+from raystream.jit.simd import maximum, sincos_turns, square_root
 
-__all__ = ["ggx_density", "visible_normal", "visible_normal_pdf"]
+__all__ = ["visible_normal"]
 
 _0, _1, _2 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _PI = np.float32(math.pi)
-
-
-@device
-def ggx_density(x, y, z, ax, ay):
-    """Area of microfacets with a normal, per unit of surface area and steradian.
-
-    Parameters
-    ----------
-    x, y, z : float32
-        Unit microfacet normal; the surface's is +z.
-    ax, ay : float32
-        Roughness along x and y, above 0.
-
-    Returns
-    -------
-    float32
-        The integral of this times z over the hemisphere is 1; 0 below it.
-
-    References
-    ----------
-    .. [1] Walter et al., "Microfacet Models for Refraction through Rough Surfaces",
-       Eurographics Symposium on Rendering 2007.
-    """
-    sx, sy = x / ax, y / ay
-    length2 = sx * sx + sy * sy + z * z
-    density = _1 / (_PI * ax * ay * length2 * length2)
-    return select(z > _0, density, _0 * density)
 
 
 @device
@@ -81,31 +54,3 @@ def visible_normal(u, v, vx, vy, vz, ax, ay):
     x, y = ax * x, ay * y
     inv_length = _1 / square_root(x * x + y * y + z * z)
     return x * inv_length, y * inv_length, z * inv_length
-
-
-@device
-def visible_normal_pdf(x, y, z, vx, vy, vz, ax, ay):
-    """Density of `visible_normal` at a unit normal, per steradian.
-
-    Parameters
-    ----------
-    x, y, z : float32
-        The normal.
-    vx, vy, vz, ax, ay : float32
-        As of `visible_normal`.
-
-    Returns
-    -------
-    float32
-        0 where the viewer does not see it. The reflected direction has this density divided by
-        4 times the cosine between normal and viewer.
-
-    Notes
-    -----
-    Smith's masking, 2 vz / (vz + l), times cosine times distribution over vz, where l is the
-    length of the stretched view: vz cancels, so that grazing views need no special case.
-    """
-    cosine = x * vx + y * vy + z * vz
-    sx, sy = ax * vx, ay * vy
-    length = square_root(sx * sx + sy * sy + vz * vz)
-    return ggx_density(x, y, z, ax, ay) * _2 * maximum(cosine, _0) / (vz + length)

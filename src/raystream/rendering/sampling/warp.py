@@ -1,8 +1,8 @@
-"""Warps of the unit square to disks, triangles and directions, with their densities.
+"""Warps of the unit square to disks, triangles and directions.
 
 All take two float32 numbers u and v in [0, 1), such as those of `draw_pair`, and have low
 distortion, to preserve stratification. Directions are around +z and of unit length; `basis` and
-`to_world` rotate them. Densities of directions are per steradian, of points per unit area.
+`to_world` rotate them.
 Vectors of float32 work as well as float32, with the same bits in each lane.
 """
 
@@ -19,7 +19,6 @@ from raystream.jit.simd import (
     exponential,
     logarithm,
     maximum,
-    power,
     select,
     sincos_turns,
     square_root,
@@ -27,19 +26,12 @@ from raystream.jit.simd import (
 
 __all__ = [
     "basis",
-    "cone",
-    "cone_pdf",
     "cosine_hemisphere",
-    "cosine_hemisphere_pdf",
     "disk",
-    "disk_pdf",
     "power_cosine",
-    "power_cosine_pdf",
     "sphere",
-    "sphere_pdf",
     "to_world",
     "triangle",
-    "triangle_pdf",
 ]
 
 _0, _HALF, _1, _2 = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
@@ -71,12 +63,6 @@ def disk(u, v):
 
 
 @device
-def disk_pdf(x, y):
-    """Density of `disk` at a point: 1 / pi inside."""
-    return _INV_PI if x * x + y * y <= _1 else _0
-
-
-@device
 def cosine_hemisphere(u, v):
     """A direction with density proportional to its cosine to +z.
 
@@ -87,12 +73,6 @@ def cosine_hemisphere(u, v):
     """
     x, y = disk(u, v)
     return x, y, square_root(maximum(_1 - x * x - y * y, _0))
-
-
-@device
-def cosine_hemisphere_pdf(z):
-    """Density of `cosine_hemisphere` at a direction with this z; 0 below."""
-    return maximum(z, _0) * _INV_PI
 
 
 @device
@@ -107,37 +87,6 @@ def sphere(u, v):
     """A uniform direction: x, y, z of float32."""
     # The radius from u, not from 1 - z * z, which cancels for small ones.
     return _around(_1 - _2 * u, _2 * square_root(u * (_1 - u)), v)
-
-
-@device
-def sphere_pdf():
-    """Density of `sphere`: the same everywhere."""
-    return _INV_FOUR_PI
-
-
-@device
-def cone(u, v, height):
-    """A uniform direction of a cone around +z.
-
-    Parameters
-    ----------
-    u, v : float32
-    height : float32
-        Of the cone's cap: 1 minus the cosine of the angle between axis and side, in (0, 2].
-        (Compute it as 2 * sin(angle / 2)**2 for narrow cones, to avoid cancellation.)
-
-    Returns
-    -------
-    x, y, z : float32
-    """
-    below = u * height
-    return _around(_1 - below, square_root(below * (_2 - below)), v)
-
-
-@device
-def cone_pdf(z, height):
-    """Density of `cone` at a direction with this z; 0 outside."""
-    return _INV_TWO_PI / height if _1 - z <= height else _0
 
 
 @device
@@ -168,12 +117,6 @@ def power_cosine(u, v, exponent):
 
 
 @device
-def power_cosine_pdf(z, exponent):
-    """Density of `power_cosine` at a direction with this z; 0 below."""
-    return (exponent + _1) * _INV_TWO_PI * power(z, exponent)
-
-
-@device
 def triangle(u, v):
     """A uniform point of a triangle, by folding the square along its diagonal.
 
@@ -188,12 +131,6 @@ def triangle(u, v):
     """
     half = _HALF * select(v > u, u, v)
     return select(v > u, half, u - half), select(v > u, v - half, half)
-
-
-@device
-def triangle_pdf(area):
-    """Density of `triangle` in a triangle of this area: the same everywhere."""
-    return _1 / area
 
 
 @device

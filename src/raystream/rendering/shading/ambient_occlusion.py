@@ -17,24 +17,17 @@ from raystream.jit.simd import (
     i64x16,
     lane_count,
     lane_numbers,
-    mask_bits,
-    popcount,
     u32x16,
     widen,
 )
 from raystream.rendering.sampling.sampler import draw_pair_lanes
 from raystream.rendering.sampling.warp import cosine_hemisphere, to_world
 from raystream.rendering.shading.points import surface_point, world_position
-from raystream.rendering.shading.rows import (
-    append_numbers,
-    append_pixels,
-    append_positions,
-    append_vectors,
-)
 from raystream.rendering.shading.streams import (
     StreamCursor,
     add_light,
     addresses_of,
+    append_rows,
     batch_addresses,
     direction_of,
     weights_of,
@@ -108,7 +101,6 @@ def spawn_path_ao_rays(i, batch, tables, sample, options, rays):
         point.z + point.offset * point.gz,
     )
     lanes = lane_numbers(i32x16)
-    to, row = rays.columns, rays.row
     for first in range(0, count, lane_count(lanes)):
         j = lanes + as_int32(first)
         samples = as_uint32(j) + as_uint32(sample.number * count)
@@ -117,14 +109,9 @@ def spawn_path_ao_rays(i, batch, tables, sample, options, rays):
         # Those that a smooth normal sends below the triangle hit it at once.
         height = widen(x) * point.gx + widen(y) * point.gy + widen(z) * point.gz
         mask = (j < as_int32(count)) & (height > 0.0)
-        append_pixels(to.pixels, row, i64x16(pixel_id), mask)
-        append_numbers(to.numbers, row, reach, mask)
         start = f64x16(origin[0]), f64x16(origin[1]), f64x16(origin[2])
-        append_positions(to.origins, row, start, mask)
-        append_vectors(to.directions, row, (x, y, z), mask)
-        append_vectors(to.colors, row, light, mask)
-        row += popcount(mask_bits(mask))
-    return StreamCursor(to, row)
+        rays = append_rows(rays, mask, i64x16(pixel_id), start, (x, y, z), light, reach)
+    return rays
 
 
 @kernel

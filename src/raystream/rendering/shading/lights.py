@@ -30,6 +30,7 @@ from raystream.jit.simd import (
 from raystream.rendering.sampling.warp import sphere, triangle
 from raystream.rendering.shading.discrete_distribution import sample_discrete_lanes
 from raystream.rendering.shading.points import offset_at
+from raystream.rendering.shading.rows import floats_at
 from raystream.rendering.shading.sky_lanes import map_sample_lanes, sky_toward_lanes
 from raystream.rendering.shading.vectors import chosen, dot, largest, scaled
 
@@ -83,16 +84,6 @@ def _doubles(row, k):
         gather(np.float64, row, k),
         gather(np.float64, row, k + _1),
         gather(np.float64, row, k + _2),
-    )
-
-
-@device
-def _floats(row, k):
-    """Three float32 of a table from index k on."""
-    return (
-        gather(np.float32, row, k),
-        gather(np.float32, row, k + _1),
-        gather(np.float32, row, k + _2),
     )
 
 
@@ -163,9 +154,9 @@ def _from_triangles(tables, lights, is_area, point, within, u, v, found):
     """Replace samples of lanes that chose an area light: uniform points on triangles."""
     number, _, _ = sample_discrete_lanes(lights.prim_ends, lights.prim_count, widen(within))
     row = number * _PATCH
-    corner, normal = _floats(lights.patches, row), _floats(lights.patches, row + _9)
+    corner, normal = floats_at(lights.patches, row), floats_at(lights.patches, row + _9)
     first, second = triangle(u, v)
-    along, across = _floats(lights.patches, row + _3), _floats(lights.patches, row + _6)
+    along, across = floats_at(lights.patches, row + _3), floats_at(lights.patches, row + _6)
     px = widen(corner[0]) + widen(first * along[0] + second * across[0])
     py = widen(corner[1]) + widen(first * along[1] + second * across[1])
     pz = widen(corner[2]) + widen(first * along[2] + second * across[2])
@@ -184,7 +175,7 @@ def _from_triangles(tables, lights, is_area, point, within, u, v, found):
         pz + away * widen(normal[2]),
     )
     is_lit = is_area & (distance > _NULL) & (cosine > _NULL) & (pdf > _NULL) & (pdf < _INF)
-    color = scaled(_floats(lights.patches, row + _12), _WHOLE / pdf)
+    color = scaled(floats_at(lights.patches, row + _12), _WHOLE / pdf)
     return LightSample(
         chosen(is_area, toward, found.toward),
         chosen(is_area, target, found.target),

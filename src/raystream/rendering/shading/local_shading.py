@@ -10,10 +10,7 @@ from raystream.jit.simd import (
     any_lane,
     as_int32,
     gather,
-    i32x16,
-    lane_numbers,
     maximum,
-    minimum,
     square_root,
 )
 from raystream.rendering.shading.bsdf import emitted, lobes_at, reflected
@@ -21,7 +18,7 @@ from raystream.rendering.shading.points import surface_points
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.sky_lanes import sky_toward_lanes
-from raystream.rendering.shading.streams import add_lights, batch_addresses
+from raystream.rendering.shading.streams import add_lights, batch_addresses, block_rows
 from raystream.rendering.shading.vectors import added, chosen, dot, scaled, times
 
 __all__ = ["facing_ratio_block", "shade_facing_ratio", "shade_unshadowed", "unshadowed_block"]
@@ -29,7 +26,7 @@ __all__ = ["facing_ratio_block", "shade_facing_ratio", "shade_unshadowed", "unsh
 #: Of vectors.
 _LANES = 16
 
-_0, _1 = np.int32(0), np.int32(1)
+_0 = np.int32(0)
 _NULL, _WHOLE = np.float32(0.0), np.float32(1.0)
 
 
@@ -46,10 +43,7 @@ def _begin(first, batch, lights):
     is_hit : mask16
         Not set beyond the last ray.
     """
-    count = as_int32(batch.path_count)
-    row = lane_numbers(i32x16) + as_int32(first)
-    is_path = row < count
-    row = minimum(row, as_int32(count - _1))
+    row, is_path = block_rows(first, batch)
     pixel = as_int32(gather(np.int64, batch.paths.pixels, row) - batch.first_pixel)
     toward = vector_at(batch.paths.directions, row)
     toward = scaled(toward, _WHOLE / square_root(dot(toward, toward)))

@@ -30,11 +30,11 @@ from raystream.rendering.shading.textures import ROLES, texture_color, texture_o
 from raystream.rendering.shading.vectors import added, chosen, dot, mirrored, scaled
 from raystream.rendering.shading.vertices import attribute_pair, attribute_vector, vertices_of
 
-__all__ = ["LEAST_COSINE", "has_normal_map", "mapped_normal"]
+__all__ = ["has_normal_map", "mapped_normal"]
 
 #: Between a normal and the view, or the geometric normal: smaller ones may change sign by
 #: float32 rounding.
-LEAST_COSINE = np.float32(1e-3)
+_LEAST_COSINE = np.float32(1e-3)
 
 _NORMAL = np.int32(ROLES.index("normal"))
 _BUMP = np.int32(ROLES.index("bump"))
@@ -103,8 +103,8 @@ def _is_mirrored(tables, vertices):
 @device
 def _at_least(cosine, normal, toward):
     """Turn normals toward a direction, where their cosine to it is too small."""
-    turned = _unit(added(normal, toward, LEAST_COSINE - cosine))
-    return chosen(cosine < LEAST_COSINE, turned, normal)
+    turned = _unit(added(normal, toward, _LEAST_COSINE - cosine))
+    return chosen(cosine < _LEAST_COSINE, turned, normal)
 
 
 @device
@@ -118,8 +118,8 @@ def _turned(normal, geometric, back, is_mirror):
     normal = _at_least(dot(normal, back), normal, back)
     toward = mirrored(back, normal)
     cosine = dot(toward, geometric)
-    toward = _unit(added(toward, geometric, LEAST_COSINE - cosine))
-    is_lost = is_mirror & (cosine < LEAST_COSINE)
+    toward = _unit(added(toward, geometric, _LEAST_COSINE - cosine))
+    is_lost = is_mirror & (cosine < _LEAST_COSINE)
     return chosen(is_lost, _unit(added(back, toward, _WHOLE)), normal)
 
 

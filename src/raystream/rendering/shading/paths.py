@@ -24,8 +24,6 @@ from raystream.jit.simd import (
     as_uint32,
     f32x16,
     gather,
-    i32x16,
-    lane_numbers,
     maximum,
     minimum,
     select,
@@ -37,7 +35,7 @@ from raystream.rendering.sampling.sampler import draw_lanes, draw_pair_lanes
 from raystream.rendering.shading.absorption import transmittance
 from raystream.rendering.shading.bsdf import emitted, lobes_at, reflected
 from raystream.rendering.shading.lights import sample_light, triangle_pdf
-from raystream.rendering.shading.points import surface_points
+from raystream.rendering.shading.points import spawned, surface_points
 from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.scatter import reflection_pdf, scatter
 from raystream.rendering.shading.shadow_rays import put_shadow_rays
@@ -46,8 +44,9 @@ from raystream.rendering.shading.streams import (
     StreamCursor,
     add_lights,
     addresses_of,
+    append_rows,
     batch_addresses,
-    put_paths,
+    block_rows,
 )
 from raystream.rendering.shading.tables import ABSORBS
 from raystream.rendering.shading.vectors import dot, largest, scaled, times
@@ -159,10 +158,7 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward
     # The first surface's light is what it emits, samples, or finds with the next ray.
     most_found = rules.clamp if bounce > _1 else _INF
     most_sampled = rules.clamp if bounce > _0 else _INF
-    count = as_int32(batch.path_count)
-    row = lane_numbers(i32x16) + as_int32(first)
-    is_path = row < count
-    row = minimum(row, as_int32(count - _1))
+    row, is_path = block_rows(first, batch)
     pixels = gather(np.int64, paths.pixels, row)
     pixel, key = as_int32(pixels - batch.first_pixel), as_uint32(pixels)
     weights = vector_at(paths.colors, row)
@@ -213,7 +209,8 @@ def shade_path_block(first, batch, tables, lights, sample, bounce, rules, onward
         chance = minimum(brightest, _MOST_CHANCE)
         continues &= draw_lanes(sampler, key, samples, dimension + 7) < chance
         weights = scaled(weights, _WHOLE / chance)
-    onward = put_paths(onward, continues, pixels, tables, point, ray.direction, weights, ray.pdf)
+    origins = spawned(tables, point, ray.direction)
+    onward = append_rows(onward, continues, pixels, origins, ray.direction, weights, ray.pdf)
     return onward, rays
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "append_pixels",
     "append_positions",
     "append_vectors",
+    "floats_at",
     "put_vectors",
     "vector_at",
 ]
@@ -39,14 +40,19 @@ _LOW, _HIGH = permutation(*range(8)), permutation(*range(8, 16))
 
 
 @device
+def floats_at(base, k):
+    """Gather float32 numbers k, k + 1 and k + 2 at an address."""
+    return (
+        gather(np.float32, base, k),
+        gather(np.float32, base, k + _1),
+        gather(np.float32, base, k + _2),
+    )
+
+
+@device
 def vector_at(base, row):
     """Gather vectors of three float32 from rows of an array of shape (N, 3), by its address."""
-    at = row * _3
-    return (
-        gather(np.float32, base, at),
-        gather(np.float32, base, at + _1),
-        gather(np.float32, base, at + _2),
-    )
+    return floats_at(base, row * _3)
 
 
 @device

@@ -8,33 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device, kernel
-from raystream.jit.simd import (
-    address,
-    as_int32,
-    f32x16,
-    gather,
-    load,
-    mask_bits,
-    narrow,
-    popcount,
-    scatter,
-    select,
-)
+from raystream.jit.simd import address, as_int32, f32x16, gather, load, narrow, select
 from raystream.rendering.shading.points import spawned, world_position
-from raystream.rendering.shading.rows import (
-    append_numbers,
-    append_pixels,
-    append_positions,
-    append_vectors,
-    put_vectors,
-    vector_at,
-)
+from raystream.rendering.shading.rows import vector_at
 from raystream.rendering.shading.streams import (
-    StreamCursor,
     add_light,
     addresses_of,
+    append_rows,
     empty_columns,
-    narrowed,
+    put_row,
 )
 
 __all__ = [
@@ -98,13 +80,7 @@ def put_shadow_ray(rays, pixel, tables, point, found, light):
     if not found.is_far:
         px, py, pz = world_position(tables, found.target[0], found.target[1], found.target[2])
         toward, t_max = (px - x, py - y, pz - z), _ONE
-    to, row = rays.columns, as_int32(rays.row)
-    scatter(to.pixels, rays.row, pixel, True)
-    scatter(to.numbers, rays.row, t_max, True)
-    put_vectors(to.origins, row, (x, y, z), True)
-    put_vectors(to.directions, row, narrowed(toward), True)
-    put_vectors(to.colors, row, narrowed(light), True)
-    return StreamCursor(to, rays.row + np.uint64(1))
+    return put_row(rays, pixel, (x, y, z), toward, light, t_max)
 
 
 @device
@@ -115,8 +91,10 @@ def put_shadow_rays(rays, mask, pixels, tables, point, found, light):
     ----------
     rays : StreamCursor
         Of `ShadowRays` with slack.
-    mask, pixels, tables, point
-        See `put_paths`.
+    mask : mask16
+    pixels : i64x16
+    tables : SceneTables
+    point : Point
     found : LightSample
     light : tuple of three f32x16
         Added to the pixels if nothing blocks the rays.
@@ -128,13 +106,8 @@ def put_shadow_rays(rays, mask, pixels, tables, point, found, light):
         select(found.is_far, found.toward[1], narrow(py - y)),
         select(found.is_far, found.toward[2], narrow(pz - z)),
     )
-    to, first = rays.columns, rays.row
-    append_pixels(to.pixels, first, pixels, mask)
-    append_numbers(to.numbers, first, select(found.is_far, _INF, f32x16(_ONE)), mask)
-    append_positions(to.origins, first, (x, y, z), mask)
-    append_vectors(to.directions, first, toward, mask)
-    append_vectors(to.colors, first, light, mask)
-    return StreamCursor(to, first + popcount(mask_bits(mask)))
+    t_max = select(found.is_far, _INF, f32x16(_ONE))
+    return append_rows(rays, mask, pixels, (x, y, z), toward, light, t_max)
 
 
 @device

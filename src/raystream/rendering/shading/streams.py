@@ -9,9 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raystream.jit.cpu import device
-from raystream.jit.simd import address, as_int32, mask_bits, popcount, scatter
+from raystream.jit.simd import (
+    address,
+    as_int32,
+    i32x16,
+    lane_numbers,
+    mask_bits,
+    minimum,
+    popcount,
+    scatter,
+)
 from raystream.kernels.hits import HitAddresses
-from raystream.rendering.shading.points import spawned
 from raystream.rendering.shading.rows import (
     append_numbers,
     append_pixels,
@@ -30,16 +38,16 @@ __all__ = [
     "add_light",
     "add_lights",
     "addresses_of",
+    "append_rows",
     "batch_addresses",
+    "block_rows",
     "direction_of",
     "empty_columns",
-    "narrowed",
-    "put_path",
-    "put_paths",
+    "put_row",
     "weights_of",
 ]
 
-_ONE = np.uint64(1)
+_1, _ONE = np.int32(1), np.uint64(1)
 
 #: Rows behind the last one of arrays that kernels write to, since they write whole vectors.
 SLACK = 16
@@ -178,57 +186,59 @@ def direction_of(paths, i):
 
 
 @device
-def narrowed(a):
-    """Three float64 as float32."""
+def _narrowed(a):
     return np.float32(a[0]), np.float32(a[1]), np.float32(a[2])
 
 
 @device
-def put_path(onward, pixel, tables, point, toward, weight, pdf):
-    """Write a path that leaves a point; returns the cursor behind it.
+def put_row(to, pixel, origin, direction, color, number):
+    """Write a row of `Paths` or `ShadowRays`; returns the cursor behind it.
 
     Parameters
     ----------
-    onward : StreamCursor
-        Of `Paths`.
+    to : StreamCursor
     pixel : int64
-    tables : SceneTables
-    point : Point
-    toward, weight : tuple of three float64
-    pdf : float64
+    origin, direction, color : tuple of three float64
+    number : float64
     """
-    to, row = onward.columns, as_int32(onward.row)
-    scatter(to.pixels, onward.row, pixel, True)
-    scatter(to.numbers, onward.row, np.float32(pdf), True)
-    put_vectors(to.origins, row, spawned(tables, point, toward), True)
-    put_vectors(to.directions, row, narrowed(toward), True)
-    put_vectors(to.colors, row, narrowed(weight), True)
-    return StreamCursor(to, onward.row + _ONE)
+    row = as_int32(to.row)
+    scatter(to.columns.pixels, to.row, pixel, True)
+    scatter(to.columns.numbers, to.row, np.float32(number), True)
+    put_vectors(to.columns.origins, row, origin, True)
+    put_vectors(to.columns.directions, row, _narrowed(direction), True)
+    put_vectors(to.columns.colors, row, _narrowed(color), True)
+    return StreamCursor(to.columns, to.row + _ONE)
 
 
 @device
-def put_paths(onward, mask, pixels, tables, point, toward, weight, pdf):
-    """Write the paths of 16 that leave their points, without gaps; returns the cursor behind them.
+def append_rows(to, mask, pixels, origins, directions, colors, numbers):
+    """Write the rows of masked lanes, without gaps; returns the cursor behind them.
 
     Parameters
     ----------
-    onward : StreamCursor
-        Of `Paths` with slack, see `SLACK`.
+    to : StreamCursor
+        Of a stream with slack, see `SLACK`.
     mask : mask16
-        Which of them continue.
     pixels : i64x16
-    tables : SceneTables
-    point : Point
-    toward, weight : tuple of three f32x16
-    pdf : f32x16
+    origins : tuple of three f64x16
+    directions, colors : tuple of three f32x16
+    numbers : f32x16
     """
-    to, first = onward.columns, onward.row
-    append_pixels(to.pixels, first, pixels, mask)
-    append_numbers(to.numbers, first, pdf, mask)
-    append_positions(to.origins, first, spawned(tables, point, toward), mask)
-    append_vectors(to.directions, first, toward, mask)
-    append_vectors(to.colors, first, weight, mask)
-    return StreamCursor(to, first + popcount(mask_bits(mask)))
+    columns, first = to.columns, to.row
+    append_pixels(columns.pixels, first, pixels, mask)
+    append_numbers(columns.numbers, first, numbers, mask)
+    append_positions(columns.origins, first, origins, mask)
+    append_vectors(columns.directions, first, directions, mask)
+    append_vectors(columns.colors, first, colors, mask)
+    return StreamCursor(columns, first + popcount(mask_bits(mask)))
+
+
+@device
+def block_rows(first, batch):
+    """Rows of 16 paths of a batch, i32x16, and a mask of those that exist; see `Paths`."""
+    count = as_int32(batch.path_count)
+    row = lane_numbers(i32x16) + as_int32(first)
+    return minimum(row, as_int32(count - _1)), row < count
 
 
 @device

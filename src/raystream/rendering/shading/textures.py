@@ -26,8 +26,8 @@ from raystream.scene.material import Material
 from raystream.scene.texture import Texture
 
 __all__ = [
-    "MAX_TEXELS",
     "ROLES",
+    "Atlas",
     "TextureTables",
     "address_of",
     "nearest_texels",
@@ -35,7 +35,6 @@ __all__ = [
     "texture_arrays",
     "texture_color",
     "texture_of",
-    "texture_size",
     "wrapped",
 ]
 
@@ -52,7 +51,7 @@ _0, _1, _2, _3, _PLACE = (np.int32(k) for k in range(5))
 _BYTE, _8, _16 = np.uint32(0xFF), np.uint32(8), np.uint32(16)
 
 #: Most texels of a scene: kernels index them with int32.
-MAX_TEXELS = 2**31 - 1
+_MAX_TEXELS = 2**31 - 1
 
 
 class TextureTables(NamedTuple):
@@ -106,7 +105,7 @@ def texture_arrays(materials: Sequence[Material]) -> tuple[NDArray[Any], ...]:
     """
     of_material = np.full((len(materials), len(ROLES)), -1, np.int32)
     normal_scales = np.array([_normal_scales_of(material) for material in materials], np.float32)
-    atlas = _Atlas()
+    atlas = Atlas()
     for row, material, relief in zip(of_material, materials, normal_scales, strict=True):
         for column, role in enumerate(ROLES):
             texture = material.textures.get(role)
@@ -157,7 +156,7 @@ def _holds_normals(texels: NDArray[np.uint8]) -> bool:
     return bool(is_normal.mean() > 0.9 and max(abs(x), abs(y)) < 0.25 < 0.5 < z)
 
 
-class _Atlas:
+class Atlas:
     """Textures one after another, each stored once."""
 
     def __init__(self) -> None:
@@ -174,7 +173,8 @@ class _Atlas:
             pixels = self._rgb_of(texture)
             self._numbers[key] = -1
             if pixels is not None:
-                self._numbers[key] = self._add(pixels, are_heights, texture.wrap)
+                texels = _heights_of(pixels) if are_heights else pixels
+                self._numbers[key] = self.add(texels, texture.wrap)
         return self._numbers[key]
 
     def holds_normals(self, texture: Texture) -> bool:
@@ -187,13 +187,13 @@ class _Atlas:
         texels = np.concatenate(self._parts) if self._parts else np.empty((0, 4), np.uint8)
         return texels, np.array(self._places, np.int32).reshape(-1, 4)
 
-    def _add(self, pixels: NDArray[np.uint8], are_heights: bool, wrap: str) -> int:
+    def add(self, pixels: NDArray[np.uint8], wrap: str) -> int:
+        """Add texels of shape (H, W, 4); return the texture's number."""
         height, width = pixels.shape[:2]
-        if self._count + height * width > MAX_TEXELS:
-            raise MemoryError(f"textures: more than {MAX_TEXELS:,} texels in one scene")
-        texels = pixels.reshape(-1, 4)
+        if self._count + height * width > _MAX_TEXELS:
+            raise MemoryError(f"textures: more than {_MAX_TEXELS:,} texels in one scene")
         self._places.append((self._count, width, height, int(wrap == "clamp")))
-        self._parts.append(_heights_of(texels) if are_heights else texels)
+        self._parts.append(pixels.reshape(-1, 4))
         self._count += height * width
         return len(self._places) - 1
 
@@ -205,8 +205,8 @@ class _Atlas:
 
 def _heights_of(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The luminance of texels, in [0, 1]: the four bytes of each a float32."""
-    linear = texels[:, :3] @ (np.array(LUMINANCE, np.float32) / np.float32(255.0))
-    heights: NDArray[np.uint8] = linear.astype(np.float32).view(np.uint8).reshape(-1, 4)
+    linear = texels.reshape(-1, 4)[:, :3] @ (np.array(LUMINANCE, np.float32) / np.float32(255.0))
+    heights: NDArray[np.uint8] = linear.astype(np.float32).view(np.uint8).reshape(texels.shape)
     return heights
 
 
@@ -229,7 +229,7 @@ def texture_of(tables, material, role):
 
 
 @device
-def texture_size(tables, texture):
+def _texture_size(tables, texture):
     """Width and height of a texture, in texels."""
     row = texture * _PLACE
     return (
@@ -283,7 +283,7 @@ def nearest_texels(tables, texture, u, v, beyond):
         The fraction between it and the next.
     """
     first = gather(np.int32, tables.places, as_int32(texture * _PLACE))
-    width, height = texture_size(tables, texture)
+    width, height = _texture_size(tables, texture)
     is_clamped = gather(np.int32, tables.places, as_int32(texture * _PLACE + _3)) != _0
     most = _WHOLE + beyond
     u = select(is_clamped, minimum(maximum(u, -beyond), most), u - floor(u))

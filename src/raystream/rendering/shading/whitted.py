@@ -15,7 +15,7 @@ from raystream.jit.cpu import device, kernel
 from raystream.jit.simd import gather
 from raystream.rendering.shading.absorption import transmittance
 from raystream.rendering.shading.bsdf import emitted, fresnel, lobes_at, reflected, refracted
-from raystream.rendering.shading.points import surface_point
+from raystream.rendering.shading.points import spawned, surface_point
 from raystream.rendering.shading.punctual_lights import incident_light
 from raystream.rendering.shading.shadow_rays import put_shadow_ray
 from raystream.rendering.shading.sky import sky_toward
@@ -25,7 +25,7 @@ from raystream.rendering.shading.streams import (
     addresses_of,
     batch_addresses,
     direction_of,
-    put_path,
+    put_row,
     weights_of,
 )
 from raystream.rendering.shading.tables import ABSORBS
@@ -40,7 +40,8 @@ def _continue(onward, pixel, tables, point, toward, weights, color, min_weight):
     weight = weights[0] * color[0], weights[1] * color[1], weights[2] * color[2]
     if not max(weight[0], weight[1], weight[2]) > min_weight:
         return onward
-    return put_path(onward, pixel, tables, point, toward, weight, np.inf)
+    origin = spawned(tables, point, toward)
+    return put_row(onward, pixel, origin, toward, weight, np.inf)
 
 
 @device
