@@ -20,7 +20,7 @@ __all__ = ["triangle_rate"]
 
 _VIEW = "bunny on a floor"
 
-#: Each ray tests all triangles, so few rays suffice.
+#: Image size for brute force: each ray tests all triangles.
 _BRUTE_SIZE = 128
 
 _ROUNDS = 5
