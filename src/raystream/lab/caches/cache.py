@@ -68,7 +68,7 @@ class Cache:
     sets is not a power of two. There are ``size // line_size`` lines, grouped into whole sets; the
     remainder is unused. Purcell's texture cache (2002, section 4.2), 64 KB direct-mapped with lines
     of 48 bytes, has 1365 sets, and 16 bytes are not used. Lines begin at multiples of `line_size`
-    from address 0, so a trace that wants its arrays to begin with a line must place them so.
+    from address 0, so align arrays in a trace accordingly.
 
     Sets of up to 32 ways are lists in LRU order; larger ones use a hash table.
 

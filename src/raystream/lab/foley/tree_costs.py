@@ -213,7 +213,7 @@ def _claims(found: Mapping[str, Found]) -> list[Claim]:
             "slower than the best by " + ", ".join(f"{k} {v:.0%}" for k, v in lost.items()),
         ),
         Claim.judged(
-            f"It keeps trees shallower and leaves fuller than a cost of {even}",
+            f"It makes trees shallower and leaves fuller than a cost of {even}",
             source,
             flat,
             "; ".join(
