@@ -1,4 +1,4 @@
-"""Recorded walks: what rays met, in the order of the multipass machine's kernels."""
+"""Recorded walks: the multipass machine's kernels on each ray, in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Words and instructions of our kernels, and the searches that they are measured in."""
+"""Words and instructions of our kernels, and the searches in which they are measured."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_fetch_only_versions_fetch_the_same(name, structure, kernel):
     assert counts[0].total < counts[1].total
 
 
-def test_what_a_kernel_costs():
+def test_cost_of_a_kernel():
     """The same each time; no word is read that is not in a record, and nothing is counted."""
     structure, _ = make(BACKTRACK)
     steps = steps_of(structure)
@@ -189,7 +189,7 @@ def test_recirculation(compaction):
         assert {one.record_count for one in result.passes} == {len(rays.t_min)}
 
 
-def test_what_empty_lanes_cost():
+def test_cost_of_idle_lanes():
     """Passes of which the times are given: half of the time goes to those that are not full."""
     passes = [
         PassTime("a", 100, 100, 1.0),
@@ -206,7 +206,7 @@ def test_what_empty_lanes_cost():
     assert [one.run_count for one in by_occupancy(passes, (0.0, 0.1, 0.5, 1.0))] == [0, 60, 150]
 
 
-def test_a_bvh_is_traced_otherwise():
+def test_a_bvh_is_rejected():
     with pytest.raises(ValueError, match="packets"):
         measure_recirculation(*make("bvh", 2))
 
