@@ -155,7 +155,7 @@ def measure_recirculation(
     Parameters
     ----------
     structure : Structure
-        Not a BVH: its branching machine traces packets, with other functions.
+        Not a BVH: its branching machine traces many rays at once, with other functions.
     rays : LocalRays
         From `snapshots.local_rays`.
     scheduler : str
@@ -170,8 +170,8 @@ def measure_recirculation(
     if structure.name not in _ONE_BY_ONE:
         known = ", ".join(_ONE_BY_ONE)
         raise ValueError(
-            f"structure: {structure.name!r} traces packets on the branching machine, with other "
-            f"functions than on the multipass machine; expected one of {known}"
+            f"structure: {structure.name!r} traces many rays at once on the branching machine, "
+            f"with other functions than on the multipass machine; expected one of {known}"
         )
     few = LocalRays(*(column[:1] for column in rays))
     Search(structure, few, scheduler).run()  # compiles
