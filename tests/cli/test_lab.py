@@ -1,4 +1,4 @@
-"""``raystream lab``: choosing experiments, writing reports, going on after a break."""
+"""``raystream lab``: selecting experiments, writing reports, resuming."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def small(monkeypatch):
         monkeypatch.setattr(f"raystream.lab.purcell.{module}.PURCELL_VIEWS", views)
 
 
-def test_report_is_written_and_a_run_goes_on(run, tmp_path, small):
+def test_report_is_written_and_a_run_resumes(run, tmp_path, small):
     arguments = ("lab", "purcell", "--only", "unrolling", "--quick", "--size", "32", "-o", "out")
     first = run(*arguments, "--json")
     assert first.code == 0
@@ -71,7 +71,7 @@ def test_report_is_written_and_a_run_goes_on(run, tmp_path, small):
     assert "size 32" in other.complaint
 
 
-def test_break_says_how_to_go_on(run, monkeypatch, small):
+def test_interruption_says_how_to_resume(run, monkeypatch, small):
     def stop(*_, **__):
         raise KeyboardInterrupt
 

@@ -1,4 +1,4 @@
-"""Other cameras look where they should."""
+"""Orbits and turns of cameras."""
 
 from __future__ import annotations
 

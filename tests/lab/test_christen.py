@@ -1,4 +1,4 @@
-"""Christen's experiments: bounces are those of the renderer, and passes add up."""
+"""Christen's experiments: bounces match the renderer, and passes add up."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_scenes_have_as_many_triangles_as_his():
         assert all(max(material.transmission) == 0.0 for material in scene.materials)
 
 
-def test_with_matte_walls_fewer_rays_go_on():
+def test_matte_walls_reflect_fewer_rays():
     counts = {
         name: [len(one.directions) for one in scenes.bounces_of(scene, 32, 3)]
         for name in ("A", scenes.MATTE_WALLS)
@@ -53,7 +53,7 @@ def test_bounces_are_mirrored_rays():
     assert first.light_ray_count > 0
 
 
-def test_iterations_are_those_of_the_renderer():
+def test_iterations_match_the_renderer():
     scene = scenes.christen_scene("B")
     tracer = rs.Tracer(scene, "grid", resolution=5)
     seconds, light = scenes.timed_iterations(render_context(tracer, (12, 12)), tracer, 12, 4)

@@ -1,4 +1,4 @@
-"""The cost model, against sums by hand."""
+"""The cost model against hand-computed sums."""
 
 from __future__ import annotations
 

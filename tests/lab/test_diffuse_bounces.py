@@ -1,4 +1,4 @@
-"""Bounces leave the side that was seen, as often as the cosine says."""
+"""Bounces leave on the incoming side, with cosine-weighted directions."""
 
 from __future__ import annotations
 

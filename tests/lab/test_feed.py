@@ -1,4 +1,4 @@
-"""Several simulators over one trace see what each of them would see alone."""
+"""Simulators fed in parallel count what each counts alone."""
 
 import threading
 
@@ -13,7 +13,7 @@ def _chunks(count: int) -> list[np.ndarray]:
     return [random.integers(0, 1 << 16, 1000, dtype=np.uint64) for _ in range(count)]
 
 
-def test_simulators_side_by_side_count_what_each_counts_alone():
+def test_simulators_in_parallel_count_what_each_counts_alone():
     chunks = _chunks(7)
     together = Cache(4096, 48), Cache(4096, 48, None), ReuseDistances(48)
     alone = Cache(4096, 48), Cache(4096, 48, None), ReuseDistances(48)
@@ -28,7 +28,7 @@ def test_simulators_side_by_side_count_what_each_counts_alone():
     assert np.array_equal(together[2].misses(sizes), alone[2].misses(sizes))
 
 
-def test_each_taker_sees_the_chunks_in_order_and_one_at_a_time():
+def test_each_consumer_gets_the_chunks_in_order_one_at_a_time():
     seen: list[int] = []
     busy = threading.Lock()
 
@@ -41,11 +41,11 @@ def test_each_taker_sees_the_chunks_in_order_and_one_at_a_time():
     assert seen == list(range(200))
 
 
-def test_no_chunks_are_none():
+def test_an_empty_trace():
     feed_chunks(iter(()), [lambda _: pytest.fail("taken")])
 
 
-def test_what_a_taker_raises_ends_it_all():
+def test_an_exception_of_a_consumer_is_raised():
     cache = Cache(4096, 48)
     chunks = [np.zeros(4, np.uint64), np.zeros(4, np.int8), np.zeros(4, np.uint64)]
     with pytest.raises(TypeError, match="addresses"):

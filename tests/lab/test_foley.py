@@ -1,4 +1,4 @@
-"""Foley's experiments: identities that must be exact, and what the experiments make of them."""
+"""Foley's experiments: exact identities, and that all of them run and resume."""
 
 import json
 import math
@@ -96,7 +96,7 @@ def test_figures_are_of_foley_s_images():
     assert list(figures) == list(published_figures("robots"))
 
 
-def test_settings_change_one_thing_and_have_names_of_their_own(view):
+def test_settings_change_one_thing_and_have_unique_names(view):
     settings = list(settings_of("kitchen", view.scene, 128))
     names = [one.name for one in settings]
     assert len(set(names)) == len(names)
@@ -109,14 +109,14 @@ def test_settings_change_one_thing_and_have_names_of_their_own(view):
     assert shape[0] * shape[1] == pytest.approx(128**2, rel=0.02)
 
 
-def test_settings_follow_a_camera_s_way(view):
+def test_settings_follow_a_camera_s_path(view):
     track = rs.CameraTrack(view.camera, positions=[[0, 0, 0, 3], [2, 1, 0, 3]])
     scene = rs.Scene(view.scene.meshes, camera_track=track)
     times = [one.time for one in settings_of("robots", scene, 64) if one.group == "frame"]
     assert (times[0], times[-1]) == (0.0, 2.0)
 
 
-def test_the_reason_names_what_was_measured():
+def test_reasons_name_measured_settings():
     theirs = published_figures("robots")
     as_is = Trial("as we have it", "", 0.0, {}, {key: 0.5 * value for key, value in theirs.items()})
     deep = Trial("depth", "9", 0.0, {}, {key: 0.9 * value for key, value in theirs.items()})

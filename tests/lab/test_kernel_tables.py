@@ -1,4 +1,4 @@
-"""Tables of kernels: which of ours stands beside which row of the papers."""
+"""Tables of kernels: our kernels and the corresponding rows of the papers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mailboxes: tests that a ray did before."""
+"""Mailboxes: repeated tests of a ray."""
 
 from __future__ import annotations
 

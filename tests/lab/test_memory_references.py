@@ -1,4 +1,4 @@
-"""Memory references: where they are, how many, and in what order."""
+"""Memory references: addresses, number and order."""
 
 from __future__ import annotations
 

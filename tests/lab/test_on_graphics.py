@@ -1,4 +1,4 @@
-"""The experiments of the graphics device: they run the machines that others simulate."""
+"""The experiments of the graphics device, which run the simulated machines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Purcell's experiments on small images: what must be exact, and that all of them run."""
+"""Purcell's experiments on small images: exact identities, and that all of them run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The poster's experiments: scenes that are what they say, and tables that agree with queries."""
+"""The poster's experiments: properties of scenes, and tables that agree with queries."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_every_ray_meets_every_layer_once():
 
 
 @pytest.mark.parametrize("place", hidden_triangles.PLACES)
-def test_what_is_added_is_not_seen(place):
+def test_added_triangles_are_hidden(place):
     bare, more = (hidden_triangles.scene_with_hidden(place, factor) for factor in (0, 3))
     added = 3 * rs.load(hidden_triangles.VISIBLE).triangle_count
     assert more.triangle_count == bare.triangle_count + added
@@ -94,7 +94,7 @@ def test_modes_count_the_rays_of_the_poster(runner, monkeypatch):
     assert all(image.path.exists() for image in result.images)
 
 
-def test_ambient_occlusion_asks_32_times_at_each_hit():
+def test_ambient_occlusion_traces_32_rays_per_hit():
     scene = rs.load("cornell")
     tracer = RecordingTracer(scene)
     frame_seconds(render_context(tracer, (16, 12)), tracer, "ao", (16, 12))
@@ -162,7 +162,7 @@ def test_scenes_are_timed_opaque_and_lit():
     assert scenes.prepared(timed).lights == timed.lights
 
 
-def test_stand_ins_are_there_without_samples(runner):
+def test_substitutes_need_no_samples(runner):
     result = Result()
     assert [one.name for one in scenes.scenes(runner, result)] == list(scenes.STAND_INS)
 

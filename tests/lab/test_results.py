@@ -1,4 +1,4 @@
-"""Results, published values, and what is kept of measurements."""
+"""Results, published values, and stored measurements."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def leaves(values: Any) -> Iterator[Any]:
         yield values
 
 
-def test_every_published_value_says_where() -> None:
+def test_every_published_value_has_a_place() -> None:
     for paper, places in _file().items():
         for place, entry in places.items():
             if place in ("name", "title"):
@@ -172,6 +172,6 @@ def test_store_refuses_what_json_cannot_hold(tmp_path: Path) -> None:
     assert list(json.loads(kept.path.read_text())["measurements"]) == ["a"]
 
 
-def test_columns_have_names_of_their_own() -> None:
+def test_column_names_are_unique() -> None:
     with pytest.raises(ValueError, match="speed: columns must be unique"):
         Table.of("speed", "Speed", ["scene", "rays", "rays"], [])

@@ -1,4 +1,4 @@
-"""The page: one file, whose content is the walks, and which no name can break out of."""
+"""The page: self-contained, with all walks, and safe against any name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walks: they are what the machine does, and the ray is where they say it is."""
+"""Walks match the machine, and the ray is inside the named boxes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calls take turns; slow ones leave."""
+"""Timing of calls in turn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes and walks that the tests of walks share."""
+"""Scenes and walks shared by the tests of walks."""
 
 from __future__ import annotations
 

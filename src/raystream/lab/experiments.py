@@ -105,7 +105,9 @@ EXPERIMENTS = (
         "rayforce-hidden", "Cost per ray against hidden geometry", "rayforce.hidden_triangles"
     ),
     Experiment(
-        "rayforce-graph", "The graph beside the other structures", "rayforce.graph_statistics"
+        "rayforce-graph",
+        "The graph compared with the other structures",
+        "rayforce.graph_statistics",
     ),
     Experiment("christen-times", "Time against grid size and bounces", "christen.image_times"),
     Experiment(

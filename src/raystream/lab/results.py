@@ -20,6 +20,7 @@ __all__ = [
     "Table",
     "Verdict",
     "comparison",
+    "listed",
 ]
 
 Found = TypeVar("Found")
@@ -110,6 +111,11 @@ def comparison(
         [(what, theirs, ours, _ratio(ours, theirs), why) for what, theirs, ours, why in rows],
         *notes,
     )
+
+
+def listed(values: Mapping[str, float], form: str = ".3g") -> str:
+    """Named values as text, such as ``"a 1.5, b 2"``."""
+    return ", ".join(f"{name} {value:{form}}" for name, value in values.items())
 
 
 def _ratio(ours: Cell, theirs: Cell) -> float | None:

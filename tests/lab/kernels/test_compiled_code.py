@@ -1,4 +1,4 @@
-"""Counting in code of which the counts are known: written by hand, or compiled from a line."""
+"""Counts of code with known counts: written by hand, or compiled from one line."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_an_address_that_a_jump_chooses():
     ]
 
 
-def test_what_serves_an_assumption_is_no_work():
+def test_assumptions_are_not_counted():
     counts = count_instructions(code_of(CHOICE))
     assert (counts.comparisons, counts.calls, counts.branches) == (1, 0, 1)
 
@@ -163,7 +163,7 @@ def test_sizes(shown, size):
     assert byte_count(shown) == size
 
 
-def test_what_is_no_number_has_no_size():
+def test_aggregates_have_no_size():
     with pytest.raises(ValueError, match="not a numeric type"):
         byte_count("{ i64, float }")
 
@@ -216,6 +216,6 @@ def test_machine_code():
     assert count_machine_code(ASSEMBLY, "f") == 10
 
 
-def test_a_function_that_is_not_there():
+def test_a_missing_function():
     with pytest.raises(ValueError, match="no function 'k'"):
         count_machine_code(ASSEMBLY, "k")

@@ -68,9 +68,9 @@ class Cache:
     sets is not a power of two. There are ``size // line_size`` lines, grouped into whole sets; the
     remainder is unused. Purcell's texture cache (2002, section 4.2), 64 KB direct-mapped with lines
     of 48 bytes, has 1365 sets, and 16 bytes are not used. Lines begin at multiples of `line_size`
-    from address 0, so a trace that wants its arrays to begin with a line must place them so.
+    from address 0, so align arrays in a trace accordingly.
 
-    Sets of up to 32 ways are lists with the latest line first; larger ones have a hash table.
+    Sets of up to 32 ways are lists in LRU order; larger ones use a hash table.
 
     Examples
     --------
@@ -115,7 +115,7 @@ class Cache:
         self.clear()
 
     def clear(self) -> None:
-        """Empty the cache, and begin to count anew."""
+        """Empty the cache and reset the counts."""
         line_count = self.set_count * self.ways
         self._counts = new_counts(len(self.kinds))
         self._held = np.zeros(line_count, np.uint64)
@@ -123,23 +123,23 @@ class Cache:
             self._rings, self._ring_arrays = _new_rings(self._held, self.set_count, self.ways)
 
     def access(self, addresses: NDArray[np.uint64], kinds: Kinds = 0, lengths: Kinds = 4) -> None:
-        """Take the next chunk of a trace through the cache.
+        """Process the next chunk of a trace.
 
         Parameters
         ----------
         addresses : ndarray of shape (N,), uint64
-            Of the first byte of each reference, in the order in which they are read.
+            Address of the first byte of each reference, in read order.
         kinds : int or ndarray of shape (N,), uint8
-            Which of `kinds` each reference reads, as an index; an int for all of them.
+            Index into `kinds` of each reference, or one for all.
         lengths : int or ndarray of shape (N,), uint8
-            Bytes that each reference reads, from 1 to 255: 4 for a word, 12 or 16 for a texel.
-            It accesses every line in which one of them is.
+            Bytes of each reference, from 1 to 255: 4 for a word, 12 or 16 for a texel. A reference
+            accesses every line that it overlaps.
 
         Raises
         ------
         TypeError, ValueError
-            If an array has another dtype or shape, or a value is out of range. The cache is then
-            as it was.
+            If an array has the wrong dtype or shape, or a value is out of range; the cache is
+            unchanged.
         """
         chunk = as_chunk(addresses, kinds, lengths, len(self.kinds))
         self._run(chunk)
@@ -159,12 +159,12 @@ class Cache:
 
     @property
     def counts(self) -> MappingProxyType[str, LineCounts]:
-        """What was counted until now, by kind of data."""
+        """Counts so far, by kind of data."""
         return by_kind(self.kinds, self._counts, self._counts[:, 3], self.line_size)
 
     @property
     def total(self) -> LineCounts:
-        """What was counted until now, of all kinds together."""
+        """Counts so far, over all kinds."""
         first, *others = self.counts.values()
         return sum(others, first)
 
@@ -178,7 +178,7 @@ class Cache:
 def _new_rings(
     keys: NDArray[np.uint64], set_count: int, ways: int
 ) -> tuple[Rings, tuple[NDArray[np.uint32], ...]]:
-    """Rings of empty slots, and the arrays whose addresses they are."""
+    """Rings of empty slots, and the arrays that they point to."""
     slots = np.arange(set_count * ways, dtype=np.uint32).reshape(set_count, ways)
     older, newer = np.roll(slots, -1, axis=1), np.roll(slots, 1, axis=1)
     latest = slots[:, 0].copy()

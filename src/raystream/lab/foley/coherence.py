@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raystream.lab.foley.node_visits import NodeVisits, TreeWalker, distinct_share
 from raystream.lab.foley.scenes import SIZE, available_views, foley_tree, trace_counters
 from raystream.lab.foley.secondary_rays import RayKind, first_hits, ray_kinds
-from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream.lab.runner import Runner
 from raystream.lab.views import View
 from raystream.machines import MultipassBackend
@@ -270,13 +270,12 @@ def _claims(found: Mapping[str, Mapping[str, Found]]) -> list[Claim]:
                 if first:
                     factors[f"{name} {kind} {grouping}"] = (last / first) ** (1 / (_CLIMB - 1))
     source = "Foley 2005, section 4.2"
-    listed = ", ".join(f"{case} {factor:.2f}" for case, factor in factors.items())
     return [
         Claim.judged(
             "Steps up make rays converge, even random and secondary rays",
             source,
             {case: factor < 1.0 for case, factor in factors.items()},
-            f"mean share of distinct nodes left by a step: {listed}",
+            f"mean share of distinct nodes left by a step: {listed(factors, '.2f')}",
         ),
         Claim.judged(
             "... exponentially: a step at least halves the distinct nodes, within a quarter, as "
@@ -289,6 +288,6 @@ def _claims(found: Mapping[str, Mapping[str, Found]]) -> list[Claim]:
             "Neighbouring secondary rays are less coherent: more of their leaves are distinct",
             source,
             apart,
-            ", ".join(f"{case} {share:.3g}" for case, share in leaves.items()),
+            listed(leaves),
         ),
     ]

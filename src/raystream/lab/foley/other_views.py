@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from raystream.lab.cameras import orbit
-from raystream.lab.foley.scenes import SIZE, foley_tree, trace_counters
+from raystream.lab.foley.scenes import SIZE, foley_tree, mean_counts, trace_counters
 from raystream.lab.published import published
 from raystream.lab.results import Cell, Table
 from raystream.lab.runner import Runner
@@ -99,14 +99,8 @@ def _runs(structures: Mapping[str, Structure], camera: Camera, size: int) -> dic
     rays = camera.rays(size, size)
     for structure, one in structures.items():
         counters = trace_counters(one, *rays)
-        total, count = counters.total, counters.steps.size
-        sums = {
-            "steps": (total["steps"] + total["backtrack_steps"]) / count,
-            "leaves": total["leaves"] / count,
-            "tests": total["tests"] / count,
-        }
-        found[structure] = kernel_runs(structure, sums)
-        found["hits"] = total["shadings"] / count
+        found[structure] = kernel_runs(structure, mean_counts(counters))
+        found["hits"] = counters.total["shadings"] / counters.steps.size
     return found
 
 

@@ -8,7 +8,7 @@ from raystream.core.errors import RaystreamError
 from raystream.lab.kernels.recirculation import by_occupancy, measure_recirculation
 from raystream.lab.kernels.snapshots import local_rays
 from raystream.lab.published import published
-from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream.lab.runner import Runner
 
 __all__ = ["recirculation"]
@@ -113,9 +113,9 @@ def recirculation(runner: Runner) -> Result:
             source,
             {name: ratio > slowdown for name, ratio in ratios.items()},
             "all rays / rays that take part: "
-            + ", ".join(f"{name} {ratio:.1f}" for name, ratio in ratios.items())
+            + listed(ratios, ".1f")
             + "; on this machine, which skips them, full passes would be faster by "
-            + ", ".join(f"{name} {ratio:.1f}" for name, ratio in lost.items()),
+            + listed(lost, ".1f"),
         ),
         Claim.judged(
             "Carrying a ray's state from pass to pass is expensive (here: full passes take at "

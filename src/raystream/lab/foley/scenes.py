@@ -33,6 +33,7 @@ __all__ = [
     "figures_of",
     "foley_tree",
     "foley_trees",
+    "mean_counts",
     "published_figures",
     "trace_counters",
 ]
@@ -100,6 +101,16 @@ def trace_counters(
     query = Query(Kind.ANY_HIT if any_hit else Kind.FIRST_HIT)
     batch = RayBatch(origins, directions, 0.0, t_max)
     return answer_counting(backend, query, batch, progress)[1]
+
+
+def mean_counts(counters: RayCounters) -> dict[str, float]:
+    """Mean ``steps`` down and up, ``leaves`` and ``tests`` per ray."""
+    total, count = counters.total, counters.steps.size
+    return {
+        "steps": (total["steps"] + total["backtrack_steps"]) / count,
+        "leaves": total["leaves"] / count,
+        "tests": total["tests"] / count,
+    }
 
 
 def count_states(trees: dict[str, KdTreeStructure], origins: Any, directions: Any) -> States:

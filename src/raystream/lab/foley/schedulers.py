@@ -10,7 +10,7 @@ import numpy as np
 
 from raystream.lab.foley.scenes import SIZE, available_views, foley_tree, trace_counters
 from raystream.lab.published import published
-from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream.lab.runner import Runner
 from raystream.lab.views import View
 from raystream.machines import MultipassBackend, Queues
@@ -227,8 +227,7 @@ def _claims(
             f"Low utilisation costs more than a factor of {factor}",
             "Foley 2005, section 5",
             {case: cost > factor for case, cost in idle.items()},
-            "all lanes / lanes that work, with Foley's scheduler: "
-            + ", ".join(f"{case} {cost:.3g}" for case, cost in idle.items()),
+            "all lanes / lanes that work, with Foley's scheduler: " + listed(idle),
         ),
         Claim.judged(
             "Foley's rule switches kernels less often than running the fullest one",

@@ -23,6 +23,7 @@ from raystream.lab.foley.scenes import (
     SIZE,
     available_views,
     foley_trees,
+    mean_counts,
     trace_counters,
 )
 from raystream.lab.foley.time_claims import time_claims
@@ -151,13 +152,7 @@ class _Scene:
         found = {}
         for name, structure in self.structures().items():
             rays = self.view.rays(max(8, self.size // (_BRUTE_SHARE if name == "brute" else 1)))
-            counters = trace_counters(structure, *rays)
-            total, count = counters.total, counters.steps.size
-            found[name] = {
-                "steps": (total["steps"] + total["backtrack_steps"]) / count,
-                "leaves": total["leaves"] / count,
-                "tests": total["tests"] / count,
-            }
+            found[name] = mean_counts(trace_counters(structure, *rays))
         return found
 
 

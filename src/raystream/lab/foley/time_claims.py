@@ -7,7 +7,7 @@ from typing import Any
 
 from raystream.lab.foley.other_views import kernel_runs
 from raystream.lab.published import published
-from raystream.lab.results import Claim
+from raystream.lab.results import Claim, listed
 
 __all__ = ["time_claims"]
 
@@ -69,7 +69,7 @@ def _robots(ways: Mapping[str, Costs]) -> Claim:
         f"In the robots, a kd-tree is at least {least} times faster than a grid",
         "Foley 2005, abstract and Table 1",
         {way: ratio >= least for way, ratio in ratios.items()},
-        _listed(ratios),
+        listed(ratios),
     )
 
 
@@ -80,7 +80,7 @@ def _uneven(ways: Mapping[str, Costs]) -> Claim:
         f"A grid is more than {least} times slower in the robots than in the bunny",
         "Foley 2005, section 4.1",
         {way: ratio > least for way, ratio in ratios.items()},
-        _listed(ratios),
+        listed(ratios),
     )
 
 
@@ -93,7 +93,7 @@ def _even(ways: Mapping[str, Costs]) -> Claim:
         "In the bunny, a grid is faster than the stackless kd-trees",
         "Foley 2005, Table 1",
         {way: ratio < 1.0 for way, ratio in ratios.items()},
-        f"grid / better of the two: {_listed(ratios)}",
+        f"grid / better of the two: {listed(ratios)}",
     )
 
 
@@ -119,7 +119,7 @@ def _linear(branching: Costs, triangles: Mapping[str, int]) -> Claim:
         "Brute force is linear in the number of triangles",
         "Foley 2005, section 4.1",
         cases,
-        f"nanoseconds per ray and triangle: {_listed(prices)}; published {_listed(old)}",
+        f"nanoseconds per ray and triangle: {listed(prices)}; published {listed(old)}",
     )
 
 
@@ -138,14 +138,10 @@ def _close(ways: Mapping[str, Costs]) -> Claim:
         "in Table 1",
         "Foley 2005, section 4.1",
         {case: ratio <= most for case, ratio in apart.items()},
-        f"published at most {most:.3g} times; ours {_listed(apart)}",
+        f"published at most {most:.3g} times; ours {listed(apart)}",
     )
 
 
 def _apart(each: Mapping[str, float]) -> float:
     ratio = each["restart"] / each["backtrack"]
     return max(ratio, 1.0 / ratio)
-
-
-def _listed(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.3g}" for name, value in values.items())

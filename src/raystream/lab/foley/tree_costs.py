@@ -19,7 +19,7 @@ from raystream.lab.foley.scenes import (
     trace_counters,
 )
 from raystream.lab.published import published
-from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream.lab.runner import Runner
 from raystream.lab.timing import time_in_turn
 from raystream.lab.views import View
@@ -210,10 +210,10 @@ def _claims(found: Mapping[str, Found]) -> list[Claim]:
             f"A cost of {cost} per step makes good trees: within a tenth of the best time",
             source,
             {case: share <= _GOOD for case, share in lost.items()},
-            "slower than the best by " + ", ".join(f"{k} {v:.0%}" for k, v in lost.items()),
+            "slower than the best by " + listed(lost, ".0%"),
         ),
         Claim.judged(
-            f"It keeps trees shallower and leaves fuller than a cost of {even}",
+            f"It makes trees shallower and leaves fuller than a cost of {even}",
             source,
             flat,
             "; ".join(

@@ -37,7 +37,7 @@ class KernelSpeed:
 
     Attributes
     ----------
-    structure, kernel : str
+    kernel : str
     ray_count : int
         Rays per run: all that waited for the kernel in its busiest pass.
     words_in, words_fetched, words_out : int
@@ -48,7 +48,6 @@ class KernelSpeed:
         Per run of the kernel and of its fetch-only version, run in turn.
     """
 
-    structure: str
     kernel: str
     ray_count: int
     words_in: int
@@ -148,7 +147,6 @@ def measure_speed(structure: str, snapshot: Snapshot, runs: int = RUNS) -> Kerne
         kernel.execute()
     times = np.array([[seconds_of(kernel.execute) for kernel in kernels] for _ in range(runs)])
     return KernelSpeed(
-        structure,
         kernels[0].name,
         len(snapshot),
         sum(stream_words(record, found, "load").values()),

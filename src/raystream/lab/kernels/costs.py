@@ -60,7 +60,7 @@ class KernelCost:
 
     Attributes
     ----------
-    structure, kernel : str
+    kernel : str
     code : InstructionCounts
         All instructions in the code of one step for one ray: load its state, compute, store. A
         program without branches runs all of them; with branches, a ray takes one path. Called
@@ -81,7 +81,6 @@ class KernelCost:
         counts twice: the versions of `fetch_only` read each word once.
     """
 
-    structure: str
     kernel: str
     code: InstructionCounts
     loop: InstructionCounts | None
@@ -117,16 +116,14 @@ def kernel_costs(structure: Structure) -> list[KernelCost]:
         If it has no steps.
     """
     steps = steps_of(structure)
-    return [cost_of(structure.name, steps, number) for number in range(len(steps.kernels))]
+    return [cost_of(steps, number) for number in range(len(steps.kernels))]
 
 
-def cost_of(name: str, steps: Steps, number: int) -> KernelCost:
+def cost_of(steps: Steps, number: int) -> KernelCost:
     """Count the cost of one kernel.
 
     Parameters
     ----------
-    name : str
-        Name of the structure.
     steps : Steps
     number : int
         Index of the kernel.
@@ -140,7 +137,6 @@ def cost_of(name: str, steps: Steps, number: int) -> KernelCost:
     words_in, words_out = words_of(steps, number)
     found = accesses(code.instructions)
     return KernelCost(
-        name,
         one.name,
         count_instructions(code.instructions),
         loop,

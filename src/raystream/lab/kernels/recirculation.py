@@ -65,10 +65,6 @@ class Recirculation:
 
     Attributes
     ----------
-    structure : str
-    ray_count : int
-    compaction : bool
-        Whether the multipass machine dropped rays that had ended.
     passes : list of PassTime
         Without those that return hits before compaction.
     idle_seconds : dict of str to float
@@ -78,9 +74,6 @@ class Recirculation:
         Median of three runs of the same search on the branching machine.
     """
 
-    structure: str
-    ray_count: int
-    compaction: bool
     passes: list[PassTime]
     idle_seconds: Mapping[str, float]
     branching_seconds: float
@@ -139,15 +132,13 @@ class OccupancyBin(NamedTuple):
 
     Attributes
     ----------
-    low, high : float
-        low <= share < high; 1 is in the last bin.
-    pass_count, run_count : int
+    low : float
+        Smallest share.
+    run_count : int
     seconds : float
     """
 
     low: float
-    high: float
-    pass_count: int
     run_count: int
     seconds: float
 
@@ -164,11 +155,12 @@ def measure_recirculation(
     Parameters
     ----------
     structure : Structure
-        Not a BVH: its branching machine traces packets, with other functions.
+        Not a BVH: its branching machine traces many rays at once, with other functions.
     rays : LocalRays
         From `snapshots.local_rays`.
     scheduler : str
     compaction : bool
+        Whether to drop finished rays from the streams.
 
     Raises
     ------
@@ -178,8 +170,8 @@ def measure_recirculation(
     if structure.name not in _ONE_BY_ONE:
         known = ", ".join(_ONE_BY_ONE)
         raise ValueError(
-            f"structure: {structure.name!r} traces packets on the branching machine, with other "
-            f"functions than on the multipass machine; expected one of {known}"
+            f"structure: {structure.name!r} traces many rays at once on the branching machine, "
+            f"with other functions than on the multipass machine; expected one of {known}"
         )
     few = LocalRays(*(column[:1] for column in rays))
     Search(structure, few, scheduler).run()  # compiles
@@ -193,14 +185,7 @@ def measure_recirculation(
         count, name = len(search.streams), search.steps.kernels[kernel].name
         seconds = seconds_of(partial(search.streams.run, kernel, None))
         passes.append(PassTime(name, waiting[kernel], count, seconds))
-    return Recirculation(
-        structure.name,
-        len(rays.t_min),
-        compaction,
-        passes,
-        idle,
-        _time_branching(structure, rays),
-    )
+    return Recirculation(passes, idle, _time_branching(structure, rays))
 
 
 def by_occupancy(
@@ -221,7 +206,7 @@ def by_occupancy(
         own = [one for one, number in zip(passes, bins.tolist(), strict=True) if number == k]
         runs = sum(one.run_count for one in own)
         seconds = sum(one.seconds for one in own)
-        result.append(OccupancyBin(edges[k], edges[k + 1], len(own), runs, seconds))
+        result.append(OccupancyBin(edges[k], runs, seconds))
     return result
 
 

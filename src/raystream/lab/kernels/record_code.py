@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,17 +11,13 @@ from raystream.kernels.hits import HitAddresses
 from raystream.machines.ray_streams import declared_as
 from raystream.machines.records import FOUND, RAY, WANTED, StepArguments
 from raystream.machines.steps import Steps
-from raystream.machines.steps.base import StepKernel
 from raystream.streams import Stream
 from raystream.streams.declarations import declare
 
-__all__ = ["RecordCode", "compile_record", "compile_steps", "first_hit_query", "make_streams"]
+__all__ = ["RecordCode", "compile_steps", "first_hit_query", "make_streams"]
 
-#: Numbers of structures that select a traversal.
-_CHOICES = ("traversal",)
-
-#: Numbers of a query that do.
-_QUERY_CHOICES = ("surfaces", "shades", "tallies", "runs", "steps", "tests")
+#: Numbers of a query that select what is compiled.
+_QUERY_CHOICES = {"surfaces", "shades", "tallies", "runs", "steps", "tests"}
 
 _NOWHERE = np.uint64(0)
 _ONE = np.uint64(1)
@@ -88,13 +82,14 @@ def compile_steps(
     number: int,
     *,
     is_looping: bool = False,
-    is_general: bool = False,
     is_in_place: bool = True,
 ) -> RecordCode:
     """Compile a kernel of a traversal for one record, for first hits.
 
     Function, inputs and outputs are those of the multipass machine's kernel; the loop over records
-    and its condition are omitted, as in a program of graphics hardware.
+    and its condition are omitted, as in a program of graphics hardware. Numbers that select a
+    query, a traversal or counting are constants "placed within the kernel code" (Purcell 2002,
+    section 3.1), so that the code of other choices is removed.
 
     Parameters
     ----------
@@ -104,11 +99,6 @@ def compile_steps(
     is_looping : bool
         Keep the number of steps per pass variable, so that the code has the loop over steps; else
         compile one step.
-    is_general : bool
-        Keep all numbers variable, as the machine does, which compiles a kernel once for all queries
-        and traversals, with or without counters. Else the numbers that select between these are
-        constants "placed within the kernel code" (Purcell 2002, section 3.1), and the code of other
-        choices, such as counting, is removed.
     is_in_place : bool
         Write the streams that it reads, as the machine does: unchanged fields are then neither read
         nor written. Else write other streams of the same kind.
@@ -120,61 +110,28 @@ def compile_steps(
     one = steps.kernels[number]
     streams = make_streams(steps, 1)
     written = streams if is_in_place else make_streams(steps, 1)
-    query = first_hit_query()
-    open_ = _QUERY_CHOICES[-2:] if is_looping else ()
-    return compile_record(
-        one.name,
-        one.function,
-        declared_as(steps, query, number, streams, written),
-        None if is_general else {"query": tuple(set(_QUERY_CHOICES) - {*open_}), "tree": _CHOICES},
-        () if is_general else _facts(steps, one),
+    given = declared_as(steps, first_hit_query(), number, streams, written)
+    declared = declare(
+        one.name, one.function, given["inputs"], given["outputs"], None, given["constants"]
     )
-
-
-def _facts(steps: Steps, one: StepKernel) -> list[str]:
-    """Known facts of a ray's place: in a one-level grid it has no outer cell."""
-    reads_place = "place" in inspect.signature(one.function).parameters
-    has_one_level = getattr(steps.tree, "children", None) == _NOWHERE
-    return ["place.outer == -1"] if reads_place and has_one_level else []
-
-
-def compile_record(
-    name: str,
-    function: Any,
-    given: Mapping[str, Any],
-    constants: Mapping[str, tuple[str, ...]] | None,
-    facts: Sequence[str] = (),
-) -> RecordCode:
-    """Compile a kernel's function for one record.
-
-    Parameters
-    ----------
-    name : str
-    function : callable
-    given : mapping
-        ``inputs``, ``outputs`` and ``constants`` of a `streams.Kernel`.
-    constants : mapping of str to tuple of str, optional
-        For constants that are named tuples, the members to compile in; of addresses, only whether
-        they are 0. Without it all stay variable.
-    facts : sequence of str
-        Known facts of its input records, as Python expressions.
-    """
-    declared = declare(name, function, given["inputs"], given["outputs"], None, given["constants"])
     source = declared.source()
-    known: dict[str, Any] = {"function": function, "assume": assume, "uint64": np.uint64}
+    variable: set[str] = {"steps", "tests"} if is_looping else set()
+    literals = {"query": _QUERY_CHOICES - variable, "tree": {"traversal"}}
+    known: dict[str, Any] = {"function": one.function, "assume": assume, "uint64": np.uint64}
     known |= source.names()
     lines: list[str] = []
     call = []
     for key, value in declared.constants.items():
         shown = dict(declared.bindings)[key]
-        if constants is not None:
-            shown = _frozen(key, shown, value, constants.get(key, ()), known, lines)
+        shown = _frozen(key, shown, value, literals.get(key, set()), known, lines)
         call.append(f"{key}={shown}")
     for argument in source.arguments()[: len(source.inputs)]:
         key, _, record = argument.partition("=")
         lines.append(f"{key} = {record}")
         call.append(f"{key}={key}")
-    lines += [f"assume({fact})" for fact in facts]
+    has_one_level = getattr(steps.tree, "children", None) == _NOWHERE
+    if has_one_level and "place=place" in call:
+        lines.append("assume(place.outer == -1)")  # a one-level grid has no outer cells
     parameters = ["i", *source.parameters()[2:]]
     text = [
         f"def one_record({', '.join(parameters)}):",
@@ -183,9 +140,9 @@ def compile_record(
         *(f"    {line}" for line in source.stores()),
     ]
     exec("\n".join(text) + "\n", known)
-    streams = declared.streams()
-    values = [np.uint64(0), *(one.array for one in streams), *declared.constants.values()]
-    names = {f"stream_{k}": str(one.name) for k, one in enumerate(streams)}
+    arguments = declared.streams()
+    values = [np.uint64(0), *(stream.array for stream in arguments), *declared.constants.values()]
+    names = {f"stream_{k}": str(stream.name) for k, stream in enumerate(arguments)}
     for key, value in declared.constants.items():
         names |= _members(dict(declared.bindings)[key], key, value)
     return RecordCode(compile_code(known["one_record"], values), names)
@@ -195,7 +152,7 @@ def _frozen(
     key: str,
     shown: str,
     value: Any,
-    members: tuple[str, ...],
+    members: set[str],
     known: dict[str, Any],
     lines: list[str],
 ) -> str:

@@ -9,7 +9,7 @@ from raystream.lab.published import published
 from raystream.lab.purcell.image_counts import SIZE
 from raystream.lab.purcell.scene_statistics import image_statistics
 from raystream.lab.purcell.schedules import image_schedule
-from raystream.lab.results import Cell, Claim, Result, Table
+from raystream.lab.results import Cell, Claim, Result, Table, listed
 from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS
 
@@ -60,13 +60,13 @@ def loop_unrolling(runner: Runner) -> Result:
             "Unrolling saves at least 40 % of the bandwidth",
             paper.source,
             {name: one >= values["bandwidth_saved_suppressed"] for name, one in saved.items()},
-            _percents(saved) + "; with reads suppressed " + _percents(suppressed),
+            listed(saved, ".0%") + "; with reads suppressed " + listed(suppressed, ".0%"),
         ),
         Claim.judged(
             "It adds less than a tenth to the instructions",
             paper.source,
             {name: one < values["instructions_added"] for name, one in added.items()},
-            _percents(added),
+            listed(added, ".0%"),
         ),
     ]
     return result
@@ -104,7 +104,3 @@ def compare(schedule: dict[str, Any], rays: int, options: dict[str, Any]) -> dic
         "suppressed": 1.0 - needed / before,
         "added": longer / instructions - 1.0,
     }
-
-
-def _percents(shares: dict[str, float]) -> str:
-    return ", ".join(f"{name} {share:.0%}" for name, share in shares.items())

@@ -35,7 +35,7 @@ STATISTICS = {
 #: Maximum relative deviation of values that are called equal in the text.
 TOLERANCE = 0.25
 
-#: ImageCounts, and not judged: the paper's grid shows that its bunny did not stand alone.
+#: Measured but not judged: the paper's grid shows that its bunny had a floor.
 _ALONE = "bunny"
 
 #: Not judged, since the camera was chosen by it.

@@ -12,7 +12,7 @@ from raystream.lab.purcell.scene_statistics import (
     image_statistics,
     paper_view,
 )
-from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, comparison
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, comparison, listed
 from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS
 from raystream.lab.walks import Replay, Walks, record, replay, sweep
@@ -237,28 +237,24 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
             f"The naive schedule takes at least {factor} times as many passes",
             place,
             {name: ratio >= factor for name, ratio in naive.items()},
-            _listed(naive),
+            listed(naive, ".2f"),
         ),
         Claim.judged(
             f"The threshold comes within {low} to {high} times the optimal count",
             place,
             {name: ratio <= high for name, ratio in optimal.items()},
-            _listed(optimal),
+            listed(optimal, ".2f"),
         ),
         Claim.judged(
             "A threshold of 20 % gives the fewest passes (here: within a tenth of the best)",
             place,
             {name: ratio <= 1.1 for name, ratio in usual.items()},
-            "passes at 20 % over the best: " + _listed(usual),
+            "passes at 20 % over the best: " + listed(usual, ".2f"),
         ),
         Claim.judged(
             "An image takes 1000 to 3000 passes",
             "Purcell 2002, section 4.2",
             {name: 1000 <= count <= 3000 for name, count in total.items()},
-            ", ".join(f"{name} {count:,}" for name, count in total.items()),
+            listed(total, ","),
         ),
     ]
-
-
-def _listed(ratios: dict[str, float]) -> str:
-    return ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())

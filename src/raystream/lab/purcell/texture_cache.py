@@ -15,7 +15,7 @@ from raystream.lab.cost_model import prices
 from raystream.lab.published import published
 from raystream.lab.purcell.image_counts import SIZE, grid_tracer
 from raystream.lab.purcell.schedules import record_view
-from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table
+from raystream.lab.results import Cell, Claim, Plot, Result, Series, Table, listed
 from raystream.lab.runner import Runner
 from raystream.lab.views import PURCELL_VIEWS
 from raystream.lab.walks import (
@@ -333,7 +333,7 @@ def _claims(found: dict[str, dict[str, Any]]) -> list[Claim]:
             f"At least {low:.0%} of the triangle reads hit, on both architectures",
             paper.source,
             {case: rate >= low - 0.005 for case, rate in rates.items()},
-            ", ".join(f"{case} {rate:.1%}" for case, rate in rates.items()) + "; " + _tiled(found),
+            listed(rates, ".1%") + "; " + _tiled(found),
         ),
         Claim.judged(
             "The cache helps branching much more than multipass",

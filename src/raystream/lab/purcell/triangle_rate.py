@@ -20,7 +20,7 @@ __all__ = ["triangle_rate"]
 
 _VIEW = "bunny on a floor"
 
-#: Each ray tests all triangles, so few rays suffice.
+#: Image size for brute force: each ray tests all triangles.
 _BRUTE_SIZE = 128
 
 _ROUNDS = 5
@@ -51,7 +51,8 @@ def triangle_rate(runner: Runner) -> Result:
             rows,
             "Tests per second: all tests of the image's rays over the time of the image, which "
             "includes traversal. Medians of rounds without counters; tests are counted in "
-            "another run. The BVH traces packets, and its counts are those of single rays.",
+            "another run. The BVH traces many rays at once, and its counts are those of single "
+            "rays.",
             f"Published: {speed['pentium_intersections_per_second'] / 1e6:g} million tests/s by a "
             "Pentium III of 800 MHz (Wald, after Purcell 2002, section 5.2), and nearly "
             f"{claims['brute_tests_per_second'] / 1e6:g} million by a Radeon X800 with brute "

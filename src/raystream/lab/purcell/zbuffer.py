@@ -196,9 +196,9 @@ def _costs(one: dict[str, Any]) -> dict[str, float]:
     deferred = fragments * _DEPTH_TEST + one["s"] * color
     return {
         "ray tracing": traced,
-        f"Z-buffer, {cheap} a vertex": vertices * cheap + fragments * color,
-        f"Z-buffer, {dear} a vertex": vertices * dear + fragments * color,
-        f"deferred, {dear} a vertex": vertices * dear + deferred,
+        f"Z-buffer, {cheap} per vertex": vertices * cheap + fragments * color,
+        f"Z-buffer, {dear} per vertex": vertices * dear + fragments * color,
+        f"deferred, {dear} per vertex": vertices * dear + deferred,
     }
 
 

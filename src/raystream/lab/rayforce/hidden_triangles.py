@@ -168,7 +168,7 @@ def _table(runner: Runner, found: _Found) -> Table:
         rows,
         "Steps and tests are counted, and decide. The price is the cost of a ray's sectors, link "
         "nodes and tests by the costs of the graph's builder, which trades steps for tests. "
-        "Times are of the BVH's packet kernels, and of single rays in the others.",
+        "Times are of the BVH's kernels for many rays, and of single rays in the others.",
     )
 
 

@@ -168,7 +168,7 @@ def _times(runner: Runner, found: dict[int, dict[str, dict[str, Any]]]) -> Table
         rows,
         f"Sheets of {2 * CELLS**2} triangles, parallel and facing the camera; each ray hits all "
         "of them. With `max_hits` 1 or 4 the nearest few are kept. Medians of rounds in which "
-        "structures take turns; only the BVH has packet kernels.",
+        "structures take turns; only the BVH has kernels for many rays at once.",
     )
 
 

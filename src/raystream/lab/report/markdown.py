@@ -11,6 +11,9 @@ from raystream.lab.results import Plot, Table
 
 __all__ = ["as_markdown"]
 
+#: Beside the report.
+_IMAGE_FOLDER = "pictures"
+
 
 def as_markdown(outcomes: Sequence[Outcome], about: About, plots: Sequence[str] = ()) -> str:
     """Make a Markdown report.
@@ -28,7 +31,7 @@ def as_markdown(outcomes: Sequence[Outcome], about: About, plots: Sequence[str] 
         parts += ["## What the papers say", table_text(claims_table(claims))]
     for experiment, result, seconds in outcomes:
         parts.append(f"## {experiment.title}")
-        parts += [f"![{one.title}](pictures/{one.path.name})" for one in result.images]
+        parts += [f"![{one.title}]({_IMAGE_FOLDER}/{one.path.name})" for one in result.images]
         for table in result.tables:
             parts += [f"**{table.title}**", table_text(table), *table.notes]
         parts += [_plot_text(one) for one in result.plots if one.name in plots]

@@ -42,7 +42,7 @@ def write_report(
     Returns
     -------
     list of Path
-        ``report.html``, which needs nothing else; ``report.md``, beside its ``plots`` and
+        ``report.html``, self-contained; ``report.md``, beside its ``plots`` and
         ``images``; ``report.json``.
 
     Raises

@@ -26,7 +26,7 @@ function drawDot(parent, x, y, radius, kind) {
 
 const middle = box => [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
 
-// The colour of a share of the largest number, mixed of the two that are next to it on the ramp.
+// The colour of a share of the maximum, interpolated on the ramp.
 function heatColor(ramp, share) {
   const at = Math.max(0, Math.min(1, share)) * (ramp.length - 1), i = Math.min(Math.floor(at), ramp.length - 2);
   const mixed = [0, 1, 2].map(k => Math.round(ramp[i][k] + (at - i) * (ramp[i + 1][k] - ramp[i][k])));
@@ -57,7 +57,7 @@ class Plan {
     });
   }
 
-  // A point of the ray, and where the ray leaves what is in view.
+  // A point of the ray, and where the ray leaves the view.
   at(ray, t) {
     return [ray.origin[0] + t * ray.direction[0], ray.origin[1] + t * ray.direction[1]];
   }
@@ -163,7 +163,7 @@ class Plan {
     const line = (t0, t1, kind) => {
       if (t1 > t0) drawLine(layer, ...this.at(ray, t0), ...this.at(ray, t1), kind);
     };
-    // The last cells of a grid reach on without end; what counts ends with the scene's box.
+    // The last cells of a grid are unbounded; the part that counts ends with the scene's box.
     const end = this.exit(ray, this.low, this.high);
     const cut = t => t === null || t > end ? end : t;
     const spot = now && now.b;
@@ -193,7 +193,7 @@ class Plan {
         const x = x0 + (i % columns) * w, y = y0 + Math.floor(i / columns) * h;
         const fill = heatColor(ramp, n / most);
         const one = make(layer, "rect", {x, y: -y - h, width: w, height: h, fill, stroke: fill});
-        make(one, "title", {}, `${n} ${measure} a ray`);
+        make(one, "title", {}, `${n} ${measure} per ray`);
       });
       return most;
     }

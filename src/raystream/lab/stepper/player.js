@@ -1,5 +1,5 @@
 "use strict";
-// Choices, steps and time; the address of the page names them.
+// Choices, steps and playback; they are part of the page's address.
 //
 // A step: k kernel, s state after it, w sentence, r source (numbers of strings); c counts that
 // it added, as [column, number]; a where the ray was, b where it is, q its stack, each as [number,
@@ -56,7 +56,7 @@ function writeAddress() {
   if (chosen.theme) given.set("theme", chosen.theme);
   try {
     history.replaceState(null, "", `#${given}`);
-  } catch { /* a page without an address, as in a frame: nothing to write */ }
+  } catch { /* no address to update, as in a frame */ }
 }
 
 function show() {
@@ -147,7 +147,7 @@ function playOrPause() {
   byId("play").setAttribute("aria-label", "Pause");
 }
 
-// Another structure shows the same part of the ray: the first step that has come as far.
+// Another structure shows the same part of the ray: the first step that reaches as far.
 function choosePanel(key) {
   const reached = step => step && (step.b || step.a) ? (step.b || step.a)[1] : -1;
   const old = steps(), was = chosen.step;

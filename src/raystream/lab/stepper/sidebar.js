@@ -1,5 +1,5 @@
 "use strict";
-// What is said beside the plan: the step in words, counts, the stack, the tree, other structures.
+// The sidebar: the step in words, counts, the stack, the tree, other structures.
 
 const byId = id => document.getElementById(id);
 
@@ -16,7 +16,7 @@ const KERNEL_COLORS = {
 };
 const kernelColor = name => `var(--k-${KERNEL_COLORS[name] || "setup"})`;
 
-// Counts that a structure has, by the names of raystream's counters, and what to call them.
+// The counts of each structure by the names of raystream's counters, and their labels.
 const COUNTS = {
   grid: {steps: "cells stepped through", leaves: "cells with triangles", tests: "triangles tested"},
   kdtree: {steps: "steps down", leaves: "leaves", tests: "triangles tested"},

@@ -200,7 +200,6 @@ class _Recording:
             structure=self.structure,
             kernels=kernels,
             shape=self.batch.shape,
-            is_any_hit=self.any_hit,
             run_splits=self.run_splits,
             run_kernels=self.run_kernels,
             run_lengths=self.run_lengths,

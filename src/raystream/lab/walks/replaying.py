@@ -144,7 +144,7 @@ def replay(
     Notes
     -----
     A ray that begins a run of n steps leaves its kernel after n passes of that kernel, or n / k if
-    a pass has k steps. Rays are kept in buckets by that pass, and rays with equal walks are one:
+    a pass has k steps. Rays are kept in buckets by that pass, and rays with equal walks are merged:
     time is proportional to the runs of distinct walks, and to the passes.
     """
     machine = MultipassBackend(

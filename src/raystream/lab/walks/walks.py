@@ -44,8 +44,6 @@ class Walks:
         Of the structure: set-up first, shading last.
     shape : tuple of int
         Shape S of the N rays.
-    is_any_hit : bool
-        Whether rays find any hit instead of the first.
     run_splits : ndarray of shape (N + 1,), int64
         Ray i has runs run_splits[i] to run_splits[i + 1].
     run_kernels : ndarray of shape (M,), uint8
@@ -69,7 +67,6 @@ class Walks:
     structure: Structure
     kernels: tuple[StepKernel, ...]
     shape: tuple[int, ...]
-    is_any_hit: bool
     run_splits: NDArray[np.int64]
     run_kernels: NDArray[np.uint8]
     run_lengths: NDArray[np.uint32]
@@ -86,13 +83,6 @@ class Walks:
     def names(self) -> tuple[str, ...]:
         """The kernels' names."""
         return tuple(one.name for one in self.kernels)
-
-    @property
-    def byte_count(self) -> int:
-        """Memory of all arrays except the counters."""
-        arrays = (self.run_splits, self.run_kernels, self.run_lengths, self.runs, self.prim_ids)
-        own = sum(array.nbytes for array in arrays)
-        return own + sum(a.nbytes for a in (self.visit_splits, self.visits) if a is not None)
 
     @cached_property
     def distinct(self) -> DistinctWalks:
